@@ -1,0 +1,136 @@
+"""A reduced journal as files: all points as CSV, one sample's table as .ddr. What is simulated says so in each."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from app.campaign.reduction import BsdfPoints, Reduced
+from app.campaign.regrid import Regridded, regrid
+from app.errors import UserError
+from app.formats import DdrTable, FormatError, write_ddr, write_points_csv
+
+Exporter = Callable[[Reduced, str | None, Path], int]
+LONGEST_LIST = 60
+
+
+def heading(reduced: Reduced) -> list[str]:
+    """The lines that say what a file is of."""
+    lines = [f"campaign: {reduced.name}", f"rig: {reduced.rig.file.name}"]
+    if reduced.simulated:
+        lines.append(f"SIMULATED: measured on a virtual rig, seed {reduced.rig.seed}; nothing in this file is real")
+    return lines
+
+
+def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
+    """Every point that was measured, of one sample or of all; returns how many. Raises UserError."""
+    chosen = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
+    if not chosen:
+        raise UserError(f"{path}: no sample has been measured yet, so there is nothing to write")
+    names = np.concatenate([np.full(points.bsdf.size, name) for name, points in chosen.items()])
+    columns: dict[str, np.ndarray] = {"sample": names}
+    for column in (
+        "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg",
+        "theta_deg", "phi_deg", "bsdf", "u_bsdf", "luminance_factor",
+    ):  # fmt: skip
+        unit = "_per_sr" if column in ("bsdf", "u_bsdf") else ""
+        columns[column + unit] = np.concatenate([getattr(points, column) for points in chosen.values()])
+    columns["flags"] = np.concatenate([_flags(points) for points in chosen.values()])
+    about = [
+        *heading(reduced),
+        "sigma: incidence; theta, phi: observation about the specular direction, phi 0 towards the normal; degrees",
+        "bsdf with its standard uncertainty u_bsdf in 1/sr; luminance_factor is pi times bsdf",
+        "flags: shadowed (by the mirror unit), clipped (over the range at every gain), no-etalon (no signal to divide by)",
+    ]
+    _written(lambda: write_points_csv(path, about, columns))
+    return int(names.size)
+
+
+def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
+    """One sample's luminance factors in specular coordinates; returns how many measured nodes. Raises UserError."""
+    if sample is None:
+        if len(reduced.samples) != 1:
+            known = ", ".join(reduced.samples) or "none"
+            raise UserError(f"{path}: a .ddr has one sample, and the journal has: {known}; name one with --sample")
+        sample = next(iter(reduced.samples))
+    points = _points(reduced, sample)
+    if np.unique(points.gamma_deg).size > 1:
+        raise UserError(f"{path}: {sample} was measured at several gamma, which .ddr export does not do yet; use csv")
+    wavelengths = np.unique(points.wavelength_nm)
+    try:
+        grids = [regrid(points.where(points.wavelength_nm == wavelength)) for wavelength in wavelengths]
+    except ValueError as error:
+        raise UserError(f"{path}: {sample}: {error}, so there is nothing to write") from None
+    sigmas, bsdf = _covered(grids)
+    about = [*heading(reduced), f"sample: {sample}", *_continued(grids, wavelengths)]
+    table = DdrTable(
+        source="Measured" if not reduced.simulated else "Generated",
+        symmetry="PlaneSymmetrical",
+        psi_deg=np.array([0.0]),
+        sigma_deg=sigmas,
+        phi_deg=grids[0].phi_deg,
+        theta_deg=grids[0].theta_deg,
+        channels=tuple(float(wavelength) for wavelength in wavelengths),
+        values=np.pi * bsdf[:, None],
+        comments=tuple(about),
+    )
+    _written(lambda: write_ddr(path, table))
+    return int(sum(grid.measured.sum() for grid in grids))
+
+
+FORMATS: dict[str, Exporter] = {"ddr": export_ddr, "csv": export_csv}
+
+
+def _covered(grids: list[Regridded]) -> tuple[np.ndarray, np.ndarray]:
+    """Sigma from 0 to 90, for readers extrapolate outside a list: the first and last tables are held to the ends."""
+    sigmas = grids[0].sigma_deg
+    bsdf = np.array([grid.bsdf for grid in grids])
+    if sigmas[0] > 0.0:
+        sigmas, bsdf = np.concatenate([[0.0], sigmas]), np.concatenate([bsdf[:, :1], bsdf], axis=1)
+    if sigmas[-1] < 90.0:
+        sigmas, bsdf = np.concatenate([sigmas, [90.0]]), np.concatenate([bsdf, bsdf[:, -1:]], axis=1)
+    return sigmas, bsdf
+
+
+def _continued(grids: list[Regridded], wavelengths: np.ndarray) -> list[str]:
+    """What in the table is no measurement, for its heading."""
+    sigmas = ", ".join(f"{sigma:g}" for sigma in grids[0].sigma_deg)
+    lines = [
+        f"measured at sigma {sigmas} deg only; the first and the last are held to sigma 0 and 90",
+        "nodes that were not measured (hidden by the mirror unit, beyond the last photodiode, below the horizon) are",
+        "interpolated along theta between the measured ones, or hold the nearest; they are, in degrees:",
+    ]
+    gaps = [
+        f"{wavelength:g} nm, sigma {sigma:g}, phi {phi:g}: theta {start:g} to {stop:g}"
+        for grid, wavelength in zip(grids, wavelengths, strict=True)
+        for k, sigma in enumerate(grid.sigma_deg)
+        for m, phi in enumerate(grid.phi_deg)
+        for start, stop in _runs(grid.theta_deg, ~grid.measured[k, m])
+    ]
+    more = [f"and {len(gaps) - LONGEST_LIST} more such ranges"] if len(gaps) > LONGEST_LIST else []
+    return [*lines, *gaps[:LONGEST_LIST], *more]
+
+
+def _runs(values: np.ndarray, chosen: np.ndarray) -> list[tuple[float, float]]:
+    """First and last value of each run of chosen ones."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
+    return [(float(values[start]), float(values[stop - 1])) for start, stop in edges.reshape(-1, 2)]
+
+
+def _points(reduced: Reduced, sample: str) -> BsdfPoints:
+    if sample not in reduced.samples:
+        known = ", ".join(reduced.samples) or "none"
+        raise UserError(f"the journal has no measured sample {sample!r}; it has: {known}")
+    return reduced.samples[sample]
+
+
+def _flags(points: BsdfPoints) -> np.ndarray:
+    named = (("shadowed", points.shadowed), ("clipped", points.clipped), ("no-etalon", points.no_etalon))
+    return np.array([" ".join(name for name, flag in named if flag[k]) for k in range(points.bsdf.size)])
+
+
+def _written(write: Callable[[], None]) -> None:
+    try:
+        write()
+    except FormatError as error:
+        raise UserError(str(error)) from None

@@ -1,0 +1,204 @@
+"""The command `goniotwin`."""
+
+import json
+import logging
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+
+from app.errors import UserError
+from app.progress import RowProgress
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+EXAMPLE_RIG = EXAMPLES / "rigs" / "virtual.toml"
+EXAMPLE_SCHEDULE = EXAMPLES / "schedules" / "quick.toml"
+
+app = typer.Typer(
+    name="goniotwin",
+    help=(
+        "BSDF measurement campaigns on a goniophotometer, and their rehearsal on its digital twin.\n\n"
+        "Without a command the desktop window opens on the virtual rig of the examples."
+    ),
+    no_args_is_help=False,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+
+Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="What is to be measured.", show_default=False)]
+RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Where the devices are.", show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
+TranscriptOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--transcript", metavar="DIR", help="Write every byte on every wire there, with its time.", show_default=False
+    ),
+]
+
+
+@app.callback(invoke_without_command=True)
+def start(context: typer.Context) -> None:
+    """Opens the desktop where no command is given."""
+    if context.invoked_subcommand is None:
+        desktop(EXAMPLE_RIG, EXAMPLE_SCHEDULE)
+
+
+@app.command()
+def desktop(
+    rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Where the devices are.")] = EXAMPLE_RIG,
+    schedule: Annotated[
+        Path, typer.Option("--schedule", metavar="SCHEDULE.toml", help="What is to be measured.")
+    ] = EXAMPLE_SCHEDULE,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="The folder for journals.", show_default=False)
+    ] = None,
+    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="How much faster a virtual rig's time passes.")] = 1.0,
+) -> None:
+    """Open the window."""
+    try:
+        from app.desktop import run_desktop
+    except ImportError as error:
+        raise UserError(
+            f"the window needs Qt, which cannot be loaded: {error}; on Debian and Ubuntu: "
+            "sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"
+        ) from None
+
+    raise typer.Exit(run_desktop(rig, schedule, out, speed))
+
+
+@app.command()
+def run(
+    schedule: Schedule,
+    rig: RigOption,
+    out: Annotated[Path, typer.Option("--out", metavar="JOURNAL", help="The journal, a new file.", show_default=False)],
+    transcript: TranscriptOption = None,
+    as_json: Json = False,
+) -> None:
+    """Measure a campaign.
+
+    Checks schedule and rig first and refuses what cannot work (status 2, no journal). A row is on the disk before the next
+    begins. Ends with status 0 when all rows are done, 1 after a fault, 130 after Ctrl-C: the journal then has what was
+    measured until then.
+    """
+    from app.campaign.campaign import run_campaign
+    from app.campaign.events import State
+    from app.campaign.plan import make_plan
+
+    plan = make_plan(*_read(schedule, rig))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a request to end is a stop: axes at rest, journal whole
+    with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress:
+        outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_person)
+    result = {
+        "journal": str(out),
+        "state": "stopped" if outcome.state is State.IDLE else str(outcome.state),
+        "rows": outcome.rows,
+        "planned": outcome.of,
+        "duration_s": outcome.seconds,
+        "simulated": plan.rig.simulated,
+        "faults": list(outcome.faults),
+    }
+    for fault in outcome.faults:
+        errors.print(f"goniotwin: {fault}", style="red")
+    mark = "SIMULATED, " if plan.rig.simulated else ""
+    text = f"{mark}{result['state']}: {outcome.rows} of {outcome.of} rows in {outcome.seconds:.1f} s of the rig's time: {out}"
+    _answer(as_json, result, lambda: print(text))
+    if outcome.state is not State.DONE:
+        raise typer.Exit(130 if outcome.state is State.IDLE else 1)
+
+
+@app.command()
+def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
+    """Tell what a campaign would be: its rows, how long it takes, how far each axis goes, what the mirror unit hides.
+
+    Nothing is opened and nothing moves. What the rig cannot do is refused with status 2.
+    """
+    from app.campaign.check import checked_plan, in_words
+    from app.campaign.plan import make_plan
+
+    plan = make_plan(*_read(schedule, rig))
+    result = checked_plan(plan)
+    _answer(as_json, result, lambda: print(in_words(plan, result)))
+
+
+@app.command()
+def export(
+    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="What a campaign has left.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The file to write.", show_default=False)],
+    file_format: Annotated[
+        Literal["ddr", "csv"],
+        typer.Option("--format", help="ddr: a table in specular coordinates; csv: every measured point.", show_default=False),
+    ],
+    sample: Annotated[
+        str | None, typer.Option("--sample", help="Which sample, where there are several.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Reduce a journal and write the BSDF.
+
+    The journal stays as it is. Values come with their standard uncertainty (csv). Nothing is filled in silence: what a
+    .ddr needs and nobody measured is listed at its top.
+    """
+    from app.campaign.export import FORMATS
+    from app.campaign.journal import Journal
+    from app.campaign.reduction import reduce_journal
+
+    if out.resolve() == journal.resolve():
+        raise UserError(f"{out}: is the journal itself; choose another name")
+    with Journal.open(journal) as opened:
+        reduced = reduce_journal(opened)
+    count = FORMATS[file_format](reduced, sample, out)
+    result = {"file": str(out), "format": file_format, "values": count, "simulated": reduced.simulated}
+    mark = "SIMULATED, " if reduced.simulated else ""
+    _answer(as_json, result, lambda: print(f"{mark}{count} measured values: {out}"))
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder for the files.")] = Path("demo"),
+    transcript: TranscriptOption = None,
+    as_json: Json = False,
+) -> None:
+    """Measure a Gaussian sample on the virtual rig, through the wires, and hold it against theory.
+
+    Leaves journal, .ddr, CSV and a figure in a folder; the files of an earlier demo there are replaced.
+    """
+    from app.demo import run_demo
+
+    result, show = run_demo(EXAMPLE_RIG, EXAMPLE_SCHEDULE, out, transcript, errors)
+    _answer(as_json, result, lambda: show(Console(highlight=False)))
+
+
+def _read(schedule: Path, rig: Path) -> tuple[Any, Any]:
+    from app.campaign.schedule import read_schedule
+    from app.rig import read_rig
+
+    return read_schedule(schedule), read_rig(rig)
+
+
+def _ask_person(text: str) -> None:
+    errors.print(f"[bold]{text}[/bold]  (Enter)")
+    if not sys.stdin.readline():
+        raise UserError("nobody is at the terminal to mount samples; run it where somebody is")
+
+
+def _answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> None:
+    if as_json:
+        print(json.dumps(result, indent=2, allow_nan=False))
+    else:
+        show()
+
+
+def main() -> None:
+    """The entry point: what a person can mend is one line on standard error, and status 2."""
+    logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors come to us as exceptions
+    try:
+        app()
+    except UserError as error:
+        errors.print(f"goniotwin: {error}", style="red", markup=False)
+        sys.exit(2)

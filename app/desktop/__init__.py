@@ -1,0 +1,31 @@
+"""The desktop: a window on a rig and its campaign. The one package that knows Qt.
+
+`rigthread` owns the rig and runs the engine, without Qt; `window` hears it through one signal and shows what it hears.
+"""
+
+from pathlib import Path
+
+from PySide6.QtWidgets import QApplication
+
+from app.desktop.theme import Theme
+from app.desktop.window import MainWindow
+
+__all__ = ["MainWindow", "Theme", "run_desktop"]
+
+
+def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = None, speed: float = 1.0) -> int:
+    """Opens the window on a rig and, where one is given, a schedule; returns the exit status when it is closed.
+
+    Journals go into the folder `out`, without it into `goniotwin` in the person's own. `speed` is how much faster than
+    ours the time of a virtual rig passes. Files that will not do are named in the window.
+    """
+    application = QApplication.instance()
+    if not isinstance(application, QApplication):
+        application = QApplication(["goniotwin"])
+    application.setApplicationName("goniotwin")
+    window = MainWindow(Theme(application), rig_path, schedule_path, out or Path.home() / "goniotwin", speed)
+    try:
+        window.show()
+        return application.exec()
+    finally:
+        window.shut_down()

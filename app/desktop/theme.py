@@ -1,0 +1,104 @@
+"""Light and dark: Fusion's palette, and the colours that the plot and the marks take from the same place."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from PySide6.QtCore import QObject, Qt, Signal, Slot
+from PySide6.QtGui import QColor, QPalette
+from PySide6.QtWidgets import QApplication
+
+Scheme = Literal["light", "dark"]
+
+
+@dataclass(frozen=True)
+class Colours:
+    """One scheme. Text on its ground has a contrast of at least 4.5 to 1; marks differ in form too, not only in hue."""
+
+    window: str
+    base: str
+    button: str
+    text: str
+    dim: str
+    line: str
+    accent: str
+    on_accent: str
+    good: str
+    bad: str
+    simulated: str
+    on_simulated: str
+    stop: str
+    stop_pressed: str
+    points: str
+    hidden: str
+
+
+LIGHT = Colours(
+    window="#f3f4f6", base="#ffffff", button="#e6e8ec", text="#1b1f24", dim="#59616b", line="#c3c8d0",
+    accent="#0b62c4", on_accent="#ffffff", good="#17692c", bad="#b3161b",
+    simulated="#ffd24d", on_simulated="#1b1f24", stop="#c1121f", stop_pressed="#8d0c16",
+    points="#0b62c4", hidden="#6b7280",
+)  # fmt: skip
+DARK = Colours(
+    window="#1e2126", base="#15171b", button="#2d3138", text="#e8eaed", dim="#a4abb5", line="#454b55",
+    accent="#5aa5ff", on_accent="#10131a", good="#66cf80", bad="#ff8080",
+    simulated="#e0b02f", on_simulated="#15171b", stop="#d11a28", stop_pressed="#8d0c16",
+    points="#5aa5ff", hidden="#9aa2ad",
+)  # fmt: skip
+
+
+class Theme(QObject):
+    """Follows the desktop's scheme, or keeps to a forced one (for tests and pictures)."""
+
+    changed = Signal()
+
+    def __init__(self, application: QApplication, forced: Scheme | None = None) -> None:
+        super().__init__()
+        self._application = application
+        self._forced = forced
+        self._hints = application.styleHints()
+        application.setStyle("Fusion")
+        self._hints.colorSchemeChanged.connect(self._follow)
+        self._follow()
+
+    @property
+    def colours(self) -> Colours:
+        """The colours now."""
+        dark = self._forced == "dark" if self._forced else self._hints.colorScheme() == Qt.ColorScheme.Dark
+        return DARK if dark else LIGHT
+
+    def force(self, scheme: Scheme | None) -> None:
+        """Keeps to a scheme from now on; None follows the desktop again."""
+        self._forced = scheme
+        self._follow()
+
+    @Slot()
+    def _follow(self) -> None:
+        self._application.setPalette(_palette(self.colours))
+        self.changed.emit()
+
+
+def _palette(colours: Colours) -> QPalette:
+    palette = QPalette()
+    role = QPalette.ColorRole
+    for which, colour in (
+        (role.Window, colours.window),
+        (role.WindowText, colours.text),
+        (role.Base, colours.base),
+        (role.AlternateBase, colours.window),
+        (role.ToolTipBase, colours.base),
+        (role.ToolTipText, colours.text),
+        (role.Text, colours.text),
+        (role.Button, colours.button),
+        (role.ButtonText, colours.text),
+        (role.BrightText, colours.bad),
+        (role.Highlight, colours.accent),
+        (role.Accent, colours.accent),
+        (role.HighlightedText, colours.on_accent),
+        (role.Link, colours.accent),
+        (role.PlaceholderText, colours.dim),
+        (role.Mid, colours.line),
+    ):
+        palette.setColor(which, QColor(colour))
+    for which in (role.WindowText, role.Text, role.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, which, QColor(colours.dim))
+    return palette

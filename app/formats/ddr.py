@@ -1,0 +1,180 @@
+"""Lumicept .ddr and .ddt files: BRDF and BTDF tables, black and white or spectral, Luminance Absolute.
+
+Words separated by white space; `;;` begins a comment. The file's value is pi * f / kbdf, f in 1/sr. Read strictly: the
+programs that read these files take wrong counts and lists without a complaint and interpolate to nonsense.
+"""
+
+import difflib
+
+import numpy as np
+
+from app.formats.comments import comment_lines, marked
+from app.formats.ddr_table import END_OF, SOURCES, SYMMETRIES, DdrTable, bsdf
+from app.formats.errors import FormatError, StrPath, shown
+from app.formats.numerals import NUMBER, FloatArray, angle_row, digits, row
+from app.formats.textfile import write_text
+from app.formats.words import Words
+
+__all__ = ["DdrTable", "bsdf", "read_ddr", "write_ddr"]
+
+HEADER = ("Source", "TypeSym", "TypeColorModel", "TypeData", *END_OF)
+BLOCKS = ("bw", "wl", "red", "gre", "green", "blu", "blue")
+IN_BLOCK = {*BLOCKS, "kbdf", "def", "enddef"}
+
+
+def write_ddr(path: StrPath, table: DdrTable) -> None:
+    """Write a .ddr (or .ddt) file: nine significant digits, whole or not at all. Raises FormatError.
+
+    Comments go to the two places where every reader takes them for comments: at the top, and before a row of data.
+    """
+    black_and_white = table.channels == (None,)
+    lines = [
+        *marked(comment_lines(table.comments, ascii_only=True), ";;"),
+        f"Source {table.source}",
+        f"TypeSym {table.symmetry}",
+        "TypeColorModel BW" if black_and_white else f"TypeColorModel spectral {len(table.channels)}",
+        "TypeData Luminance Absolute",
+    ]
+    for name in END_OF:
+        if name != "psi" or table.symmetry == "ASymmetrical 4D":
+            angles: FloatArray = getattr(table, f"{name}_deg")
+            lines += [f"{name} {angles.size}", f" {angle_row(path, name, angles)}"]
+    if not black_and_white:
+        angle_row(path, "wl", np.array(table.channels, dtype=np.float64))
+    for wavelength_nm, channel in zip(table.channels, table.values, strict=True):
+        lines += ["bw" if wavelength_nm is None else f"wl {digits(wavelength_nm)}", *_block(table, channel)]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _block(table: DdrTable, channel: FloatArray) -> list[str]:
+    factors = "  " + " ".join(["1.0"] * table.sigma_deg.size)
+    lines = [" kbdf", *[factors] * table.psi_deg.size, " def"]
+    for psi, of_psi in zip(table.psi_deg, channel, strict=True):
+        for sigma, of_sigma in zip(table.sigma_deg, of_psi, strict=True):
+            title = f"Sigma = {digits(sigma)}"
+            if table.symmetry == "ASymmetrical 4D":
+                title = f"Psi = {digits(psi)}, {title}"
+            lines += [f";; {title}", *(f" {row(values)}" for values in of_sigma.tolist())]
+    return [*lines, " enddef"]
+
+
+def read_ddr(path: StrPath) -> DdrTable:
+    """Read a .ddr or .ddt file with Luminance Absolute data, BW or spectral; kbdf is multiplied in.
+
+    Raises FormatError for anything else, and for whatever does not fit together in the file: wrong counts, too few or
+    too many numbers, a missing or an extra block, lists that do not ascend, words that are not known.
+    """
+    try:
+        return _Reader(Words(path, ";;")).table()
+    except FormatError:
+        raise
+    except ValueError as error:
+        raise FormatError(path, str(error), "correct the file") from error
+
+
+class _Reader:
+    def __init__(self, words: Words) -> None:
+        self.words = words
+        self.seen: set[str] = set()
+        self.source = ""
+        self.symmetry = "PlaneSymmetrical"  # what a file without TypeSym is read as
+        self.wavelengths: int | None = None
+        self.angles_of = {"psi": np.zeros(1)}
+
+    def table(self) -> DdrTable:
+        self._header()
+        channels: list[float | None] = []
+        values = []
+        for _ in range(self.wavelengths or 1):
+            channels.append(self._channel(channels))
+            values.append(self._values(channels[-1]))
+        if self.words.peek() is not None:
+            word = self.words.take("the end")
+            wrong = f"{shown(word)} follows the {len(channels)} blocks that TypeColorModel says"
+            raise self.words.fault(wrong, "remove it, or correct TypeColorModel")
+        return DdrTable(
+            source=self.source,
+            symmetry=self.symmetry,
+            psi_deg=self.angles_of["psi"],
+            sigma_deg=self.angles_of["sigma"],
+            phi_deg=self.angles_of["phi"],
+            theta_deg=self.angles_of["theta"],
+            channels=tuple(channels),
+            values=np.array(values),
+            comments=tuple(self.words.top_comments),
+        )
+
+    def _header(self) -> None:
+        while (word := self.words.peek()) is not None and word not in IN_BLOCK:
+            self._keyword(self.words.take("a keyword"))
+        missing = [name for name in HEADER if name not in self.seen | {"TypeSym", "TypeData", "psi"}]
+        if missing:
+            wrong = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+            raise FormatError(self.words.path, wrong, "a .ddr file needs this before its data")
+        if self.symmetry != "ASymmetrical 4D" and self.angles_of["psi"].tolist() != [0.0]:
+            wrong = "psi is [0] unless the symmetry is ASymmetrical 4D"
+            raise FormatError(self.words.path, wrong, "correct psi or TypeSym")
+
+    def _keyword(self, word: str) -> None:
+        name = {known.lower(): known for known in HEADER}.get(word.lower())
+        if word.lower() == "sigmat":
+            raise self.words.fault("sigmat (a refracted axis) is not read", "export the table without it")
+        if name is None:
+            near = difflib.get_close_matches(word, HEADER, 1)
+            remedy = f"is it {near[0]}?" if near else "remove it"
+            if NUMBER.fullmatch(word):
+                remedy = "correct the list before it, or its count"
+            raise self.words.fault(f"{shown(word)} is no keyword of a .ddr file", remedy)
+        if name in self.seen:
+            raise self.words.fault(f"{name} is given twice", "leave one of them")
+        self.seen.add(name)
+        if name in END_OF:
+            self.angles_of[name] = self.words.angles(name, END_OF[name])
+        elif name == "Source":
+            self.source = self._one_of(name, self.words.take("the source"), SOURCES)
+        elif name == "TypeSym":
+            word = self.words.take("the symmetry")
+            if word.lower() == "asymmetrical" and self.words.peek() == "4d":
+                word += " " + self.words.take("4D")
+            self.symmetry = self._one_of(name, word, SYMMETRIES)
+        elif name == "TypeColorModel":
+            model = self._one_of(name, self.words.take("the colour model"), ("BW", "spectral"))
+            self.wavelengths = self.words.count("wavelengths") if model == "spectral" else None
+        else:
+            self._one_of(name, self.words.take("Luminance"), ("Luminance",))
+            self._one_of(name, self.words.take("Absolute"), ("Absolute",))
+
+    def _one_of(self, name: str, word: str, known: tuple[str, ...]) -> str:
+        spelled = {each.lower(): each for each in known}.get(word.lower())
+        if spelled is None:
+            raise self.words.fault(f"{name} {shown(word)} is not read", f"export it as {' or '.join(known)}")
+        return spelled
+
+    def _channel(self, before: list[float | None]) -> float | None:
+        if self.words.peek() is None:
+            wrong = f"the file ends after {len(before)} of the {self.wavelengths or 1} blocks that TypeColorModel says"
+            raise self.words.fault(wrong, "it is cut short, or TypeColorModel is wrong")
+        if self.wavelengths is None:
+            self.words.expect("bw")
+            return None
+        self.words.expect("wl")
+        wavelength_nm = self.words.number("wl")
+        if wavelength_nm <= 0 or (before and before[-1] is not None and wavelength_nm <= before[-1]):
+            raise self.words.fault(f"wl {wavelength_nm:g} does not ascend", "sort the blocks by their wavelength, nm")
+        return wavelength_nm
+
+    def _values(self, channel: float | None) -> FloatArray:
+        psi, sigma, phi, theta = (self.angles_of[name].size for name in END_OF)
+        factors = np.ones((psi, sigma))
+        name = "bw" if channel is None else f"wl {channel:g}"
+        if self.words.peek() == "kbdf":
+            self.words.expect("kbdf")
+            factors = self.words.block(f"kbdf of {name}", psi, sigma, IN_BLOCK)
+            if factors.min() < 0:
+                raise self.words.fault(f"kbdf of {name} has a negative factor", "correct it")
+        self.words.expect("def")
+        values = self.words.block(f"def of {name}", psi * sigma * phi, theta, IN_BLOCK)
+        self.words.expect("enddef")
+        with np.errstate(over="ignore"):  # an overflow becomes inf, which the table refuses
+            scaled: FloatArray = values.reshape(psi, sigma, phi, theta) * factors[:, :, None, None]
+        return scaled

@@ -1,0 +1,60 @@
+"""How numbers are spelled in files: strictly read, and written with nine significant digits and a decimal point."""
+
+import itertools
+import math
+import re
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.formats.errors import FormatError, StrPath, shown
+
+FloatArray = NDArray[np.float64]
+
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+COUNT = re.compile(r"[0-9]{1,9}")
+DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+NO_VALUE = re.compile(r"[+-]?(?:nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
+
+
+class NotANumber(Exception):
+    """A word that is no number: what it is instead, and what to do."""
+
+    def __init__(self, wrong: str, remedy: str) -> None:
+        super().__init__(wrong, remedy)
+        self.wrong = wrong
+        self.remedy = remedy
+
+
+def parse_number(word: str) -> float:
+    """The finite number that a word spells; raises NotANumber."""
+    if NUMBER.fullmatch(word):
+        value = float(word)
+        if math.isfinite(value):
+            return value
+        raise NotANumber(f"{shown(word)} is larger than a 64-bit float", "correct the number")
+    if DECIMAL_COMMA.fullmatch(word):
+        raise NotANumber(f"{shown(word)} has a decimal comma", "write a decimal point")
+    if NO_VALUE.fullmatch(word):
+        raise NotANumber(f"{shown(word)} is no value", "write a finite number, or leave that angle out of the grid")
+    raise NotANumber(f"{shown(word)} is not a number", "correct it")
+
+
+def digits(value: float) -> str:
+    """A number to nine significant digits."""
+    return f"{value:.9g}"
+
+
+def row(values: Iterable[float], separator: str = " ") -> str:
+    """Numbers in one line."""
+    return separator.join(f"{value:.9g}" for value in values)
+
+
+def angle_row(path: StrPath, name: str, angles: FloatArray, separator: str = " ") -> str:
+    """A list of angles in one line; raises FormatError if two of them are the same once written."""
+    written = [float(digits(angle)) for angle in angles]
+    for before, after in itertools.pairwise(written):
+        if not before < after:
+            raise FormatError(path, f"{name} has two angles that are both written {digits(after)}", "leave one out")
+    return row(written, separator)

@@ -1,0 +1,115 @@
+"""Scattered points as CSV: columns of equal length under a header row, with `# ` comment lines at the top.
+
+A missing number is an empty field, never a number. UTF-8, decimal point, comma as the separator.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from app.formats.comments import comment_lines, marked
+from app.formats.errors import FormatError, StrPath, shown
+from app.formats.numerals import NUMBER, NotANumber, digits, parse_number
+from app.formats.textfile import CONTROL, read_text, write_text
+
+TO_QUOTE = re.compile(r'[,"\r\n]')
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """What a CSV of points holds.
+
+    A column is float64 (NaN where the field is empty) if all its fields are numbers or empty, else strings.
+    """
+
+    comments: tuple[str, ...]
+    columns: Mapping[str, NDArray[Any]]
+
+
+def write_points_csv(path: StrPath, header_comments: Sequence[str], columns: Mapping[str, ArrayLike]) -> None:
+    """Write columns of equal length: floats to nine significant digits, NaN as an empty field, strings as they are.
+
+    The file appears whole or not at all. Raises FormatError for what such a file cannot say.
+    """
+    fields = {name: _fields(path, name, np.asanyarray(column)) for name, column in columns.items()}
+    for name in fields:
+        if not name.strip() or name.startswith("#") or _unwritable(name):
+            raise FormatError(path, f"the column name {shown(name)} cannot be written", "give it a plain name")
+    lengths = {name: len(column) for name, column in fields.items()}
+    if len(set(lengths.values())) != 1:
+        raise FormatError(path, f"the columns have the lengths {lengths}", "give columns, all of the same length")
+    lines = marked(comment_lines(header_comments, ascii_only=False), "#")
+    lines += [_line(row) for row in (tuple(fields), *zip(*fields.values(), strict=True))]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _line(row: tuple[str, ...]) -> str:
+    # Not csv.writer: with a plain line feed at the ends of lines it leaves a carriage return in a field unquoted.
+    if row == ("",):
+        return '""'  # an empty line would be no row
+    return ",".join('"' + field.replace('"', '""') + '"' if TO_QUOTE.search(field) else field for field in row)
+
+
+def _fields(path: StrPath, name: str, column: NDArray[Any]) -> list[str]:
+    if column.ndim != 1 or np.ma.isMaskedArray(column):
+        raise FormatError(path, f"column {shown(name)} is not a plain list", "give one dimension, NaN for no value")
+    if column.dtype.kind in "biu":
+        return [str(int(value)) for value in column]
+    if column.dtype.kind == "f":
+        if np.isinf(column).any():
+            raise FormatError(path, f"column {shown(name)} has an infinite value", "write NaN for a missing value")
+        return ["" if value != value else digits(value) for value in column.astype(np.float64).tolist()]
+    if column.dtype.kind == "U":
+        for value in column:
+            if _unwritable(value):
+                raise FormatError(path, f"column {shown(name)} has the text {shown(value)}", "write plain text")
+        return [str(value) for value in column]
+    raise FormatError(path, f"column {shown(name)} is of the type {column.dtype}", "give numbers or strings")
+
+
+def _unwritable(text: str) -> bool:
+    return bool(CONTROL.search(text))
+
+
+def read_points_csv(path: StrPath) -> Points:
+    """Read a CSV of points, comments only at the top; raises FormatError."""
+    text = io.StringIO(read_text(path), newline="")
+    comments = []
+    start = text.tell()
+    while (line := text.readline()).startswith("#"):
+        comments.append(line[1:].removeprefix(" ").rstrip())
+        start = text.tell()
+    text.seek(start)
+    reader = csv.reader(text, strict=True)
+    names: list[str] = []
+    rows: list[list[str]] = []
+    try:
+        for fields in reader:
+            if not names:
+                names = fields
+            elif fields and len(fields) != len(names):
+                wrong = f"{len(fields)} fields, but the header has {len(names)}"
+                raise FormatError(path, wrong, "correct this line", len(comments) + reader.line_num)
+            elif fields:
+                rows.append(fields)
+    except csv.Error as error:
+        raise FormatError(path, f"not CSV: {error}", "correct this line", len(comments) + reader.line_num) from error
+    if not names or len(set(names)) != len(names) or not all(name.strip() for name in names):
+        raise FormatError(path, "the header leaves a column without a name of its own", "name each", len(comments) + 1)
+    columns = zip(*rows, strict=True) if rows else ((),) * len(names)
+    return Points(tuple(comments), {name: _column(column) for name, column in zip(names, columns, strict=True)})
+
+
+def _column(fields: Sequence[str]) -> NDArray[Any]:
+    if not all(field == "" or NUMBER.fullmatch(field) for field in fields):
+        return np.array(fields, dtype=np.str_)
+    try:
+        return np.array([np.nan if field == "" else parse_number(field) for field in fields], dtype=np.float64)
+    except NotANumber:
+        return np.array(fields, dtype=np.str_)

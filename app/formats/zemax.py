@@ -1,0 +1,192 @@
+"""Zemax (Radiant) tabular .bsdf files with the content Monochrome.
+
+Same geometry as .ddr: ScatterRadial is the angle to the specular direction, ScatterAzimuth the azimuth about it, zero
+in the plane of incidence towards the normal. Values are BSDF in 1/sr (no factor pi).
+"""
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.formats.comments import comment_lines, marked
+from app.formats.errors import FormatError, StrPath, shown
+from app.formats.grid import ascending, finite
+from app.formats.numerals import FloatArray, angle_row, digits, row
+from app.formats.textfile import write_text
+from app.formats.words import Words
+
+SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D")
+LISTS = ("sample_rotation_deg", "incidence_deg", "azimuth_deg", "radial_deg")
+SCATTER_TYPES = ("BRDF", "BTDF")
+LIMITS_DEG = {
+    "SampleRotation": (-360.0, 360.0),
+    "AngleOfIncidence": (0.0, 90.0),
+    "ScatterAzimuth": (0.0, 360.0),
+    "ScatterRadial": (0.0, 180.0),
+}
+HEADER = ("Source", "Symmetry", "SpectralContent", "ScatterType", *LIMITS_DEG)
+
+
+@dataclass(frozen=True, eq=False)
+class ZemaxBsdf:
+    """A BSDF in specular coordinates. Angles in degrees, each list ascending.
+
+    `values` [rotation, incidence, azimuth, radial] in 1/sr; `tis` [rotation, incidence] is the total integrated
+    scatter that the file states. `source` is a word such as "Measured". Raises ValueError where these do not fit.
+    """
+
+    source: str
+    symmetry: str
+    scatter_type: str
+    sample_rotation_deg: FloatArray
+    incidence_deg: FloatArray
+    azimuth_deg: FloatArray
+    radial_deg: FloatArray
+    values: FloatArray
+    tis: FloatArray
+    comments: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Checks, and copies the arrays."""
+        if self.symmetry not in SYMMETRIES:
+            raise ValueError(f"symmetry is one of {SYMMETRIES}, not {self.symmetry!r}")
+        if self.scatter_type not in SCATTER_TYPES:
+            raise ValueError(f"scatter_type is one of {SCATTER_TYPES}, not {self.scatter_type!r}")
+        keep = object.__setattr__
+        for field, (name, limits) in zip(LISTS, LIMITS_DEG.items(), strict=True):
+            keep(self, field, ascending(name, getattr(self, field), *limits))
+        if self.symmetry == "PlaneSymmetrical" and self.azimuth_deg[-1] > 180:
+            wrong = f"ScatterAzimuth goes to {self.azimuth_deg[-1]:g} deg, but PlaneSymmetrical has 0 to 180 only"
+            raise ValueError(f"{wrong}; write ASymmetrical, or the list to 180")
+        blocks = (self.sample_rotation_deg.size, self.incidence_deg.size)
+        keep(self, "values", finite("values", self.values, (*blocks, self.azimuth_deg.size, self.radial_deg.size)))
+        keep(self, "tis", finite("tis", self.tis, blocks))
+        keep(self, "comments", tuple(self.comments))
+
+
+def read_zemax(path: StrPath) -> ZemaxBsdf:
+    """Read a .bsdf file with SpectralContent Monochrome; raises FormatError for anything else."""
+    try:
+        return _Reader(Words(path, "#")).table()
+    except FormatError:
+        raise
+    except ValueError as error:
+        raise FormatError(path, str(error), "correct the file") from error
+
+
+class _Reader:
+    def __init__(self, words: Words) -> None:
+        self.words = words
+        self.word_of: dict[str, str] = {}
+        self.angles_of: dict[str, FloatArray] = {}
+        self.keywords: dict[str, tuple[str, Callable[[str], None]]] = {
+            name.lower(): (name, self._angles if name in LIMITS_DEG else self._word) for name in HEADER
+        }
+
+    def table(self) -> ZemaxBsdf:
+        self._header()
+        rotation, incidence, azimuth, radial = (self.angles_of[name] for name in LIMITS_DEG)
+        values = []
+        tis: list[float] = []
+        for turn in rotation:
+            for angle in incidence:
+                name = f"BSDF at rotation {turn:g}, incidence {angle:g} deg"
+                self._next_block(len(tis), rotation.size * incidence.size)
+                tis.append(self.words.number("TIS"))
+                values.append(self.words.block(name, azimuth.size, radial.size, {"tis", "dataend"}))
+        self._end(len(tis))
+        return ZemaxBsdf(
+            source=self.word_of["Source"],
+            symmetry=self.word_of["Symmetry"],
+            scatter_type=self.word_of["ScatterType"],
+            sample_rotation_deg=rotation,
+            incidence_deg=incidence,
+            azimuth_deg=azimuth,
+            radial_deg=radial,
+            values=np.array(values).reshape(rotation.size, incidence.size, azimuth.size, radial.size),
+            tis=np.array(tis).reshape(rotation.size, incidence.size),
+            comments=tuple(self.words.comments),
+        )
+
+    def _header(self) -> None:
+        while self.words.peek() not in ("monochrome", "databegin", None):
+            word = self.words.take("a keyword")
+            if word.lower().startswith("tristimulus"):
+                raise self.words.fault(f"{shown(word)}: tristimulus data are not read", "export it as Monochrome")
+            if word.lower() not in self.keywords:
+                near = difflib.get_close_matches(word, HEADER, 1)
+                remedy = f"is it {near[0]}?" if near else "remove it, or make it a comment with #"
+                raise self.words.fault(f"{shown(word)} is no keyword of a .bsdf file", remedy)
+            name, read = self.keywords[word.lower()]
+            if name in self.word_of or name in self.angles_of:
+                raise self.words.fault(f"{name} is given twice", "leave one of them")
+            read(name)
+        missing = [name for name in HEADER if name not in self.word_of and name not in self.angles_of]
+        if missing:
+            wrong = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+            raise FormatError(self.words.path, wrong, "a Zemax tabular .bsdf file needs this before its data")
+        self.words.expect("Monochrome")
+        self.words.expect("DataBegin")
+
+    def _angles(self, name: str) -> None:
+        low, high = LIMITS_DEG[name]
+        self.angles_of[name] = self.words.angles(name, high, low)
+
+    def _word(self, name: str) -> None:
+        line = self.words.line
+        value = self.words.take_line(f"the value of {name}")
+        if self.words.line != line:
+            raise self.words.fault(f"{name} has no value", "write it in the same line", line)
+        if name == "Source":
+            self.word_of[name] = value
+            return
+        known = {"Symmetry": SYMMETRIES, "ScatterType": SCATTER_TYPES, "SpectralContent": ("Monochrome",)}[name]
+        spelled = {word.lower(): word for word in known}.get(value.replace(" ", "").lower())
+        if spelled is None:
+            if name == "SpectralContent" and value.lower() == "xyz":
+                raise self.words.fault("SpectralContent XYZ (tristimulus) is not read", "export it as Monochrome")
+            raise self.words.fault(f"{name} {shown(value)} is not known", f"write {' or '.join(known)}")
+        self.word_of[name] = spelled
+
+    def _next_block(self, done: int, blocks: int) -> None:
+        if self.words.peek() == "dataend":
+            self.words.take("DataEnd")
+            wrong = f"{done} blocks of data, but SampleRotation and AngleOfIncidence say {blocks}"
+            raise self.words.fault(wrong, "add the missing blocks, or correct the lists")
+        self.words.expect("TIS")
+
+    def _end(self, blocks: int) -> None:
+        if self.words.peek() == "tis":
+            self.words.take("DataEnd")
+            wrong = f"more blocks of data than the {blocks} that SampleRotation and AngleOfIncidence say"
+            raise self.words.fault(wrong, "remove blocks, or correct the lists")
+        self.words.expect("DataEnd")
+        if self.words.peek() is not None:
+            word = self.words.take("the end")
+            raise self.words.fault(f"{shown(word)} stands after DataEnd", "remove what follows DataEnd")
+
+
+def write_zemax(path: StrPath, table: ZemaxBsdf) -> None:
+    """Write a .bsdf file: nine significant digits, comments at the top, whole or not at all. Raises FormatError."""
+    source = comment_lines([table.source], ascii_only=True)
+    if len(source) != 1 or source[0].split() != table.source.split() or not source[0].strip() or "#" in source[0]:
+        raise FormatError(path, f"the source {shown(table.source)} cannot be written", "name it in plain words")
+    lines = [
+        *marked(comment_lines(table.comments, ascii_only=True), "#"),
+        f"Source\t{source[0].strip()}",
+        f"Symmetry\t{table.symmetry}",
+        "SpectralContent\tMonochrome",
+        f"ScatterType\t{table.scatter_type}",
+    ]
+    for name, field in zip(LIMITS_DEG, LISTS, strict=True):
+        angles: FloatArray = getattr(table, field)
+        lines += [f"{name}\t{angles.size}", angle_row(path, name, angles, "\t")]
+    lines += ["", "Monochrome", "DataBegin"]
+    for rotation in range(table.sample_rotation_deg.size):
+        for incidence in range(table.incidence_deg.size):
+            lines.append(f"TIS\t{digits(table.tis[rotation, incidence])}")
+            lines += [row(values, "\t") for values in table.values[rotation, incidence].tolist()]
+    lines.append("DataEnd")
+    write_text(path, "\n".join(lines) + "\n")

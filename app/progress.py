@@ -1,0 +1,38 @@
+"""A campaign's progress on a terminal: on standard error, so that standard output stays a program's."""
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from app.campaign.events import Event, RowCommitted, RowStarted
+
+
+class RowProgress:
+    """A bar of rows with the time left; a listener of the engine."""
+
+    def __init__(self, console: Console, title: str, rows: int) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=32),
+            MofNCompleteColumn(),
+            TextColumn("rows,"),
+            TimeRemainingColumn(compact=True),
+            TextColumn("left  [dim]{task.fields[now]}"),
+            console=console,
+        )
+        self._task: TaskID = self._bar.add_task(title, total=rows, now="")
+
+    def __call__(self, event: Event) -> None:
+        """Heeds the rows; the bar appears with the first, so that a campaign that cannot start leaves none."""
+        self._bar.start()
+        if isinstance(event, RowStarted):
+            self._bar.update(self._task, now=event.row.identity)
+        elif isinstance(event, RowCommitted):
+            self._bar.update(self._task, completed=event.done, now=f"rig's time left {event.seconds_left:.0f} s")
+
+    def __enter__(self) -> "RowProgress":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._bar.stop()

@@ -1,0 +1,19 @@
+"""The rig file: where the devices are and what the operator believes of them; and opening what it names."""
+
+from app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
+from app.rig.schema import AXES, RigFile
+from app.rig.settings import axis_settings, believed_instrument, monochromator_settings, photodiode_settings
+
+__all__ = [
+    "AXES",
+    "OpenRig",
+    "RigDescription",
+    "RigFile",
+    "axis_settings",
+    "believed_instrument",
+    "monochromator_settings",
+    "open_rig",
+    "parse_rig",
+    "photodiode_settings",
+    "read_rig",
+]

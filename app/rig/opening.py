@@ -1,0 +1,209 @@
+"""From a rig file to drivers on their wires: the one place that opens things by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import serial
+import usb.core
+from pymodbus.client import ModbusTcpClient
+from pymodbus.client.base import ModbusBaseSyncClient
+
+from app.errors import UserError
+from app.rig.schema import RigFile
+from app.rig.settings import axis_settings, monitor_settings, monochromator_settings, photodiode_settings
+from app.rig.twin_table import model_hash, twin_model
+from app.tables import checked, parse_toml, read_toml
+from drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
+from drivers import photodiodes as photodiode_driver
+from drivers import tmcl as tmcl_driver
+from drivers import usbtmc as usbtmc_driver
+from drivers.photodiodes import ModbusOpener
+from drivers.tap import Explain, Tap, as_text, no_tap
+from drivers.tmcl import PortOpener
+from drivers.usbtmc import UsbOpener
+from protocols.clock import Clock
+from twin import TwinModel, VirtualRig
+from twin.doors import TwinModbusClient, TwinUsbBackend, register, unregister
+
+TWIN = "twin://"
+MODBUS_PORT = 502
+MODBUS_TIMEOUT_S = 1.0
+
+
+@dataclass(frozen=True)
+class RigDescription:
+    """A rig file that has been read: its text, what it says, and from where its files are named."""
+
+    text: str
+    file: RigFile
+    folder: Path
+    name: str
+
+    @property
+    def simulated(self) -> bool:
+        """Whether nothing of it is real."""
+        return self.file.simulated is not None
+
+    @property
+    def seed(self) -> int | None:
+        """Of a simulated rig."""
+        return self.file.simulated.seed if self.file.simulated is not None else None
+
+    def model(self) -> TwinModel | None:
+        """What the virtual rig is; None where the file has no [twin]. Raises UserError for a sample's file."""
+        if self.file.twin is None:
+            return None
+        return twin_model(self.file.twin, self.seed or 0, self.folder, self.name)
+
+    def model_hash(self) -> str | None:
+        """The virtual rig's fingerprint, None for a real rig."""
+        model = self.model()
+        if model is not None:
+            return model_hash(model)
+        return self.file.simulated.model if self.file.simulated is not None else None
+
+
+def read_rig(path: Path) -> RigDescription:
+    """A rig file. Raises UserError: file, key, reason."""
+    text, content = read_toml(path)
+    return RigDescription(text, checked(RigFile, content, str(path)), path.parent, str(path))
+
+
+def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
+    """A rig file's text, such as a journal holds. Raises UserError."""
+    return RigDescription(text, checked(RigFile, parse_toml(text, name), name), folder, name)
+
+
+@dataclass
+class OpenRig:
+    """Drivers with their wires, not yet connected; the virtual rig behind them where there is one."""
+
+    rig: Rig
+    virtual: VirtualRig | None
+    _name: str | None
+    _transcript: Transcript | None
+
+    def connect(self) -> None:
+        """Connects every device. Raises UserError for the first that does not answer; closes everything then."""
+        for error in self.rig.connect().values():
+            if error is not None:
+                self.close()
+                raise UserError(str(error))
+
+    def close(self) -> None:
+        """Gives everything back. Nothing moves."""
+        self.rig.close()
+        if self._name is not None:
+            unregister(self._name)
+            self._name = None
+        if self._transcript is not None:
+            self._transcript.close()
+
+    def __enter__(self) -> "OpenRig":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_rig(description: RigDescription, clock: Clock, transcript: Path | None = None) -> OpenRig:
+    """Drivers for a rig, and for a virtual one its devices, living by `clock`. Nothing is connected yet.
+
+    With a folder in `transcript` each byte on each wire is written there. Raises UserError.
+    """
+    file = description.file
+    written = Transcript(transcript, clock) if transcript is not None else None
+
+    def tap(device: str, explain: Explain) -> Tap:
+        return written.tap(device, explain) if written is not None else no_tap
+
+    virtual, name = None, None
+    model = description.model()
+    address: Callable[[str], str] = str
+    if model is not None and any(each.startswith(TWIN) for each in file.addresses):
+        virtual = VirtualRig.build(model, clock)
+        stated = next(each for each in file.addresses if each.startswith(TWIN)).split("/")[2]
+        name = register(stated, virtual)
+
+        def address(stated_address: str) -> str:
+            return stated_address.replace(f"{TWIN}{stated}/", f"{TWIN}{name}/", 1)
+
+    module = TmclModule(_serial(address(file.axes.port)), clock, file.axes.baudrate, tap("axes", tmcl_driver.explain))
+    units = file.photodiodes.units
+    rig = Rig(
+        clock=clock,
+        axes_module=module,
+        axes={axis: Axis(module, settings, clock) for axis, settings in axis_settings(file).items()},
+        monochromator=Monochromator(
+            _serial(address(file.monochromator.port)),
+            monochromator_settings(file),
+            clock,
+            tap("monochromator", as_text),
+        ),
+        photodiodes=PhotodiodeArray(
+            [_modbus(address(unit)) for unit in units],
+            photodiode_settings(file),
+            clock,
+            [tap(f"photodiodes-{k}", photodiode_driver.explain) for k in range(len(units))] if written else None,
+        ),
+        monitor=Monitor(
+            _usb(address(file.monitor.usb), virtual),
+            monitor_settings(file),
+            clock,
+            tap("monitor", usbtmc_driver.explain),
+        ),
+        simulated=description.simulated,
+    )
+    return OpenRig(rig, virtual, name, written)
+
+
+def _serial(address: str) -> PortOpener:
+    """A port's name, or any URL that pyserial knows."""
+
+    def opener(baudrate: int, timeout_s: float) -> serial.Serial:
+        return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s)
+
+    return opener
+
+
+def _modbus(address: str) -> ModbusOpener:
+    """`HOST` or `HOST:PORT`. Raises UserError for what is neither."""
+    if address.startswith(TWIN):
+        return lambda trace: TwinModbusClient(address, timeout=MODBUS_TIMEOUT_S, trace_packet=trace)
+    host, _, number = address.partition(":")
+    if not host or (number and not number.isdigit()):
+        raise UserError(f"photodiodes.units: {address!r} is neither HOST nor HOST:PORT; mend it in the rig file")
+    port = int(number or MODBUS_PORT)
+
+    def opener(trace: Callable[[bool, bytes], bytes] | None) -> ModbusBaseSyncClient:
+        return ModbusTcpClient(host, port=port, timeout=MODBUS_TIMEOUT_S, retries=0, trace_packet=trace)
+
+    return opener
+
+
+def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
+    """`VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL`, the numbers in hexadecimal. Raises UserError for what is neither."""
+    if address.startswith(TWIN):
+        wanted = address.rsplit("/", 1)[1]
+
+        def twin_opener() -> Any:
+            if virtual is None or wanted not in virtual.usb:
+                raise LookupError(f"nothing at {address}")
+            return usb.core.find(backend=TwinUsbBackend(virtual), serial_number=virtual.usb[wanted].serial_number)
+
+        return twin_opener
+    parts = address.split(":")
+    try:
+        vendor, product = int(parts[0], 16), int(parts[1], 16)
+    except (ValueError, IndexError):
+        raise UserError(f"monitor.usb: {address!r} is not VENDOR:PRODUCT:SERIAL; mend it in the rig file") from None
+    serial_number = {"serial_number": parts[2]} if len(parts) > 2 else {}
+
+    def opener() -> Any:
+        import libusb_package
+
+        return usb.core.find(backend=libusb_package.get_libusb1_backend(), idVendor=vendor, idProduct=product, **serial_number)
+
+    return opener

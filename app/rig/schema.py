@@ -1,0 +1,174 @@
+"""The rig file: where the devices are, what the operator believes of them, and, for a virtual rig, what it is."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
+
+from app.rig.twin_table import TwinTable
+from app.tables import Table
+from protocols import adam
+
+AXES = ("gamma", "sigma", "beta", "shift")
+Sense = Literal[1, -1]
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+Polar = Annotated[float, Field(ge=0.0, le=90.0)]
+
+
+class Simulated(Table):
+    """That nothing here is real: the seed of the virtual rig and, where the file has no [twin], its model's hash."""
+
+    seed: int = 1
+    model: str | None = None
+
+
+class AxisTable(Table):
+    """An axis as the operator believes it to be; gears are motor turns a turn of the axis."""
+
+    motor: Annotated[int, Field(ge=0, le=5)]
+    gear: PositiveFloat
+    lower_deg: float
+    upper_deg: float
+    speed_deg_s: PositiveFloat
+    acceleration_deg_s2: PositiveFloat
+    sense: Sense = 1
+    zero_offset_deg: float = 0.0
+    module: Annotated[int, Field(ge=1, le=255)] = 1
+    full_steps: PositiveInt = 200
+    microsteps: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256] = 256
+    run_current: Annotated[int, Field(ge=0, le=255)] = 128
+    standby_current: Annotated[int, Field(ge=0, le=255)] = 8
+    settling_s: Annotated[float, Field(ge=0.0)] = 0.1
+    encoder: bool = True
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> "AxisTable":
+        if not self.lower_deg < self.upper_deg:
+            raise ValueError(f"lower_deg {self.lower_deg:g} is not below upper_deg {self.upper_deg:g}; exchange them")
+        return self
+
+
+class AxesTable(Table):
+    """The motion controller and its axes."""
+
+    kind: Literal["tmcl"]
+    port: str
+    baudrate: PositiveInt = 115200
+    gamma: AxisTable
+    sigma: AxisTable
+    beta: AxisTable
+    shift: AxisTable
+
+    @model_validator(mode="after")
+    def _one_motor_each(self) -> "AxesTable":
+        wired: dict[tuple[int, int], str] = {}
+        for name in AXES:
+            axis: AxisTable = getattr(self, name)
+            place = (axis.module, axis.motor)
+            if place in wired:
+                raise ValueError(f"{wired[place]} and {name} are both motor {axis.motor} of module {axis.module}")
+            wired[place] = name
+        return self
+
+
+class MonochromatorTable(Table):
+    """The monochromator and its timing."""
+
+    kind: Literal["cornerstone"]
+    port: str
+    baudrate: PositiveInt = 9600
+    lowest_nm: PositiveFloat = 380.0
+    highest_nm: PositiveFloat = 780.0
+    slew_nm_per_s: PositiveFloat = 175.0
+    slew_settle_s: Annotated[float, Field(ge=0.0)] = 0.1
+    shutter_s: Annotated[float, Field(ge=0.0)] = 0.15
+
+
+class PhotodiodesTable(Table):
+    """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs."""
+
+    kind: Literal["adam-6017"]
+    units: Annotated[list[str], Field(min_length=1)]
+    upper_deg: Annotated[list[Polar], Field(min_length=1)]
+    lower_deg: list[Polar]
+    gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)]
+    gain_uncertainty: Share = 1.0e-3
+    range_code: int = adam.PLUS_MINUS_10_V
+    conversions_per_s: PositiveFloat = 100.0
+    settling_s: PositiveFloat = 0.25
+    exchange_s: PositiveFloat = 4.0e-4
+
+    @field_validator("range_code")
+    @classmethod
+    def _known_range(cls, code: int) -> int:
+        if code not in adam.RANGES:
+            known = ", ".join(f"0x{each:04X}" for each in adam.RANGES)
+            raise ValueError(f"0x{code:04X} is no range code of the ADAM-6017; it has {known}")
+        return code
+
+    @model_validator(mode="after")
+    def _enough_units(self) -> "PhotodiodesTable":
+        diodes = len(self.upper_deg) + len(self.lower_deg)
+        needed = -(-diodes // adam.CHANNELS)
+        if len(self.units) != needed:
+            raise ValueError(f"{diodes} photodiodes take {needed} units of {adam.CHANNELS}, not {len(self.units)}")
+        return self
+
+
+class MonitorTable(Table):
+    """The monitor photodiode's instrument."""
+
+    kind: Literal["pm100d"]
+    usb: str
+    range_a: PositiveFloat = 500e-9
+    samples_per_s: PositiveFloat = 3000.0
+    relative_uncertainty: Share = 3.0e-4
+
+
+class GeometryTable(Table):
+    """The geometry that decides which directions the mirror unit hides."""
+
+    mirror_distance_mm: PositiveFloat = 200.0
+    mirror_side_mm: PositiveFloat = 20.0
+    spot_side_mm: PositiveFloat = 5.0
+    arc_radius_mm: PositiveFloat = 300.0
+    detector_diameter_mm: PositiveFloat = 5.0
+    field_deg: PositiveFloat = 0.5
+    shadow_margin_deg: Annotated[float, Field(ge=0.0)] = 0.2
+
+
+class EtalonTable(Table):
+    """The etalon's certificate: its radiance factor (1 is the ideal diffuser), with its relative standard uncertainty."""
+
+    radiance_factor: PositiveFloat = 1.0
+    relative_uncertainty: Share = 0.0
+
+
+class RigFile(Table):
+    """The whole file."""
+
+    name: str
+    simulated: Simulated | None = None
+    axes: AxesTable
+    monochromator: MonochromatorTable
+    photodiodes: PhotodiodesTable
+    monitor: MonitorTable
+    geometry: GeometryTable = GeometryTable()
+    etalon: EtalonTable = EtalonTable()
+    twin: TwinTable | None = None
+
+    @property
+    def addresses(self) -> list[str]:
+        """Where the devices are."""
+        return [self.axes.port, self.monochromator.port, *self.photodiodes.units, self.monitor.usb]
+
+    @model_validator(mode="after")
+    def _says_what_it_is(self) -> "RigFile":
+        virtual = [address for address in self.addresses if address.startswith("twin://")]
+        if virtual and self.simulated is None:
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table")
+        if virtual and self.twin is None:
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [twin] table that says what it is")
+        names = {address.split("/")[2] for address in virtual}
+        if len(names) > 1:
+            raise ValueError(f"its twin:// addresses name several virtual rigs: {', '.join(sorted(names))}; name one")
+        return self

@@ -1,0 +1,38 @@
+"""The computer's side of the wires: devices with typed interfaces, told and asked, and the rig that they make.
+
+No call lasts longer than one exchange on its wire; what takes time is started and polled. Drivers open nothing by
+name: they are given openers.
+"""
+
+from drivers.axis import Axis, AxisSettings
+from drivers.errors import BadAnswer, DeviceError, LimitError, NoAnswer, Refused
+from drivers.monitor import Monitor, MonitorSettings
+from drivers.monochromator import Monochromator, MonochromatorSettings
+from drivers.pending import Pending, Poll, Until, wait
+from drivers.photodiodes import PhotodiodeArray, PhotodiodeSettings
+from drivers.rig import Rig
+from drivers.tap import Transcript
+from drivers.tmcl import TmclModule
+
+__all__ = [
+    "Axis",
+    "AxisSettings",
+    "BadAnswer",
+    "DeviceError",
+    "LimitError",
+    "Monitor",
+    "MonitorSettings",
+    "Monochromator",
+    "MonochromatorSettings",
+    "NoAnswer",
+    "Pending",
+    "PhotodiodeArray",
+    "PhotodiodeSettings",
+    "Poll",
+    "Refused",
+    "Rig",
+    "TmclModule",
+    "Transcript",
+    "Until",
+    "wait",
+]

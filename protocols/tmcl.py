@@ -1,0 +1,202 @@
+"""TMCL, the binary protocol of Trinamic's motion modules: nine bytes each way, big-endian, summed.
+
+Source: Trinamic, "TMCM-6214 TMCL Firmware Manual" V1.06 (frames, commands, axis parameters) and "TMCL Reference and
+Programming Manual" 2.22. Parameters marked (*) are to be confirmed on hardware.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+FRAME_BYTES = 9
+HOST_ADDRESS = 2
+_FRAME = struct.Struct(">BBBBi")
+_VALUE_MIN, _VALUE_MAX = -(2**31), 2**31 - 1
+
+
+class Command(IntEnum):
+    """Instruction numbers."""
+
+    ROR = 1
+    ROL = 2
+    MST = 3
+    MVP = 4
+    SAP = 5
+    GAP = 6
+    STAP = 7
+    RSAP = 8
+    SGP = 9
+    GGP = 10
+    STGP = 11
+    RSGP = 12
+    RFS = 13
+    SIO = 14
+    GIO = 15
+    STOP_APPLICATION = 128
+    RUN_APPLICATION = 129
+    RESET_APPLICATION = 131
+    APPLICATION_STATUS = 135
+    FIRMWARE_VERSION = 136
+    FACTORY_RESET = 137
+    REQUEST_TARGET_REACHED = 138
+    GET_INFO = 157
+
+
+class Status(IntEnum):
+    """What a module says of a request."""
+
+    OK = 100
+    LOADED = 101
+    TARGET_REACHED = 128
+    WRONG_CHECKSUM = 1
+    INVALID_COMMAND = 2
+    WRONG_TYPE = 3
+    INVALID_VALUE = 4
+    EEPROM_LOCKED = 5
+    NOT_AVAILABLE = 6
+    MAXIMUM_EXCEEDED = 9
+
+
+class MoveType(IntEnum):
+    """The kinds of MVP."""
+
+    ABSOLUTE = 0
+    RELATIVE = 1
+    COORDINATE = 2
+
+
+class Axis(IntEnum):
+    """Axis parameters (AP). Positions in microsteps, velocities in pps, accelerations in pps/s."""
+
+    TARGET_POSITION = 0
+    ACTUAL_POSITION = 1
+    TARGET_VELOCITY = 2
+    ACTUAL_VELOCITY = 3
+    MAX_VELOCITY = 4
+    MAX_ACCELERATION = 5
+    RUN_CURRENT = 6
+    STANDBY_CURRENT = 7
+    POSITION_REACHED = 8
+    HOME_SWITCH = 9
+    RIGHT_SWITCH = 10
+    LEFT_SWITCH = 11
+    RIGHT_SWITCH_DISABLED = 12
+    LEFT_SWITCH_DISABLED = 13
+    MAX_DECELERATION = 17
+    RELATIVE_REFERENCE = 127  # (*)
+    MICROSTEP_RESOLUTION = 140
+    REFERENCE_SEARCH_MODE = 193
+    REFERENCE_SEARCH_SPEED = 194
+    REFERENCE_SWITCH_SPEED = 195
+    ERROR_FLAGS = 207
+    ENCODER_POSITION = 209
+    ENCODER_RESOLUTION = 210
+    MAX_ENCODER_DEVIATION = 212
+    POWER_DOWN_DELAY = 214
+    UNIT_MODE = 255
+
+
+class FrameError(ValueError):
+    """Bytes that are no TMCL frame."""
+
+
+def checksum(data: bytes) -> int:
+    """The sum of the bytes, modulo 256."""
+    return sum(data) & 0xFF
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the host sends: module address, command, type, motor or bank, signed 32 bit value."""
+
+    address: int
+    command: int
+    type: int
+    motor: int
+    value: int = 0
+
+    def encode(self) -> bytes:
+        """The nine bytes. Raises FrameError for a field that does not fit its bytes."""
+        try:
+            body = _FRAME.pack(self.address, self.command, self.type, self.motor, self.value)
+        except struct.error as error:
+            raise FrameError(f"{self} does not fit a TMCL request: {error}") from None
+        return body + bytes((checksum(body),))
+
+    @classmethod
+    def decode(cls, frame: bytes) -> "Request":
+        """A request from its nine bytes. Raises FrameError for a wrong length or checksum."""
+        return cls(*_unpack(frame))
+
+    def __str__(self) -> str:
+        return f"{_name(Command, self.command)} {_type_name(self.command, self.type)} motor {self.motor} = {self.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a module answers: host address, module address, status, echoed command, signed 32 bit value."""
+
+    host: int
+    address: int
+    status: int
+    command: int
+    value: int = 0
+
+    def encode(self) -> bytes:
+        """The nine bytes. Raises FrameError for a field that does not fit its bytes."""
+        try:
+            body = _FRAME.pack(self.host, self.address, self.status, self.command, self.value)
+        except struct.error as error:
+            raise FrameError(f"{self} does not fit a TMCL reply: {error}") from None
+        return body + bytes((checksum(body),))
+
+    @classmethod
+    def decode(cls, frame: bytes) -> "Reply":
+        """A reply from its nine bytes. Raises FrameError for a wrong length or checksum."""
+        return cls(*_unpack(frame))
+
+    def __str__(self) -> str:
+        return f"{_name(Command, self.command)} {_name(Status, self.status)} value {self.value}"
+
+
+def encode_version_text(host: int, text: str) -> bytes:
+    """The special answer to FIRMWARE_VERSION type 0: host address and eight ASCII characters, no checksum."""
+    body = text.encode("ascii")
+    if len(body) != FRAME_BYTES - 1:
+        raise FrameError(f"a version text has {FRAME_BYTES - 1} characters, not {len(body)}: {text!r}")
+    return bytes((host,)) + body
+
+
+def decode_version_text(frame: bytes) -> str:
+    """The eight characters of the special answer, such as `6214V117`. Raises FrameError."""
+    if len(frame) != FRAME_BYTES or not all(32 <= byte < 127 for byte in frame[1:]):
+        raise FrameError(f"no version text: {frame.hex(' ')}")
+    return frame[1:].decode("ascii")
+
+
+def version_number(module: int, major: int, minor: int) -> int:
+    """The value of the answer to FIRMWARE_VERSION type 1."""
+    return module << 16 | major << 8 | minor
+
+
+def _unpack(frame: bytes) -> tuple[int, int, int, int, int]:
+    if len(frame) != FRAME_BYTES:
+        raise FrameError(f"a TMCL frame has {FRAME_BYTES} bytes, not {len(frame)}: {frame.hex(' ')}")
+    if checksum(frame[:-1]) != frame[-1]:
+        raise FrameError(f"checksum {frame[-1]:02x} instead of {checksum(frame[:-1]):02x}: {frame.hex(' ')}")
+    return _FRAME.unpack(frame[:-1])
+
+
+def _name(names: type[IntEnum], number: int) -> str:
+    try:
+        return names(number).name
+    except ValueError:
+        return str(number)
+
+
+def _type_name(command: int, number: int) -> str:
+    if command in (Command.SAP, Command.GAP, Command.STAP, Command.RSAP):
+        return f"{number} {_name(Axis, number)}"
+    if command == Command.MVP:
+        return _name(MoveType, number)
+    return str(number)

@@ -1,0 +1,230 @@
+"""The engine and its journal."""
+
+import sqlite3
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from app.campaign.campaign import operator_for, run_campaign
+from app.campaign.engine import Engine
+from app.campaign.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
+from app.campaign.journal import Journal
+from app.campaign.plan import Plan, make_plan
+from app.campaign.schedule import read_schedule
+from app.errors import UserError
+from app.rig import OpenRig, open_rig, read_rig
+from protocols.clock import Clock, RealClock, VirtualClock
+from tests.conftest import Writer
+
+
+@dataclass
+class Bench:
+    """A small plan on an open virtual rig, with an engine ready to run it."""
+
+    plan: Plan
+    opened: OpenRig
+    journal: Journal
+    engine: Engine
+
+
+@pytest.fixture
+def plan(write_rig: Writer, write_schedule: Writer) -> Plan:
+    return make_plan(read_schedule(write_schedule()), read_rig(write_rig()))
+
+
+MakeBench = Callable[..., Bench]
+
+
+@pytest.fixture
+def bench(plan: Plan, tmp_path: Path, request: pytest.FixtureRequest) -> MakeBench:
+    def make(clock: Clock, listeners: list[Listener], positions: float = 0.0) -> Bench:
+        opened = open_rig(plan.rig, clock)
+        request.addfinalizer(opened.close)
+        opened.connect()
+        journal = Journal.create(tmp_path / "bench.journal", plan, {})
+        request.addfinalizer(journal.close)
+        operator = operator_for(opened, lambda text: None)
+        return Bench(plan, opened, journal, Engine(opened.rig, plan, journal, operator, listeners, positions))
+
+    return make
+
+
+def test_a_campaign_commits_every_row_in_order(plan: Plan, tmp_path: Path) -> None:
+    events: list[Event] = []
+    outcome = run_campaign(plan, tmp_path / "a.journal", listeners=[events.append])
+    assert (outcome.state, outcome.rows, outcome.of) == (State.DONE, len(plan.rows), len(plan.rows))
+    committed = [event.row.number for event in events if isinstance(event, RowCommitted)]
+    assert committed == [row.number for row in plan.rows]
+    assert [event.state for event in events if isinstance(event, StateChanged)] == [State.RUNNING, State.DONE]
+    with Journal.open(tmp_path / "a.journal") as journal:
+        assert journal.counted() == (len(plan.rows), len(plan.rows))
+        rows = list(journal.rows())
+    measured = [each for each in rows if each.row.kind == "measure"]
+    assert all(each.data.readings[0].counts.shape == (2, 36) for each in measured)
+    assert measured[0].data.positions is not None
+    assert measured[0].data.positions["beta"] == pytest.approx(180.0, abs=1e-3)
+    assert measured[0].data.positions["beta_encoder"] == pytest.approx(180.0, abs=0.01)
+
+
+def test_the_foretold_duration_is_the_journals(plan: Plan, tmp_path: Path) -> None:
+    outcome = run_campaign(plan, tmp_path / "a.journal")
+    assert outcome.seconds == pytest.approx(plan.seconds, rel=0.01)
+
+
+def test_the_shutter_is_closed_for_darks_and_at_the_end(bench: MakeBench) -> None:
+    states: list[tuple[str, bool]] = []
+    holder: list[Bench] = []
+
+    def look(event: Event) -> None:
+        if isinstance(event, RowCommitted):
+            rig = holder[0].opened.virtual
+            assert rig is not None
+            states.append((event.row.kind, rig.plant.shutter_open.at(rig.clock.now())))
+
+    holder.append(bench(VirtualClock(), [look]))
+    assert holder[0].engine.run() is State.DONE
+    assert all(is_open == (kind == "measure") for kind, is_open in states)
+    assert states[-1][0] == "dark"
+
+
+def test_a_listener_that_fails_stops_nothing_and_is_named(bench: MakeBench) -> None:
+    def broken(event: Event) -> None:
+        if isinstance(event, RowStarted) and event.row.number == 2:
+            raise RuntimeError("the plot is broken")
+
+    made: Bench = bench(VirtualClock(), [broken])
+    assert made.engine.run() is State.DONE
+    made.journal.close()
+    database = sqlite3.connect(made.journal.path)
+    assert database.execute("SELECT kind, text FROM event").fetchall() == [("listener", "RuntimeError: the plot is broken")]
+    database.close()
+
+
+def test_a_stop_in_the_middle_of_a_move_keeps_what_was_committed(bench: MakeBench) -> None:
+    clock = VirtualClock()
+    made: Bench = bench(clock, [])
+    clock.at(clock.now() + 10.0, lambda: made.engine.stop())
+    assert made.engine.run() is State.IDLE
+    done, planned = made.journal.counted()
+    assert 0 < done < planned
+    rig = made.opened.virtual
+    assert rig is not None
+    clock.sleep_until(clock.now() + 5.0)
+    before = [rig.plant.angle_deg(axis, clock.now()) for axis in ("gamma", "sigma", "beta", "shift")]
+    assert [rig.plant.angle_deg(axis, clock.now() + 1000.0) for axis in ("gamma", "sigma", "beta", "shift")] == before
+
+
+def test_a_lost_device_ends_the_run_and_yields_no_row(bench: MakeBench) -> None:
+    holder: list[Bench] = []
+
+    def pull_the_plug(event: Event) -> None:
+        if isinstance(event, RowCommitted) and event.row.number == 3:
+            rig = holder[0].opened.virtual
+            assert rig is not None
+            rig.modbus["adc-2"].unit = 9  # the module is silent from now on
+
+    holder.append(bench(VirtualClock(), [pull_the_plug]))
+    made = holder[0]
+    assert made.engine.run() is State.FAILED
+    assert made.journal.counted()[0] == 4
+    assert "photodiodes module 2" in made.journal.faults()[0]
+
+
+def test_a_pause_takes_effect_at_the_next_row_and_repeats_none(bench: MakeBench) -> None:
+    paused = threading.Event()
+    committed: list[int] = []
+    holder: list[Bench] = []
+
+    def listen(event: Event) -> None:
+        if isinstance(event, RowCommitted):
+            committed.append(event.row.number)
+            if event.row.number == 2:
+                holder[0].engine.pause()
+        elif event == StateChanged(State.PAUSED):
+            paused.set()
+
+    holder.append(bench(RealClock(speed=200.0), [listen], 0.1))
+    thread = threading.Thread(target=holder[0].engine.run)
+    thread.start()
+    assert paused.wait(30.0)
+    rig = holder[0].opened.virtual
+    assert rig is not None
+    assert committed == [0, 1, 2]
+    assert not rig.plant.shutter_open.at(rig.clock.now())
+    holder[0].engine.resume()
+    thread.join(60.0)
+    assert committed == [row.number for row in holder[0].plan.rows]
+    assert holder[0].engine.state is State.DONE
+
+
+def test_positions_are_told_while_the_axes_move(bench: MakeBench) -> None:
+    seen: list[float] = []
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Positions):
+            seen.append(event.degrees["beta"])
+
+    made: Bench = bench(VirtualClock(), [listen], 0.1)
+    made.engine.run()
+    assert len([beta for beta in seen if 5.0 < beta < 175.0]) > 5
+
+
+def test_no_journal_is_overwritten(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    path.write_bytes(b"precious")
+    with pytest.raises(UserError, match="is there already"):
+        run_campaign(plan, path)
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("content", [b"", b"not a database at all", b"SQLite format 3\0"])
+def test_a_file_that_is_no_journal_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.journal"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=r"a\.journal"):
+        Journal.open(path)
+
+
+def test_a_journal_says_what_it_is(plan: Plan, tmp_path: Path) -> None:
+    run_campaign(plan, tmp_path / "a.journal")
+    with Journal.open(tmp_path / "a.journal") as journal:
+        assert journal.simulated
+        assert journal.value("rig") == plan.rig.text
+        assert journal.value("schedule") == plan.schedule.text
+        assert journal.value("model") == f'"{plan.rig.model_hash()}"'
+        with pytest.raises(UserError, match="nothing of its nonsense"):
+            journal.value("nonsense")
+
+
+def test_ctrl_c_is_a_stop(bench: MakeBench) -> None:
+    def interrupt(event: Event) -> None:
+        if isinstance(event, RowStarted) and event.row.number == 4:
+            raise KeyboardInterrupt
+
+    made = bench(VirtualClock(), [interrupt])
+    assert made.engine.run() is State.IDLE
+    assert made.journal.counted()[0] == 4
+    assert made.engine.faults == []
+
+
+def test_a_full_disk_ends_the_run_and_keeps_what_was_acknowledged(bench: MakeBench) -> None:
+    acknowledged: list[int] = []
+    holder: list[Bench] = []
+
+    def fill_the_disk(event: Event) -> None:
+        if isinstance(event, RowCommitted):
+            acknowledged.append(event.row.number)
+            if event.row.number == 3:
+                database = holder[0].journal._db
+                (pages,) = database.execute("PRAGMA page_count").fetchone()
+                database.execute(f"PRAGMA max_page_count = {pages}")
+
+    holder.append(bench(VirtualClock(), [fill_the_disk]))
+    assert holder[0].engine.run() is State.FAILED
+    assert "full" in holder[0].engine.faults[0]
+    holder[0].journal.close()
+    with Journal.open(holder[0].journal.path) as journal:
+        assert journal.counted()[0] == len(acknowledged) >= 4

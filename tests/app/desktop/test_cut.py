@@ -1,0 +1,80 @@
+"""The live cut says what the reduction of the finished journal says, and its plot loses no point."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pytestqt.qtbot import QtBot
+
+from app.campaign.compare import signed_theta
+from app.campaign.engine import Engine
+from app.campaign.events import Event, RowCommitted, RowStarted, State
+from app.campaign.journal import Journal
+from app.campaign.operator import BackDoor
+from app.campaign.plan import make_plan
+from app.campaign.reduction import reduce_journal
+from app.campaign.schedule import read_schedule
+from app.desktop.cut import Cut, LiveCut, Points
+from app.desktop.cutplot import CutPlot
+from app.desktop.theme import LIGHT
+from app.rig import open_rig, read_rig
+from protocols.clock import VirtualClock
+from tests.conftest import Writer
+
+QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
+
+
+def test_live_values_are_those_of_the_finished_journal(tmp_path: Path, write_rig: Writer, write_schedule: Writer) -> None:
+    rig = read_rig(write_rig(*QUIET))
+    plan = make_plan(read_schedule(write_schedule(("beta_deg = [180]", "beta_deg = [0, 180]"))), rig)
+    live = LiveCut(plan)
+
+    def heed(event: Event) -> None:
+        if isinstance(event, RowStarted | RowCommitted):
+            live.heed(event)
+
+    with open_rig(rig, VirtualClock()) as opened, Journal.create(tmp_path / "a.journal", plan, {}) as journal:
+        opened.connect()
+        assert opened.virtual is not None
+        assert Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [heed]).run() is State.DONE
+        assert journal.faults() == []
+        expected = reduce_journal(journal).samples["gaussian-5"]
+    cut = live.cut()
+    assert cut is not None
+    order = np.argsort(signed_theta(expected), kind="stable")
+    assert cut.points.x_deg == pytest.approx(signed_theta(expected)[order], abs=1e-9)
+    assert cut.points.values == pytest.approx(expected.bsdf[order], rel=1e-9, nan_ok=True)
+    assert cut.points.hidden.tolist() == expected.shadowed[order].tolist()
+    inside = [any(a <= x <= b for a, b in cut.spans_deg) for x in cut.points.x_deg]
+    assert cut.points.hidden.any()
+    assert inside == cut.points.hidden.tolist()
+
+
+@pytest.fixture
+def plot(qtbot: QtBot) -> CutPlot:
+    plot = CutPlot(LIGHT)
+    qtbot.addWidget(plot)
+    return plot
+
+
+def cut_of(values: list[float], u_values: list[float], hidden: list[bool]) -> Cut:
+    points = Points(np.arange(float(len(values))), np.array(values), np.array(u_values), np.array(hidden))
+    return Cut("a cut", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), points)
+
+
+def test_what_is_not_above_the_noise_becomes_a_mark_and_makes_nothing_vanish(plot: CutPlot) -> None:
+    values = [1.0, 0.0, -0.1, 0.5, float("nan"), 0.01, 1e-9]
+    plot.show_cut(cut_of(values, [0.01] * 6 + [1e-12], [False, False, False, True, False, False, False]))
+    assert "● 2 measured, highest 1 at 0.0°" in plot.summary
+    assert "○ 1 in the mirror unit's shadow" in plot.summary
+    assert "▽ 3 within the noise" in plot.summary
+    for x, y in plot.marks().values():
+        assert np.all(np.isfinite(x))
+        assert np.all(np.isfinite(y))
+    assert {name: len(x) for name, (x, _y) in plot.marks().items()} == {"seen": 2, "hidden": 1, "lost": 3}
+
+
+def test_a_cut_without_any_light_is_shown(plot: CutPlot) -> None:
+    plot.show_cut(cut_of([-1.0, float("nan")], [1.0, float("nan")], [False, False]))
+    assert "● 0 measured" in plot.summary
+    plot.grab()

@@ -1,0 +1,353 @@
+"""Lumicept .ddr files: byte for byte what other programs read, and nothing doubtful let in."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from app.formats import DdrTable, FormatError, bsdf, read_ddr, write_ddr
+
+SPECTRAL = """\
+;; our own comment, wl 1 and sigma in it
+;; all of it at the top
+Source Measured
+TypeSym PlaneSymmetrical
+TypeColorModel spectral 2
+TypeData Luminance Absolute
+sigma 2
+ 0 90
+phi 3
+ 0 90 180
+theta 3
+ 0 90 180
+wl 450
+ kbdf
+  1.0 1.0
+ def
+;; Sigma = 0
+ 0.9 0.5 0.5
+ 0.9 0.5 0.5
+ 0.9 0.5 0.5
+;; Sigma = 90
+ 0.95 0.5 0.5
+ 0.95 0.5 0.5
+ 0.95 0.5 0.5
+ enddef
+wl 650
+ kbdf
+  1.0 1.0
+ def
+;; Sigma = 0
+ 1 0 0.333333333
+ 1 0 0.333333333
+ 1 0 0.333333333
+;; Sigma = 90
+ 1 0 0.25
+ 1 0 0.25
+ 1 0 0.125
+ enddef
+"""
+BLACK_AND_WHITE_4D = """\
+Source Generated
+TypeSym ASymmetrical 4D
+TypeColorModel BW
+TypeData Luminance Absolute
+psi 2
+ 0 180
+sigma 1
+ 0
+phi 2
+ 0 360
+theta 1
+ 0
+bw
+ kbdf
+  1.0
+  1.0
+ def
+;; Psi = 0, Sigma = 0
+ 1
+ 2
+;; Psi = 180, Sigma = 0
+ 3
+ 4
+ enddef
+"""
+
+
+def spectral_table() -> DdrTable:
+    short = [[[0.9, 0.5, 0.5]] * 3, [[0.95, 0.5, 0.5]] * 3]
+    long = [[[1, 0, 1 / 3]] * 3, [[1, 0, 0.25], [1, 0, 0.25], [1, 0, 0.125]]]
+    return DdrTable(
+        source="Measured",
+        symmetry="PlaneSymmetrical",
+        psi_deg=np.zeros(1),
+        sigma_deg=np.array([0.0, 90]),
+        phi_deg=np.array([0.0, 90, 180]),
+        theta_deg=np.array([0.0, 90, 180]),
+        channels=(450.0, 650.0),
+        values=np.array([[short], [long]]),
+        comments=("our own comment, wl 1 and sigma in it", "all of it at the top"),
+    )
+
+
+def saved(folder: Path, text: str) -> Path:
+    path = folder / "table.ddr"
+    path.write_bytes(text.encode())
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(FormatError) as caught:
+        read_ddr(path)
+    message = str(caught.value)
+    assert message.isprintable(), "one line"
+    assert message.startswith(str(path))
+    return message.removeprefix(str(path))
+
+
+def test_a_spectral_table_is_written_as_the_format_says(tmp_path: Path) -> None:
+    write_ddr(tmp_path / "out.ddr", spectral_table())
+    assert (tmp_path / "out.ddr").read_bytes() == SPECTRAL.encode()
+
+
+def test_a_spectral_table_is_read(tmp_path: Path) -> None:
+    table = read_ddr(saved(tmp_path, SPECTRAL))
+    assert (table.source, table.symmetry, table.channels) == ("Measured", "PlaneSymmetrical", (450.0, 650.0))
+    assert table.psi_deg.tolist() == [0]
+    assert table.sigma_deg.tolist() == [0, 90]
+    assert table.phi_deg.tolist() == [0, 90, 180]
+    assert table.theta_deg.tolist() == [0, 90, 180]
+    assert table.values.shape == (2, 1, 2, 3, 3)
+    np.testing.assert_allclose(table.values, spectral_table().values, rtol=5e-9)
+    assert table.comments == spectral_table().comments
+
+
+def test_a_black_and_white_table_of_an_anisotropic_sample_is_read_and_written(tmp_path: Path) -> None:
+    table = read_ddr(saved(tmp_path, BLACK_AND_WHITE_4D))
+    assert (table.symmetry, table.channels) == ("ASymmetrical 4D", (None,))
+    assert table.psi_deg.tolist() == [0, 180]
+    assert table.values.tolist() == [[[[[1], [2]]], [[[3], [4]]]]]
+    write_ddr(tmp_path / "out.ddr", table)
+    assert (tmp_path / "out.ddr").read_text() == BLACK_AND_WHITE_4D
+
+
+def test_a_perfect_white_diffuser_is_one_over_pi_per_steradian() -> None:
+    white = replace(spectral_table(), values=np.ones((2, 1, 2, 3, 3)))
+    np.testing.assert_allclose(bsdf(white), 0.3183098861837907, rtol=1e-15)  # 1 / pi
+
+
+def test_kbdf_multiplies_the_values_sigma_fastest(tmp_path: Path) -> None:
+    table = read_ddr(saved(tmp_path, SPECTRAL.replace("  1.0 1.0", "  2.0 10.0", 1)))
+    assert table.values[0, 0, 0, 0].tolist() == [1.8, 1.0, 1.0]
+    assert table.values[0, 0, 1, 0].tolist() == [9.5, 5.0, 5.0]
+    np.testing.assert_allclose(table.values[1], spectral_table().values[1], rtol=5e-9)
+    psi = read_ddr(saved(tmp_path, BLACK_AND_WHITE_4D.replace("  1.0\n  1.0", "  1.0\n  10.0")))
+    assert psi.values.ravel().tolist() == [1, 2, 30, 40]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        SPECTRAL.replace("\n", "\r\n"),
+        SPECTRAL.replace("TypeSym PlaneSymmetrical\n", ""),
+        SPECTRAL.replace("TypeData Luminance Absolute\n", ""),
+        SPECTRAL.replace(" kbdf\n  1.0 1.0\n", ""),
+        SPECTRAL.upper(),
+        "\n".join(line for line in SPECTRAL.splitlines() if not line.startswith(";;")).replace("\n", " "),
+    ],
+    ids=["CRLF", "default symmetry", "default data", "no kbdf", "upper case", "one line"],
+)
+def test_what_other_readers_take_is_taken(tmp_path: Path, text: str) -> None:
+    np.testing.assert_allclose(read_ddr(saved(tmp_path, text)).values, spectral_table().values, rtol=5e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("sigma 2\n", "sigma 3\n", "line 7: sigma says 3 angles but has 2"),
+        ("phi 3\n", "phi 2\n", "line 9: phi says 2 angles but has more"),
+        (" 0 90 180\ntheta", " 180 90 0\ntheta", "line 10: phi 90 follows 180: the list does not ascend"),
+        (" 0 90\n", " 90 0\n", "line 8: sigma 0 follows 90: the list does not ascend"),
+        (" 0 90\n", " 0 91\n", "line 8: sigma 91 is outside 0 to 90 deg"),
+        (" 0 90 180\ntheta", " 0 90 270\ntheta", "PlaneSymmetrical has 0 to 180 only"),
+        (" 0.9 0.5 0.5\n", " 0.9 0.5\n", "line 18: def of wl 450 has too few numbers: 17, not 6 rows of 3"),
+        (" 0.9 0.5 0.5\n", " 0.9 0.5 0.5 0.5\n", "line 18: def of wl 450 has too many numbers: 19, not 6 rows of 3"),
+        (" 0.9 0.5 0.5\n", " 0.9 0.5 0,5\n", "line 18: def of wl 450: '0,5' has a decimal comma"),
+        (" 0.9 0.5 0.5\n", " 0.9 0.5 nan\n", "line 18: def of wl 450: 'nan' is no value"),
+        ("  1.0 1.0\n", "  1.0\n", "line 15: kbdf of wl 450 has too few numbers"),
+        ("  1.0 1.0\n", "  1.0 -1.0\n", "line 15: kbdf of wl 450 has a negative factor"),
+        (" enddef\nwl", "wl", "line 25: 'wl' stands where enddef should be"),
+        (" enddef\nwl", " enddef 1\nwl", "line 25: '1' stands where wl should be"),
+        ("spectral 2", "spectral 3", "line 38: the file ends after 2 of the 3 blocks that TypeColorModel says"),
+        ("spectral 2", "spectral 1", "line 26: 'wl' follows the 1 blocks that TypeColorModel says"),
+        ("spectral 2", "spectral", "line 6: 'TypeData' is not a possible number of wavelengths"),
+        ("spectral 2", "BW", "line 13: 'wl' stands where bw should be"),
+        ("spectral 2", "RGB", "line 5: TypeColorModel 'RGB' is not read"),
+        ("TypeColorModel spectral 2\n", "", "TypeColorModel is missing"),
+        ("wl 650", "wl 450", "line 26: wl 450 does not ascend"),
+        ("Luminance Absolute", "Luminance Relative", "line 6: TypeData 'Relative' is not read"),
+        ("Luminance Absolute", "Intensity Absolute", "line 6: TypeData 'Intensity' is not read"),
+        ("PlaneSymmetrical", "AxiSymmetrical", "line 4: TypeSym 'AxiSymmetrical' is not read"),
+        ("PlaneSymmetrical", "Symmetric", "line 4: TypeSym 'Symmetric' is not read"),
+        ("Source Measured", "Source Guessed", "line 3: Source 'Guessed' is not read"),
+        ("Source Measured\n", "", "Source is missing"),
+        ("phi 3\n", "phy 3\n", "line 9: 'phy' is no keyword of a .ddr file; is it phi?"),
+        ("phi 3\n", "sigmat 0 90\nphi 3\n", "line 9: sigmat (a refracted axis) is not read"),
+        ("phi 3\n", "psi 2\n0 90\nphi 3\n", "psi is [0] unless the symmetry is ASymmetrical 4D"),
+        ("phi 3\n", "sigma 1\n0\nphi 3\n", "line 9: sigma is given twice"),
+        (";; our", "our", "line 1: 'our' is no keyword of a .ddr file"),
+    ],
+)
+def test_a_file_that_others_would_misread_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in SPECTRAL
+    assert said in refusal(saved(tmp_path, SPECTRAL.replace(old, new, 1)))
+
+
+def test_a_file_cut_short_anywhere_is_refused(tmp_path: Path) -> None:
+    for length in range(len(SPECTRAL.rstrip())):  # the last line end may be missing
+        refusal(saved(tmp_path, SPECTRAL[:length]))
+
+
+def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
+    assert "there is no such file" in refusal(tmp_path / "absent.ddr")
+    assert "is a folder" in refusal(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("ddr")
+
+
+def read_or_refused(path: Path) -> None:
+    try:
+        table = read_ddr(path)
+    except FormatError:
+        refusal(path)
+    else:
+        write_ddr(path, table)  # what is accepted is a table that can be written
+
+
+@settings(deadline=None)
+@given(content=st.one_of(st.binary(), st.text().map(lambda text: text.encode("utf-8", "surrogatepass"))))
+def test_arbitrary_bytes_are_refused_and_raise_nothing_else(folder: Path, content: bytes) -> None:
+    path = folder / "any.ddr"
+    path.write_bytes(content)
+    with pytest.raises(FormatError):
+        read_ddr(path)
+
+
+@settings(deadline=None, max_examples=200)
+@given(data=st.data())
+def test_a_mutated_file_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
+    text = data.draw(st.sampled_from([SPECTRAL, BLACK_AND_WHITE_4D])).encode()
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        end = data.draw(st.integers(start, min(len(text), start + 12)))
+        words = st.sampled_from([b"", b" ", b"9", b"-", b".", b"e308", b"nan ", b"wl ", b"enddef\n", b";;", b"4D "])
+        text = text[:start] + data.draw(words | st.binary(max_size=4)) + text[end:]
+    path = folder / "mutated.ddr"
+    path.write_bytes(text)
+    read_or_refused(path)
+
+
+@settings(deadline=None, max_examples=200)
+@given(data=st.data())
+def test_a_file_with_words_exchanged_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
+    words = data.draw(st.sampled_from([SPECTRAL, BLACK_AND_WHITE_4D])).split("\n", 2)[2].split()
+    index = st.integers(0, len(words) - 1)
+    for _ in range(data.draw(st.integers(1, 3))):
+        words[data.draw(index)] = words[data.draw(index)]
+    path = folder / "exchanged.ddr"
+    path.write_text("\n".join(words))
+    read_or_refused(path)
+
+
+def angle_lists(end: float) -> st.SearchStrategy[list[float]]:
+    # In steps of 0.001 deg: far wider than the ninth digit, so no two angles become one.
+    steps = st.sets(st.integers(0, round(end * 1000)), min_size=1, max_size=4)
+    return steps.map(lambda numbers: [number / 1000 for number in sorted(numbers)])
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> DdrTable:
+    symmetry = draw(st.sampled_from(["PlaneSymmetrical", "ASymmetrical", "ASymmetrical 4D"]))
+    psi = draw(angle_lists(360)) if symmetry == "ASymmetrical 4D" else [0.0]
+    lists = [np.array(psi), *(np.array(draw(angle_lists(end))) for end in (90, 180, 180))]
+    wavelengths = st.sets(st.integers(200_000, 2_500_000), min_size=1, max_size=3)
+    spectral = wavelengths.map(lambda numbers: tuple(number / 1000 for number in sorted(numbers)))
+    channels = draw(st.just((None,)) | spectral)
+    shape = (len(channels), *(angles.size for angles in lists))
+    return DdrTable(
+        source=draw(st.sampled_from(["Measured", "Generated", "Edited", "Morphed"])),
+        symmetry=symmetry,
+        psi_deg=lists[0],
+        sigma_deg=lists[1],
+        phi_deg=lists[2],
+        theta_deg=lists[3],
+        channels=channels,
+        values=draw(arrays(np.float64, shape, elements=st.floats(-1e9, 1e9))),
+        comments=tuple(draw(st.lists(st.text(max_size=20), max_size=3))),
+    )
+
+
+@settings(deadline=None, max_examples=60)
+@given(table=tables())
+def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: DdrTable) -> None:
+    path = folder / "round.ddr"
+    write_ddr(path, table)
+    again = read_ddr(path)
+    assert (again.source, again.symmetry, again.channels) == (table.source, table.symmetry, table.channels)
+    for name in ("psi_deg", "sigma_deg", "phi_deg", "theta_deg"):
+        assert getattr(again, name).tolist() == getattr(table, name).tolist()
+    # Half a unit of the ninth digit is at most 5e-9 of the number.
+    np.testing.assert_allclose(again.values, table.values, rtol=5e-9, atol=5e-324)
+    first = path.read_bytes()
+    write_ddr(path, again)
+    assert path.read_bytes() == first, "what was read is written the same"
+    assert first.isascii()
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    comments=st.lists(st.text() | st.sampled_from(["wl 450", "a\nsigma 2\n0 90", "\r;; phi", "\x85def"]), max_size=4)
+)
+def test_no_comment_changes_what_is_read(folder: Path, comments: list[str]) -> None:
+    path = folder / "commented.ddr"
+    write_ddr(path, replace(spectral_table(), comments=tuple(comments)))
+    top, mark, rest = path.read_bytes().partition(b"Source Measured\n")
+    assert all(line.startswith(b";;") for line in top.splitlines())
+    assert mark + rest == SPECTRAL.encode().split(b"at the top\n")[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"values": np.zeros((1, 1, 2, 3, 3))}, "shape"),
+        ({"values": np.full((2, 1, 2, 3, 3), np.inf)}, "36 of 36 that are not finite"),
+        ({"sigma_deg": np.array([90.0, 0])}, "sigma does not ascend"),
+        ({"theta_deg": np.array([0.0, 90, 181])}, "theta has numbers outside 0 to 180"),
+        ({"phi_deg": np.array([0.0, 90, 360])}, "PlaneSymmetrical has 0 to 180 only"),
+        ({"psi_deg": np.array([10.0])}, "psi is"),
+        ({"channels": (650.0, 450.0)}, "channels does not ascend"),
+        ({"channels": (None, 450.0)}, "channels"),
+        ({"symmetry": "AxiSymmetrical"}, "symmetry is one of"),
+        ({"source": "measured"}, "source is one of"),
+    ],
+)
+def test_a_table_that_does_not_fit_together_is_not_made(change: dict[str, object], said: str) -> None:
+    fields: dict[str, object] = {**vars(spectral_table()), **change}
+    with pytest.raises(ValueError, match=said):
+        DdrTable(**fields)  # type: ignore[arg-type]
+
+
+def test_a_file_that_cannot_be_written_is_a_format_error(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="cannot be written"):
+        write_ddr(tmp_path / "absent" / "out.ddr", spectral_table())
+    with pytest.raises(FormatError, match="sigma has two angles that are both written 30"):
+        write_ddr(tmp_path / "out.ddr", replace(spectral_table(), sigma_deg=np.array([30, 30 + 1e-12])))
+    assert list(tmp_path.iterdir()) == []

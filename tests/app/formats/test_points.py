@@ -1,0 +1,135 @@
+"""CSV of points: a missing number stays missing, and what is written is read again."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+
+from app.formats import FormatError, read_points_csv, write_points_csv
+
+
+def test_a_file_says_what_it_is_then_names_its_columns(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    columns: dict[str, ArrayLike] = {
+        "theta_deg": np.array([0.0, 1 / 3, 2]),
+        "bsdf_per_sr": [0.318309886183791, np.nan, 1e-12],
+        "row": [1, 2, 3],
+        "flag": ["", "shadowed", 'a "b", c'],
+    }
+    write_points_csv(path, ["simulated, seed 1", "two\nlines"], columns)
+    # Nine significant digits, the missing number an empty field, quotes only where CSV needs them.
+    assert path.read_text() == (
+        "# simulated, seed 1\n# two\n# lines\n"
+        "theta_deg,bsdf_per_sr,row,flag\n"
+        "0,0.318309886,1,\n"
+        "0.333333333,,2,shadowed\n"
+        '2,1e-12,3,"a ""b"", c"\n'
+    )
+    points = read_points_csv(path)
+    assert points.comments == ("simulated, seed 1", "two", "lines")
+    assert list(points.columns) == list(columns)
+    np.testing.assert_array_equal(points.columns["bsdf_per_sr"], [0.318309886, np.nan, 1e-12])
+    assert points.columns["flag"].tolist() == ["", "shadowed", 'a "b", c']
+
+
+def test_a_table_without_points_keeps_its_columns(tmp_path: Path) -> None:
+    path = tmp_path / "none.csv"
+    write_points_csv(path, [], {"a": [], "b": []})
+    assert {name: column.tolist() for name, column in read_points_csv(path).columns.items()} == {"a": [], "b": []}
+
+
+TEXT = st.text(
+    st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")) | st.sampled_from("\n\r\t,\"'#"), max_size=8
+)
+NAMES = st.text(st.characters(min_codepoint=32, max_codepoint=126), min_size=1, max_size=8)
+
+
+@st.composite
+def column_sets(draw: st.DrawFn) -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64 | np.str_]]]:
+    names = draw(st.lists(NAMES.filter(lambda name: name.strip() != "" and name[0] != "#"), unique=True, max_size=4))
+    length = draw(st.integers(0, 5))
+    numbers = st.one_of(st.floats(allow_infinity=False, width=32), st.just(np.nan))
+    return {
+        "first": np.array(draw(st.lists(numbers, min_size=length, max_size=length)), dtype=np.float64),
+        **{
+            f"_{name}": np.array(["text", *draw(st.lists(TEXT, min_size=length, max_size=length))], dtype=np.str_)[1:]
+            for name in names
+        },
+    }
+
+
+@settings(deadline=None, max_examples=60)
+@given(columns=column_sets(), comments=st.lists(TEXT, max_size=3))
+def test_what_is_written_is_read_again(
+    tmp_path_factory: pytest.TempPathFactory,
+    columns: dict[str, np.ndarray[tuple[int], np.dtype[np.float64 | np.str_]]],
+    comments: list[str],
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "round.csv"
+    write_points_csv(path, comments, columns)
+    points = read_points_csv(path)
+    assert list(points.columns) == list(columns)
+    for name, column in columns.items():
+        again = points.columns[name]
+        if name == "first":
+            np.testing.assert_allclose(again, column.astype(np.float64), rtol=5e-9, atol=0)
+        elif again.dtype.kind == "U":
+            assert again.tolist() == column.tolist()
+        else:  # texts that all look like numbers, or are empty
+            assert [text == "" for text in column] == np.isnan(again).tolist()
+
+
+@settings(deadline=None)
+@given(content=st.binary() | st.text(alphabet='ab,"\n\r#1.e-', max_size=60).map(str.encode))
+def test_arbitrary_bytes_raise_nothing_but_a_format_error(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_bytes(content)
+    try:
+        points = read_points_csv(path)
+    except FormatError:
+        return
+    assert len({column.size for column in points.columns.values()}) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("# c\na,b\n1,2\n3\n", "line 4: 1 fields, but the header has 2"),
+        ("a,a\n1,2\n", "line 1: the header leaves a column without a name of its own"),
+        ("# only a comment\n", "line 2: the header leaves"),
+        ('a,b\n"1,2\n', "line 2: not CSV"),
+        (f"a\n{'x' * (csv.field_size_limit() + 1)}\n", "not CSV: field larger than field limit"),
+    ],
+)
+def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "broken.csv"
+    path.write_text(text)
+    with pytest.raises(FormatError) as caught:
+        read_points_csv(path)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({}, "all of the same length"),
+        ({"a": [1.0], "b": [1.0, 2.0]}, "all of the same length"),
+        ({"a": [np.inf]}, "infinite"),
+        ({"a": [[1.0]]}, "not a plain list"),
+        ({"a": np.ma.masked_equal([1.0, 2.0], 2.0)}, "not a plain list"),
+        ({"a": np.array([object()])}, "type object"),
+        ({"#a": [1.0]}, "column name"),
+        ({"a": ["\x07"]}, "has the text"),
+        ({"a": ["\ud800"]}, "broken characters"),
+    ],
+)
+def test_what_the_file_cannot_say_is_not_written(tmp_path: Path, columns: dict[str, list[float]], said: str) -> None:
+    with pytest.raises(FormatError, match=said):
+        write_points_csv(tmp_path / "out.csv", [], columns)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,305 @@
+"""Zemax .bsdf files: what is read, what is refused and how, and that writing loses nothing."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from app.formats import FormatError, ZemaxBsdf, read_zemax, write_zemax
+
+# One rotation, two incidences, azimuths 0 and 180, radials 0, 10, 90: the least that has every list.
+GOOD = """\
+# black paint
+#    second line
+Source\tMeasured
+Symmetry\tPlaneSymmetrical
+SpectralContent\tMonochrome
+ScatterType\tBRDF
+SampleRotation\t1
+0
+AngleOfIncidence\t2
+10\t30
+ScatterAzimuth\t2
+0\t180
+ScatterRadial\t3
+0\t10\t90
+
+Monochrome
+DataBegin
+TIS\t0.02
+0.3\t0.2\t0.1
+0.3\t0.25\t0.1
+TIS\t0.03
+1.5e-3\t0.2\t0
+1.5e-3\t0.25\t-1e-6
+DataEnd
+"""
+VALUES = [[[[0.3, 0.2, 0.1], [0.3, 0.25, 0.1]], [[1.5e-3, 0.2, 0], [1.5e-3, 0.25, -1e-6]]]]
+
+
+def good(tmp_path: Path, text: str = GOOD) -> Path:
+    path = tmp_path / "paint.bsdf"
+    path.write_bytes(text.encode())
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(FormatError) as caught:
+        read_zemax(path)
+    message = str(caught.value)
+    assert message.isprintable(), "one line"
+    assert message.startswith(str(path))
+    return message.removeprefix(str(path))
+
+
+def test_every_part_of_a_file_is_read(tmp_path: Path) -> None:
+    table = read_zemax(good(tmp_path))
+    assert (table.source, table.symmetry, table.scatter_type) == ("Measured", "PlaneSymmetrical", "BRDF")
+    assert table.sample_rotation_deg.tolist() == [0]
+    assert table.incidence_deg.tolist() == [10, 30]
+    assert table.azimuth_deg.tolist() == [0, 180]
+    assert table.radial_deg.tolist() == [0, 10, 90]
+    assert table.values.tolist() == VALUES
+    assert table.tis.tolist() == [[0.02, 0.03]]
+    assert table.comments == ("black paint", "   second line")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace("\t", "   "),
+        lambda text: text.replace("\n", "\n\n"),
+        lambda text: "".join(line + " # said so\n" for line in text.splitlines()),
+        lambda text: text.upper(),
+        lambda text: text.lower(),
+        lambda text: text.replace("\n0.3", " 0.3").replace("10\t30", "10\n30"),
+        lambda text: "\ufeff" + text,
+        lambda text: text.replace("black paint", "schwarz, 20 °C"),
+        lambda text: text.rstrip("\n"),
+    ],
+    ids=["CRLF", "CR", "spaces", "blank lines", "comments", "upper", "lower", "wrapped", "BOM", "UTF-8", "no line end"],
+)
+def test_the_way_of_writing_does_not_matter(tmp_path: Path, change: object) -> None:
+    assert callable(change)
+    table = read_zemax(good(tmp_path, change(GOOD)))
+    assert table.values.tolist() == VALUES
+    assert table.symmetry == "PlaneSymmetrical"
+
+
+def test_comments_in_an_older_alphabet_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "old.bsdf"
+    path.write_bytes(GOOD.replace("black paint", "20 °C").encode("latin-1"))
+    assert read_zemax(path).comments[0] == "20 °C"
+
+
+@pytest.mark.parametrize("spelling", ["ASymmetrical", "Asymmetrical"])
+def test_both_spellings_of_asymmetrical_are_read(tmp_path: Path, spelling: str) -> None:
+    assert read_zemax(good(tmp_path, GOOD.replace("PlaneSymmetrical", spelling))).symmetry == "ASymmetrical"
+
+
+@pytest.mark.parametrize("word", ["ASymmetrical4D", "ASymmetrical 4D"])
+def test_sample_rotations_are_the_first_dimension(tmp_path: Path, word: str) -> None:
+    head, data = (
+        GOOD.replace("PlaneSymmetrical", word)
+        .replace("SampleRotation\t1\n0", "SampleRotation 2\n0 90")
+        .split("DataBegin\n")
+    )
+    blocks = data.removesuffix("DataEnd\n")
+    table = read_zemax(good(tmp_path, f"{head}DataBegin\n{blocks}{blocks.replace('0.3', '0.7')}DataEnd\n"))
+    assert table.symmetry == "ASymmetrical4D"
+    assert table.values.shape == (2, 2, 2, 3)
+    assert table.values[:, 0, 0, 0].tolist() == [0.3, 0.7]
+    assert table.tis.shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("ScatterRadial\t3\n0\t10\t90\n", "", "ScatterRadial is missing"),
+        ("Source\tMeasured\n", "", "Source is missing"),
+        ("Source\tMeasured\n", "Source\n", "line 3: Source has no value"),
+        (
+            "ScatterRadial",
+            "ScaterRadial",
+            "line 13: 'ScaterRadial' is no keyword of a .bsdf file; is it ScatterRadial?",
+        ),
+        ("AngleOfIncidence\t2", "AngleOfIncidence\t3", "line 9: AngleOfIncidence says 3 angles but has 2"),
+        ("AngleOfIncidence\t2", "AngleOfIncidence\t1", "line 9: AngleOfIncidence says 1 angles but has more"),
+        ("AngleOfIncidence\t2", "AngleOfIncidence\ttwo", "line 9: 'two' is not a possible number of AngleOfIncidence"),
+        ("AngleOfIncidence\t2", "AngleOfIncidence\t0", "line 9: '0' is not a possible number"),
+        ("10\t30", "30\t10", "line 10: AngleOfIncidence 10 follows 30: the list does not ascend"),
+        ("10\t30", "10\t10", "line 10: AngleOfIncidence 10 follows 10: the list does not ascend"),
+        ("10\t30", "10\t95", "line 10: AngleOfIncidence 95 is outside 0 to 90 deg"),
+        ("0\t180", "0\t270", "PlaneSymmetrical has 0 to 180 only"),
+        (
+            "0.3\t0.25\t0.1",
+            "0.3\t0.25",
+            "line 20: BSDF at rotation 0, incidence 10 deg has too few numbers: 5, not 2 rows",
+        ),
+        (
+            "0.3\t0.25\t0.1",
+            "0.3\t0.25\t0.1\t0.1",
+            "line 20: BSDF at rotation 0, incidence 10 deg has too many numbers: 7",
+        ),
+        (
+            "0.3\t0.25\t0.1",
+            "0.3\t0,25\t0.1",
+            "line 20: BSDF at rotation 0, incidence 10 deg: '0,25' has a decimal comma",
+        ),
+        ("0.3\t0.25\t0.1", "0.3\tNaN\t0.1", "line 20: BSDF at rotation 0, incidence 10 deg: 'NaN' is no value"),
+        ("0.3\t0.25\t0.1", "0.3\t-inf\t0.1", "'-inf' is no value"),
+        ("0.3\t0.25\t0.1", "0.3\t1e999\t0.1", "'1e999' is larger than a 64-bit float"),
+        ("0.3\t0.25\t0.1", "0.3\t1_0\t0.1", "'1_0' is not a number"),
+        ("0.3\t0.25\t0.1", "0.3\t٣\t0.1", "is not a number"),
+        ("TIS\t0.03", "", "line 22: BSDF at rotation 0, incidence 10 deg has too many numbers"),
+        ("TIS\t0.03\n1.5e-3\t0.2\t0\n1.5e-3\t0.25\t-1e-6\n", "", "line 21: 1 blocks of data, but SampleRotation and"),
+        ("DataEnd", "TIS 1\n1 1 1\n1 1 1\nDataEnd", "line 24: more blocks of data than the 2"),
+        ("DataEnd\n", "", "line 23: the file ends where DataEnd should follow"),
+        ("DataEnd", "DataEnd\nDataBegin", "line 25: 'DataBegin' stands after DataEnd"),
+        ("Monochrome\nDataBegin", "TristimulusX\nDataBegin", "tristimulus data are not read"),
+        (
+            "SpectralContent\tMonochrome",
+            "SpectralContent\tXYZ",
+            "line 5: SpectralContent XYZ (tristimulus) is not read",
+        ),
+        ("Monochrome\nDataBegin", "DataBegin", "line 16: 'DataBegin' stands where Monochrome should be"),
+        ("PlaneSymmetrical", "Round", "line 4: Symmetry 'Round' is not known"),
+        ("BRDF", "BSSRDF", "line 6: ScatterType 'BSSRDF' is not known; write BRDF or BTDF"),
+        ("BRDF", "BRDF\nScatterType BRDF", "line 7: ScatterType is given twice"),
+        ("# black", "\x00 black", "line 1: holds binary data"),
+    ],
+)
+def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in GOOD
+    assert said in refusal(good(tmp_path, GOOD.replace(old, new, 1)))
+
+
+def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
+    assert "there is no such file" in refusal(tmp_path / "absent.bsdf")
+    assert "is a folder" in refusal(tmp_path)
+    assert "is empty" in refusal(good(tmp_path, " \n"))
+    assert "missing" in refusal(good(tmp_path, "# a comment alone\n"))
+    (tmp_path / "wide.bsdf").write_bytes(GOOD.encode("utf-16"))
+    assert "UTF-16" in refusal(tmp_path / "wide.bsdf")
+    with pytest.raises(FormatError, match="there is no such file"):
+        read_zemax("a\0b.bsdf")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("zemax")
+
+
+def read_or_refused(path: Path) -> None:
+    try:
+        table = read_zemax(path)
+    except FormatError:
+        refusal(path)
+    else:
+        assert np.isfinite(table.values).all()
+
+
+@settings(deadline=None)
+@given(content=st.one_of(st.binary(), st.text().map(lambda text: text.encode("utf-8", "surrogatepass"))))
+def test_arbitrary_bytes_are_refused_and_raise_nothing_else(folder: Path, content: bytes) -> None:
+    path = folder / "any.bsdf"
+    path.write_bytes(content)
+    with pytest.raises(FormatError):
+        read_zemax(path)
+
+
+@settings(deadline=None, max_examples=200)
+@given(data=st.data())
+def test_a_mutated_file_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
+    text = GOOD.encode()
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        end = data.draw(st.integers(start, min(len(text), start + 12)))
+        words = st.sampled_from([b"", b" ", b"9", b"-", b".", b"e", b"1e400 ", b"nan ", b"TIS ", b"DataEnd\n", b"#"])
+        text = text[:start] + data.draw(words | st.binary(max_size=4)) + text[end:]
+    path = folder / "mutated.bsdf"
+    path.write_bytes(text)
+    read_or_refused(path)
+
+
+@settings(deadline=None, max_examples=200)
+@given(data=st.data())
+def test_a_file_with_words_exchanged_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
+    words = GOOD.split()
+    index = st.integers(0, len(words) - 1)
+    for _ in range(data.draw(st.integers(1, 3))):
+        words[data.draw(index)] = words[data.draw(index)]
+    path = folder / "exchanged.bsdf"
+    path.write_text("\n".join(words))
+    read_or_refused(path)
+
+
+def angle_lists(end: float) -> st.SearchStrategy[list[float]]:
+    # In steps of 0.001 deg: far wider than the ninth digit, so no two angles become one.
+    steps = st.sets(st.integers(0, round(end * 1000)), min_size=1, max_size=4)
+    return steps.map(lambda numbers: [number / 1000 for number in sorted(numbers)])
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> ZemaxBsdf:
+    lists = [np.array(draw(angle_lists(end))) for end in (360, 90, 180, 180)]
+    shape = tuple(angles.size for angles in lists)
+    numbers = st.floats(-1e9, 1e9)
+    return ZemaxBsdf(
+        source=draw(st.sampled_from(["Measured", "Generated", "a b"])),
+        symmetry=draw(st.sampled_from(["PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D"])),
+        scatter_type=draw(st.sampled_from(["BRDF", "BTDF"])),
+        sample_rotation_deg=lists[0],
+        incidence_deg=lists[1],
+        azimuth_deg=lists[2],
+        radial_deg=lists[3],
+        values=draw(arrays(np.float64, shape, elements=numbers)),
+        tis=draw(arrays(np.float64, shape[:2], elements=numbers)),
+        comments=tuple(draw(st.lists(st.text(max_size=20), max_size=3))),
+    )
+
+
+@settings(deadline=None, max_examples=60)
+@given(table=tables())
+def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: ZemaxBsdf) -> None:
+    path = folder / "round.bsdf"
+    write_zemax(path, table)
+    again = read_zemax(path)
+    assert (again.source, again.symmetry, again.scatter_type) == (table.source, table.symmetry, table.scatter_type)
+    assert again.incidence_deg.tolist() == table.incidence_deg.tolist()
+    assert again.radial_deg.tolist() == table.radial_deg.tolist()
+    # Half a unit of the ninth digit is at most 5e-9 of the number.
+    np.testing.assert_allclose(again.values, table.values, rtol=5e-9, atol=5e-324)
+    np.testing.assert_allclose(again.tis, table.tis, rtol=5e-9, atol=5e-324)
+    first = path.read_bytes()
+    write_zemax(path, again)
+    assert path.read_bytes() == first, "what was read is written the same"
+    assert first.isascii()
+
+
+def test_a_table_that_does_not_fit_together_is_not_made(tmp_path: Path) -> None:
+    table = read_zemax(good(tmp_path))
+    with pytest.raises(ValueError, match="shape"):
+        replace(table, values=np.zeros((1, 2, 2, 4)))
+    with pytest.raises(ValueError, match="not finite"):
+        replace(table, values=np.full((1, 2, 2, 3), np.nan))
+    with pytest.raises(ValueError, match="ascend"):
+        replace(table, radial_deg=np.array([0.0, 10, 10]))
+    with pytest.raises(ValueError, match="symmetry"):
+        replace(table, symmetry="Round")
+
+
+def test_a_table_that_the_format_cannot_say_is_not_written(tmp_path: Path) -> None:
+    table = read_zemax(good(tmp_path))
+    path = tmp_path / "out.bsdf"
+    with pytest.raises(FormatError, match="two angles that are both written 10"):
+        write_zemax(path, replace(table, incidence_deg=np.array([10, 10 + 1e-12])))
+    with pytest.raises(FormatError, match="source"):
+        write_zemax(path, replace(table, source="a\nb"))
+    assert not path.exists()

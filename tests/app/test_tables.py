@@ -1,0 +1,132 @@
+"""Complaints about files: one line, with file, key and reason."""
+
+from pathlib import Path
+
+import pytest
+
+from app.campaign.plan import make_plan
+from app.campaign.schedule import GridRange, ScheduleFile, grid_values, read_schedule
+from app.errors import UserError
+from app.rig import read_rig
+from tests.conftest import RIG, SCHEDULE, Change, Writer
+
+
+def test_the_examples_are_right() -> None:
+    plan = make_plan(read_schedule(SCHEDULE), read_rig(RIG))
+    assert len(plan.rows) == len({row.identity for row in plan.rows}) == 130
+    assert [row.number for row in plan.rows] == list(range(130))
+
+
+BAD_RIGS = [
+    (("gear = 36.0", "gaer = 36.0"), r"axes\.sigma\.gaer: there is no such key; did you mean 'gear'\?"),
+    (("gear = 36.0\n", "\n"), r"axes\.sigma\.gear: is missing"),
+    (("gear = 36.0", "gear = -1"), r"axes\.sigma\.gear: .*greater than 0"),
+    (("gear = 36.0", 'gear = "big"'), r"axes\.sigma\.gear: .*number"),
+    (("gear = 36.0", "gear = nan"), r"axes\.sigma\.gear: .*finite"),
+    (("motor = 0", "motor = 3"), r"axes: gamma and shift are both motor 3"),
+    (("upper_deg = 180.0", "upper_deg = -180.0"), r"axes\.sigma: lower_deg 0 is not below upper_deg -180"),
+    (("[simulated]\nseed = 1\n", ""), r"needs a \[simulated\] table"),
+    (('kind = "tmcl"', 'kind = "tmlc"'), r"axes\.kind: .*'tmcl'"),
+    (('"twin://virtual/adc-4"', '"twin://other/adc-4"'), r"several virtual rigs: other, virtual"),
+    ((', "twin://virtual/adc-4"', ""), r"photodiodes: 36 photodiodes take 5 units of 8, not 4"),
+    (('model = "gaussian"', 'model = "gauss"'), r"twin\.samples\.gaussian-5: .*gaussian"),
+    (("width_deg = 5.0", "width_deg = -5.0"), r"twin\.samples\.gaussian-5: width_deg is -5"),
+    (('form = "one_over_e"', 'form = "fwhm"'), r"twin\.samples\.gaussian-5\.form: "),
+    (("[axes]", "[axes"), r"is not TOML: .*line"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BAD_RIGS)
+def test_a_bad_rig_file_gets_one_line_that_names_the_key(write_rig: Writer, change: Change, message: str) -> None:
+    path = write_rig(change)
+    with pytest.raises(UserError, match=message) as caught:
+        read_rig(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+BAD_SCHEDULES = [
+    (("sigma_deg", "sigma_dge"), r"sigma_dge: there is no such key; did you mean 'sigma_deg'\?"),
+    (("sigma_deg = [30]", "sigma_deg = [90]"), r"sigma_deg: 90 deg is not .* below 90"),
+    (("sigma_deg = [30]", "sigma_deg = [30, 30]"), r"sigma_deg: 30.* stands there 2 times"),
+    (("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 1, step = 0.3 }"), r"shift_deg.*not a whole number of steps"),
+    (("shift_deg = [0, 1]", "shift_deg = { start = 1, stop = 0, step = 0.5 }"), r"shift_deg.*below start"),
+    (("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 1, step = 1e-9 }"), r"shift_deg.*more than 100000"),
+    (("shift_deg = [0, 1]", "shift_deg = []"), r"shift_deg.*at least 1"),
+    (("readings = 2\n", "readings = 0\n"), r"readings: .*greater than 0"),
+    (('etalon = "etalon"', 'etalon = "gaussian-5"'), r"etalon 'gaussian-5' stands among the samples"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BAD_SCHEDULES)
+def test_a_bad_schedule_gets_one_line_that_names_the_key(write_schedule: Writer, change: Change, message: str) -> None:
+    path = write_schedule(change)
+    with pytest.raises(UserError, match=message) as caught:
+        read_schedule(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+BEYOND_THE_RIG = [
+    (("shift_deg = [0, 1]", "shift_deg = [0, 7]"), r"shift_deg: 7 deg is outside its soft limits -0.5 to 5.5 deg"),
+    (("beta_deg = [180]", "beta_deg = [400]"), r"beta_deg: 400 deg is outside"),
+    (("wavelength_nm = [550]", "wavelength_nm = [900]"), r"wavelength_nm: 900 nm is outside"),
+    (("1e10]", "1e9]"), r"gains_v_per_a: 1e\+09 is not among those"),
+    (('samples = ["gaussian-5"]', 'samples = ["satin"]'), r"no sample 'satin'"),
+    (
+        ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 0.005 }"),
+        None,
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BEYOND_THE_RIG)
+def test_what_the_rig_cannot_do_is_said_before_the_start(write_schedule: Writer, change: Change, message: str | None) -> None:
+    schedule = read_schedule(write_schedule(change))
+    if message is None:
+        assert len(make_plan(schedule, read_rig(RIG)).rows) > 100_000
+        return
+    with pytest.raises(UserError, match=message):
+        make_plan(schedule, read_rig(RIG))
+
+
+def test_ten_million_rows_are_refused_with_the_arithmetic(write_schedule: Writer) -> None:
+    path = write_schedule(
+        ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 0.01 }"),
+        ("sigma_deg = [30]", "sigma_deg = { start = 0, stop = 80, step = 0.25 }"),
+    )
+    with pytest.raises(UserError, match=r"2 samples and etalon x 321 sigma_deg x 18001 beta_deg x 2 shift_deg = 23113284 rows"):
+        make_plan(read_schedule(path), read_rig(RIG))
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"", b"name = 'x'"])
+def test_any_other_file_is_one_line_too(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "other.toml"
+    path.write_bytes(content)
+    for read in (read_rig, read_schedule):
+        with pytest.raises(UserError) as caught:
+            read(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_an_absent_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"absent\.toml: cannot be read"):
+        read_schedule(tmp_path / "absent.toml")
+
+
+def test_a_range_ends_where_it_says() -> None:
+    values = grid_values(GridRange(start=0.0, stop=4.5, step=0.1))
+    assert len(values) == 46
+    assert values[-1] == 4.5
+    assert values[3] == 0.3
+
+
+def test_a_grid_is_a_list_or_a_range() -> None:
+    file = ScheduleFile.model_validate(
+        {
+            "name": "n", "samples": ["a"], "etalon": "e", "sigma_deg": [1, 2], "beta_deg": {"start": 0, "stop": 1, "step": 1},
+            "wavelength_nm": [550], "gains_v_per_a": [1e8],
+        }
+    )  # fmt: skip
+    assert grid_values(file.sigma_deg) == (1.0, 2.0)
+    assert grid_values(file.beta_deg) == (0.0, 1.0)

@@ -1,0 +1,79 @@
+"""What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from app.rig import OpenRig, open_rig, read_rig
+from protocols.clock import Clock, VirtualClock
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+RIG = REPOSITORY / "examples" / "rigs" / "virtual.toml"
+SCHEDULE = REPOSITORY / "examples" / "schedules" / "quick.toml"
+
+Change = tuple[str, str]
+Writer = Callable[..., Path]
+RigOpener = Callable[..., OpenRig]
+
+SMALL = """
+name = "small"
+samples = ["gaussian-5"]
+etalon = "etalon"
+sigma_deg = [30]
+beta_deg = [180]
+shift_deg = [0, 1]
+wavelength_nm = [550]
+gains_v_per_a = [1e8, 1e10]
+readings = 2
+dark_readings = 4
+"""
+
+
+def changed(text: str, changes: tuple[Change, ...]) -> str:
+    """Text with parts replaced; each part must be there, so that no test goes astray in silence."""
+    for old, new in changes:
+        assert old in text, f"{old!r} is not in the text any more"
+        text = text.replace(old, new)
+    return text
+
+
+@pytest.fixture
+def write_rig(tmp_path: Path) -> Writer:
+    """Writes the example rig with changes; returns its path."""
+
+    def write(*changes: Change, name: str = "rig.toml") -> Path:
+        path = tmp_path / name
+        path.write_text(changed(RIG.read_text(encoding="utf-8"), changes), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def write_schedule(tmp_path: Path) -> Writer:
+    """Writes a small schedule (eight rows) with changes; returns its path."""
+
+    def write(*changes: Change, name: str = "schedule.toml", text: str = SMALL) -> Path:
+        path = tmp_path / name
+        path.write_text(changed(text, changes), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def opened(write_rig: Writer) -> Iterator[RigOpener]:
+    """Opens the example rig with changes, connected; closes it after the test."""
+    rigs: list[OpenRig] = []
+
+    def open_changed(*changes: Change, clock: Clock | None = None, transcript: Path | None = None) -> OpenRig:
+        description = read_rig(write_rig(*changes, name=f"rig-{len(rigs)}.toml"))
+        rig = open_rig(description, clock if clock is not None else VirtualClock(), transcript)
+        rigs.append(rig)
+        rig.connect()
+        return rig
+
+    yield open_changed
+    for rig in rigs:
+        rig.close()

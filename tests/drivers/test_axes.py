@@ -1,0 +1,171 @@
+"""Axes over TMCL, against the virtual module and against a wire that misbehaves."""
+
+from collections.abc import Callable
+
+import pytest
+import serial
+
+from drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
+from protocols.clock import Clock, VirtualClock
+from protocols.tmcl import Axis, Command, Reply, Request, Status
+from tests.conftest import RigOpener
+
+
+def test_nothing_moves_on_connect(opened: RigOpener) -> None:
+    rig = opened()
+    assert rig.virtual is not None
+    now = rig.rig.clock.now()
+    assert [rig.virtual.plant.angle_deg(axis, now) for axis in ("gamma", "sigma", "beta", "shift")] == [0.0] * 4
+    assert not any(shaft.moved_since(now) for shaft in rig.virtual.plant.shafts.values())
+
+
+def test_an_axis_goes_where_it_is_sent(opened: RigOpener) -> None:
+    rig = opened()
+    assert rig.virtual is not None
+    beta = rig.rig.axes["beta"]
+    wait(rig.rig.clock, [beta.start(123.4)])
+    now = rig.rig.clock.now()
+    assert rig.virtual.plant.angle_deg("beta", now) == pytest.approx(123.4, abs=0.5 / beta.settings.microsteps_per_deg)
+    assert beta.position_deg() == pytest.approx(123.4, abs=1e-3)
+    assert beta.encoder_deg() == pytest.approx(123.4, abs=0.01)
+
+
+def test_axes_move_at_the_same_time(opened: RigOpener) -> None:
+    rig = opened().rig
+    start = rig.clock.now()
+    wait(rig.clock, [rig.axes["sigma"].start(60.0), rig.axes["beta"].start(180.0), rig.axes["gamma"].start(180.0)])
+    slowest = max(rig.axes[name].settings.seconds(way) for name, way in (("sigma", 60.0), ("beta", 180.0), ("gamma", 180.0)))
+    assert rig.clock.now() - start == pytest.approx(slowest, abs=0.03)
+
+
+def test_an_axis_without_encoder_says_none(opened: RigOpener) -> None:
+    assert opened().rig.axes["shift"].encoder_deg() is None
+
+
+@pytest.mark.parametrize("target", [-5.1, 360.5, float("nan")])
+def test_soft_limits_send_nothing(opened: RigOpener, target: float) -> None:
+    rig = opened()
+    assert rig.virtual is not None
+    with pytest.raises(LimitError, match=r"beta.*limits"):
+        rig.rig.axes["beta"].start(target)
+    assert not rig.virtual.plant.shafts["beta"].moved_since(rig.rig.clock.now())
+
+
+def test_stop_brings_the_axes_to_rest_over_their_ramps(opened: RigOpener) -> None:
+    rig = opened()
+    assert rig.virtual is not None
+    clock = rig.rig.clock
+    rig.rig.axes["beta"].start(180.0)
+    clock.sleep_until(clock.now() + 3.0)
+    start = clock.now()
+    assert rig.rig.stop() == []
+    assert clock.now() - start < 0.2
+    clock.sleep_until(start + 1.2)  # 30 deg/s at 30 deg/s^2
+    resting = rig.virtual.plant.angle_deg("beta", clock.now())
+    assert 60.0 < resting < 120.0
+    assert rig.virtual.plant.angle_deg("beta", clock.now() + 100.0) == resting
+
+
+def test_somebody_elses_stop_is_a_fault_of_the_move(opened: RigOpener) -> None:
+    rig = opened().rig
+    move = rig.axes["beta"].start(180.0)
+    rig.clock.sleep_until(rig.clock.now() + 1.0)
+    rig.axes["beta"].stop()
+    with pytest.raises(DeviceError, match="stands at"):
+        wait(rig.clock, [move])
+
+
+def test_microsteps_follow_the_sense_the_gear_and_the_offset() -> None:
+    settings = AxisSettings("sigma", 4, 36.0, -10.0, 190.0, 10.0, 10.0, sense=-1, zero_offset_deg=5.0)
+    assert settings.microsteps(15.0) == -51_200  # one turn of the motor is 10 deg, and 51200 microsteps
+    assert settings.angle_deg(-51_200) == pytest.approx(15.0)
+
+
+class Wire(serial.Serial):
+    """A port that answers each frame with what the test says."""
+
+    def __init__(self, clock: Clock, answers: list[bytes]) -> None:
+        super().__init__()
+        self._clock = clock
+        self._answers = answers
+        self._waiting = b""
+        self.sent: list[bytes] = []
+        self.timeout = 0.06
+
+    def write(self, data: object, /) -> int:
+        self.sent.append(bytes(data))  # type: ignore[call-overload]
+        if self._answers:
+            self._waiting += self._answers.pop(0)
+        return 9
+
+    def read(self, size: int = 1, /) -> bytes:
+        data, self._waiting = self._waiting[:size], self._waiting[size:]
+        if len(data) < size:
+            self._clock.sleep_until(self._clock.now() + 0.06)
+        return data
+
+    def reset_input_buffer(self) -> None:
+        self._waiting = b""
+
+    def close(self) -> None: ...
+
+
+GOOD_VERSION = Reply(2, 1, Status.OK, Command.FIRMWARE_VERSION, 6214 << 16).encode()
+Module = Callable[..., tuple[TmclModule, Wire]]
+
+
+@pytest.fixture
+def module() -> Module:
+    def connect(*answers: bytes) -> tuple[TmclModule, Wire]:
+        clock = VirtualClock()
+        wire = Wire(clock, [GOOD_VERSION, *answers])
+        module = TmclModule(lambda baud, timeout: wire, clock)
+        assert module.connect() == 6214
+        wire.sent.clear()
+        return module, wire
+
+    return connect
+
+
+def test_a_late_reply_to_another_request_is_not_believed(module: Module) -> None:
+    late = Reply(2, 1, Status.OK, Command.SAP, 77).encode()
+    mine = Reply(2, 1, Status.OK, Command.GAP, 5).encode()
+    driver, _ = module(late + mine)
+    assert driver.exchange(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4)) == 5
+
+
+def test_a_garbled_reply_is_asked_for_again(module: Module) -> None:
+    good = Reply(2, 1, Status.OK, Command.GAP, 5).encode()
+    driver, wire = module(good[:-1] + bytes((good[-1] ^ 1,)), good)
+    assert driver.exchange(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4)) == 5
+    assert len(wire.sent) == 2
+
+
+@pytest.mark.parametrize("answer", [b"", b"\x02\x01"])
+def test_a_move_is_never_sent_twice(module: Module, answer: bytes) -> None:
+    driver, wire = module(answer)
+    with pytest.raises(NoAnswer):
+        driver.exchange(Request(1, Command.MVP, 1, 4, 100))
+    assert len(wire.sent) == 1
+
+
+def test_a_garbled_answer_to_a_move_is_an_error_too(module: Module) -> None:
+    good = Reply(2, 1, Status.OK, Command.MVP, 5).encode()
+    driver, wire = module(good[:-1] + bytes((good[-1] ^ 1,)))
+    with pytest.raises(BadAnswer, match="checksum"):
+        driver.exchange(Request(1, Command.MVP, 1, 4, 100))
+    assert len(wire.sent) == 1
+
+
+def test_a_refusal_is_told_in_words(module: Module) -> None:
+    driver, _ = module(Reply(2, 1, Status.INVALID_VALUE, Command.SAP, 0).encode())
+    with pytest.raises(Refused, match="INVALID_VALUE"):
+        driver.exchange(Request(1, Command.SAP, Axis.MAX_VELOCITY, 4, -1))
+
+
+def test_without_a_port_the_error_says_what_to_do() -> None:
+    def nothing(baudrate: int, timeout_s: float) -> serial.Serial:
+        raise serial.SerialException("could not open port COM9")
+
+    with pytest.raises(DeviceError, match=r"COM9.*rig file"):
+        TmclModule(nothing, VirtualClock()).connect()

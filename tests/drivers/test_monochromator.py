@@ -1,0 +1,71 @@
+"""The monochromator's driver."""
+
+import pytest
+
+from drivers import DeviceError, Refused, wait
+from protocols.cornerstone import Statement
+from tests.conftest import RigOpener
+
+
+def test_it_goes_to_a_wavelength_and_says_when_it_is_there(opened: RigOpener) -> None:
+    rig = opened().rig
+    start = rig.clock.now()
+    wait(rig.clock, [rig.monochromator.start_wavelength(725.0)])
+    assert rig.clock.now() - start == pytest.approx(175.0 / 175.0 + 0.1, abs=0.06)
+    assert rig.monochromator.wavelength_nm() == 725.0
+
+
+def test_it_holds_up_nobody_while_it_moves(opened: RigOpener) -> None:
+    rig = opened().rig
+    slew = rig.monochromator.start_wavelength(725.0)
+    start = rig.clock.now()
+    assert rig.axes["sigma"].position_deg() == 0.0
+    assert rig.clock.now() - start < 0.01
+    assert slew.poll() is False
+    wait(rig.clock, [slew])
+
+
+def test_the_shutter_is_opened_and_closed(opened: RigOpener) -> None:
+    rig = opened().rig
+    assert not rig.monochromator.shutter_is_open()
+    wait(rig.clock, [rig.monochromator.start_shutter(opened=True)])
+    assert rig.monochromator.shutter_is_open()
+    wait(rig.clock, [rig.monochromator.start_shutter(opened=False)])
+    assert not rig.monochromator.shutter_is_open()
+
+
+@pytest.mark.parametrize("wavelength_nm", [100.0, 900.0, float("nan")])
+def test_a_wavelength_out_of_range_sends_nothing(opened: RigOpener, wavelength_nm: float) -> None:
+    rig = opened().rig
+    with pytest.raises(DeviceError, match="outside 380 to 780 nm"):
+        rig.monochromator.start_wavelength(wavelength_nm)
+    assert rig.monochromator.wavelength_nm() == 550.0
+
+
+def test_an_error_of_the_device_is_told_in_words(opened: RigOpener) -> None:
+    rig = opened().rig
+    with pytest.raises(Refused, match="destination not allowed"):
+        wait(rig.clock, [rig.monochromator.start_filter(9)])
+    assert rig.monochromator.wavelength_nm() == 550.0  # and it works again
+
+
+def test_a_line_without_echo_is_found_out(opened: RigOpener) -> None:
+    rig = opened()
+    assert rig.virtual is not None
+    device = rig.virtual.serial["mono"]
+    device._drive = type(device._drive)(echo=False)  # type: ignore[attr-defined]
+    assert "Cornerstone" in rig.rig.monochromator.connect()
+    wait(rig.rig.clock, [rig.rig.monochromator.start_wavelength(600.0)])
+    assert rig.rig.monochromator.wavelength_nm() == 600.0
+
+
+def test_a_silent_device_is_an_error_in_bounded_time(opened: RigOpener) -> None:
+    rig = opened()
+    assert rig.virtual is not None
+    device = rig.virtual.serial["mono"]
+    device.receive = lambda data, t: None  # type: ignore[method-assign]
+    start = rig.rig.clock.now()
+    with pytest.raises(DeviceError, match=r"monochromator: WAVE.*no line within"):
+        rig.rig.monochromator.wavelength_nm()
+    assert rig.rig.clock.now() - start < 2.0
+    assert str(Statement("WAVE", query=True)) == "WAVE?"

@@ -1,0 +1,30 @@
+"""Scaling of the ADAM's registers."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocols import adam
+
+
+def test_ten_volts_either_way_as_the_manual_has_it() -> None:
+    bipolar = adam.RANGES[adam.PLUS_MINUS_10_V]
+    assert bipolar.volts(0) == -10.0
+    assert bipolar.volts(65535) == pytest.approx(10.0, abs=1e-12)
+    assert bipolar.raw(0.0) == 32768
+    assert bipolar.lsb_v == pytest.approx(0.305e-3, rel=1e-3)
+
+
+@given(st.sampled_from(sorted(adam.RANGES)), st.integers(0, 65535))
+def test_a_raw_value_comes_back(code: int, raw: int) -> None:
+    assert adam.RANGES[code].raw(adam.RANGES[code].volts(raw)) == raw
+
+
+@given(st.sampled_from(sorted(adam.RANGES)), st.floats(-100.0, 100.0))
+def test_a_voltage_is_kept_to_half_a_step_or_clipped(code: int, volts: float) -> None:
+    each = adam.RANGES[code]
+    raw = each.raw(volts)
+    if each.low_v <= volts <= each.high_v:
+        assert abs(each.volts(raw) - volts) <= 0.5001 * each.lsb_v
+    else:
+        assert adam.clipped(raw)

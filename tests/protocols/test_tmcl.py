@@ -1,0 +1,73 @@
+"""TMCL frames, against those of the manufacturer's own client and manual."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocols import tmcl
+
+BYTE = st.integers(0, 255)
+VALUE = st.integers(-(2**31), 2**31 - 1)
+
+# Captured from PyTrinamic.
+GOLDEN = [
+    (tmcl.Request(1, tmcl.Command.FIRMWARE_VERSION, 0, 0, 0), "01 88 00 00 00 00 00 00 89"),
+    (tmcl.Request(1, tmcl.Command.SAP, 6, 3, 100), "01 05 06 03 00 00 00 64 73"),
+    (tmcl.Request(1, tmcl.Command.MVP, tmcl.MoveType.ABSOLUTE, 3, 51200), "01 04 00 03 00 00 c8 00 d0"),
+    (tmcl.Request(1, tmcl.Command.GAP, tmcl.Axis.POSITION_REACHED, 3, 0), "01 06 08 03 00 00 00 00 12"),
+]
+
+
+@pytest.mark.parametrize(("request_", "frame"), GOLDEN)
+def test_requests_are_the_published_frames(request_: tmcl.Request, frame: str) -> None:
+    assert request_.encode() == bytes.fromhex(frame)
+    assert tmcl.Request.decode(bytes.fromhex(frame)) == request_
+
+
+def test_an_error_reply_is_the_published_frame() -> None:
+    reply = tmcl.Reply(2, 1, tmcl.Status.WRONG_TYPE, tmcl.Command.GAP, 0)
+    assert reply.encode() == bytes.fromhex("02 01 03 06 00 00 00 00 0c")
+
+
+def test_the_version_text_is_the_manuals_special_reply() -> None:
+    assert tmcl.encode_version_text(2, "6214V117") == b"\x026214V117"
+    assert tmcl.decode_version_text(b"\x026214V117") == "6214V117"
+
+
+@given(BYTE, BYTE, BYTE, BYTE, VALUE)
+def test_a_request_survives_the_wire(address: int, command: int, kind: int, motor: int, value: int) -> None:
+    request = tmcl.Request(address, command, kind, motor, value)
+    assert tmcl.Request.decode(request.encode()) == request
+    assert str(request)
+
+
+@given(BYTE, BYTE, BYTE, BYTE, VALUE)
+def test_a_reply_survives_the_wire(host: int, address: int, status: int, command: int, value: int) -> None:
+    reply = tmcl.Reply(host, address, status, command, value)
+    assert tmcl.Reply.decode(reply.encode()) == reply
+    assert str(reply)
+
+
+@given(st.binary(max_size=20))
+def test_other_bytes_are_frame_errors(data: bytes) -> None:
+    for decode in (tmcl.Request.decode, tmcl.Reply.decode, tmcl.decode_version_text):
+        try:
+            decode(data)
+        except tmcl.FrameError:
+            continue
+        assert len(data) == tmcl.FRAME_BYTES
+
+
+@given(st.integers(0, 8), st.integers(1, 255), VALUE)
+def test_one_changed_byte_is_noticed(place: int, change: int, value: int) -> None:
+    frame = bytearray(tmcl.Request(1, 5, 4, 3, value).encode())
+    frame[place] = (frame[place] + change) & 0xFF
+    with pytest.raises(tmcl.FrameError):
+        tmcl.Request.decode(bytes(frame))
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(tmcl.FrameError, match="does not fit"):
+        tmcl.Request(1, 4, 0, 0, 2**31).encode()
+    with pytest.raises(tmcl.FrameError, match="8 characters"):
+        tmcl.encode_version_text(2, "short")

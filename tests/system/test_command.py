@@ -1,0 +1,159 @@
+"""The command `goniotwin`, as people and programs call it."""
+
+import json
+import os
+import re
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import RIG, SCHEDULE, Change, Writer
+
+
+def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs it in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", "from app.cli import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        timeout=300,
+        check=False,
+    )
+
+
+def answer(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    """The one JSON object of standard output."""
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, answer(goniotwin("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
+
+
+def test_the_demo_says_how_good_it_is(demo: tuple[Path, dict[str, Any]]) -> None:
+    folder, result = demo
+    assert result["rows"] == 130
+    assert result["simulated"] is True
+    for key in ("relative_rms_percent", "noise_free_percent"):
+        assert set(result[key]) == {"0", "30", "60"}
+        assert all(0.0 < value <= 3.0 for value in result[key].values())
+    for name in ("journal", "ddr", "csv", "png"):
+        assert (folder / f"quick.{name}").stat().st_size > 1000
+    assert (folder / "quick.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_check_foretells_the_journals_duration(demo: tuple[Path, dict[str, Any]]) -> None:
+    foretold = answer(goniotwin("check", SCHEDULE, "--rig", RIG, "--json"))
+    assert foretold["rows"] == 130
+    assert foretold["duration_s"] == pytest.approx(demo[1]["duration_s"], rel=0.01)
+    database = sqlite3.connect(demo[0] / "quick.journal")
+    (seconds,) = database.execute("SELECT MAX(ended_s) - MIN(started_s) FROM attempt").fetchone()
+    database.close()
+    assert seconds == pytest.approx(foretold["duration_s"], rel=0.01)
+
+
+def test_every_wire_of_the_demo_has_a_transcript(demo: tuple[Path, dict[str, Any]]) -> None:
+    wires = {path.stem: path.read_text(encoding="utf-8") for path in (demo[0] / "wires").iterdir()}
+    assert set(wires) == {"axes", "monochromator", "monitor", *(f"photodiodes-{k}" for k in range(5))}
+    line = re.compile(r" *\d+\.\d{6} [<>] ([0-9a-f]{2} )+ \| .*")
+    for text in wires.values():
+        lines = text.splitlines()[1:]
+        assert lines
+        assert all(line.fullmatch(each) for each in lines)
+        times = [float(each.split()[0]) for each in lines]
+        assert times == sorted(times)
+    assert "MVP ABSOLUTE motor 4" in wires["axes"]
+    assert "'GOWAVE 550.000\\n'" in wires["monochromator"]
+    assert "'READ?\\n'" in wires["monitor"]
+    # Each request has its answer.
+    assert wires["axes"].count(" > ") == wires["axes"].count(" < ")
+
+
+def dump(path: Path) -> list[str]:
+    """A journal as text, without its wall-clock stamps."""
+    database = sqlite3.connect(path)
+    lines = [re.sub(r"'\d{4}-\d\d-\d\dT[^']*'", "'stamp'", line) for line in database.iterdump()]
+    database.close()
+    return lines
+
+
+def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    rig, schedule = write_rig(), write_schedule()
+    for name, threads in (("one", "1"), ("two", "2"), ("again", "2")):
+        answer(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name, "--json", NUMBA_NUM_THREADS=threads))
+    assert dump(tmp_path / "one") == dump(tmp_path / "two") == dump(tmp_path / "again")
+    other = write_rig(("seed = 1", "seed = 2"), name="other.toml")
+    answer(goniotwin("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
+    assert dump(tmp_path / "other") != dump(tmp_path / "one")
+
+
+def test_run_and_export_are_one_after_the_other(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    journal = tmp_path / "a.journal"
+    result = answer(goniotwin("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
+    assert result["state"] == "done"
+    assert result["rows"] == result["planned"]
+    assert sorted(path.name for path in tmp_path.glob("a.journal*")) == ["a.journal"]  # one file, nothing beside it
+    before = journal.read_bytes()
+    for name in ("ddr", "csv"):
+        exported = answer(goniotwin("export", journal, "--format", name, "--out", tmp_path / f"a.{name}", "--json"))
+        assert exported["values"] > 0
+        assert exported["simulated"] is True
+        assert "SIMULATED" in (tmp_path / f"a.{name}").read_text(encoding="utf-8")
+    assert journal.read_bytes() == before
+
+
+BAD: list[tuple[Change | None, Change | None, str]] = [
+    (("gear = 36.0\nlower", "gaer = 36.0\nlower"), None, "gaer"),
+    (None, ("sigma_deg", "sigma_dge"), "sigma_dge"),
+    (None, ("shift_deg = [0, 1]", "shift_deg = [0, 9]"), "shift_deg: 9 deg"),
+    (('port = "twin://virtual/axes"', 'port = "/dev/tty-that-is-not-there"'), None, "/dev/tty-that-is-not-there"),
+    (('"twin://virtual/adc-3"', '"twin://virtual/adc-33"'), None, "adc-33"),
+    (('usb = "twin://virtual/monitor"', 'usb = "nonsense"'), None, "monitor.usb: 'nonsense'"),
+    (('model = "gaussian"\nwidth_deg = 5.0\nform = "one_over_e"\nquantity = "luminance"\nreflectance = 0.9',
+      'model = "zemax"\nfile = "broken.bsdf"'), None, "broken.bsdf"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("rig_change", "schedule_change", "named"), BAD)
+def test_bad_input_is_one_line_and_leaves_no_journal(
+    write_rig: Writer,
+    write_schedule: Writer,
+    tmp_path: Path,
+    rig_change: Change | None,
+    schedule_change: Change | None,
+    named: str,
+) -> None:
+    (tmp_path / "broken.bsdf").write_text("Source Measured\nSymmetry PlaneSymmetrical\n", encoding="utf-8")
+    rig = write_rig(*([rig_change] if rig_change else []))
+    schedule = write_schedule(*([schedule_change] if schedule_change else []))
+    done = goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "a.journal", "--json")
+    assert done.returncode == 2
+    assert named in done.stderr
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.glob("a.journal*")) == []
+
+
+@pytest.mark.parametrize("command", [[], ["run"], ["check"], ["export"], ["demo"], ["desktop"]])
+def test_help_is_worth_reading(command: list[str]) -> None:
+    done = goniotwin(*command, "--help")
+    assert done.returncode == 0
+    assert "Usage" in done.stdout
+    assert len(done.stdout.splitlines()) > 8
+
+
+def test_a_wrong_option_is_status_2() -> None:
+    assert goniotwin("run", "--nonsense").returncode == 2
+    assert goniotwin("export", "nothing.journal", "--format", "ddr", "--out", "x").returncode == 2

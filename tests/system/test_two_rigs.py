@@ -1,0 +1,46 @@
+"""Several virtual rigs in one process."""
+
+from pathlib import Path
+
+from app.campaign.campaign import operator_for
+from app.campaign.engine import Engine
+from app.campaign.events import Event, RowCommitted, State
+from app.campaign.journal import Journal
+from app.campaign.plan import make_plan
+from app.campaign.schedule import read_schedule
+from app.rig import open_rig, read_rig
+from protocols.clock import VirtualClock
+from tests.conftest import Writer
+
+
+def test_two_virtual_rigs_of_the_same_name_do_not_disturb_each_other(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """One campaign runs to its end between two rows of another: both journals are as if each had been alone."""
+    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig()))
+
+    def run(name: str, between: Path | None) -> list[bytes]:
+        def listen(event: Event) -> None:
+            if between is not None and isinstance(event, RowCommitted) and event.row.number == 3:
+                run(between.name, None)
+
+        with open_rig(plan.rig, VirtualClock()) as opened:
+            opened.connect()
+            with Journal.create(tmp_path / name, plan, {}) as journal:
+                engine = Engine(opened.rig, plan, journal, operator_for(opened, print), [listen])
+                assert engine.run() is State.DONE
+                return [
+                    reading.counts.tobytes() + str((reading.first_s, reading.monitor_a)).encode()
+                    for each in journal.rows()
+                    for reading in each.data.readings
+                ]
+
+    alone = run("alone", None)
+    outer = run("outer", tmp_path / "inner")
+    with Journal.open(tmp_path / "inner") as journal:
+        inner = [
+            reading.counts.tobytes() + str((reading.first_s, reading.monitor_a)).encode()
+            for each in journal.rows()
+            for reading in each.data.readings
+        ]
+    assert alone == outer == inner

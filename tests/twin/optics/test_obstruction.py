@@ -1,0 +1,67 @@
+"""What the mirrors hide: a zone round the way back to the light, and one 45 degrees from it."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from twin.optics import Instrument, from_specular, light_direction, throughput, visible_fraction
+from twin.optics.mirrors import ALONG_Y
+from twin.optics.scattering import lambertian
+
+SIGMA = 30.0
+
+
+def retro_cut(offset_deg: np.ndarray[tuple[int], np.dtype[np.float64]], side_mm: float = 20.0) -> list[float]:
+    """Visible fractions along the plane of incidence, at offsets from the way back to the light."""
+    directions = from_specular(SIGMA, 2.0 * SIGMA + offset_deg, 0.0)
+    return [float(v) for v in visible_fraction(Instrument(mirror_side_mm=side_mm), SIGMA, directions)]
+
+
+@pytest.mark.parametrize(("side_mm", "edge_deg"), [(20.0, 3.5), (40.0, 6.3)])
+def test_mirror_3_hides_the_way_back_to_the_light(side_mm: float, edge_deg: float) -> None:
+    # The mirror's half side at 200 mm (2.9 or 5.7 deg) and the bundle's half width there.
+    dark = 0.55 * edge_deg
+    assert retro_cut(np.array([-dark, 0.0, dark]), side_mm) == [0.0, 0.0, 0.0]
+    clear = edge_deg + 0.3
+    assert retro_cut(np.array([-clear, clear]), side_mm) == [1.0, 1.0]
+    edge = retro_cut(np.arange(dark, clear, 0.1), side_mm)
+    assert all(after >= before for before, after in pairwise(edge))
+    assert 0.8 < retro_cut(np.array([edge_deg - 0.2]), side_mm)[0] < 1.0
+
+
+def test_at_normal_incidence_the_specular_peak_itself_is_hidden() -> None:
+    assert visible_fraction(Instrument(), 0.0, [[0.0, 0.0, 1.0]])[0] == 0.0
+    hidden = throughput(Instrument(), 0.0, [[0.0, 0.0, 1.0]], lambertian())[0]
+    shown = throughput(Instrument(obstruction=False), 0.0, [[0.0, 0.0, 1.0]], lambertian())[0]
+    assert hidden == 0.0
+    assert shown > 0.0
+
+
+def test_mirror_2_hides_a_zone_45_deg_from_the_light() -> None:
+    light = light_direction(SIGMA)
+    towards = (light - ALONG_Y) / np.sqrt(2.0)
+    away = (light + ALONG_Y) / np.sqrt(2.0)
+    assert visible_fraction(Instrument(), SIGMA, [towards, away]).tolist() == [0.0, 1.0]
+
+
+def test_half_of_the_arcs_turn_is_free() -> None:
+    # Nothing of the mirror unit but mirror 3 stands at y > 0: beta 0 to 180 is free, but for the zone round the light.
+    polar, beta = np.meshgrid(np.arange(0.0, 86.0, 5.0), np.arange(0.0, 181.0, 10.0))
+    directions = from_specular(0.0, polar.ravel(), beta.ravel())
+    far = directions @ light_direction(SIGMA) < np.cos(np.radians(6.0))
+    assert np.all(visible_fraction(Instrument(), SIGMA, directions[far]) == 1.0)
+
+
+def test_a_detector_in_the_samples_plane_sees_nothing() -> None:
+    assert visible_fraction(Instrument(), SIGMA, [[1.0, 0.0, 0.0]])[0] == 0.0
+
+
+def test_what_is_hidden_is_missing_from_the_throughput() -> None:
+    offsets = np.array([2.6, 2.9, 3.1, 5.0])
+    directions = from_specular(SIGMA, 2.0 * SIGMA + offsets, 0.0)
+    share = visible_fraction(Instrument(), SIGMA, directions, rays=1024)
+    with_mirrors = throughput(Instrument(), SIGMA, directions, lambertian())
+    without = throughput(Instrument(obstruction=False), SIGMA, directions, lambertian())
+    # The same rays; what the two differ by is how a beam of 0.7 deg weighs them, at most 1 % of a ray.
+    assert with_mirrors / without == pytest.approx(share, abs=3e-3)

@@ -1,0 +1,61 @@
+"""Ramps of stepper motors."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.ramp import move_seconds
+from twin.plant.motion import Trajectory, moving, resting, turning
+
+PLACE = st.floats(-1e6, 1e6)
+SPEED = st.floats(100.0, 1e6)
+SLOPE = st.floats(100.0, 1e6)
+
+
+@given(PLACE, PLACE, SPEED, SLOPE, SLOPE)
+def test_a_move_from_rest_ends_at_its_target_when_the_trapezoid_says(
+    start: float, target: float, speed: float, up: float, down: float
+) -> None:
+    trajectory = moving(1.0, start, 0.0, target, speed, up, down)
+    assert trajectory.position(trajectory.end) == pytest.approx(target)
+    assert trajectory.velocity(trajectory.end + 1.0) == 0.0
+    assert trajectory.end - 1.0 == pytest.approx(move_seconds(target - start, speed, up, down), rel=1e-6, abs=1e-6)
+
+
+@given(PLACE, PLACE, SPEED, SLOPE, SLOPE, st.floats(-1.0, 1.0))
+def test_a_move_out_of_a_movement_ends_at_its_target_without_a_jump(
+    start: float, target: float, speed: float, up: float, down: float, share: float
+) -> None:
+    trajectory = moving(0.0, start, share * speed, target, speed, up, down)
+    assert trajectory.position(trajectory.end) == pytest.approx(target)
+    _is_smooth(trajectory, max(up, down), speed)
+
+
+@given(PLACE, SPEED, SLOPE, SLOPE)
+def test_a_stop_ends_in_rest_after_the_braking_way(start: float, speed: float, up: float, down: float) -> None:
+    trajectory = turning(0.0, start, speed, 0.0, up, down)
+    assert trajectory.velocity(trajectory.end) == 0.0
+    assert trajectory.position(trajectory.end) - start == pytest.approx(speed * speed / (2.0 * down), rel=1e-6, abs=1e-3)
+    _is_smooth(trajectory, max(up, down), speed)
+
+
+def test_a_change_of_mind_turns_round() -> None:
+    out = moving(0.0, 0.0, 0.0, 1000.0, 100.0, 100.0, 100.0)
+    back = moving(2.0, out.position(2.0), out.velocity(2.0), 0.0, 100.0, 100.0, 100.0)
+    assert back.position(2.5) > out.position(2.0)  # it brakes before it turns
+    assert back.position(back.end) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_rest_stays() -> None:
+    assert resting(5.0).position(-10.0) == resting(5.0).position(1e9) == 5.0
+
+
+def _is_smooth(trajectory: Trajectory, slope: float, speed: float) -> None:
+    """Positions and velocities meet where one piece follows another."""
+    for first, second in zip(trajectory.pieces, trajectory.pieces[1:], strict=False):
+        dt = second.t - first.t
+        position = first.position + dt * (first.velocity + 0.5 * dt * first.acceleration)
+        velocity = first.velocity + dt * first.acceleration
+        assert position == pytest.approx(second.position, rel=1e-6, abs=1e-3 + 1e-6 * speed)
+        assert velocity == pytest.approx(second.velocity, rel=1e-6, abs=1e-6 * speed)
+        assert abs(first.acceleration) <= slope * (1 + 1e-9)

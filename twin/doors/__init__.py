@@ -1,0 +1,15 @@
+"""The in-process ends of the three buses, each by its library's own door for a second backend.
+
+Serial: `protocol_twin`, a URL handler of pyserial. Modbus: a subclass of pymodbus's client. USB: a backend of pyusb.
+"""
+
+import serial
+
+from twin.doors.modbus import TwinModbusClient
+from twin.doors.registry import NoSuchTwin, find, register, unregister
+from twin.doors.usb import TwinUsbBackend
+
+if __name__ not in serial.protocol_handler_packages:
+    serial.protocol_handler_packages.append(__name__)
+
+__all__ = ["NoSuchTwin", "TwinModbusClient", "TwinUsbBackend", "find", "register", "unregister"]

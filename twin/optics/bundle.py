@@ -1,0 +1,136 @@
+"""The rays of the fast estimator: the same for every detector and every sample, so that what they miss cancels."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from twin.optics.frames import Floats
+from twin.optics.instrument import Instrument
+
+# Of 120 shifts of the sequence tried, the one whose ratio of a Gaussian to the etalon has the least error at 1024 rays.
+SHIFT = (0.42, 0.25, 0.22, 0.65, 0.05, 0.24)
+
+
+def _r_sequence(count: int, shift: tuple[float, ...]) -> Floats:
+    """Points (count, len(shift)) in 0..1: additive recurrence with the generalised golden ratio (Roberts 2018)."""
+    dimensions = len(shift)
+    ratio = 2.0
+    for _ in range(64):
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    steps = (1.0 / ratio) ** np.arange(1, dimensions + 1)
+    return (0.5 + np.array(shift) + np.arange(1, count + 1)[:, None] * steps) % 1.0
+
+
+def _disc(square: Floats) -> Floats:
+    """The square from -1 to 1 (n, 2) onto the unit disc, keeping areas (concentric map, Shirley and Chiu 1997)."""
+    x, y = square[:, 0], square[:, 1]
+    wide = np.abs(x) > np.abs(y)
+    radius = np.where(wide, x, y)
+    divisor = np.where(radius == 0.0, 1.0, radius)
+    angle = np.where(wide, np.pi / 4 * y / divisor, np.pi / 2 - np.pi / 4 * x / divisor)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+@lru_cache(maxsize=16)
+def ray_bundle(rays: int) -> Floats:
+    """Rays (rays, 6): a place in the hole (from -1 to 1), and points of unit discs: acceptance cone, exit pupil.
+
+    The same for every call. Every ray comes with three more: the signs of its detector's end, of its pupil's end, and
+    of both turned. In the lobe of a Gaussian the terms that are odd in a ray's offset from the axis are by far the
+    largest, and so they vanish, with the products of the two ends. Raises ValueError unless `rays` is a multiple of 4
+    and at least 4.
+    """
+    if rays < 4 or rays % 4:
+        raise ValueError(f"rays is {rays}: give a multiple of 4, at least 4")
+    squares = 2.0 * _r_sequence(rays // 4, SHIFT) - 1.0
+    quarter = np.hstack([squares[:, 0:2], _disc(squares[:, 2:4]), _disc(squares[:, 4:6])])
+    ends = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
+    signs = np.repeat(ends, (4, 2), axis=1)
+    bundle = np.ascontiguousarray((signs[:, None, :] * quarter).reshape(rays, 6))
+    bundle.flags.writeable = False
+    return bundle
+
+
+def detector_sizes(instrument: Instrument) -> Floats:
+    """For the kernels: arc radius, detector radius, sine of half the field, half side of the hole; mm."""
+    sine = math.sin(math.radians(0.5 * instrument.field_deg))
+    radius, half = 0.5 * instrument.detector_diameter_mm, 0.5 * instrument.spot_side_mm
+    return np.array([instrument.arc_radius_mm, radius, sine, half])
+
+
+def bundle_measure_mm2sr(sizes: Floats) -> float:
+    """Etendue, mm^2 sr, that a mean weight of 1 over a whole bundle of `detector_ray` stands for."""
+    return float(4.0 * sizes[3] ** 2 * math.pi * sizes[2] ** 2)
+
+
+def hole_turn(gamma_deg: float) -> Floats:
+    """Cosine and sine of the sample unit's turn, which takes the frame's hole with it."""
+    return np.array([math.cos(math.radians(gamma_deg)), math.sin(math.radians(gamma_deg))])
+
+
+@njit(cache=True, error_model="numpy")
+def cone(rays: Floats, sizes: Floats) -> Floats:
+    """Of each ray its slopes to the detector's axis, away from the normal and level, and its component along it: (rays, 3)."""
+    result = np.empty((rays.shape[0], 3))
+    for j in range(rays.shape[0]):
+        away, level = sizes[2] * rays[j, 2], sizes[2] * rays[j, 3]
+        along = math.sqrt(1.0 - away * away - level * level)
+        result[j, 0], result[j, 1], result[j, 2] = away / along, level / along, along
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def view(dx: float, dy: float, dz: float, turn: Floats, axes: Floats) -> None:
+    """Fills `axes` (5, 3): the detector's away (from the normal), level and along d; the hole's sides seen along those."""
+    sine = math.sqrt(dx * dx + dy * dy)
+    cos, sin = (dx / sine, dy / sine) if sine > 0.0 else (1.0, 0.0)
+    axes[0, 0], axes[0, 1], axes[0, 2] = dz * cos, dz * sin, -sine
+    axes[1, 0], axes[1, 1], axes[1, 2] = -sin, cos, 0.0
+    axes[2, 0], axes[2, 1], axes[2, 2] = dx, dy, dz
+    for c in range(3):
+        axes[3, c] = axes[c, 0] * turn[0] + axes[c, 1] * turn[1]
+        axes[4, c] = axes[c, 1] * turn[0] - axes[c, 0] * turn[1]
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def detector_ray(
+    axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats, turn: Floats
+) -> tuple[float, float, float, float, float, float, float]:
+    """Ray j of the bundle of a detector whose axes are given, from where its disc, seen along the ray, meets the hole.
+
+    Its weight (0 if they do not meet), point (x, y) on the sample, direction (x, y, z) towards the detector, length.
+
+    No ray is thrown away: first v is put where disc and hole can meet at all, then u on the chord that they share, and the
+    weight has the share of the hole that is. So what a detector gets changes smoothly with its direction, as it must:
+    etalon and sample are measured at poses that are not quite the same. Directions are uniform over the cone's projection on
+    the disc, so the weight holds the other cosines.
+    """
+    radius, half, p, q = sizes[1], sizes[3], slopes[j, 0], slopes[j, 1]
+    # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
+    a0, au, av = sizes[0] * p, axes[3, 0] - p * axes[3, 2], axes[4, 0] - p * axes[4, 2]
+    b0, bu, bv = sizes[0] * q, axes[3, 1] - q * axes[3, 2], axes[4, 1] - q * axes[4, 2]
+    square = au * au + bu * bu
+    area = au * bv - av * bu
+    middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
+    low, high = max(-half, middle - reach), min(half, middle + reach)
+    share_v = high - low
+    v = 0.5 * (low + high + share_v * rays[j, 1])
+    a1, b1 = a0 + av * v, b0 + bv * v
+    beside = a1 * bu - b1 * au
+    middle = -(a1 * au + b1 * bu) / square
+    reach = math.sqrt(max(0.0, radius * radius * square - beside * beside)) / square
+    low, high = max(-half, middle - reach), min(half, middle + reach)
+    share_u = high - low
+    u = 0.5 * (low + high + share_u * rays[j, 0])
+    along = slopes[j, 2]
+    wx = along * (axes[2, 0] + p * axes[0, 0] + q * axes[1, 0])
+    wy = along * (axes[2, 1] + p * axes[0, 1] + q * axes[1, 1])
+    wz = along * (axes[2, 2] + p * axes[0, 2])
+    weight = 0.0
+    # NaN, from within the sample's plane, is no ray; nor is one that comes from the detector's far side of the sample.
+    if share_u > 0.0 and share_v > 0.0 and wz * axes[2, 2] > 0.0:
+        weight = abs(area) * share_u * share_v / (4.0 * half * half)
+    length = (sizes[0] - u * axes[3, 2] - v * axes[4, 2]) / along
+    return weight, u * turn[0] - v * turn[1], u * turn[1] + v * turn[0], wx, wy, wz, length

@@ -1,0 +1,25 @@
+"""The instrument at a given time: mechanics, light, electronics; lazy, without threads and without ticks."""
+
+from twin.plant.model import (
+    AxisController,
+    Electronics,
+    Light,
+    Mechanics,
+    Monitor,
+    MonochromatorDrive,
+    Photodiodes,
+    TwinModel,
+)
+from twin.plant.plant import Plant
+
+__all__ = [
+    "AxisController",
+    "Electronics",
+    "Light",
+    "Mechanics",
+    "Monitor",
+    "MonochromatorDrive",
+    "Photodiodes",
+    "Plant",
+    "TwinModel",
+]

@@ -1,0 +1,48 @@
+"""The lamp: one process in time that every photodiode and the monitor see alike."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from twin.plant.model import Light
+from twin.plant.noise import normal, process_key, wandering
+
+
+@njit(cache=True, error_model="numpy")
+def lamp_level(t: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[np.uint64]) -> float:
+    """Radiance at `t` over the nominal one. `constants` and `keys` as `lamp_constants` makes them."""
+    level: float = 1.0 + constants[0] * t / 3600.0
+    if constants[1] > 0.0:
+        level += constants[1] * normal(keys[0], np.int64(math.floor(t / constants[2])))
+    if constants[3] > 0.0:
+        level += constants[3] * wandering(keys[1], t, constants[4])
+    return level
+
+
+@njit(cache=True, error_model="numpy")
+def lamp_mean(start: float, end: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[np.uint64]) -> float:
+    """Mean level over [start, end), sampled once a flicker period at least."""
+    count = max(1, math.ceil((end - start) / constants[2]))
+    total: float = 0.0
+    for k in range(count):
+        total += lamp_level(start + (k + 0.5) * (end - start) / count, constants, keys)
+    mean: float = total / count
+    return mean
+
+
+def lamp_constants(light: Light, seed: int, noise: bool) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint64]]:
+    """What the kernels take: (drift an hour, flicker, its period, wander, its period) and the keys of both processes."""
+    scale = 1.0 if noise else 0.0
+    constants = np.array(
+        [
+            light.drift_per_hour,
+            scale * light.flicker,
+            light.flicker_period_s,
+            scale * light.wander,
+            light.wander_period_s,
+        ]
+    )
+    keys = np.array([process_key(seed, "lamp flicker"), process_key(seed, "lamp wander")], dtype=np.uint64)
+    return constants, keys

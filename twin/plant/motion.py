@@ -1,0 +1,114 @@
+"""Ramps: where a stepper motor is, at any time, from the moment that it was told to go somewhere.
+
+A trajectory is a few pieces of constant acceleration, in microsteps, pps and pps/s. It is asked, never ticked.
+"""
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Piece(NamedTuple):
+    """From time `t` on: position, velocity and a constant acceleration."""
+
+    t: float
+    position: float
+    velocity: float
+    acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Pieces in order; the last one has no acceleration and lasts for ever."""
+
+    pieces: tuple[Piece, ...]
+
+    @property
+    def end(self) -> float:
+        """When the last piece begins, s: the axis then rests, or turns steadily."""
+        return self.pieces[-1].t
+
+    def position(self, t: float) -> float:
+        """Microsteps at `t`."""
+        piece = self._piece(t)
+        dt = max(0.0, t - piece.t)
+        return piece.position + dt * (piece.velocity + 0.5 * dt * piece.acceleration)
+
+    def velocity(self, t: float) -> float:
+        """pps at `t`, signed."""
+        piece = self._piece(t)
+        return piece.velocity + max(0.0, t - piece.t) * piece.acceleration
+
+    def _piece(self, t: float) -> Piece:
+        if t >= self.pieces[-1].t:
+            return self.pieces[-1]
+        return self.pieces[max(0, bisect_right(self.pieces, t, key=lambda piece: piece.t) - 1)]
+
+
+def resting(position: float, t: float = 0.0) -> Trajectory:
+    """At rest."""
+    return Trajectory((Piece(t, position, 0.0, 0.0),))
+
+
+def turning(
+    now: float, position: float, velocity: float, wanted: float, acceleration: float, deceleration: float
+) -> Trajectory:
+    """From the present velocity to the `wanted` one (0: stop), and on with it."""
+    pieces: list[Piece] = []
+    if velocity * wanted < 0.0:  # through standstill, so first with the one slope, then with the other
+        now, position, velocity = _slope(pieces, now, position, velocity, 0.0, deceleration)
+    faster = abs(wanted) > abs(velocity)
+    now, position, velocity = _slope(pieces, now, position, velocity, wanted, acceleration if faster else deceleration)
+    return Trajectory((*pieces, Piece(now, position, velocity, 0.0)))
+
+
+def moving(
+    now: float,
+    position: float,
+    velocity: float,
+    target: float,
+    speed: float,
+    acceleration: float,
+    deceleration: float,
+) -> Trajectory:
+    """To `target` with a trapezoidal ramp, from rest or out of a movement (which may have to turn round first)."""
+    pieces: list[Piece] = []
+    way = target - position
+    braking = velocity * abs(velocity) / (2.0 * deceleration)
+    if velocity * way < 0.0 or abs(braking) > abs(way):
+        now, position, velocity = _slope(pieces, now, position, velocity, 0.0, deceleration)
+        way = target - position
+    direction = math.copysign(1.0, way)
+    distance = abs(way)
+    if abs(velocity) > speed:
+        now, position, velocity = _slope(pieces, now, position, velocity, direction * speed, deceleration)
+        distance = abs(target - position)
+    peak = math.sqrt(
+        (distance + velocity * velocity / (2.0 * acceleration))
+        * 2.0
+        * acceleration
+        * deceleration
+        / (acceleration + deceleration)
+    )
+    peak = min(peak, speed)
+    if distance > 0.0:
+        now, position, velocity = _slope(pieces, now, position, velocity, direction * peak, acceleration)
+        cruise = abs(target - position) - peak * peak / (2.0 * deceleration)
+        if cruise > 0.0:
+            pieces.append(Piece(now, position, velocity, 0.0))
+            now, position = now + cruise / peak, position + direction * cruise
+        now, _, _ = _slope(pieces, now, position, velocity, 0.0, deceleration)
+    return Trajectory((*pieces, Piece(now, target, 0.0, 0.0)))
+
+
+def _slope(
+    pieces: list[Piece], now: float, position: float, velocity: float, wanted: float, slope: float
+) -> tuple[float, float, float]:
+    """Adds the piece from one velocity to another; returns time, position and velocity at its end."""
+    change = wanted - velocity
+    if change == 0.0:
+        return now, position, velocity
+    duration = abs(change) / slope
+    pieces.append(Piece(now, position, velocity, math.copysign(slope, change)))
+    return now + duration, position + 0.5 * (velocity + wanted) * duration, wanted
