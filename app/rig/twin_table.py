@@ -63,7 +63,7 @@ class OpticsTable(Table):
     detector_diameter_mm: PositiveFloat = 5.0
     field_deg: PositiveFloat = 0.5
     obstruction: bool = True
-    rays: Annotated[int, Field(ge=16, le=1 << 20)] = 1024
+    rays: Annotated[int, Field(ge=16, le=1 << 20, multiple_of=4)] = 1024
 
 
 class LightTable(Table):

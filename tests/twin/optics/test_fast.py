@@ -50,6 +50,20 @@ def test_1024_rays_give_the_ratio_of_a_gaussian_of_5_deg_to_one_in_a_thousand(si
     assert np.max(np.abs(few / many - 1.0)) < 1e-3
 
 
+def test_what_a_detector_gets_changes_smoothly_with_its_direction() -> None:
+    # Etalon and sample are measured at poses that differ by an axis' last steps: here 0.002 deg, of a bundle 1.5 deg wide.
+    polar = np.arange(20.0, 22.0, 0.002)
+    signal = throughput(Instrument(obstruction=False), 30.0, arc_direction(polar, 77.0), lambertian())
+    assert np.max(np.abs(np.diff(signal) / signal[1:])) < 2e-4
+
+
+def test_1024_rays_give_the_flux_itself_to_one_percent() -> None:
+    directions = cut(30.0, 10.0)
+    few = throughput(Instrument(obstruction=False), 30.0, directions, lambertian())
+    many = throughput(Instrument(obstruction=False), 30.0, directions, lambertian(), rays=1 << 18)
+    assert np.max(np.abs(few / many - 1.0)) < 1e-2
+
+
 def test_the_etalon_against_itself_is_one_and_a_hidden_direction_has_no_value() -> None:
     factors = luminance_factor(Instrument(), 0.0, [[0.0, 0.0, 1.0], [0.5, 0.0, 0.8]], lambertian())
     assert np.isnan(factors[0])

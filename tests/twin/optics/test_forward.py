@@ -86,7 +86,7 @@ def test_they_agree_where_the_mirrors_are_too_small_for_the_beam() -> None:
 
 
 def test_they_agree_where_the_detector_is_smaller_than_the_spot() -> None:
-    # Here the fast estimator starts its rays on the detector's disc and no longer in the hole.
+    # Here the fast estimator's rays start in a small part of the hole.
     small = Instrument(spot_side_mm=8.0, detector_diameter_mm=4.0, field_deg=4.0)
     hold_each_other(small, 30.0, rings(30.0, 13.0, 4), lambertian(), paths=6_000_000)
 
