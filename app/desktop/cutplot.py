@@ -160,12 +160,12 @@ class CutPlot(QWidget):
 
 def _in_words(cut: Cut, seen: Flags, hidden: int, lost: int) -> str:
     points: Points = cut.points
-    text = f"● {int(seen.sum())} measured"
+    text = f"●\u00a0{int(seen.sum())} measured"
     if seen.any():
         top = int(np.argmax(np.where(seen, points.values, -np.inf)))
         text += f", highest {points.values[top]:.3g} at {points.x_deg[top]:.1f}°"
     if hidden or cut.spans_deg:
-        text += f"    ○ {hidden} in the mirror unit's shadow (shaded)"
+        text += f"    ○\u00a0{hidden} in the mirror unit's shadow (shaded)"
     if lost:
-        text += f"    ▽ {lost} within the noise (under {ABOVE_NOISE:g} u)"
+        text += f"    ▽\u00a0{lost} within the noise (under {ABOVE_NOISE:g} u)"
     return text

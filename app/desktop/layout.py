@@ -3,7 +3,7 @@
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, Slot
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
 from app.desktop.cutplot import CutPlot
@@ -59,7 +59,7 @@ class Parts(QWidget):
         """What is wrong with the plot; empty where nothing is."""
         return self._trouble.text()
 
-    def say(self, text: str, *, bad: bool) -> None:
+    def say(self, text: str, *, bad: bool = False) -> None:
         """Tells the person what is going on."""
         self._bad = bad
         self._status.setText(f"✗ {text}" if bad else text)
@@ -76,6 +76,7 @@ class Parts(QWidget):
         self._saved.setText(text)
         self._saved.setVisible(bool(text))
 
+    @Slot(str)
     def set_plot_trouble(self, text: str) -> None:
         """What is wrong with the plot; empty where nothing is."""
         self._trouble.setText(text)
@@ -118,6 +119,7 @@ class Parts(QWidget):
             right.addWidget(each)
         body = QHBoxLayout()
         body.setContentsMargins(10, 6, 10, 8)
+        body.setSpacing(10)
         body.addWidget(scroll)
         body.addLayout(right, 1)
         whole = QVBoxLayout(self)

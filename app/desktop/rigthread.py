@@ -129,7 +129,11 @@ class RigThread:
                 continue
             if task is None:
                 break
-            task()
+            try:
+                task()
+            except Exception as error:  # noqa: BLE001  (whatever a library throws: it is told, and the window lives on)
+                self._give_back()
+                self._refuse(f"the rig was given back after a fault: {type(error).__name__}: {error}")
         self._give_back()
 
     def _watch(self) -> None:
@@ -153,13 +157,8 @@ class RigThread:
         except UserError as error:
             self._refuse(str(error))
             return
-        try:
-            outcome = opened.rig.connect()
-        except Exception as error:  # noqa: BLE001  (whatever a library throws at an address that it does not like)
-            opened.close()
-            self._refuse(f"{path}: cannot be connected: {type(error).__name__}: {error}; check its addresses")
-            return
         self._opened, self._description = opened, description
+        outcome = opened.rig.connect()
         self._axes_answer = outcome["axes"] is None
         devices = {
             device: DeviceStatus(True, opened.rig.identities[device]) if error is None else DeviceStatus(False, str(error))
@@ -184,8 +183,11 @@ class RigThread:
             self._tell(PlanRefused(str(error)))
 
     def _run(self, plan: Plan, folder: Path) -> None:
-        if self._opened is None or self._halted.is_set():
-            self._tell(RunRefused("stopped before it began" if self._opened else "there is no rig"))
+        if self._opened is None or plan.rig is not self._description:
+            self._tell(RunRefused("the plan is for another rig than the one that is open"))
+            return
+        if self._halted.is_set():
+            self._tell(RunRefused("it was stopped before it began"))
             return
         try:
             folder.mkdir(parents=True, exist_ok=True)

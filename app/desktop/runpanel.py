@@ -120,7 +120,7 @@ class RunPanel(QWidget):
             return
         text = f"{in_words(self._left_s)} left"
         if self._speed != 1.0:
-            text += f" of the rig's time: {in_words(self._left_s / self._speed)} at {self._speed:g}×"
+            text = f"rig's {in_words(self._left_s)} left, {in_words(self._left_s / self._speed)} at {self._speed:g}×"
         self.left.setText(text)
 
     @Slot()

@@ -27,7 +27,8 @@ class RigPanel(QGroupBox):
         self.again_button.setAccessibleName("Connect the rig's devices again")
         self.open_button.clicked.connect(self.open)
         self.again_button.clicked.connect(self.connect_again)
-        _fill(self, [self._name], [self.open_button, self.again_button])
+        self.buttons = (self.open_button, self.again_button)
+        _fill(self, [self._name], self.buttons)
 
     def set_rig(self, rig: RigOpened | None, path: Path) -> None:
         """The open rig, or that there is none in a file."""
@@ -55,7 +56,8 @@ class SchedulePanel(QGroupBox):
         self.folder_button.setAccessibleName("Choose the folder for journals")
         self.open_button.clicked.connect(self.open)
         self.folder_button.clicked.connect(self.choose_folder)
-        _fill(self, [self._name, self._size, self._folder], [self.open_button, self.folder_button])
+        self.buttons = (self.open_button, self.folder_button)
+        _fill(self, [self._name, self._size, self._folder], self.buttons)
         self.set_plan(None)
         self.set_folder(folder)
 
@@ -75,7 +77,7 @@ class SchedulePanel(QGroupBox):
         self._folder.setToolTip(str(folder))
 
 
-def _fill(box: QGroupBox, labels: list[QLabel], buttons: list[QPushButton]) -> None:
+def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> None:
     layout = QVBoxLayout(box)
     layout.setSpacing(4)
     for label in labels:

@@ -65,9 +65,9 @@ def cut_of(values: list[float], u_values: list[float], hidden: list[bool]) -> Cu
 def test_what_is_not_above_the_noise_becomes_a_mark_and_makes_nothing_vanish(plot: CutPlot) -> None:
     values = [1.0, 0.0, -0.1, 0.5, float("nan"), 0.01, 1e-9]
     plot.show_cut(cut_of(values, [0.01] * 6 + [1e-12], [False, False, False, True, False, False, False]))
-    assert "● 2 measured, highest 1 at 0.0°" in plot.summary
-    assert "○ 1 in the mirror unit's shadow" in plot.summary
-    assert "▽ 3 within the noise" in plot.summary
+    assert "●\u00a02 measured, highest 1 at 0.0°" in plot.summary
+    assert "○\u00a01 in the mirror unit's shadow" in plot.summary
+    assert "▽\u00a03 within the noise" in plot.summary
     for x, y in plot.marks().values():
         assert np.all(np.isfinite(x))
         assert np.all(np.isfinite(y))
@@ -76,5 +76,5 @@ def test_what_is_not_above_the_noise_becomes_a_mark_and_makes_nothing_vanish(plo
 
 def test_a_cut_without_any_light_is_shown(plot: CutPlot) -> None:
     plot.show_cut(cut_of([-1.0, float("nan")], [1.0, float("nan")], [False, False]))
-    assert "● 0 measured" in plot.summary
+    assert "●\u00a00 measured" in plot.summary
     plot.grab()

@@ -1,5 +1,7 @@
 """A run in the window: it goes to its end, waits, stops, and nothing that is shown can disturb it."""
 
+import gc
+import signal
 import sqlite3
 import threading
 from pathlib import Path
@@ -32,13 +34,13 @@ def click(button: QPushButton) -> None:
 
 def ended(qtbot: QtBot, window: MainWindow, state: State) -> None:
     """Waits until a run has ended, which must be so."""
-    qtbot.waitUntil(lambda: window.state not in BUSY and "Saved in" in window.parts.saved, timeout=READY_MS)
-    assert window.state is state, window.parts.status
+    qtbot.waitUntil(lambda: window.session.state not in BUSY and "Saved in" in window.parts.saved, timeout=READY_MS)
+    assert window.session.state is state, window.parts.status
 
 
 def counted(window: MainWindow) -> tuple[int, int]:
-    assert window.journal is not None
-    with Journal.open(window.journal) as journal:
+    assert window.session.journal is not None
+    with Journal.open(window.session.journal) as journal:
         return journal.counted()
 
 
@@ -68,7 +70,7 @@ def test_a_second_run_gets_a_journal_of_its_own(qtbot: QtBot, window: MainWindow
 def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=20.0))
     seen: set[str] = set()
-    window.bridge.told.connect(lambda _message: seen.add(window.parts.axes.position("sigma")))
+    window.session.told.connect(lambda _message: seen.add(window.parts.axes.position("sigma")))
     click(window.parts.run.start_button)
     qtbot.waitUntil(lambda: window.parts.axes.position("sigma") == "30.00°", timeout=READY_MS)
     assert len(seen) >= 4  # more than where it began and where it ends
@@ -76,11 +78,11 @@ def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: Window
 
 def test_pause_waits_and_resume_goes_on_without_a_row_twice(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=20.0))
-    with qtbot.waitSignal(window.bridge.told, timeout=READY_MS, check_params_cb=lambda m: isinstance(m, RowCommitted)):
+    with qtbot.waitSignal(window.session.told, timeout=READY_MS, check_params_cb=lambda m: isinstance(m, RowCommitted)):
         click(window.parts.run.start_button)
     qtbot.waitUntil(window.parts.run.pause_button.isEnabled)
     click(window.parts.run.pause_button)
-    qtbot.waitUntil(lambda: window.state is State.PAUSED, timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.session.state is State.PAUSED, timeout=READY_MS)
     assert "Paused" in window.parts.status
     assert window.parts.run.stop_button.isEnabled()
     done = counted(window)[0]
@@ -89,8 +91,8 @@ def test_pause_waits_and_resume_goes_on_without_a_row_twice(qtbot: QtBot, open_w
     click(window.parts.run.pause_button)
     ended(qtbot, window, State.DONE)
     assert counted(window) == (ROWS, ROWS)
-    assert window.journal is not None
-    with sqlite3.connect(window.journal) as db:
+    assert window.session.journal is not None
+    with sqlite3.connect(window.session.journal) as db:
         assert db.execute("SELECT MAX(attempt) FROM attempt").fetchone() == (1,)
     db.close()
 
@@ -108,7 +110,7 @@ def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(
         if isinstance(message, Positions):
             places.append(message.degrees)
 
-    window.bridge.told.connect(listen)
+    window.session.told.connect(listen)
     click(window.parts.run.start_button)
     qtbot.waitUntil(lambda: bool(places) and 2.0 < places[-1]["sigma"] < 20.0, timeout=READY_MS)
     click(window.parts.run.stop_button)
@@ -129,7 +131,7 @@ def test_stop_has_keys(qtbot: QtBot, open_window: WindowOpener, key: Qt.Key) -> 
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.journal is not None, timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
     qtbot.keyClick(window, key)  # type: ignore[no-untyped-call]
     ended(qtbot, window, State.IDLE)
 
@@ -139,7 +141,7 @@ def test_the_window_does_not_wait_for_a_stop_that_takes_long(
 ) -> None:
     window = ready(qtbot, open_window(speed=1.0))
     click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.journal is not None, timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
     arrived, answered, stop = threading.Event(), threading.Event(), Rig.stop
 
     def slow(rig: Rig) -> list[DeviceError]:
@@ -150,7 +152,7 @@ def test_the_window_does_not_wait_for_a_stop_that_takes_long(
     monkeypatch.setattr(Rig, "stop", slow)
     click(window.parts.run.stop_button)
     qtbot.waitUntil(arrived.is_set)
-    assert window.state in BUSY
+    assert window.session.state in BUSY
     answered.set()
     ended(qtbot, window, State.IDLE)
 
@@ -160,7 +162,7 @@ def test_an_axis_that_could_not_be_told_to_stop_is_the_last_word(
 ) -> None:
     window = ready(qtbot, open_window(speed=1.0))
     click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.journal is not None, timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
     monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
     click(window.parts.run.stop_button)
     ended(qtbot, window, State.IDLE)
@@ -196,6 +198,33 @@ def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path) ->
     timer.start()
     assert run_desktop(RIG, None, tmp_path, 10.0) == 0
     timer.stop()
+
+
+def test_an_interrupt_from_the_terminal_ends_the_desktop(qapp: QApplication, tmp_path: Path) -> None:
+    QTimer.singleShot(0, lambda: signal.raise_signal(signal.SIGINT))
+    assert run_desktop(RIG, None, tmp_path) == 0
+    qapp.closeAllWindows()
+
+
+def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: MainWindow) -> None:
+    """Qt crashes on it; so garbage is collected in the window's thread, for as long as there is another."""
+    collected_in: set[str] = set()
+
+    def note(phase: str, _info: dict[str, int]) -> None:
+        if phase == "start":
+            collected_in.add(threading.current_thread().name)
+
+    gc.callbacks.append(note)
+    try:
+        assert not gc.isenabled()
+        click(window.parts.run.start_button)
+        ended(qtbot, window, State.DONE)
+        qtbot.waitUntil(lambda: bool(collected_in), timeout=READY_MS)
+    finally:
+        gc.callbacks.remove(note)
+    assert collected_in == {threading.main_thread().name}
+    window.shut_down()
+    assert gc.isenabled()
 
 
 @pytest.mark.parametrize("broken", ["drawing", "reducing"])
@@ -235,26 +264,25 @@ def test_a_folder_that_cannot_be_made_is_told_and_nothing_moves(
     click(window.parts.run.start_button)
     qtbot.waitUntil(lambda: "Not started" in window.parts.status, timeout=READY_MS)
     ready(qtbot, window)
-    assert window.journal is None
+    assert window.session.journal is None
 
 
 def test_closing_during_a_run_asks_and_keeps_it_or_stops_it(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=1.0))
     click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.journal is not None, timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
     assert not window.close()
     assert window.leaving is not None
     window.leaving.no_button.click()
-    assert window.leaving is None
     assert window.isVisible()
-    assert window.state is State.RUNNING
+    assert window.session.state is State.RUNNING
     assert not window.close()
     assert window.leaving is not None
     window.leaving.yes_button.click()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
-    assert window.journal is not None
-    with Journal.open(window.journal) as journal:
+    assert window.session.journal is not None
+    with Journal.open(window.session.journal) as journal:
         assert journal.counted()[0] < ROWS
 
 

@@ -9,6 +9,7 @@ from pytestqt.qtbot import QtBot
 
 from app.desktop import MainWindow, Theme
 from app.desktop.messages import DEVICES
+from drivers import Rig
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
 from tests.conftest import Writer
 
@@ -38,7 +39,7 @@ def test_a_port_that_does_not_exist_is_named_and_the_rest_answers(
     assert "/dev/no-such-port" in window.parts.devices.text("axes")
     for device in DEVICES[1:]:
         assert "✓ answers" in window.parts.devices.text(device)
-    qtbot.waitUntil(lambda: window.plan is not None, timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.session.plan is not None, timeout=READY_MS)
     assert not window.parts.run.start_button.isEnabled()
     assert "no answer from axes" in window.parts.run.start_button.toolTip()
     assert window.parts.run.stop_button.isEnabled()
@@ -64,6 +65,21 @@ def test_an_address_that_leads_nowhere_is_told(qtbot: QtBot, open_window: Window
     window = open_window(write_rig(("twin://virtual/adc-0", "twin://virtual/adc-9")))
     qtbot.waitUntil(lambda: "adc-9" in window.parts.status + window.parts.devices.text("photodiodes"), timeout=READY_MS)
     assert not window.parts.run.start_button.isEnabled()
+
+
+def test_a_fault_that_nobody_foresaw_is_told_and_the_window_lives_on(
+    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise AttributeError("no such thing")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Rig, "connect", broken)
+        window = open_window()
+        qtbot.waitUntil(lambda: "AttributeError: no such thing" in window.parts.status, timeout=READY_MS)
+        assert not window.parts.run.stop_button.isEnabled()
+    window.parts.rig.again_button.click()
+    ready(qtbot, window)
 
 
 def test_a_schedule_that_the_rig_cannot_do_is_told_and_cannot_be_started(
