@@ -91,7 +91,6 @@ def run(
     from app.campaign.plan import make_plan
 
     plan = make_plan(*_read(schedule, rig))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a request to end is a stop: axes at rest, journal whole
     with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress:
         outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_person)
     result = {
@@ -104,7 +103,7 @@ def run(
         "faults": list(outcome.faults),
     }
     for fault in outcome.faults:
-        errors.print(f"goniotwin: {fault}", style="red")
+        errors.print(f"goniotwin: {fault}", style="red", markup=False)
     mark = "SIMULATED, " if plan.rig.simulated else ""
     text = f"{mark}{result['state']}: {outcome.rows} of {outcome.of} rows in {outcome.seconds:.1f} s of the rig's time: {out}"
     _answer(as_json, result, lambda: print(text))
@@ -122,6 +121,7 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     from app.campaign.plan import make_plan
 
     plan = make_plan(*_read(schedule, rig))
+    plan.rig.model()  # samples' files that cannot be read are found now, not at the start
     result = checked_plan(plan)
     _answer(as_json, result, lambda: print(in_words(plan, result)))
 
@@ -182,7 +182,7 @@ def _read(schedule: Path, rig: Path) -> tuple[Any, Any]:
 
 
 def _ask_person(text: str) -> None:
-    errors.print(f"[bold]{text}[/bold]  (Enter)")
+    errors.print(f"{text}  (Enter)", style="bold", markup=False)
     if not sys.stdin.readline():
         raise UserError("nobody is at the terminal to mount samples; run it where somebody is")
 
@@ -197,8 +197,12 @@ def _answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> 
 def main() -> None:
     """The entry point: what a person can mend is one line on standard error, and status 2."""
     logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors come to us as exceptions
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a request to end is a stop: axes at rest, journal whole
     try:
         app()
+    except KeyboardInterrupt:
+        errors.print("goniotwin: stopped")
+        sys.exit(130)
     except UserError as error:
         errors.print(f"goniotwin: {error}", style="red", markup=False)
         sys.exit(2)

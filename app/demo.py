@@ -69,6 +69,8 @@ def run_demo(
 def _measured(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[Reduced, float]:
     with RowProgress(console, f"{plan.schedule.file.name}, {title}", len(plan.rows)) as progress:
         outcome = run_campaign(plan, journal, listeners=[progress], transcript=transcript)
+    if outcome.state is State.IDLE:
+        raise KeyboardInterrupt
     if outcome.state is not State.DONE:
         raise UserError(f"the demo ended {outcome.state} after {outcome.rows} rows: {'; '.join(outcome.faults)}")
     with Journal.open(journal) as opened:
@@ -108,4 +110,4 @@ def _show(console: Console, result: dict[str, Any], found: list[Comparison], noi
         f"({result['foretold_s']:.0f} s foretold), {result['wall_s']:.1f} s here."
     )
     for name, file in result["files"].items():
-        console.print(f"  {name:8}{file}")
+        console.print(f"  {name:8}{file}", markup=False, soft_wrap=True)

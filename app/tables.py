@@ -13,7 +13,7 @@ from app.errors import UserError
 class Table(BaseModel):
     """A table of a file: no key that it does not know, nothing that is not finite, nothing changed afterwards."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 Model = TypeVar("Model", bound=Table)

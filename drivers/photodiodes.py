@@ -29,7 +29,7 @@ class PhotodiodeSettings:
 
     `upper_deg` and `lower_deg` are the polar angles on the two arcs at shift 0; channels count through the upper arc
     first. A module makes `conversions_per_s` in all, so each of its channels is new once a `period_s`. After a change
-    of gain or pose the first reading is `settling_s` later.
+    of gain or pose the first conversion that counts begins `settling_s` later.
     """
 
     upper_deg: tuple[float, ...]
@@ -63,7 +63,7 @@ class PhotodiodeSettings:
 
     def reading_seconds(self, readings: int) -> float:
         """From the trigger to the last of so many readings, settling included."""
-        return self.settling_s + (readings - 1) * self.period_s + self.modules * self.exchange_s
+        return self.settling_s + readings * self.period_s + self.modules * self.exchange_s
 
 
 class PhotodiodeArray:
@@ -118,7 +118,8 @@ class Readings:
         self._clock = clock
         self._taken = 0
         self.counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
-        self.due = self._first = clock.now() + settings.settling_s
+        # What is read was converted up to a period before.
+        self.due = self._first = clock.now() + settings.settling_s + settings.period_s
 
     @property
     def started(self) -> float:

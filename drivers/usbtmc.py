@@ -86,9 +86,7 @@ class UsbTmc:
     def _control(self, request: Request, size: int) -> bytes:
         """A class request to the interface; its answer."""
         self._tap(TO_DEVICE, _setup(CLASS_INTERFACE_IN, request, 0, self._interface, size))
-        answer = bytes(
-            self._device.ctrl_transfer(CLASS_INTERFACE_IN, request, 0, self._interface, size, self._timeout_ms)
-        )
+        answer = bytes(self._device.ctrl_transfer(CLASS_INTERFACE_IN, request, 0, self._interface, size, self._timeout_ms))
         self._tap(FROM_DEVICE, answer)
         if len(answer) != size:
             raise BadAnswer(self.name, request.name, f"{len(answer)} of {size} bytes")

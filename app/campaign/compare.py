@@ -1,6 +1,6 @@
 """Measured points against the BSDF that the virtual rig's sample has: the paper's formula 5.
 
-This is the one place that reads the theory; measurement and reduction do not know it.
+Only this and the figure read the theory; measurement and reduction do not know it.
 """
 
 import math

@@ -12,6 +12,7 @@ from app.campaign.journal import Journal, JournalError, Reading, RowData
 from app.campaign.operator import Operator
 from app.campaign.plan import Plan
 from app.campaign.row import Row
+from app.errors import UserError
 from app.rig import AXES
 from drivers import DeviceError, Pending, Rig, Until, wait
 
@@ -78,13 +79,18 @@ class Engine:
             self._close_shutter_at_the_end()
         except (Stopped, KeyboardInterrupt):
             outcome, reason = State.IDLE, "stopped"
-        except JournalError as error:
+        except (JournalError, UserError) as error:
             outcome, reason = State.FAILED, str(error)
         except DeviceError as error:
             if self._stop:  # the stop frames came between a question and its answer
                 outcome, reason = State.IDLE, "stopped"
             else:
                 outcome, reason = State.FAILED, str(error)
+        except BaseException as error:
+            # A mistake of ours, or of whoever mounts samples: the axes come to rest all the same, and it is told.
+            self._wind_up(session, State.FAILED, f"{type(error).__name__}: {error}")
+            self._enter(State.FAILED, str(error))
+            raise
         self._wind_up(session, outcome, reason)
         self._enter(outcome, reason)
         return outcome

@@ -11,7 +11,8 @@ from app.errors import UserError
 from app.formats import DdrTable, FormatError, write_ddr, write_points_csv
 
 Exporter = Callable[[Reduced, str | None, Path], int]
-LONGEST_LIST = 60
+LONGEST_LIST = 2000
+SQLITE = b"SQLite format 3\0"
 
 
 def heading(reduced: Reduced) -> list[str]:
@@ -42,12 +43,12 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
         "bsdf with its standard uncertainty u_bsdf in 1/sr; luminance_factor is pi times bsdf",
         "flags: shadowed (by the mirror unit), clipped (over the range at every gain), no-etalon (no signal to divide by)",
     ]
-    _written(lambda: write_points_csv(path, about, columns))
+    _written(path, lambda: write_points_csv(path, about, columns))
     return int(names.size)
 
 
 def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
-    """One sample's luminance factors in specular coordinates; returns how many measured nodes. Raises UserError."""
+    """One sample's luminance factors in specular coordinates; returns of how many measured points. Raises UserError."""
     if sample is None:
         if len(reduced.samples) != 1:
             known = ", ".join(reduced.samples) or "none"
@@ -61,6 +62,8 @@ def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
         grids = [regrid(points.where(points.wavelength_nm == wavelength)) for wavelength in wavelengths]
     except ValueError as error:
         raise UserError(f"{path}: {sample}: {error}, so there is nothing to write") from None
+    if len({(grid.bsdf.shape, grid.theta_deg[1], grid.sigma_deg.tobytes()) for grid in grids}) > 1:
+        raise UserError(f"{path}: {sample} was not measured in the same directions at all wavelengths; use csv")
     sigmas, bsdf = _covered(grids)
     about = [*heading(reduced), f"sample: {sample}", *_continued(grids, wavelengths)]
     table = DdrTable(
@@ -74,8 +77,8 @@ def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
         values=np.pi * bsdf[:, None],
         comments=tuple(about),
     )
-    _written(lambda: write_ddr(path, table))
-    return int(sum(grid.measured.sum() for grid in grids))
+    _written(path, lambda: write_ddr(path, table))
+    return int(points.good.sum())
 
 
 FORMATS: dict[str, Exporter] = {"ddr": export_ddr, "csv": export_csv}
@@ -98,7 +101,8 @@ def _continued(grids: list[Regridded], wavelengths: np.ndarray) -> list[str]:
     lines = [
         f"measured at sigma {sigmas} deg only; the first and the last are held to sigma 0 and 90",
         "nodes that were not measured (hidden by the mirror unit, beyond the last photodiode, below the horizon) are",
-        "interpolated along theta between the measured ones, or hold the nearest; they are, in degrees:",
+        "interpolated along theta between the measured ones, or hold the nearest, or, where a whole row has none, are the",
+        "mean of the other rows; nodes between measured directions more than 3 deg apart count as not measured; in degrees:",
     ]
     gaps = [
         f"{wavelength:g} nm, sigma {sigma:g}, phi {phi:g}: theta {start:g} to {stop:g}"
@@ -129,7 +133,17 @@ def _flags(points: BsdfPoints) -> np.ndarray:
     return np.array([" ".join(name for name, flag in named if flag[k]) for k in range(points.bsdf.size)])
 
 
-def _written(write: Callable[[], None]) -> None:
+def _is_journal(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(SQLITE)) == SQLITE
+    except OSError:
+        return False
+
+
+def _written(path: Path, write: Callable[[], None]) -> None:
+    if _is_journal(path):
+        raise UserError(f"{path}: is a journal, or another database, and is not overwritten; choose another name")
     try:
         write()
     except FormatError as error:

@@ -95,6 +95,7 @@ class Journal:
             raise UserError(f"{path}: is there already, and no journal is ever overwritten; choose another name")
         if not path.parent.is_dir():
             raise UserError(f"{path}: there is no folder {path.parent}; make it first")
+        db: sqlite3.Connection | None = None
         try:
             db = _connect(path)
             db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -105,7 +106,10 @@ class Journal:
             journal = cls(db, path)
             journal._describe(plan, versions)
         except sqlite3.Error as error:
-            path.unlink(missing_ok=True)
+            if db is not None:
+                db.close()
+            for leftover in (path, Path(f"{path}-wal"), Path(f"{path}-shm")):
+                leftover.unlink(missing_ok=True)
             raise UserError(f"{path}: cannot be written: {error}; check folder and disk") from None
         return journal
 
@@ -194,7 +198,8 @@ class Journal:
 
     def value(self, key: str) -> str:
         """An entry of the campaign's table: schedule, rig, name, simulated, seed, model, versions. Raises UserError."""
-        found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
+        with self._reading():
+            found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
         if found is None:
             raise UserError(f"{self.path}: says nothing of its {key}; it was cut off when it was made")
         return str(found[0])
@@ -216,7 +221,18 @@ class Journal:
         return int(done), int(self._db.execute("SELECT COUNT(*) FROM plan").fetchone()[0])
 
     def rows(self) -> Iterator[Committed]:
-        """The committed rows in the plan's order, each by its last attempt."""
+        """The committed rows in the plan's order, each by its last attempt. Raises UserError where it is damaged."""
+        with self._reading():
+            yield from self._rows()
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        try:
+            yield
+        except (sqlite3.Error, ValueError, TypeError) as error:
+            raise UserError(f"{self.path}: is damaged: {error}; use a copy of it, if there is one") from None
+
+    def _rows(self) -> Iterator[Committed]:
         found = self._db.execute(
             "SELECT p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg,"
             " seconds, attempt, started_s, ended_s, positions, flags FROM plan p JOIN attempt a USING (number)"

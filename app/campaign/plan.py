@@ -48,7 +48,7 @@ def _rows(file: ScheduleFile, gains: tuple[int, ...]) -> Iterator[Row]:
         yield Row(0, f"{sample}/mount", "mount", sample)
         grids = (file.sigma_deg, file.gamma_deg, file.beta_deg, file.shift_deg, file.wavelength_nm)
         for sigma, gamma, beta, shift, wavelength in product(*(grid_values(grid) for grid in grids)):
-            identity = f"{sample}/sigma {sigma:g}/gamma {gamma:g}/beta {beta:g}/shift {shift:g}/{wavelength:g} nm"
+            identity = f"{sample}/sigma {sigma:.9g}/gamma {gamma:.9g}/beta {beta:.9g}/shift {shift:.9g}/{wavelength:.9g} nm"
             pose = (gamma, sigma, beta, shift)
             yield Row(0, identity, "measure", sample, 0.0, wavelength, pose, gains, file.readings)
 
@@ -57,7 +57,7 @@ def _timed(rows: Iterator[Row], file: ScheduleFile, gains: tuple[int, ...], timi
     """The rows with numbers and durations, and with the darks between them: at each sample's start and end, and
     wherever the last one would be older than the schedule allows."""
     number = darks = 0
-    since_dark = 0.0
+    since_dark = usual = 0.0
     last: Row | None = None
 
     def dark(sample: str) -> Row:
@@ -79,10 +79,12 @@ def _timed(rows: Iterator[Row], file: ScheduleFile, gains: tuple[int, ...], timi
             yield placed(row)
             yield placed(dark(row.sample))
         else:
-            if since_dark > file.dark_every_s:
+            # The next row is taken to last as long as the one before.
+            if since_dark + usual > file.dark_every_s:
                 yield placed(dark(row.sample))
             timed = placed(row)
             since_dark += timed.seconds
+            usual = timed.seconds
             yield timed
         last = row
     if last is not None:

@@ -135,7 +135,7 @@ def _points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> Bs
         phi_deg=phi,
         bsdf=bsdf,
         u_bsdf=u_bsdf,
-        shadowed=shadowed(file, sigma, zenith, azimuth),
+        shadowed=shadowed(file, sigma, zenith, azimuth, gamma),
         clipped=(sample.clipped | etalon.clipped)[:upper],
         no_etalon=no_etalon,
     )

@@ -1,6 +1,7 @@
 """From the directions that the arc measured to a grid of specular coordinates, and which nodes were not measured.
 
-Between measured directions of one sigma the value is bilinear in zenith and azimuth, mirrored in the plane of incidence.
+Between measured directions of one sigma that are at most 3 deg apart the value is bilinear in zenith and azimuth,
+mirrored in the plane of incidence.
 Where there is nothing between which to interpolate, a file that needs a number gets a continued one, and is told so.
 """
 
@@ -16,6 +17,8 @@ from twin.optics import from_specular
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 FINEST_DEG = 0.1
+WIDEST_GAP_DEG = 3.0
+"""Measured directions further apart than this say nothing of what is between them."""
 PHI_STEP_DEG = 5.0
 
 
@@ -78,8 +81,10 @@ def _interpolated(points: BsdfPoints, zenith: Floats, azimuth: Floats) -> Floats
             weight = weight_i * weight_j
             corner = table[np.minimum(i + di, rows.size - 1), np.minimum(j + dj, columns.size - 1)]
             result += np.where(weight > 1e-9, weight * corner, 0.0)
-    outside = (zenith > rows[-1] + 1e-6) | (zenith < rows[0] - 1e-6)
     pole = zenith < 1e-6  # there the azimuth says nothing
+    apart = np.sin(np.radians(zenith)) * _gap(columns, j, v)
+    wide = (_gap(rows, i, u) > WIDEST_GAP_DEG + 1e-6) | (~pole & (apart > WIDEST_GAP_DEG + 1e-6))
+    outside = wide | (zenith > rows[-1] + 1e-6) | (zenith < rows[0] - 1e-6)
     outside |= ~pole & ((azimuth > columns[-1] + 1e-6) | (azimuth < columns[0] - 1e-6))
     return np.where(outside, np.nan, result)
 
@@ -106,6 +111,15 @@ def _place(grid: Floats, values: Floats) -> tuple[npt.NDArray[np.int64], Floats]
     share = np.clip((values - grid[index]) / (grid[index + 1] - grid[index]), 0.0, 1.0)
     share = np.where(share < 1e-6, 0.0, np.where(share > 1.0 - 1e-6, 1.0, share))
     return index, share
+
+
+def _gap(grid: Floats, index: npt.NDArray[np.int64], share: Floats) -> Floats:
+    """How far apart the two values are that a place lies between; 0 where it lies on one."""
+    if grid.size == 1:
+        return np.zeros(index.shape)
+    between = (share > 0.0) & (share < 1.0)
+    gap: Floats = np.where(between, grid[index + 1] - grid[index], 0.0)
+    return gap
 
 
 def _folded(azimuth_deg: Floats) -> Floats:

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, field_validator, model_validator
+from pydantic import Discriminator, Field, PositiveFloat, Tag, field_validator, model_validator
 
 from app.tables import Table, checked, parse_toml, read_toml
 
 MOST_POINTS = 100_000
-Name = Annotated[str, Field(min_length=1, pattern=r"^[^/\s][^/]*$")]
+HIGHEST_SIGMA_DEG = 87.0
+Name = Annotated[str, Field(min_length=1, pattern=r"^[^/\s][^/\r\n\t]*$")]
 
 
 class GridRange(Table):
@@ -63,25 +64,30 @@ class ScheduleFile(Table):
     shift_deg: Grid = [0.0]
     wavelength_nm: Grid
     gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1)]
-    readings: PositiveInt = 4
+    readings: Annotated[int, Field(ge=1, le=10_000)] = 4
     dark_every_s: PositiveFloat = 60.0
-    dark_readings: PositiveInt = 16
+    dark_readings: Annotated[int, Field(ge=4, le=10_000)] = 16
 
     @field_validator("sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "wavelength_nm", "gains_v_per_a", "samples")
     @classmethod
     def _nothing_twice(cls, value: object) -> object:
         if isinstance(value, list):
+            seen: set[object] = set()
             for each in value:
-                if value.count(each) > 1:
-                    raise ValueError(f"{each!r} stands there {value.count(each)} times; keep one")
+                kept = round(each, 6) if isinstance(each, float) else each
+                if kept in seen:
+                    raise ValueError(f"{each!r} stands there twice (to six decimals); keep one")
+                seen.add(kept)
         return value
 
     @field_validator("sigma_deg")
     @classmethod
     def _from_the_front(cls, value: Grid) -> Grid:
-        outside = [each for each in grid_values(value) if not 0.0 <= each < 90.0]
+        outside = [each for each in grid_values(value) if not 0.0 <= each <= HIGHEST_SIGMA_DEG]
         if outside:
-            raise ValueError(f"{outside[0]:g} deg is not at least 0 and below 90, where light falls on the front side")
+            raise ValueError(
+                f"{outside[0]:g} deg is not from 0 to {HIGHEST_SIGMA_DEG:g}: beyond, light only grazes the front side"
+            )
         return value
 
     @model_validator(mode="after")

@@ -14,32 +14,34 @@ Flags = npt.NDArray[np.bool_]
 WHOLE = 1.0 - 1e-9
 
 
-def shadowed(rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
+def shadowed(rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_deg: Floats, gamma_deg: float = 0.0) -> Flags:
     """Whether any part of what a photodiode should see is hidden, or would be a `shadow_margin_deg` further on.
 
     Angles of the directions of observation in degrees, upper side; shape as theirs.
     """
     instrument = believed_instrument(rig)
-    margin = rig.geometry.shadow_margin_deg
-    return np.array(
-        [
-            _hidden(instrument, margin, sigma_deg, round(float(zenith), 6), round(float(azimuth), 6))
-            for zenith, azimuth in zip(zenith_deg, azimuth_deg, strict=True)
-        ],
-        dtype=bool,
+    angles, where = np.unique(
+        np.round(np.stack([np.ravel(zenith_deg), np.ravel(azimuth_deg)], axis=1), 6), axis=0, return_inverse=True
     )
+    if not angles.size:
+        return np.zeros(np.shape(zenith_deg), dtype=bool)
+    hidden = _hidden(instrument, rig.geometry.shadow_margin_deg, sigma_deg, gamma_deg, angles.tobytes())
+    return hidden[where.ravel()].reshape(np.shape(zenith_deg))
 
 
-@lru_cache(maxsize=200_000)
-def _hidden(instrument: Instrument, margin_deg: float, sigma_deg: float, zenith_deg: float, azimuth_deg: float) -> bool:
-    directions = _around(zenith_deg, azimuth_deg, margin_deg)
-    return bool(np.any(visible_fraction(instrument, sigma_deg, directions) < WHOLE))
+@lru_cache(maxsize=4096)
+def _hidden(instrument: Instrument, margin_deg: float, sigma_deg: float, gamma_deg: float, angles: bytes) -> Flags:
+    """For pairs of zenith and azimuth, as bytes so that they can be remembered."""
+    zenith, azimuth = np.frombuffer(angles).reshape(-1, 2).T
+    directions = _around(zenith, azimuth, margin_deg)
+    visible = visible_fraction(instrument, sigma_deg, directions.reshape(-1, 3), gamma_deg=gamma_deg)
+    return np.asarray(np.any(visible.reshape(directions.shape[:-1]) < WHOLE, axis=0))
 
 
-def _around(zenith_deg: float, azimuth_deg: float, margin_deg: float) -> Floats:
-    """The direction and four at `margin_deg` from it."""
-    centre = arc_direction(np.array([zenith_deg]), np.array([azimuth_deg]))[0]
-    along = arc_direction(np.array([zenith_deg + 90.0]), np.array([azimuth_deg]))[0]
+def _around(zenith_deg: Floats, azimuth_deg: Floats, margin_deg: float) -> Floats:
+    """Shape (5, n, 3): each direction and four at `margin_deg` from it."""
+    centre = arc_direction(zenith_deg, azimuth_deg)
+    along = arc_direction(zenith_deg + 90.0, azimuth_deg)
     across = np.cross(centre, along)
     c, s = math.cos(math.radians(margin_deg)), math.sin(math.radians(margin_deg))
     return np.array([centre, *(c * centre + s * side for side in (along, -along, across, -across))])

@@ -20,6 +20,9 @@ ELEMENTARY_CHARGE_C = 1.602176634e-19
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
+LEAST_FREEDOM = 3.0
+QUANTISATION = 1.0 / 12.0
+"""Variance of a converter's step, in steps squared."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +50,17 @@ class Darks:
         self._times = np.array([middle(each) for each in readings])
         self._means = np.array([each.counts.mean(axis=0) for each in readings])
         self._monitor_a = np.array([each.monitor_a for each in readings])
-        self._readings = np.array([len(each.counts) for each in readings])
-        freedom = float(np.sum(self._readings - 1))
+        self._readings = np.array([independent(each) for each in readings])
+        freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
+        if freedom < LEAST_FREEDOM:
+            raise UserError(f"its darks have {freedom:.0f} spare readings in all; the noise needs {LEAST_FREEDOM:.0f}")
         scatter = sum((((each.counts - each.counts.mean(axis=0)) ** 2).sum(axis=0) for each in readings), np.float64(0.0))
-        pooled = scatter / freedom if freedom else np.zeros(settings.count)
-        self.variance_v2: Floats = np.maximum(pooled, 1.0 / 12.0) * converter.lsb_v**2
+        # Few readings know their own scatter badly: what they say of it is widened as Student's distribution is.
+        pooled = scatter / freedom * freedom / (freedom - 2.0)
+        self.variance_v2: Floats = np.maximum(pooled, QUANTISATION) * converter.lsb_v**2
+        # A mean does not get better than the converter's step where there is no noise to dither it.
+        dither = np.maximum(pooled - QUANTISATION, 0.0)
+        self.undithered_v2: Floats = QUANTISATION * np.exp(-4.0 * np.pi**2 * dither) * converter.lsb_v**2
 
     def at(self, t: float) -> tuple[Floats, float, float]:
         """At a time: mean counts (photodiodes,), the monitor's current, and by what the variance of a reading is divided."""
@@ -85,6 +94,8 @@ def signal(data: RowData, darks: dict[float, Darks], settings: PhotodiodeSetting
     bandwidth = 0.5 / settings.period_s
     for reading in data.readings:
         gain = reading.gain_v_per_a
+        if gain not in settings.gains_v_per_a:
+            raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
         if gain not in darks:
             raise UserError(f"there is no dark at {gain:g} V/A in the journal, so nothing measured there can be reduced")
         dark_counts, dark_monitor, dark_readings = darks[gain].at(middle(reading))
@@ -98,9 +109,16 @@ def signal(data: RowData, darks: dict[float, Darks], settings: PhotodiodeSetting
         good = ~np.any((reading.counts == 0) | (reading.counts == adam.FULL_SCALE), axis=0)
         better = good & (gain > np.where(kept >= 0, np.array(settings.gains_v_per_a)[kept], 0.0))
         ratio[better] = (current / monitor)[better]
-        variance[better] = (((noise + shot) / len(reading.counts) + noise / dark_readings) / monitor**2)[better]
+        scatter = (noise + shot) / independent(reading) + noise / dark_readings
+        steps = 2.0 * darks[gain].undithered_v2 / gain**2
+        variance[better] = ((scatter + steps) / monitor**2)[better]
         kept[better] = settings.gains_v_per_a.index(gain)
     return Signal(ratio, variance, kept)
+
+
+def independent(reading: Reading) -> int:
+    """How many of its readings are of conversions of their own: one that repeats the one before tells nothing new."""
+    return 1 + int(np.any(reading.counts[1:] != reading.counts[:-1], axis=1).sum())
 
 
 def middle(reading: Reading) -> float:

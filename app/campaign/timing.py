@@ -65,7 +65,7 @@ class Timing:
             if gain != self._gain:
                 seconds += settings.modules * settings.exchange_s
                 self._gain = gain
-            last = (row.readings - 1) * settings.period_s
+            last = row.readings * settings.period_s
             fetching = max(settings.modules * settings.exchange_s, ANSWER_MARGIN_S + 2 * USB_LATENCY_S)
             seconds += settings.settling_s + last + fetching
         return seconds

@@ -114,7 +114,10 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     With a folder in `transcript` each byte on each wire is written there. Raises UserError.
     """
     file = description.file
-    written = Transcript(transcript, clock) if transcript is not None else None
+    try:
+        written = Transcript(transcript, clock) if transcript is not None else None
+    except OSError as error:
+        raise UserError(f"{transcript}: cannot hold transcripts: {error.strerror}; name another folder") from None
 
     def tap(device: str, explain: Explain) -> Tap:
         return written.tap(device, explain) if written is not None else no_tap

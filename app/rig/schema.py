@@ -7,6 +7,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_v
 from app.rig.twin_table import TwinTable
 from app.tables import Table
 from protocols import adam
+from twin.optics import Instrument
 
 AXES = ("gamma", "sigma", "beta", "shift")
 Sense = Literal[1, -1]
@@ -37,7 +38,7 @@ class AxisTable(Table):
     microsteps: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256] = 256
     run_current: Annotated[int, Field(ge=0, le=255)] = 128
     standby_current: Annotated[int, Field(ge=0, le=255)] = 8
-    settling_s: Annotated[float, Field(ge=0.0)] = 0.1
+    settling_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.1
     encoder: bool = True
 
     @model_validator(mode="after")
@@ -94,7 +95,7 @@ class PhotodiodesTable(Table):
     gain_uncertainty: Share = 1.0e-3
     range_code: int = adam.PLUS_MINUS_10_V
     conversions_per_s: PositiveFloat = 100.0
-    settling_s: PositiveFloat = 0.25
+    settling_s: Annotated[float, Field(gt=0.0, le=600.0)] = 0.25
     exchange_s: PositiveFloat = 4.0e-4
 
     @field_validator("range_code")
@@ -104,6 +105,13 @@ class PhotodiodesTable(Table):
             known = ", ".join(f"0x{each:04X}" for each in adam.RANGES)
             raise ValueError(f"0x{code:04X} is no range code of the ADAM-6017; it has {known}")
         return code
+
+    @field_validator("gains_v_per_a")
+    @classmethod
+    def _each_gain_once(cls, gains: list[float]) -> list[float]:
+        if sorted(set(gains)) != gains:
+            raise ValueError("the gains do not ascend; list each once, the lowest first, as the outputs number them")
+        return gains
 
     @model_validator(mode="after")
     def _enough_units(self) -> "PhotodiodesTable":
@@ -133,7 +141,16 @@ class GeometryTable(Table):
     arc_radius_mm: PositiveFloat = 300.0
     detector_diameter_mm: PositiveFloat = 5.0
     field_deg: PositiveFloat = 0.5
-    shadow_margin_deg: Annotated[float, Field(ge=0.0)] = 0.2
+    shadow_margin_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.2
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> "GeometryTable":
+        self.instrument()
+        return self
+
+    def instrument(self) -> Instrument:
+        """The instrument that the operator believes in. Raises ValueError for dimensions that make none."""
+        return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
 
 
 class EtalonTable(Table):

@@ -33,7 +33,7 @@ def monitor_settings(file: RigFile) -> MonitorSettings:
 
 def believed_instrument(file: RigFile) -> Instrument:
     """The instrument as the operator believes it to be: for the directions that the mirror unit hides."""
-    return Instrument(**file.geometry.model_dump(exclude={"shadow_margin_deg"}))
+    return file.geometry.instrument()
 
 
 def _axis(name: str, table: AxisTable) -> AxisSettings:

@@ -50,6 +50,14 @@ class AxesMechanicsTable(Table):
     beta: MechanicsTable
     shift: MechanicsTable
 
+    @model_validator(mode="after")
+    def _one_motor_each(self) -> "AxesMechanicsTable":
+        motors = [self.gamma.motor, self.sigma.motor, self.beta.motor, self.shift.motor]
+        for motor in motors:
+            if motors.count(motor) > 1:
+                raise ValueError(f"motor {motor} turns {motors.count(motor)} axes; give each its own")
+        return self
+
 
 class OpticsTable(Table):
     """Dimensions of the instrument; `obstruction` off lets light pass through the mirror unit."""
@@ -64,6 +72,15 @@ class OpticsTable(Table):
     field_deg: PositiveFloat = 0.5
     obstruction: bool = True
     rays: Annotated[int, Field(ge=16, le=1 << 20, multiple_of=4)] = 1024
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> "OpticsTable":
+        self.instrument()
+        return self
+
+    def instrument(self) -> Instrument:
+        """The instrument. Raises ValueError for dimensions that make none."""
+        return Instrument(**self.model_dump(exclude={"rays"}))
 
 
 class LightTable(Table):
@@ -147,13 +164,12 @@ class TwinTable(Table):
 
 def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinModel:
     """The model; sample files are looked for from `folder`. Raises UserError naming `name`, the sample and its file."""
-    optics = table.optics.model_dump()
-    rays = optics.pop("rays")
+    rays = table.optics.rays
     return TwinModel(
         seed=seed,
         axes={axis: Mechanics(**mechanics) for axis, mechanics in table.axes.model_dump().items()},
         samples={key: _scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
-        instrument=Instrument(**optics),
+        instrument=table.optics.instrument(),
         light=Light(**table.light.model_dump()),
         photodiodes=Photodiodes(**_tuples(table.photodiodes)),
         electronics=Electronics(**_tuples(table.electronics)),

@@ -33,6 +33,11 @@ BAD_RIGS = [
     (("width_deg = 5.0", "width_deg = -5.0"), r"twin\.samples\.gaussian-5: width_deg is -5"),
     (('form = "one_over_e"', 'form = "fwhm"'), r"twin\.samples\.gaussian-5\.form: "),
     (("[axes]", "[axes"), r"is not TOML: .*line"),
+    (("[1e6, 1e8, 1e10, 1e11]", "[1e6, 1e8, 1e8, 1e10]"), r"photodiodes\.gains_v_per_a: the gains do not ascend"),
+    (("shift = { motor = 0", "shift = { motor = 3"), r"twin\.axes: motor 3 turns 2 axes"),
+    (("arc_radius_mm = 300.0", "arc_radius_mm = 300.0\nfield_deg = 200.0"), r"geometry: field_deg"),
+    (("[twin.light]", "[twin.optics]\nfield_deg = 200.0\n\n[twin.light]"), r"twin\.optics: field_deg"),
+    (("[twin.light]", "[twin.optics]\nrays = 17\n\n[twin.light]"), r"twin\.optics\.rays: .*multiple of 4"),
 ]
 
 
@@ -47,13 +52,19 @@ def test_a_bad_rig_file_gets_one_line_that_names_the_key(write_rig: Writer, chan
 
 BAD_SCHEDULES = [
     (("sigma_deg", "sigma_dge"), r"sigma_dge: there is no such key; did you mean 'sigma_deg'\?"),
-    (("sigma_deg = [30]", "sigma_deg = [90]"), r"sigma_deg: 90 deg is not .* below 90"),
-    (("sigma_deg = [30]", "sigma_deg = [30, 30]"), r"sigma_deg: 30.* stands there 2 times"),
+    (("sigma_deg = [30]", "sigma_deg = [90]"), r"sigma_deg: 90 deg is not from 0 to 87"),
+    (("sigma_deg = [30]", "sigma_deg = [30, 30]"), r"sigma_deg: 30.* stands there twice"),
     (("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 1, step = 0.3 }"), r"shift_deg.*not a whole number of steps"),
     (("shift_deg = [0, 1]", "shift_deg = { start = 1, stop = 0, step = 0.5 }"), r"shift_deg.*below start"),
     (("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 1, step = 1e-9 }"), r"shift_deg.*more than 100000"),
     (("shift_deg = [0, 1]", "shift_deg = []"), r"shift_deg.*at least 1"),
-    (("readings = 2\n", "readings = 0\n"), r"readings: .*greater than 0"),
+    (("readings = 2\n", "readings = 0\n"), r"readings: .*greater than or equal to 1"),
+    (("readings = 2\n", "readings = true\n"), r"readings: .*integer"),
+    (("readings = 2\n", 'readings = "2"\n'), r"readings: .*integer"),
+    (("readings = 2\n", "readings = 1000000000\n"), r"readings: .*10000"),
+    (("dark_readings = 4", "dark_readings = 2"), r"dark_readings: .*greater than or equal to 4"),
+    (("wavelength_nm = [550]", "wavelength_nm = [550, 550.0000001]"), r"wavelength_nm: 550.* stands there twice"),
+    (('name = "small"', 'name = "sm\\nall"'), r"name: "),
     (('etalon = "etalon"', 'etalon = "gaussian-5"'), r"etalon 'gaussian-5' stands among the samples"),
 ]
 

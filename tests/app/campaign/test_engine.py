@@ -13,6 +13,7 @@ from app.campaign.engine import Engine
 from app.campaign.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
 from app.campaign.journal import Journal
 from app.campaign.plan import Plan, make_plan
+from app.campaign.reduction import reduce_journal
 from app.campaign.schedule import read_schedule
 from app.errors import UserError
 from app.rig import OpenRig, open_rig, read_rig
@@ -228,3 +229,59 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_acknowledged(bench: MakeBen
     holder[0].journal.close()
     with Journal.open(holder[0].journal.path) as journal:
         assert journal.counted()[0] == len(acknowledged) >= 4
+
+
+def test_whatever_goes_wrong_the_axes_come_to_rest_and_it_is_told(bench: MakeBench) -> None:
+    made = bench(VirtualClock(), [])
+    made.engine._operator = Nobody()
+    with pytest.raises(ZeroDivisionError):
+        made.engine.run()
+    assert made.engine.state is State.FAILED
+    assert made.journal.faults() == ["ZeroDivisionError: a mistake of ours"]
+
+
+class Nobody:
+    """An operator with a mistake in it."""
+
+    def mount(self, sample: str) -> None:
+        raise ZeroDivisionError("a mistake of ours")
+
+
+def test_a_journal_that_cannot_be_made_leaves_nothing(plan: Plan, tmp_path: Path) -> None:
+    twice = Plan(plan.schedule, plan.rig, (plan.rows[0], plan.rows[0]))
+    with pytest.raises(UserError, match="cannot be written"):
+        Journal.create(tmp_path / "a.journal", twice, {})
+    assert list(tmp_path.glob("a.journal*")) == []
+
+
+DAMAGES = [
+    "DROP TABLE reading",
+    "UPDATE reading SET counts = substr(counts, 1, 7)",
+    "UPDATE reading SET readings = channels, channels = readings + 1",
+    "UPDATE attempt SET positions = '{'",
+    "UPDATE reading SET gain_v_per_a = 12345.0 WHERE gain_v_per_a = 1e8",
+    "DELETE FROM campaign",
+    "DROP TABLE campaign",
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_journal_is_one_line(plan: Plan, tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "a.journal"
+    run_campaign(plan, path)
+    database = sqlite3.connect(path)
+    database.execute(damage)
+    database.commit()
+    database.close()
+    with pytest.raises(UserError, match=r"a\.journal") as caught, Journal.open(path) as journal:
+        reduce_journal(journal)
+    assert "\n" not in str(caught.value)
+
+
+def test_darks_are_no_older_than_the_schedule_allows(write_rig: Writer, write_schedule: Writer) -> None:
+    long = ("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 5, step = 0.1 }")
+    plan = make_plan(read_schedule(write_schedule(long)), read_rig(write_rig()))
+    age = 0.0
+    for row in plan.rows:
+        age = age + row.seconds if row.kind == "measure" else 0.0
+        assert age <= 60.0

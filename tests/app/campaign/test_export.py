@@ -40,7 +40,7 @@ def smooth(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0.0, 80.0), st.integers(0, 36), st.floats(0.0, 80.0))
 def test_a_grid_gives_back_what_was_measured(sigma: float, column: int, theta: float) -> None:
-    points = points_of(sigma, np.arange(0.0, 90.1, 2.5)[:, None], np.arange(0.0, 180.1, 5.0)[None, :])
+    points = points_of(sigma, np.arange(0.0, 90.1, 2.5)[:, None], np.arange(0.0, 180.1, 3.0)[None, :])
     grid = regrid(points)
     node = int(np.argmin(np.abs(grid.theta_deg - theta)))
     direction = from_specular(sigma, grid.theta_deg[node], grid.phi_deg[column])
@@ -59,6 +59,13 @@ def test_the_plane_of_incidence_alone_makes_two_columns() -> None:
     assert grid.theta_deg[1] == 0.5
     assert grid.measured[0, 1].sum() == 120  # from the specular direction at 30 deg to 89.5 deg, in half degrees
     assert grid.measured[0, 0].sum() == 240  # over the normal, and down to 89.5 deg on the light's side
+
+
+def test_far_apart_azimuths_say_nothing_of_what_is_between_them() -> None:
+    grid = regrid(points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 90.0, 180.0])[None, :]))
+    sideways = grid.measured[0, grid.phi_deg == 90.0][0]
+    assert not sideways[grid.theta_deg > 1.0][:50].any()
+    assert grid.measured[0, 0, grid.theta_deg <= 119.0].all()  # in the plane itself it is as ever
 
 
 def test_hidden_nodes_are_not_called_measured() -> None:

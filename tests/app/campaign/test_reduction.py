@@ -72,11 +72,11 @@ def test_without_noise_only_the_blur_of_the_aperture_is_left(write_rig: Writer, 
     [
         ("[axes.sigma]                            # the mirror unit about the illumination axis\nmotor = 4\ngear = 36.0",
          "[axes.sigma]\nmotor = 4\ngear = 40.0"),
-        ("[axes.beta]                             # the arc about the vertical axis\nmotor = 5",
-         "[axes.beta]\nsense = -1\nzero_offset_deg = 2.0\nmotor = 5"),
+        ("[axes.sigma]                            # the mirror unit about the illumination axis\nmotor = 4",
+         "[axes.sigma]\nsense = -1\nmotor = 4"),
         ("encoder = false\n\n[mono", "encoder = false\nsense = -1\n\n[mono"),
     ],
-    ids=["gear of sigma", "sense and zero of beta", "sense of the shift"],
+    ids=["gear of sigma", "sense of sigma", "sense of the shift"],
 )  # fmt: skip
 def test_what_the_operator_has_wrong_shows_in_the_bsdf(
     write_rig: Writer, measure: Measure, change: tuple[str, str], demo: Reduced
