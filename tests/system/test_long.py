@@ -42,7 +42,7 @@ def test_the_uncertainty_fits_the_deviations_over_many_seeds(
     )  # fmt: skip
     squares = []
     for seed in SEEDS:
-        black = ("width_deg = 5.0", "width_deg = 40.0"), ("reflectance = 0.9", "reflectance = 0.009")
+        black = ("width_deg = 5.0", "width_deg = 40.0"), ("reflectance = 0.9\n", "reflectance = 0.009\n")
         rig = write_rig(("seed = 1", f"seed = {seed}"), *black)
         reduced = measured(rig, schedule, tmp_path / f"{dark_readings}-{seed}.journal")
         points = reduced.samples["gaussian-5"]
