@@ -174,6 +174,59 @@ def demo(
     _answer(as_json, result, lambda: show(Console(highlight=False)))
 
 
+@app.command()
+def serve(
+    rig: RigOption,
+    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="How much faster the rig's time passes.")] = 1.0,
+    ptys: Annotated[
+        Path | None,
+        typer.Option("--ptys", metavar="DIR", help="Where pseudo-terminals get their stable names.", show_default=False),
+    ] = None,
+) -> None:
+    """Put the devices of a virtual rig on real endpoints, on this computer alone.
+
+    Prints a JSON line for each: `device`, `kind`, and `path` of a pseudo-terminal or `host` and `port`, for Modbus the
+    `unit`. All share one instrument. `control` is its back door. Serves until interrupted. The monitor is a USB device:
+    programs reach it with `goniotwin usb`.
+    """
+    from app.rig import read_rig
+    from app.serving import serve_until_interrupted
+
+    serve_until_interrupted(read_rig(rig), speed, ptys)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "allow_interspersed_args": False})
+def usb(
+    context: typer.Context,
+    program: Annotated[
+        Path, typer.Argument(metavar="PROGRAM.py", help="A program that uses pyusb.", show_default=False)
+    ],
+    rig: RigOption,
+) -> None:
+    """Run an unmodified pyusb program that finds the virtual rig's USB devices. What follows PROGRAM.py is its own."""
+    from app.rig import read_rig
+    from app.serving import run_with_usb
+
+    run_with_usb(read_rig(rig), program, context.args)
+
+
+@app.command()
+def devices(
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="RIG.toml", help="Ask the devices of this rig.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List ports and who answers on them: of this computer, or of a rig file.
+
+    Devices are asked who they are, and for nothing else. A port that another program holds is left alone.
+    """
+    from app.devices import found_devices, in_words
+
+    found = found_devices(rig)
+    _answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(in_words(found)))
+
+
 def _read(schedule: Path, rig: Path) -> tuple[Any, Any]:
     from app.campaign.schedule import read_schedule
     from app.rig import read_rig

@@ -4,8 +4,9 @@ No call lasts longer than one exchange on its wire; what takes time is started a
 name: they are given openers.
 """
 
-from drivers.axis import Axis, AxisSettings
-from drivers.errors import BadAnswer, DeviceError, LimitError, NoAnswer, Refused
+from drivers.axis import Axis, AxisSettings, Homing
+from drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
+from drivers.interlock import ArcClearance
 from drivers.monitor import Monitor, MonitorSettings
 from drivers.monochromator import Monochromator, MonochromatorSettings
 from drivers.pending import Pending, Poll, Until, wait
@@ -15,10 +16,13 @@ from drivers.tap import Transcript
 from drivers.tmcl import TmclModule
 
 __all__ = [
+    "ArcClearance",
     "Axis",
     "AxisSettings",
     "BadAnswer",
     "DeviceError",
+    "Forgotten",
+    "Homing",
     "LimitError",
     "Monitor",
     "MonitorSettings",

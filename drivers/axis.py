@@ -1,131 +1,282 @@
 """An axis of the goniophotometer: degrees above, microsteps on the wire."""
 
-from dataclasses import dataclass
+import math
 
-from drivers.errors import DeviceError, LimitError
-from drivers.pending import Pending, Poll
-from drivers.ramp import move_seconds
+from drivers.axis_settings import AxisSettings as AxisSettings
+from drivers.axis_settings import Homing as Homing
+from drivers.errors import DeviceError, Forgotten, Interrupted, LimitError, NoAnswer, Refused, Unreferenced
+from drivers.homing import HomingSearch
+from drivers.moving import ARRIVED_AFTER_S as ARRIVED_AFTER_S
+from drivers.moving import Move, Switches
 from drivers.tmcl import TmclModule
 from protocols.clock import Clock
 from protocols.tmcl import Axis as Parameter
 from protocols.tmcl import Command, MoveType, Request
-
-POLL_S = 0.02
-GRACE_S = 1.0
-ARRIVED_AFTER_S = 0.002
-
-
-@dataclass(frozen=True)
-class AxisSettings:
-    """What the operator believes of an axis. `module` and `motor` say where it is wired.
-
-    `sense` is +1 where positive microsteps turn the axis to greater angles, else -1; microsteps 0 are at
-    `zero_offset_deg`. Speeds in deg/s, accelerations in deg/s^2.
-    """
-
-    name: str
-    motor: int
-    gear: float
-    lower_deg: float
-    upper_deg: float
-    speed: float
-    acceleration: float
-    sense: int = 1
-    zero_offset_deg: float = 0.0
-    module: int = 1
-    full_steps: int = 200
-    microstep_exponent: int = 8
-    run_current: int = 128
-    standby_current: int = 8
-    settling_s: float = 0.1
-    encoder: bool = True
-
-    @property
-    def microsteps_per_deg(self) -> float:
-        """Signed."""
-        return self.sense * self.full_steps * float(1 << self.microstep_exponent) * self.gear / 360.0
-
-    def microsteps(self, angle_deg: float) -> int:
-        """The counter at an angle, to the nearest microstep."""
-        return round((angle_deg - self.zero_offset_deg) * self.microsteps_per_deg)
-
-    def angle_deg(self, microsteps: float) -> float:
-        """The angle at a counter's value."""
-        return self.zero_offset_deg + microsteps / self.microsteps_per_deg
-
-    def seconds(self, way_deg: float) -> float:
-        """How long a move over `way_deg` takes, without settling."""
-        return move_seconds(way_deg, self.speed, self.acceleration)
+from protocols.tmcl_parameters import DriverFlag, ErrorFlag, Search
 
 
 class Axis:
-    """One motor of a motion module, as an angle."""
+    """One motor of a motion module, as an angle.
+
+    It is *referenced* while nothing has put in doubt that the counter knows the angle: a reset of its module, a stall, a
+    deviation of the encoder, a limit switch, or a move of which nobody knows whether it was heard. Unreferenced it goes to
+    no angle, until it has been homed or somebody says where it is. `errors` are the module's error flags since connecting
+    or homing: the module forgets them when they are read.
+    """
 
     def __init__(self, module: TmclModule, settings: AxisSettings, clock: Clock) -> None:
         self._module = module
         self._clock = clock
         self.settings = settings
         self.name = settings.name
+        self.errors = ErrorFlag(0)
+        self.last_reference_deg: float | None = None
+        self._doubt = "it has not been homed since it was connected" if settings.homing_required else ""
+        self._resets = 0
+        self._taken_up = False
+        self._searching = False
+
+    # ---- whether it knows where it is ----
+
+    @property
+    def doubt(self) -> str:
+        """Why it is not known where the axis is; empty where it is."""
+        if self._module.resets(self.settings.module) != self._resets:
+            return self._doubt or "its module has reset, and its counter with it"
+        return self._doubt
+
+    @property
+    def referenced(self) -> bool:
+        """Whether it may be sent to an angle."""
+        return not self.doubt
+
+    def put_in_doubt(self, reason: str) -> None:
+        """From now on it is not known where the axis is."""
+        self._doubt = self._doubt or reason
+
+    def assume_referenced(self, angle_deg: float | None = None) -> None:
+        """Somebody has looked: the axis rests at this angle, or (None) where its counter says. Raises DeviceError."""
+        if angle_deg is not None:
+            self._check_finite(angle_deg, "assume that it is at")
+            self.count_from(self.settings.microsteps(angle_deg))
+        self._module.check_canary(self.settings.module)
+        self._resets = self._module.resets(self.settings.module)
+        self._doubt = ""
+        self._taken_up = False
+
+    def count_from(self, microsteps: int) -> None:
+        """Sets counter and encoder; for an axis at rest (a moving one would go astray). Raises DeviceError."""
+        if self.ask(Command.GAP, Parameter.ACTUAL_VELOCITY) != 0:
+            raise DeviceError(self.name, "set its counter", "the axis is moving", "stop it first")
+        self.ask(Command.SAP, Parameter.ACTUAL_POSITION, microsteps)
+        if self.settings.encoder:
+            self.ask(Command.SAP, Parameter.ENCODER_POSITION, self.settings.encoder_value(microsteps))
+
+    # ---- the beginning ----
 
     def connect(self) -> None:
         """Writes the settings to the module; the axis stays where it is. Raises DeviceError."""
-        each = abs(self.settings.microsteps_per_deg)
-        for parameter, value in (
+        settings, each = self.settings, abs(self.settings.microsteps_per_deg)
+        deviation = settings.encoder_value(settings.max_deviation_deg * each)
+        written = [
             (Parameter.UNIT_MODE, 1),
-            (Parameter.MICROSTEP_RESOLUTION, self.settings.microstep_exponent),
-            (Parameter.MAX_VELOCITY, round(self.settings.speed * each)),
-            (Parameter.MAX_ACCELERATION, round(self.settings.acceleration * each)),
-            (Parameter.MAX_DECELERATION, round(self.settings.acceleration * each)),
-            (Parameter.RUN_CURRENT, self.settings.run_current),
-            (Parameter.STANDBY_CURRENT, self.settings.standby_current),
-        ):
-            self._ask(Command.SAP, parameter, value)
-        self._ask(Command.GAP, Parameter.ERROR_FLAGS)  # reading clears what was before
+            (Parameter.MICROSTEP_RESOLUTION, settings.microstep_exponent),
+            (Parameter.MAX_VELOCITY, settings.pps(settings.speed)),
+            (Parameter.MAX_ACCELERATION, settings.pps(settings.acceleration)),
+            (Parameter.MAX_DECELERATION, settings.pps(settings.acceleration)),
+            (Parameter.RUN_CURRENT, settings.run_current),
+            (Parameter.STANDBY_CURRENT, settings.standby_current),
+            (Parameter.POWER_DOWN_DELAY, max(1, round(settings.power_down_s * 100.0))),
+            (Parameter.SWAP_SWITCHES, int(settings.swap_switches)),
+            (Parameter.RIGHT_SWITCH_POLARITY, settings.right_polarity),
+            (Parameter.LEFT_SWITCH_POLARITY, settings.left_polarity),
+            (Parameter.SOFT_STOP, int(settings.soft_stop)),
+            (Parameter.RIGHT_SWITCH_DISABLED, int(not settings.switches)),
+            (Parameter.LEFT_SWITCH_DISABLED, int(not settings.switches)),
+            (Parameter.STALL_VELOCITY, settings.pps(settings.stall_speed)),
+            (Parameter.RELATIVE_REFERENCE, 1),
+        ]
+        if settings.encoder:
+            if settings.encoder_counts is not None:
+                written.append((Parameter.ENCODER_RESOLUTION, settings.encoder_counts))
+            written.append((Parameter.MAX_ENCODER_DEVIATION, deviation))
+        if settings.homing is not None:
+            written += [
+                (Parameter.REFERENCE_SEARCH_MODE, settings.homing.mode),
+                (Parameter.REFERENCE_SEARCH_SPEED, settings.pps(settings.homing.speed)),
+                (Parameter.REFERENCE_SWITCH_SPEED, settings.pps(settings.homing.switch_speed)),
+            ]
+        for parameter, value in written:
+            self.ask(Command.SAP, parameter, value)
+        try:
+            self.ask(Command.GAP, Parameter.ERROR_FLAGS)  # reading clears what was before
+        except (Refused, Interrupted):
+            raise
+        except DeviceError:
+            self.ask(Command.GAP, Parameter.ERROR_FLAGS)
+        self.errors = ErrorFlag(0)
+        self._taken_up = False
 
-    def start(self, target_deg: float) -> Pending:
-        """Sends the axis to an angle. Raises LimitError before anything is sent, DeviceError after."""
+    # ---- moving ----
+
+    def start(self, target_deg: float) -> Move:
+        """Sends the axis to an angle. Raises LimitError or Unreferenced before anything is sent, DeviceError after."""
         self.check_limits(self.settings, target_deg)
-        target = self.settings.microsteps(target_deg)
-        here = self._ask(Command.GAP, Parameter.ACTUAL_POSITION)
-        self._ask(Command.MVP, MoveType.ABSOLUTE, target)
-        ramp = self.settings.seconds((target - here) / self.settings.microsteps_per_deg)
-        arrival = self._clock.now() + ramp + ARRIVED_AFTER_S
-        return Poll(self._clock, arrival, POLL_S, lambda: self._arrived(target_deg, arrival + GRACE_S))
+        if self.doubt:
+            raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.doubt, "home it, or say where it is")
+        stops = self._module.stops
+        here = self.ask(Command.GAP, Parameter.ACTUAL_POSITION)
+        self._module.check_canary(self.settings.module)
+        legs = self.settings.legs(self.settings.angle_deg(here), target_deg, taken_up=self._taken_up)
+        self._taken_up = False
+        move = Move(self, self._clock, f"move to {target_deg:g} deg", legs, here, stops)
+        move.begin()
+        return move
+
+    def start_by(self, way_deg: float) -> Move:
+        """Turns the axis by an angle, referenced or not; the command is never sent twice. Raises as `start` does."""
+        self._check_finite(way_deg, "turn by")
+        stops = self._module.stops
+        here = self.ask(Command.GAP, Parameter.ACTUAL_POSITION)
+        self._module.check_canary(self.settings.module)
+        target_deg = self.settings.angle_deg(here) + way_deg
+        if self.referenced:
+            self.check_limits(self.settings, target_deg)
+        self._taken_up = False
+        move = Move(self, self._clock, f"turn by {way_deg:g} deg", (target_deg,), here, stops)
+        move.begin(relative=round(way_deg * self.settings.microsteps_per_deg))
+        return move
+
+    def start_homing(self) -> HomingSearch:
+        """Begins the reference search of the settings; when it is done the axis is referenced. Raises DeviceError."""
+        homing = self.settings.homing
+        if homing is None:
+            raise DeviceError(self.name, "home", "the rig file has no [homing] for it", "add it, or say where the axis is")
+        stops = self._module.stops
+        self._module.check_canary(self.settings.module)
+        self.put_in_doubt("it is looking for its reference")
+        self._searching = True
+        self.command(Request(self.settings.module, Command.RFS, Search.START, self.settings.motor), stops)
+        return HomingSearch(self, self._clock, homing, self._module.alive_s)
+
+    def homed(self, reference_deg: float) -> None:
+        """A search has ended well; by its old counter the reference was at `reference_deg`."""
+        self._searching = False
+        self._resets = self._module.resets(self.settings.module)
+        self.last_reference_deg = reference_deg
+        self.errors = ErrorFlag(0)
+        self._doubt = ""
+        self._taken_up = False
+
+    def arrived(self) -> None:
+        """A move has ended where it was to."""
+        self._taken_up = True
+
+    def command(self, request: Request, since: int) -> int:
+        """Something that sets it in motion, unless there has been a stop. Not knowing whether it was heard is doubt."""
+        try:
+            return self._module.exchange(request, since)
+        except (Refused, Interrupted, Forgotten):
+            raise
+        except DeviceError as error:
+            if self._module.stops != since:
+                raise  # it was stopped after it, if it has heard it at all: the counter knows where
+            self.put_in_doubt(f"nobody knows whether it heard a command to move ({error.happened})")
+            raise
+
+    def stop_requests(self) -> list[tuple[str, Request]]:
+        """What brings it to rest over its ramp: the end of a search where one is going on, and MST."""
+        module, motor = self.settings.module, self.settings.motor
+        searching = [(self.name, Request(module, Command.RFS, Search.STOP, motor))] if self._searching else []
+        return [(self.name, Request(module, Command.MST, 0, motor)), *searching]
+
+    def stop(self) -> None:
+        """Has the axis come to rest over its ramp. From any thread. Raises DeviceError where it is not confirmed."""
+        for failure in self._module.stop(self.stop_requests()):
+            raise failure
 
     @staticmethod
     def check_limits(settings: AxisSettings, target_deg: float) -> None:
         """Raises LimitError for an angle that an axis of these settings may not be sent to."""
         lower, upper = settings.lower_deg, settings.upper_deg
+        remedy = "change the schedule, or the limits in the rig file"
         if not lower <= target_deg <= upper:
             raise LimitError(
-                settings.name, f"move to {target_deg:g} deg", f"outside its soft limits {lower:g} to {upper:g} deg",
-                "change the schedule, or the limits in the rig file",
+                settings.name, f"move to {target_deg:g} deg", f"outside its soft limits {lower:g} to {upper:g} deg", remedy
+            )
+        begins = target_deg + settings.overshoot_deg
+        if not lower <= begins <= upper:
+            raise LimitError(
+                settings.name, f"move to {target_deg:g} deg",
+                f"against backlash it arrives from {settings.approach_from}, begins that at {begins:g} deg, and has soft "
+                f"limits of {lower:g} to {upper:g} deg", remedy,
             )  # fmt: skip
 
+    # ---- asking ----
+
     def position_deg(self) -> float:
-        """Where the motor's counter says that the axis is."""
-        return self.settings.angle_deg(self._ask(Command.GAP, Parameter.ACTUAL_POSITION))
+        """Where the motor's counter says that the axis is; the module is known to have its settings. Raises DeviceError."""
+        return self.settings.angle_deg(self._confirmed(Parameter.ACTUAL_POSITION))
 
     def encoder_deg(self) -> float | None:
         """Where the encoder says that the axis is; None where it has none."""
         if not self.settings.encoder:
             return None
-        microsteps = self._ask(Command.GAP, Parameter.ENCODER_POSITION)
-        return self.settings.angle_deg(microsteps * (1 << self.settings.microstep_exponent) / 256)
+        return self.settings.encoder_angle_deg(self._confirmed(Parameter.ENCODER_POSITION))
 
-    def stop(self) -> None:
-        """Has the axis come to rest over its ramp. From any thread."""
-        self._ask(Command.MST, 0)
+    def deviation_deg(self) -> float | None:
+        """By how much the encoder is ahead of the counter; None where there is no encoder."""
+        encoder = self.encoder_deg()
+        return None if encoder is None else encoder - self.position_deg()
 
-    def _arrived(self, target_deg: float, deadline: float) -> bool:
-        if self._ask(Command.GAP, Parameter.POSITION_REACHED):
-            return True
-        if self._clock.now() > deadline and self._ask(Command.GAP, Parameter.ACTUAL_VELOCITY) == 0:
-            raise DeviceError(
-                self.name, f"move to {target_deg:g} deg", f"the axis stands at {self.position_deg():.3f} deg",
-                "look for a limit switch, a stall or somebody's stop",
-            )  # fmt: skip
-        return False
+    def switches(self) -> Switches:
+        """The limit switches and the home switch, as the module sees them."""
+        right, left, home = (
+            bool(self.ask(Command.GAP, each))
+            for each in (Parameter.RIGHT_SWITCH, Parameter.LEFT_SWITCH, Parameter.HOME_SWITCH)
+        )
+        return Switches(right, left, home)
 
-    def _ask(self, command: Command, number: int, value: int = 0) -> int:
+    def read_errors(self) -> ErrorFlag:
+        """Reads the error flags and latches them; a stall or a deviation leaves the axis unreferenced. Raises DeviceError."""
+        try:
+            self.errors |= ErrorFlag(self.ask(Command.GAP, Parameter.ERROR_FLAGS) & 3)
+        except NoAnswer:
+            self.put_in_doubt("its error flags were lost on the way")
+            raise
+        if self.errors:
+            self.put_in_doubt(" and ".join(flag.name or "" for flag in self.errors).lower() + " has stopped it")
+        return self.errors
+
+    def driver_flags(self) -> DriverFlag:
+        """What the motor's driver says of itself (*)."""
+        return DriverFlag(self.ask(Command.GAP, Parameter.DRIVER_FLAGS) & 0xFF)
+
+    def check_canary(self) -> None:
+        """Raises Forgotten where its module has reset."""
+        self._module.check_canary(self.settings.module)
+
+    def set_currents(self, run: int, standby: int) -> None:
+        """Of 255: while it turns, and when it has rested for a while. Until the next connection."""
+        self.ask(Command.SAP, Parameter.RUN_CURRENT, run)
+        self.ask(Command.SAP, Parameter.STANDBY_CURRENT, standby)
+
+    def ask(self, command: Command, number: int, value: int = 0) -> int:
+        """One exchange about this axis."""
         return self._module.exchange(Request(self.settings.module, command, number, self.settings.motor, value))
+
+    @property
+    def alive_s(self) -> float:
+        """How often it has to be asked something while it moves."""
+        return self._module.alive_s
+
+    def move_request(self, kind: MoveType, value: int) -> Request:
+        """MVP."""
+        return Request(self.settings.module, Command.MVP, kind, self.settings.motor, value)
+
+    def _confirmed(self, parameter: Parameter) -> int:
+        return self._module.confirmed(Request(self.settings.module, Command.GAP, parameter, self.settings.motor))
+
+    def _check_finite(self, angle_deg: float, doing: str) -> None:
+        if not math.isfinite(angle_deg) or not abs(self.settings.microsteps(angle_deg)) < 2**31:
+            raise LimitError(self.name, f"{doing} {angle_deg:g} deg", "that is no angle its counter can hold")

@@ -27,3 +27,15 @@ class Refused(DeviceError):
 
 class LimitError(DeviceError):
     """A target outside the axis' soft limits: nothing was sent."""
+
+
+class Forgotten(DeviceError):
+    """The device answers and no longer has its settings: it has reset, or somebody has changed them."""
+
+
+class Interrupted(DeviceError):
+    """A stop has come between: what was to move has not been told to."""
+
+
+class Unreferenced(DeviceError):
+    """It is in doubt where the axis is, so that it goes to no angle until it is referenced."""

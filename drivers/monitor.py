@@ -1,9 +1,19 @@
-"""The monitor photodiode behind a Thorlabs PM100D: mean current over a stretch of time."""
+"""The monitor photodiode behind a Thorlabs PM100D, or another SCPI picoammeter: mean current or power over some time.
+
+What was set is asked back after the wire had to be brought into step (the canary is the averaging, the range, the kind of
+measurement), and set again where the instrument has forgotten it. An overrange (9.9E37) is an error and never a value;
+neither is a number beyond the range. See drivers.usbtmc for what the wire cannot show. To be confirmed on hardware:
+3000 samples a second, how long a zero takes.
+"""
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from typing import Literal
 
-from drivers.errors import BadAnswer, DeviceError
+from drivers.errors import BadAnswer, DeviceError, Forgotten, Refused
+from drivers.pending import Pending, Poll
+from drivers.scpi_dialect import DIALECTS
 from drivers.tap import Tap, no_tap
 from drivers.usbtmc import UsbOpener, UsbTmc
 from protocols.clock import Clock
@@ -12,15 +22,25 @@ from protocols.scpi import ScpiError, decode_error, decode_number, overloaded
 NAME = "monitor"
 LONGEST_READING_S = 1.0
 ANSWER_MARGIN_S = 2.0e-3
+OVER_RANGE = 1.1
+MOST_ERRORS = 40
+ZERO_POLL_S = 0.2
+LONGEST_ZERO_S = 30.0
+Quantity = Literal["current", "power"]
 
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """What the operator believes of the monitor: its range in A, its samples, how far one reading can be trusted."""
+    """What the operator believes of the monitor: its range in A, its samples, how far one reading can be trusted.
+
+    `wavelength_nm` is that for which it tells power. `dialect` is one of drivers.scpi_dialect.
+    """
 
     range_a: float = 500e-9
     samples_per_s: float = 3000.0
     relative_uncertainty: float = 3.0e-4
+    wavelength_nm: float = 550.0
+    dialect: str = "pm100d"
 
 
 class Monitor:
@@ -29,53 +49,199 @@ class Monitor:
     def __init__(self, opener: UsbOpener, settings: MonitorSettings, clock: Clock, tap: Tap = no_tap) -> None:
         self._wire = UsbTmc(NAME, opener, tap=tap)
         self._clock = clock
+        self._dialect = DIALECTS[settings.dialect]
         self.settings = settings
+        self._range_a: float | None = settings.range_a
+        self._wavelength_nm = settings.wavelength_nm
+        self._low_pass = False
+        self._quantity: Quantity = "current"
         self._averages = 0
+        self._seen = 0
+
+    @property
+    def said(self) -> deque[str]:
+        """What the driver did of its own accord (brought the wire into step, found it again), newest last."""
+        return self._wire.said
 
     def connect(self) -> str:
-        """Opens it, asks who it is, sets its range; returns its identity. Raises DeviceError."""
+        """Opens it, asks who it is, sets it up; returns its identity. Raises DeviceError."""
         self.close()
-        self._wire.connect()
-        identity = self._wire.ask("*IDN?").decode("ascii", "replace")
-        self._wire.write("*CLS")
-        self._wire.write("CONF:CURR")
-        self._wire.write(f"SENS:CURR:RANG {self.settings.range_a:.1E}")
-        self._averages = 0
-        self._check_errors("set the range")
+        identity = self._wire.connect()
+        self._seen = self._wire.renewed
+        self._quantity = "current"
+        self._set_up()
         return identity
 
     def close(self) -> None:
         """Gives it back."""
         self._wire.close()
 
-    def start_mean(self, seconds: float) -> "MonitorMean":
-        """Averages the current over about so many seconds from now. Raises DeviceError."""
+    # ---- settings ----
+
+    def set_range(self, range_a: float | None) -> None:
+        """The highest current, A; None lets the instrument choose. Raises DeviceError."""
+        self._range_a = range_a
+        self._tell("set the range", *self._range_commands())
+
+    def set_wavelength(self, wavelength_nm: float) -> None:
+        """For power. Raises DeviceError."""
+        self._wavelength_nm = wavelength_nm
+        self._tell("set the wavelength", self._have(self._dialect.wavelength, "wavelengths").format(wavelength_nm))
+
+    def set_low_pass(self, on: bool) -> None:
+        """The slow input filter. Raises DeviceError."""
+        self._low_pass = on
+        self._tell("set the filter", self._have(self._dialect.low_pass, "an input filter").format(on))
+
+    def check(self) -> None:
+        """Asks whether its settings are still there: the canary. Raises Forgotten where they were not and had to be set."""
+        self._ready()
+        if self._has_forgotten():
+            self._restore()
+
+    def status_byte(self) -> int:
+        """IEEE 488.2's, without disturbing a measurement. Raises DeviceError."""
+        return self._wire.status_byte()
+
+    def abort(self) -> None:
+        """Ends what it measures; the answer that it owed is thrown away. Raises DeviceError."""
+        self._wire.abort()
+        self._wire.clear()
+
+    # ---- measuring ----
+
+    def start_mean(self, seconds: float, quantity: Quantity = "current") -> "MonitorMean":
+        """Averages current or power over about so many seconds from now. Raises DeviceError."""
+        self._ready()
+        if quantity != self._quantity:
+            self._quantity = quantity
+            self._tell(f"measure {quantity}", *self._quantity_commands())
         pieces = max(1, math.ceil(seconds / LONGEST_READING_S))
         averages = max(1, round(seconds / pieces * self.settings.samples_per_s))
         if averages != self._averages:
-            self._wire.write(f"SENS:AVER:COUN {averages}")
-            self._check_errors("set the averaging")
             self._averages = averages
-        return MonitorMean(self._wire, self._clock, pieces, averages / self.settings.samples_per_s)
+            self._tell("set the averaging", self._averaging_command())
+        each_s = averages / self.settings.samples_per_s
+        return MonitorMean(self._wire, self._clock, self._dialect.read, pieces, each_s, self._limit())
+
+    def start_zero(self) -> Pending:
+        """Takes what it sees now, in the dark, for zero. Raises DeviceError."""
+        command = self._have(self._dialect.zero, "a zero")
+        state = self._have(self._dialect.zero_state, "a zero")
+        self._ready()
+        self._tell("take the zero", command)
+        begun = self._clock.now()
+
+        def over() -> bool:
+            if self._ask_number(state) == 0.0:
+                self._check_errors("take the zero")
+                return True
+            if self._clock.now() > begun + LONGEST_ZERO_S:
+                raise DeviceError(NAME, "take the zero", f"not over after {LONGEST_ZERO_S:g} s", "check the instrument")
+            return False
+
+        return Poll(self._clock, begun + ZERO_POLL_S, ZERO_POLL_S, over)
+
+    def zero_a(self) -> float:
+        """What it takes for zero, A. Raises DeviceError."""
+        return self._ask_number(self._have(self._dialect.zero_value, "a zero"))
+
+    # ---- exchanges ----
+
+    def _limit(self) -> float | None:
+        """A value beyond it cannot be."""
+        return None if self._quantity == "power" or self._range_a is None else OVER_RANGE * self._range_a
+
+    def _ready(self) -> None:
+        """In step and set up. Raises DeviceError; Forgotten where settings were lost and had to be set again."""
+        self._wire.ready()
+        if self._wire.renewed != self._seen:
+            self._seen = self._wire.renewed
+            self._restore()
+
+    def _restore(self) -> None:
+        """Sets everything again; says so where it had been forgotten. Raises DeviceError."""
+        forgotten = self._has_forgotten()
+        self._set_up()
+        if forgotten:
+            raise Forgotten(NAME, "ask it", "it has reset itself; its settings are restored", "measure again")
+
+    def _has_forgotten(self) -> bool:
+        question = self._dialect.averaging.partition(" ")[0] + "?"
+        if not self._averages:
+            return False
+        told = float(self._averaging_command().partition(" ")[2])
+        return not math.isclose(self._ask_number(question), told, rel_tol=1e-3)
+
+    def _set_up(self) -> None:
+        self._wire.write("*CLS")
+        commands = [*self._dialect.before, *self._quantity_commands(), *self._range_commands()]
+        if self._dialect.wavelength is not None:
+            commands.append(self._dialect.wavelength.format(self._wavelength_nm))
+        if self._dialect.low_pass is not None:
+            commands.append(self._dialect.low_pass.format(self._low_pass))
+        if self._averages:
+            commands.append(self._averaging_command())
+        self._tell("set it up", *commands)
+
+    def _quantity_commands(self) -> list[str]:
+        if self._quantity == "current":
+            return [self._dialect.current]
+        unit = [self._dialect.power_unit] if self._dialect.power_unit is not None else []
+        return [self._have(self._dialect.power, "power"), *unit]
+
+    def _range_commands(self) -> list[str]:
+        if self._range_a is None:
+            return [self._dialect.auto_range.format(True)]
+        return [self._dialect.current_range.format(self._range_a)]
+
+    def _averaging_command(self) -> str:
+        value = self._averages if self._dialect.averages_samples else self._averages / self.settings.samples_per_s
+        return self._dialect.averaging.format(value)
+
+    def _tell(self, doing: str, *commands: str) -> None:
+        for command in commands:
+            self._wire.write(command)
+        self._check_errors(doing)
+
+    def _ask_number(self, question: str) -> float:
+        try:
+            return decode_number(self._wire.ask(question))
+        except ScpiError as error:
+            self._wire.in_step = False
+            raise BadAnswer(NAME, question, str(error), "ask again") from None
 
     def _check_errors(self, doing: str) -> None:
-        answer = self._wire.ask("SYST:ERR?")
-        try:
-            code, text = decode_error(answer)
-        except ScpiError as error:
-            raise BadAnswer(NAME, doing, str(error)) from None
-        if code != 0:
-            raise DeviceError(NAME, doing, f"it answers {code}, {text}", "check range and averaging in the rig file")
+        """Reads the error queue until it is empty. Raises Refused with the first error in it."""
+        first: str | None = None
+        for _ in range(MOST_ERRORS):
+            try:
+                code, text = decode_error(self._wire.ask("SYST:ERR?"))
+            except ScpiError as error:
+                self._wire.in_step = False
+                raise BadAnswer(NAME, doing, str(error), "ask again") from None
+            if code == 0:
+                break
+            first = first or f"it answers {code}, {text}"
+        if first is not None:
+            raise Refused(NAME, doing, first, "check range and averaging in the rig file")
+
+    def _have(self, command: str | None, what: str) -> str:
+        if command is None:
+            raise Refused(NAME, "set it up", f"a {self._dialect.name} has not {what}", "change the rig file")
+        return command
 
 
 class MonitorMean:
-    """A mean under way, of one or more readings; `current_a` when it is done."""
+    """A mean under way, of one or more readings; `current_a` (or `power_w`) when it is done."""
 
-    def __init__(self, wire: UsbTmc, clock: Clock, pieces: int, seconds: float) -> None:
+    def __init__(self, wire: UsbTmc, clock: Clock, question: str, pieces: int, seconds: float, limit: float | None) -> None:
         self._wire = wire
         self._clock = clock
+        self._question = question
         self._left = pieces
         self._seconds = seconds
+        self._limit = limit
         self._values: list[float] = []
         self._begin()
 
@@ -84,15 +250,22 @@ class MonitorMean:
         """The mean current, A."""
         return math.fsum(self._values) / len(self._values)
 
+    power_w = current_a
+    """The mean power, W, where power was asked for."""
+
     def poll(self) -> bool:
         """Fetches the reading that is due, and starts the next one. Raises DeviceError."""
-        answer = self._wire.read("READ?")
+        answer = self._wire.read(self._question)
         try:
             value = decode_number(answer)
         except ScpiError as error:
-            raise BadAnswer(NAME, "READ?", str(error)) from None
+            self._wire.in_step = False
+            raise BadAnswer(NAME, self._question, str(error), "measure again") from None
         if overloaded(value):
-            raise DeviceError(NAME, "READ?", "the current is over the range", "set a wider range in the rig file")
+            raise DeviceError(NAME, self._question, "the current is over the range", "set a wider range in the rig file")
+        if self._limit is not None and abs(value) > self._limit:
+            self._wire.in_step = False
+            raise BadAnswer(NAME, self._question, f"{value:g} is beyond the range", "measure again")
         self._values.append(value)
         self._left -= 1
         if self._left:
@@ -100,5 +273,5 @@ class MonitorMean:
         return not self._left
 
     def _begin(self) -> None:
-        self._wire.write("READ?")
+        self._wire.write(self._question, answered=True)
         self.due = self._clock.now() + self._seconds + ANSWER_MARGIN_S

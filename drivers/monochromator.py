@@ -1,38 +1,44 @@
-"""An Oriel Cornerstone 260: wavelength, shutter, filter wheel.
+"""An Oriel Cornerstone 260: wavelength, grating, shutter, filter wheel, slits.
 
-The unit answers only when it has arrived, so it is told and asked later. Handshake mode says when a statement is done;
-whether the line echoes is found out at connect.
+The unit answers only when it has arrived, so it is told and asked later. That it has arrived is told by handshake mode's
+status or, where the unit refuses that mode, by the answer to an `STB?` that waits behind the move. Then it is asked where
+it is, and only the place it was sent to counts. A relative STEP is sent once, whatever happens.
+
+What ASCII without a checksum cannot show, and what limits the damage:
+- a digit changed in an answer: a number that is not the expected one is asked for twice, and both must agree; one that
+  is damaged into the expected one is lost on us, and it then is right;
+- a statement changed on its way into another that is legal: the echo shows it where the line echoes, the question
+  after each move (`WAVE?`, `SHUTTER?`, ...) everywhere;
+- a status byte 20 or 32 changed into 00 (or the other way round): the question after the move, too;
+- a line that comes twice, or late, for the next one: echo and number of lines show it; without echo and handshake
+  mode it shows where it is of another kind than the answer expected, and after each timeout the line is drained and two
+  markers are asked. In that poorest dialect a reset between two moves shows only by the question after the next one;
+- a reset: handshake mode is off then, so the canary is read with each exchange (its status line is missing).
+To be confirmed on hardware: error 7 (already there), the statements of slits and labels, steps.
 """
 
+import threading
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from serial import Serial, SerialException
-
-from drivers.errors import BadAnswer, DeviceError, NoAnswer, Refused
-from drivers.pending import Pending, Poll
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
+from drivers.cornerstone_wire import CHECK_LINE, NAME, CornerstoneWire
+from drivers.errors import BadAnswer, DeviceError, Refused
+from drivers.monochromator_move import STATUS_MARGIN_S, Move
+from drivers.pending import Pending
+from drivers.tap import Tap, no_tap
 from drivers.tmcl import PortOpener
 from protocols.clock import Clock
-from protocols.cornerstone import (
-    NO_ERROR,
-    Error,
-    Statement,
-    StatementError,
-    decode_number,
-    decode_status,
-    encode_nm,
-)
+from protocols.cornerstone import NO_ERROR, Grating, Statement, StatementError, decode_number, encode_nm
 
-NAME = "monochromator"
-POLL_S = 0.02
-ANSWER_S = 1.0
-LONGEST_S = 60.0
-STATUS_MARGIN_S = 3.0e-3
+__all__ = ["STATUS_MARGIN_S", "Monochromator", "MonochromatorSettings"]
+
+UNIT_THINKS_S = 2.0e-3
 
 
 @dataclass(frozen=True)
 class MonochromatorSettings:
-    """What the operator believes of the monochromator."""
+    """What the operator believes of the monochromator; `tolerance_nm` is how far from its target a grating may rest."""
 
     baudrate: int = 9600
     lowest_nm: float = 380.0
@@ -40,6 +46,10 @@ class MonochromatorSettings:
     slew_nm_per_s: float = 175.0
     slew_settle_s: float = 0.1
     shutter_s: float = 0.15
+    filter_s: float = 1.0
+    grating_s: float = 8.0
+    slit_um_per_s: float = 500.0
+    tolerance_nm: float = 0.05
 
     def slew_seconds(self, way_nm: float) -> float:
         """How long a change of wavelength takes."""
@@ -49,58 +59,73 @@ class MonochromatorSettings:
         """How long a statement, its echo and the status after it are on the wire."""
         return 10.0 * (2 * len(text) + len("\n\r\n00\r\n")) / self.baudrate
 
+    def question_seconds(self, text: str, answer: str) -> float:
+        """How long a question takes, with echo, answer and status."""
+        return self.statement_seconds(text) + 10.0 * len(answer + "\r\n") / self.baudrate + UNIT_THINKS_S
+
 
 class Monochromator:
     """The device on its serial line."""
 
     def __init__(self, open_port: PortOpener, settings: MonochromatorSettings, clock: Clock, tap: Tap = no_tap) -> None:
-        self._open_port = open_port
+        self._wire = CornerstoneWire(open_port, settings.baudrate, clock, tap)
         self._clock = clock
-        self._tap = tap
+        self._lock = threading.RLock()
+        self._move: Move | None = None
+        self._believed: dict[str, str] = {}
         self.settings = settings
-        self._port: Serial | None = None
-        self._received = b""
-        self._untapped = b""
-        self._echoes = False
-        self._wavelength_nm: float | None = None
+
+    @property
+    def said(self) -> deque[str]:
+        """What the driver did of its own accord (opened the port again, restored settings), newest last."""
+        return self._wire.said
 
     def connect(self) -> str:
-        """Opens the port, finds out about the echo, switches handshake mode on; returns who answers. Nothing moves.
-
-        Raises DeviceError.
-        """
-        self.close()
-        try:
-            self._port = self._open_port(self.settings.baudrate, ANSWER_S)
-        except (SerialException, OSError, ValueError) as error:
-            raise DeviceError(NAME, "open the port", str(error), "check the port in the rig file") from None
-        statement = Statement("HANDSHAKE", parameter="1")
-        self._send(statement)
-        first = self._line(statement)
-        self._echoes = first.strip().upper() == str(statement).encode().upper()
-        self._expect_success(statement, self._line(statement) if self._echoes else first)
-        identity = self._ask("INFO").decode("ascii", "replace")
-        self._wavelength_nm = self.wavelength_nm()
-        return identity
+        """Opens the port, finds out about echo and handshake mode; returns who answers. Nothing moves. Raises DeviceError."""
+        with self._lock:
+            self._move = None
+            self._believed.clear()
+            identity = self._wire.open()
+            self.wavelength_nm()
+            return identity
 
     def close(self) -> None:
         """Gives the port back. Nothing is sent."""
-        self._tap_rest()
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-        self._received = b""
+        self._wire.close()
+
+    # ---- questions ----
 
     def wavelength_nm(self) -> float:
         """Asks where the grating is. Raises DeviceError."""
-        return self._ask_number("WAVE")
+        return self._number("WAVE", 0.0, 10_000.0)
 
     def shutter_is_open(self) -> bool:
         """Asks the shutter. Raises DeviceError."""
-        answer = self._ask("SHUTTER").strip().upper()
-        if answer not in (b"O", b"C"):
-            raise BadAnswer(NAME, "SHUTTER?", f"{answer!r} is neither O nor C")
-        return answer == b"O"
+        answer = self._confirmed("SHUTTER", lambda text: text.upper() in ("O", "C"), "neither O nor C")
+        return answer.upper() == "O"
+
+    def filter(self) -> int:
+        """Asks the filter wheel for its position; 0 where there is none. Raises DeviceError."""
+        return round(self._number("FILTER", 0.0, 9.0))
+
+    def grating(self) -> Grating:
+        """Asks for the grating in the beam. Raises DeviceError."""
+        answer = self._confirmed("GRAT", _is_grating, "no grating")
+        return Grating.decode(answer.encode("ascii"))
+
+    def slit_um(self, slit: int) -> float:
+        """Asks for a slit's width, micrometres. Raises DeviceError."""
+        return self._number(f"SLIT{slit}MICRONS", 0.0, 10_000.0)
+
+    def step(self) -> int:
+        """Asks for the position of the grating's motor, steps. Raises DeviceError."""
+        return round(self._number("STEP", -1e9, 1e9))
+
+    def check(self) -> None:
+        """Asks whether it still has its settings: the canary. Raises Forgotten after a reset, DeviceError for no answer."""
+        self._ask("UNITS")
+
+    # ---- moves ----
 
     def start_wavelength(self, wavelength_nm: float) -> Pending:
         """Sends the grating to a wavelength. Raises DeviceError, before anything is sent where it is out of range."""
@@ -109,115 +134,140 @@ class Monochromator:
             raise DeviceError(
                 NAME, f"go to {wavelength_nm:g} nm", f"outside {lowest:g} to {highest:g} nm", "change the schedule"
             )
-        known = self._wavelength_nm
-        way = highest - lowest if known is None else wavelength_nm - known
-        pending = self._start(Statement("GOWAVE", parameter=encode_nm(wavelength_nm)), self.settings.slew_seconds(way))
-        self._wavelength_nm = wavelength_nm
-        return pending
+        known = self._believed.get("WAVE")
+        way = highest - lowest if known is None else wavelength_nm - float(known)
+        target = encode_nm(wavelength_nm)
+
+        def arrived() -> bool:
+            return abs(self.wavelength_nm() - wavelength_nm) <= self.settings.tolerance_nm
+
+        seconds = self.settings.slew_seconds(way)
+        return self._start(Statement("GOWAVE", parameter=target), seconds, "WAVE", target, arrived)
 
     def start_shutter(self, *, opened: bool) -> Pending:
         """Opens or closes the shutter. Raises DeviceError."""
-        return self._start(Statement("SHUTTER", parameter="O" if opened else "C"), self.settings.shutter_s)
+        letter = "O" if opened else "C"
+        return self._start(
+            Statement("SHUTTER", parameter=letter), self.settings.shutter_s, "SHUTTER", letter,
+            lambda: self.shutter_is_open() is opened,
+        )  # fmt: skip
 
     def start_filter(self, position: int) -> Pending:
         """Turns the filter wheel. Raises DeviceError."""
-        return self._start(Statement("FILTER", parameter=str(position)), 0.0)
+        return self._start(
+            Statement("FILTER", parameter=str(position)), self.settings.filter_s, "FILTER", str(position),
+            lambda: self.filter() == position,
+        )  # fmt: skip
 
-    def _start(self, statement: Statement, seconds: float) -> Pending:
-        self._send(statement)
-        begun = self._clock.now()
-        waiting = [self._echoes]
+    def start_grating(self, number: int) -> Pending:
+        """Turns the turret to a grating; the unit goes back to its wavelength. Raises DeviceError."""
+        self._believed.pop("WAVE", None)
+        return self._start(
+            Statement("GRAT", parameter=str(number)), self.settings.grating_s, "GRAT", None,
+            lambda: self.grating().number == number,
+        )  # fmt: skip
 
-        def done() -> bool:
-            line = self._poll_line()
-            if line is not None and waiting[0]:
-                waiting[0] = False
-                if line.strip().upper() != str(statement).encode().upper():
-                    raise BadAnswer(NAME, str(statement), f"the echo is {line!r}", "check cable and baud rate")
-                line = self._poll_line()
-            if line is not None:
-                self._expect_success(statement, line)
-                return True
-            if self._clock.now() > begun + seconds + LONGEST_S:
-                raise NoAnswer(NAME, str(statement), f"not done after {LONGEST_S + seconds:g} s", "check the unit")
-            return False
+    def start_slit(self, slit: int, width_um: float) -> Pending:
+        """Sets the width of slit 1, 2 or 3, whole micrometres. Raises DeviceError."""
+        word, width = f"SLIT{slit}MICRONS", str(round(width_um))
+        known = self._believed.get(word)
+        way = 3000.0 if known is None else abs(round(width_um) - float(known))
+        return self._start(
+            Statement(word, parameter=width), way / self.settings.slit_um_per_s, word, width,
+            lambda: self.slit_um(slit) == round(width_um),
+        )  # fmt: skip
 
-        due = begun + seconds + self.settings.statement_seconds(str(statement)) + STATUS_MARGIN_S
-        return Poll(self._clock, due, POLL_S, done)
+    def start_step(self, steps: int) -> Pending:
+        """Turns the grating by so many steps from where it is; never sent a second time. Raises DeviceError."""
+        target = self.step() + steps
+        self._believed.pop("WAVE", None)
+        way = self.settings.highest_nm - self.settings.lowest_nm
+        statement = Statement("STEP", parameter=str(steps))
+        return self._start(statement, self.settings.slew_seconds(way), "STEP", str(target), lambda: self.step() == target)
 
-    def _ask(self, word: str) -> bytes:
-        """One query and its answer; the status after it must say that all is well."""
+    def abort(self) -> None:
+        """Stops what moves, from any thread and in the middle of it. Where it stands then has to be asked."""
+        move = self._move
+        if move is not None:
+            move.aborted = True
+        self._believed.clear()
+        self._wire.send_now(Statement("ABORT"))
+
+    @property
+    def moving(self) -> bool:
+        """Whether something has been started of which nobody has heard the end."""
+        return self._move is not None and not self._move.done
+
+    def _start(
+        self, statement: Statement, seconds: float, word: str, target: str | None, arrived: Callable[[], bool]
+    ) -> Pending:
+        with self._lock:
+            before = self._move if self.moving else None
+            self._believed.pop(word, None)
+
+            def confirmed() -> bool:
+                if target is not None:
+                    self._believed[word] = target
+                good = arrived()
+                if not good:
+                    self._believed.pop(word, None)
+                return good
+
+            text = str(statement)
+            on_the_wire = self.settings.statement_seconds(text) + STATUS_MARGIN_S
+            move = Move(self._wire, self._clock, statement, seconds, on_the_wire, confirmed, before)
+            self._move = move
+            return move
+
+    # ---- exchanges ----
+
+    def _ask(self, word: str) -> str:
+        """One question and its answer; the status after it must say that all is well."""
         statement = Statement(word, query=True)
-        self._send(statement)
-        line = self._line(statement)
-        if self._echoes:
-            line = self._line(statement)
-        self._expect_success(statement, self._line(statement))
-        return line
+        with self._lock:
+            move = self._move
+            if move is not None and not move.done and not move.confirming:
+                if not move.aborted:
+                    raise DeviceError(NAME, str(statement), "it moves, and answers only when it has arrived", "wait for it")
+                move.done = True
+            answer, status = self._wire.exchange(statement)
+            if status != NO_ERROR:
+                raise Refused(NAME, str(statement), self._wire.last_error())
+            try:
+                return answer.decode("ascii").strip()
+            except UnicodeDecodeError:
+                self._wire.in_step = False
+                raise BadAnswer(NAME, str(statement), f"not ASCII: {answer!r}", CHECK_LINE) from None
 
-    def _ask_number(self, word: str) -> float:
+    def _confirmed(self, word: str, plausible: Callable[[str], bool], otherwise: str) -> str:
+        """An answer that is what was expected, or that is given twice. Raises DeviceError."""
         answer = self._ask(word)
-        try:
-            return decode_number(answer)
-        except StatementError as error:
-            raise BadAnswer(NAME, f"{word}?", str(error), "check cable and baud rate") from None
+        if answer != self._believed.get(word):
+            again = self._ask(word)
+            if again == self._believed.get(word):
+                answer = again
+            elif again != answer:
+                self._wire.in_step = False
+                raise BadAnswer(NAME, f"{word}?", f"{answer!r} once and {again!r} then", CHECK_LINE)
+        if not plausible(answer):
+            self._wire.in_step = False
+            raise BadAnswer(NAME, f"{word}?", f"{answer!r} is {otherwise}", CHECK_LINE)
+        self._believed[word] = answer
+        return answer
 
-    def _send(self, statement: Statement) -> None:
-        if self._port is None:
-            raise NoAnswer(NAME, str(statement), "the port is not open", "connect first")
-        self._read(0.0, 256)
-        self._tap_rest()
-        self._received = b""
-        self._tap(TO_DEVICE, statement.encode())
-        try:
-            self._port.write(statement.encode())
-        except (SerialException, OSError) as error:
-            raise NoAnswer(NAME, str(statement), f"the port failed: {error}", "check cable and power") from None
+    def _number(self, word: str, lowest: float, highest: float) -> float:
+        def plausible(text: str) -> bool:
+            try:
+                return lowest <= decode_number(text.encode("ascii")) <= highest
+            except StatementError:
+                return False
 
-    def _expect_success(self, statement: Statement, line: bytes) -> None:
-        try:
-            status = decode_status(line)
-        except StatementError as error:
-            raise BadAnswer(NAME, str(statement), str(error), "check cable and baud rate") from None
-        if status != NO_ERROR and str(statement) != "ERROR?":
-            number = int(self._ask_number("ERROR"))
-            words = Error(number).in_words() if number in set(Error) else "unknown"
-            raise Refused(NAME, str(statement), f"error {number}, {words}")
+        return decode_number(self._confirmed(word, plausible, "no number that it can be").encode("ascii"))
 
-    def _line(self, statement: Statement) -> bytes:
-        """The next line, within the time in which the unit answers when it does not move."""
-        deadline = self._clock.now() + ANSWER_S
-        while b"\n" not in self._received:
-            left = deadline - self._clock.now()
-            chunk = self._read(left, 1) if left > 0 else b""
-            if not chunk:
-                raise NoAnswer(NAME, str(statement), f"no line within {ANSWER_S:g} s", "check cable and baud rate")
-            self._received += chunk + self._read(0.0, 256)
-        line, _, self._received = self._received.partition(b"\n")
-        return line.rstrip(b"\r")
 
-    def _poll_line(self) -> bytes | None:
-        """A line if a whole one is there."""
-        self._received += self._read(0.0, 256)
-        if b"\n" not in self._received:
-            return None
-        line, _, self._received = self._received.partition(b"\n")
-        return line.rstrip(b"\r")
-
-    def _read(self, timeout_s: float, size: int) -> bytes:
-        assert self._port is not None
-        try:
-            self._port.timeout = timeout_s
-            data = self._port.read(size)
-        except (SerialException, OSError) as error:
-            raise NoAnswer(NAME, "read", f"the port failed: {error}", "check cable and power") from None
-        self._untapped += data
-        while b"\n" in self._untapped:
-            line, end, self._untapped = self._untapped.partition(b"\n")
-            self._tap(FROM_DEVICE, line + end)
-        return data
-
-    def _tap_rest(self) -> None:
-        """A line that was cut off belongs into the transcript too."""
-        self._tap(FROM_DEVICE, self._untapped)
-        self._untapped = b""
+def _is_grating(text: str) -> bool:
+    try:
+        Grating.decode(text.encode("ascii"))
+    except StatementError:
+        return False
+    return True

@@ -1,25 +1,25 @@
-"""The photodiodes of the arc behind Advantech ADAM-6017 modules: gain by digital outputs, counts by registers."""
+"""The photodiodes of the arc behind Advantech modules: gain by digital outputs, counts by registers.
+
+The gain is chosen by each module's own two digital outputs. An ADAM-4117 has none: its amplifiers have one fixed gain,
+and the settings list that one.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from pymodbus.client.base import ModbusBaseSyncClient
-from pymodbus.exceptions import ModbusException
-from pymodbus.pdu import ModbusPDU
 
-from drivers.errors import BadAnswer, DeviceError, NoAnswer, Refused
+from drivers.adam import AdamModule
+from drivers.errors import DeviceError, NoAnswer, Refused
+from drivers.modbus import ModbusUnit, explain, explain_rtu
 from drivers.pending import Pending, Until
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from protocols import adam
 from protocols.clock import Clock
 
-Counts = npt.NDArray[np.uint16]
-ModbusOpener = Callable[[Callable[[bool, bytes], bytes] | None], ModbusBaseSyncClient]
-"""Makes the client of a module; takes what pymodbus calls with each packet."""
+__all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
+Counts = npt.NDArray[np.uint16]
 PERIOD_MARGIN = 1.01
 
 
@@ -29,7 +29,7 @@ class PhotodiodeSettings:
 
     `upper_deg` and `lower_deg` are the polar angles on the two arcs at shift 0; channels count through the upper arc
     first. A module makes `conversions_per_s` in all, so each of its channels is new once a `period_s`. After a change
-    of gain or pose the first conversion that counts begins `settling_s` later.
+    of gain or pose the first reading is `wait_s` later. `exchange_s` is how long one question takes.
     """
 
     upper_deg: tuple[float, ...]
@@ -40,6 +40,7 @@ class PhotodiodeSettings:
     conversions_per_s: float = 100.0
     settling_s: float = 0.25
     exchange_s: float = 4.0e-4
+    kind: str = "adam-6017"
 
     @property
     def count(self) -> int:
@@ -52,9 +53,36 @@ class PhotodiodeSettings:
         return -(-self.count // adam.CHANNELS)
 
     @property
+    def model(self) -> adam.Model:
+        """The kind of module."""
+        return adam.MODELS[self.kind]
+
+    @property
     def period_s(self) -> float:
-        """Between two readings: a little more than a channel's conversions take, so that no reading comes twice."""
-        return PERIOD_MARGIN * adam.CHANNELS / self.conversions_per_s
+        """Between two readings: a little more than a channel's conversions take, so that no reading comes twice.
+
+        On a slow line it is as long as asking all modules takes.
+        """
+        return PERIOD_MARGIN * max(adam.CHANNELS / self.conversions_per_s, self.modules * self.exchange_s)
+
+    @property
+    def wait_s(self) -> float:
+        """From a change of gain or pose to the first reading, which has to have been converted after the settling.
+
+        What is read at a time was converted up to a round and a channel's turn before; and a change of range loses one.
+        """
+        conversion_s = PERIOD_MARGIN * adam.CHANNELS / self.conversions_per_s
+        return max(self.settling_s + (1.0 + 1.0 / adam.CHANNELS) * conversion_s, 2.0 * conversion_s)
+
+    @property
+    def gain_seconds(self) -> float:
+        """Setting the gain, reading it back, and the ranges, of all modules; nothing where it is fixed."""
+        return 3 * self.modules * self.exchange_s if self.model.outputs else 0.0
+
+    @property
+    def fetching_seconds(self) -> float:
+        """The last reading and the canary, of all modules."""
+        return 2 * self.modules * self.exchange_s
 
     @property
     def range(self) -> adam.Range:
@@ -63,157 +91,160 @@ class PhotodiodeSettings:
 
     def reading_seconds(self, readings: int) -> float:
         """From the trigger to the last of so many readings, settling included."""
-        return self.settling_s + readings * self.period_s + self.modules * self.exchange_s
+        return self.wait_s + (readings - 1) * self.period_s + self.fetching_seconds
 
 
 class PhotodiodeArray:
     """All modules of the arc, as one row of counts."""
 
-    def __init__(
-        self,
-        openers: list[ModbusOpener],
-        settings: PhotodiodeSettings,
-        clock: Clock,
-        taps: list[Tap] | None = None,
-    ) -> None:
-        self._openers = openers
-        self._taps = taps
+    def __init__(self, units: list[ModbusUnit], settings: PhotodiodeSettings, clock: Clock) -> None:
         self._clock = clock
         self.settings = settings
-        self._modules: list[AdamModule] = []
+        self._modules = [
+            AdamModule(f"photodiodes module {index}", unit, settings.model, settings.range_code, clock)
+            for index, unit in enumerate(units)
+        ]
+        self._connected = False
 
     def connect(self) -> list[str]:
-        """Opens all modules, checks who they are, sets their range; returns their names. Raises DeviceError."""
+        """Opens all modules, checks who they are, writes their settings; returns who they are. Raises DeviceError.
+
+        Every module is tried; the error is the first one's and names the others that failed.
+        """
         self.close()
-        for index, opener in enumerate(self._openers):
-            tap = self._taps[index] if self._taps else None
-            module = AdamModule(f"photodiodes module {index}", opener, tap)
-            self._modules.append(module)
-            module.connect(self.settings.range_code)
-        return [module.name for module in self._modules]
+        self._each(AdamModule.connect)
+        self._connected = True
+        return [module.identity for module in self._modules]
+
+    def reconnect(self) -> list[str]:
+        """After a fault: identity checked and settings restored, module by module; returns what was restored.
+
+        Raises DeviceError as `connect`; it may be tried again, and a module that has come back meanwhile joins.
+        """
+        restored = [line for lines in self._each(AdamModule.reconnect) for line in lines]
+        self._connected = True
+        return restored
 
     def close(self) -> None:
         """Gives the connections back."""
+        self._connected = False
         for module in self._modules:
             module.close()
-        self._modules = []
 
     def start_gain(self, gain: int) -> Pending:
-        """Has all amplifiers use the gain of that number in the settings' list; done when they have settled."""
-        for module in self._modules:
-            module.set_outputs([bool(gain >> bit & 1) for bit in range(adam.DIGITAL_OUTPUTS)])
-        return Until(self._clock, self._clock.now())
+        """Has all amplifiers use the gain of that number in the settings' list; done when all outputs are read back.
+
+        Raises Refused for a gain that is not in the list.
+        """
+        if not 0 <= gain < len(self.settings.gains_v_per_a):
+            raise Refused("photodiodes", f"set gain {gain}", f"there are {len(self.settings.gains_v_per_a)}: mend the schedule")
+        outputs = [bool(gain >> bit & 1) for bit in range(self.settings.model.outputs)]
+        if not outputs:
+            return Until(self._clock, self._clock.now())
+        steps: list[Callable[[], None]] = []
+        for module in self._linked("set the gain"):
+            # Outputs that are set again hide that they were forgotten, and the ranges with them: these are read too.
+            steps += [lambda each=module: each.set_outputs(outputs), module.check_outputs, module.check_ranges]  # type: ignore[misc]
+        return Steps(self._clock, steps)
 
     def start_readings(self, readings: int) -> "Readings":
-        """Reads all channels so many times, once a conversion, after the settling time."""
-        return Readings(self._modules, self.settings, self._clock, readings)
+        """Reads all channels so many times, once a conversion, after the settling time. Raises NoAnswer."""
+        return Readings(self._linked("read"), self.settings, self._clock, readings)
+
+    def _linked(self, doing: str) -> list[AdamModule]:
+        if not self._connected:
+            raise NoAnswer("photodiodes", doing, "they are not connected", "connect them first")
+        return self._modules
+
+    def _each(self, action: Callable[[AdamModule], list[str] | str]) -> list[list[str]]:
+        done: list[list[str]] = []
+        failed: list[DeviceError] = []
+        for module in self._modules:
+            try:
+                found = action(module)
+                done.append(found if isinstance(found, list) else [found])
+            except DeviceError as error:
+                failed.append(error)
+        if failed:
+            self._connected = False
+            first = failed[0]
+            if len(failed) == 1:
+                raise first
+            others = "".join(f"; also {error.device}: {error.happened}" for error in failed[1:])
+            raise DeviceError(first.device, first.doing, first.happened + others, first.remedy)
+        return done
+
+
+class Steps:
+    """Exchanges one after the other, one a poll."""
+
+    def __init__(self, clock: Clock, steps: list[Callable[[], None]]) -> None:
+        self._steps = steps
+        self.due = clock.now()
+
+    def poll(self) -> bool:
+        """Does the next. Raises DeviceError."""
+        if self._steps:
+            self._steps.pop(0)()
+        return not self._steps
 
 
 class Readings:
-    """Readings under way; `counts` (readings, photodiodes) is filled as they come."""
+    """Readings under way, one exchange a poll; done when each module has shown that it still has its settings."""
 
-    def __init__(self, modules: list["AdamModule"], settings: PhotodiodeSettings, clock: Clock, readings: int) -> None:
+    def __init__(self, modules: list[AdamModule], settings: PhotodiodeSettings, clock: Clock, readings: int) -> None:
         self._modules = modules
         self._settings = settings
         self._clock = clock
+        self._row: list[int] = []
+        self._row_started = 0.0
+        self._checked = 0
         self._taken = 0
-        self.counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
-        # What is read was converted up to a period before.
-        self.due = self._first = clock.now() + settings.settling_s + settings.period_s
+        self._counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
+        self.due = self._first = clock.now() + settings.wait_s
 
     @property
     def started(self) -> float:
         """When the first reading is due, s."""
         return self._first
 
+    @property
+    def counts(self) -> Counts:
+        """Raw values, shape (readings taken so far, photodiodes). They are good once `poll` has said that it is done."""
+        return self._counts[: self._taken]
+
+    @property
+    def clipped(self) -> npt.NDArray[np.bool_]:
+        """Which of the counts stand at an end of the range: bounds, not readings."""
+        ends: npt.NDArray[np.bool_] = (self.counts == 0) | (self.counts == adam.FULL_SCALE)
+        return ends
+
+    def mean_volts(self) -> npt.NDArray[np.float64]:
+        """The mean of each photodiode's readings, V; NaN where one of them is clipped or none was taken."""
+        if not self._taken:
+            return np.full(self._settings.count, np.nan)
+        scale = self._settings.range
+        mean = scale.low_v + scale.lsb_v * self.counts.mean(axis=0)
+        return np.where(self.clipped.any(axis=0), np.nan, mean)
+
     def poll(self) -> bool:
-        """Takes one reading of every module. Raises DeviceError."""
-        row: list[int] = []
-        for module in self._modules:
-            row += module.counts()
-        self.counts[self._taken] = row[: self._settings.count]
-        self._taken += 1
-        self.due = self._first + self._taken * self._settings.period_s
-        return self._taken == len(self.counts)
-
-
-class AdamModule:
-    """One module on its own connection. Raises DeviceError where its address leads nowhere."""
-
-    def __init__(self, name: str, opener: ModbusOpener, tap: Tap | None) -> None:
-        self.name = name
-        self._tap = tap
-        try:
-            self._client = opener(self._trace if tap is not None else None)
-        except (LookupError, OSError, ValueError) as error:
-            raise DeviceError(name, "open the connection", str(error), "check the address in the rig file") from None
-
-    def connect(self, range_code: int) -> None:
-        """Checks that it is an ADAM-6017 and sets all channels' range. Raises DeviceError."""
-        if not self._client.connect():
-            raise NoAnswer(self.name, "connect", f"nobody at {self._client}", "check address, cable and power")
-        found = self._registers(adam.MODULE_NAME, len(adam.NAME_6017))
-        if tuple(found) != adam.NAME_6017:
-            raise BadAnswer(self.name, "ask for its name", f"it is {found[0]:04x}, not {adam.NAME_6017[0]:04x}")
-        for channel in range(adam.CHANNELS):
-            self._ask(partial(self._client.write_register, adam.RANGE_CODE + channel, range_code), "set the range")
-
-    def close(self) -> None:
-        """Gives the connection back."""
-        self._client.close()  # type: ignore[no-untyped-call]
-
-    def counts(self) -> list[int]:
-        """The raw values of all channels. Raises DeviceError."""
-        return self._registers(adam.AI_VALUE, adam.CHANNELS)
-
-    def set_outputs(self, outputs: list[bool]) -> None:
-        """The digital outputs, lowest first. Raises DeviceError."""
-        self._ask(lambda: self._client.write_coils(adam.DIGITAL_OUTPUT, outputs), f"set its outputs to {outputs}")
-
-    def _registers(self, address: int, count: int) -> list[int]:
-        doing = f"read registers {address} to {address + count - 1}"
-        answer = self._ask(lambda: self._client.read_holding_registers(address, count=count), doing)
-        if len(answer.registers) != count:
-            raise BadAnswer(self.name, doing, f"{len(answer.registers)} values instead of {count}")
-        return list(answer.registers)
-
-    def _ask(self, call: Callable[[], ModbusPDU], doing: str) -> ModbusPDU:
-        try:
-            answer = call()
-        except ModbusException as error:
-            raise NoAnswer(self.name, doing, str(error), "check address, cable and power") from None
-        except OSError as error:
-            raise DeviceError(self.name, doing, f"the connection failed: {error}", "check cable and power") from None
-        if answer.isError():
-            raise Refused(self.name, doing, f"the module answers with exception {answer.exception_code}")
-        return answer
-
-    def _trace(self, sending: bool, data: bytes) -> bytes:
-        assert self._tap is not None
-        self._tap(TO_DEVICE if sending else FROM_DEVICE, data)
-        return data
-
-
-FUNCTIONS = {
-    1: "read coils",
-    3: "read registers",
-    4: "read input registers",
-    5: "write coil",
-    6: "write register",
-    15: "write coils",
-    16: "write registers",
-}
-
-
-def explain(direction: str, data: bytes) -> str:
-    """A Modbus TCP frame in words, for transcripts."""
-    if len(data) < 9:
-        return "too short for a Modbus TCP frame"
-    transaction, unit, function = int.from_bytes(data[:2], "big"), data[6], data[7]
-    head = f"{FUNCTIONS.get(function & 0x7F, f'function {function & 0x7F}')}, transaction {transaction}, unit {unit}"
-    if function & 0x80:
-        return f"{head}: exception {data[8]}"
-    if direction == FROM_DEVICE and function in (3, 4):
-        values = [int.from_bytes(data[at : at + 2], "big") for at in range(9, len(data) - 1, 2)]
-        return f"{head}: {' '.join(map(str, values))}"
-    return f"{head}: {' '.join(str(int.from_bytes(data[at : at + 2], 'big')) for at in (8, 10) if at + 2 <= len(data))}"
+        """Asks one module: its counts, or in the end its canary. Raises DeviceError; no reading is invented."""
+        if self._taken == len(self._counts):
+            if self._checked < len(self._modules):
+                self._modules[self._checked].check()
+                self._checked += 1
+            return self._checked >= len(self._modules)
+        at = len(self._row) // adam.CHANNELS
+        if at == 0:
+            self._row_started = self._clock.now()
+        self._row += self._modules[at].counts()
+        if at + 1 == len(self._modules):
+            self._counts[self._taken] = self._row[: self._settings.count]
+            self._row = []
+            self._taken += 1
+            if self._taken < len(self._counts):
+                # A fault that took time shifts the rest: two readings of one conversion would be one reading counted twice.
+                planned = self._first + self._taken * self._settings.period_s
+                late = self._row_started - (planned - self._settings.period_s) > 0.1 * self._settings.period_s
+                self.due = self._row_started + self._settings.period_s if late else planned
+        return False

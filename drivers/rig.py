@@ -5,14 +5,25 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from drivers.axis import Axis
-from drivers.errors import BadAnswer, DeviceError
+from drivers.errors import BadAnswer, DeviceError, LimitError
+from drivers.interlock import ArcClearance
 from drivers.monitor import Monitor
 from drivers.monochromator import Monochromator
+from drivers.pending import Pending
 from drivers.photodiodes import PhotodiodeArray
 from drivers.tmcl import TmclModule
 from protocols.clock import Clock
 
 SIMULATED_SERIAL = "TWIN"
+
+
+@dataclass(frozen=True)
+class _Move:
+    """An axis on its way, or arrived since `due`."""
+
+    from_deg: float
+    target_deg: float
+    due: float
 
 
 @dataclass
@@ -26,7 +37,9 @@ class Rig:
     photodiodes: PhotodiodeArray
     monitor: Monitor
     simulated: bool
+    clearance: ArcClearance | None = None
     identities: dict[str, str] = field(default_factory=dict)
+    _moves: dict[str, "_Move"] = field(default_factory=dict)
 
     def connect(self) -> dict[str, DeviceError | None]:
         """Opens every device and writes its settings; nothing moves. What failed is told by device, and the rest works."""
@@ -35,7 +48,7 @@ class Rig:
         for device, connect in (
             ("axes", self._connect_axes),
             ("monochromator", self.monochromator.connect),
-            ("photodiodes", lambda: f"{len(self.photodiodes.connect())} modules ADAM-6017"),
+            ("photodiodes", lambda: f"{len(self.photodiodes.connect())} modules {self.photodiodes.settings.model.title}"),
             ("monitor", self._connect_monitor),
         ):
             outcome[device] = self._attempt(device, connect)
@@ -47,12 +60,39 @@ class Rig:
             with contextlib.suppress(DeviceError):
                 device.close()
 
+    def start(self, name: str, target_deg: float) -> Pending:
+        """Sends an axis to an angle, if no other axis forbids it. Raises LimitError before anything is sent, DeviceError."""
+        axis = self.axes[name]
+        if self.clearance is not None and name in ("beta", "shift"):
+            axis.check_limits(axis.settings, target_deg)
+            ways = {each: self._way(each) for each in ("beta", "shift")}
+            ways[name] = (*ways[name], target_deg)
+            reason = self.clearance.veto(ways["beta"], ways["shift"])
+            if reason is not None:
+                raise LimitError(name, f"move to {target_deg:g} deg", reason)
+        way = self._moves.pop(name, None)  # until the move is sent nobody knows where the axis ends
+        pending = axis.start(target_deg)
+        started_from = target_deg if way is None else way.target_deg
+        self._moves[name] = _Move(started_from, target_deg, pending.arrival)
+        return pending
+
+    def _way(self, name: str) -> tuple[float, ...]:
+        """Angles between which an axis may be: on its way, or at its last target, or where it says that it is."""
+        move = self._moves.get(name)
+        if move is None:
+            here = self.axes[name].position_deg()
+            self._moves[name] = _Move(here, here, self.clock.now())
+            return (here,)
+        return (move.target_deg,) if self.clock.now() >= move.due else (move.from_deg, move.target_deg)
+
     def stop(self) -> list[DeviceError]:
-        """Has every axis come to rest over its ramp, from any thread; returns what could not be told to its axis."""
-        failures = []
-        for axis in self.axes.values():
+        """Has every axis come to rest over its ramp, then the grating, from any thread; returns what could not be told."""
+        self._moves.clear()  # where the axes come to rest they have to be asked
+        requests = [axis.stop_requests() for axis in self.axes.values()]
+        failures = self.axes_module.stop([each for axis in requests for each in axis])
+        if self.monochromator.moving:
             try:
-                axis.stop()
+                self.monochromator.abort()
             except DeviceError as error:
                 failures.append(error)
         return failures
@@ -63,6 +103,14 @@ class Rig:
         except DeviceError as error:
             return error
         return None
+
+    def reconnect_axes(self) -> str:
+        """Opens the axes' port anew and restores their settings; an axis whose module has reset is unreferenced then.
+
+        Returns who answers. Nothing moves. Raises DeviceError.
+        """
+        self._moves.clear()
+        return self._connect_axes()
 
     def _connect_axes(self) -> str:
         module = self.axes_module.connect()

@@ -1,35 +1,64 @@
-"""Register map and scaling of the Advantech ADAM-6017 (eight analogue inputs, two digital outputs; Modbus TCP).
+"""Register map and scaling of Advantech's eight-channel converters: ADAM-6017 (Modbus TCP) and ADAM-4117 (Modbus RTU).
 
 Addresses are those of the PDU (4X reference less 40001, 0X reference less 1). Framing and PDUs are pymodbus's.
-Source: Advantech, "ADAM-6000 Series User Manual", appendix B. To be confirmed on hardware: the word order of floats and
-the average's registers, which nothing here uses.
+Source: Advantech, "ADAM-6000 Series User Manual", appendix B, and "ADAM-4100 Series User's Manual", appendix B.
+
+To be confirmed on hardware, and nothing that measures rests on it: the registers of average, maximum, minimum and
+floats (and the floats' word order and unit), the coils of burn-out and alarms, the 4117's comm-safety registers, the
+shunt of the current ranges.
 """
 
 from dataclasses import dataclass
 
 CHANNELS = 8
 UNIT = 1
+LAST_UNIT = 247
 FULL_SCALE = 65535
+BAUDRATE = 9600
+RTU_EXCHANGE_S = 0.04
+"""Reading eight registers at 9600 baud: 8 and 21 characters of ten bits, two gaps, and the module's thinking."""
 
 AI_VALUE = 0
+AVERAGE = 8
+MAXIMUM = 10
+MINIMUM = 20
+FLOAT_VALUE = 30
 RANGE_CODE = 200
 MODULE_NAME = 210
 FIRMWARE_VERSION = 212
+COMM_SAFETY_ENABLE = 214
+COMM_SAFETY_FLAG = 215
 CHANNEL_ENABLE = 220
+ALL_CHANNELS = 0x00FF
 
 DIGITAL_OUTPUT = 16
 DIGITAL_OUTPUTS = 2
+RESET_MAXIMUM = 100
+RESET_MINIMUM = 110
+BURN_OUT = 120
+HIGH_ALARM = 130
+LOW_ALARM = 140
 
-NAME_6017 = (0x6017, 0x0000)
+ILLEGAL_FUNCTION = 1
+ILLEGAL_ADDRESS = 2
+ILLEGAL_VALUE = 3
+DEVICE_FAILURE = 4
+BUSY = 6
+
+SHUNT_OHM = 120.0
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """An input range: raw 0 is `low_v`, raw 65535 is `high_v`."""
+    """An input range: raw 0 is `low_v`, raw 65535 is `high_v`.
+
+    A current range measures the voltage over `SHUNT_OHM`; its limits are given as that voltage.
+    """
 
     code: int
     low_v: float
     high_v: float
+    current: bool = False
 
     @property
     def lsb_v(self) -> float:
@@ -43,6 +72,17 @@ class Range:
     def raw(self, volts: float) -> int:
         """The raw value that the converter gives for a voltage: rounded, and clipped at the ends."""
         return round(min(max((volts - self.low_v) / self.lsb_v, 0.0), float(FULL_SCALE)))
+
+    def shown(self, raw: float) -> float:
+        """The number in the float registers: V, mV in the ranges below 1 V, mA in those of currents."""
+        volts = self.volts(raw)
+        if self.current:
+            return 1e3 * volts / SHUNT_OHM
+        return volts if self.high_v >= 1.0 else 1e3 * volts
+
+
+def _current(code: int, low_ma: float, high_ma: float) -> Range:
+    return Range(code, 1e-3 * low_ma * SHUNT_OHM, 1e-3 * high_ma * SHUNT_OHM, current=True)
 
 
 RANGES = {
@@ -58,9 +98,41 @@ RANGES = {
         Range(0x0145, 0.0, 1.0),
         Range(0x0147, 0.0, 5.0),
         Range(0x0148, 0.0, 10.0),
+        _current(0x0180, 4.0, 20.0),
+        _current(0x0181, -20.0, 20.0),
+        _current(0x0182, 0.0, 20.0),
     )
 }
 PLUS_MINUS_10_V = 0x0143
+FOUR_TO_TWENTY_MA = 0x0180
+VOLTAGE_RANGES = {code: each for code, each in RANGES.items() if not each.current}
+"""What an amplifier can be read with."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A kind of module: its name, the words in which it says it, its ranges, its digital outputs, its wire.
+
+    `statistics`: whether it has registers of average, maximum, minimum and floats, and the coils that go with them.
+    """
+
+    title: str
+    name: tuple[int, int]
+    ranges: frozenset[int]
+    outputs: int
+    serial: bool
+    statistics: bool
+
+
+ADAM_6017 = Model("ADAM-6017", (0x6017, 0x0000), frozenset(RANGES), DIGITAL_OUTPUTS, serial=False, statistics=True)
+ADAM_4117 = Model("ADAM-4117", (0x4117, 0x0000), frozenset(RANGES), 0, serial=True, statistics=False)
+MODELS = {"adam-6017": ADAM_6017, "adam-4117": ADAM_4117}
+NAME_6017 = ADAM_6017.name
+
+
+def firmware(words: list[int]) -> str:
+    """A firmware version as people write it: 0x0506 is 5.06."""
+    return f"{words[0] >> 8:x}.{words[0] & 0xFF:02x}"
 
 
 def clipped(raw: int) -> bool:

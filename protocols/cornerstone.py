@@ -1,17 +1,26 @@
 """The statements of the Oriel Cornerstone 260 monochromator: lines of ASCII over RS232.
 
 Source: Newport/Oriel, "Cornerstone 260 monochromator" user's manual (MCS260): syntax, echo and handshake mode, error
-codes. To be confirmed on hardware: the spelling of UNITS and what the classic 260 answers to statements of the 260B.
+codes. To be confirmed on hardware: the spelling of UNITS and what the classic 260 answers to statements of the 260B,
+whether it knows FACTOR, ZERO, BANDPASS and `STEP?`, the numbers of OUTPORT, the decimals of wavelengths in um and 1/cm.
 """
 
+import math
+import re
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 
 TO_DEVICE = b"\n"
 FROM_DEVICE = b"\r\n"
 NO_ERROR = 0x00
 ERROR_SINCE_LAST_READ = 0x20
+STATUS_TEXTS = {b"00": NO_ERROR, b"20": ERROR_SINCE_LAST_READ, b"32": ERROR_SINCE_LAST_READ}
+"""The status byte as units send it: bit 5 in hexadecimal, or in decimal."""
 MAX_LINE = 256
+MAX_LABEL = 8
+
+_NUMBER = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
+_TERMINATOR = re.compile(rb"[\r\n]")
 
 
 class Error(IntEnum):
@@ -32,8 +41,41 @@ class Error(IntEnum):
         return self.name.replace("_", " ").lower()
 
 
+class Unit(Enum):
+    """What a wavelength is told in: nm, um or 1/cm, with the decimals that the unit writes."""
+
+    NM = 3
+    UM = 6
+    WN = 2
+
+    def to_nm(self, value: float) -> float:
+        """In nm; infinity for a wavenumber of 0."""
+        if self is Unit.WN:
+            return 1e7 / value if value else math.inf
+        return value * 1e3 if self is Unit.UM else value
+
+    def encode(self, wavelength_nm: float) -> str:
+        """As the device writes it; 0 where a wavelength of 0 has no wavenumber."""
+        value = wavelength_nm
+        if self is Unit.WN:
+            value = 1e7 / wavelength_nm if wavelength_nm else 0.0
+        elif self is Unit.UM:
+            value = wavelength_nm * 1e-3
+        return f"{value:.{self.value}f}"
+
+
 class StatementError(ValueError):
     """A line that is no statement, or an answer that is none."""
+
+
+def take_lines(pending: bytes, data: bytes) -> tuple[list[bytes], bytes]:
+    """The lines that `data` completes after `pending`, and what is left pending; empty lines are none.
+
+    CR, LF and CR LF end a line. Of an endless line the first MAX_LINE + 1 bytes are kept, one too many for `decode`. The
+    lines are the same however the bytes are split.
+    """
+    *whole, rest = _TERMINATOR.split(pending + data)
+    return [line[: MAX_LINE + 1] for line in whole if line], rest[: MAX_LINE + 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +95,8 @@ class Statement:
     @classmethod
     def decode(cls, line: bytes) -> "Statement":
         """A statement from a line with or without its terminator. Raises StatementError."""
+        if len(line) > MAX_LINE:
+            raise StatementError(f"a line of more than {MAX_LINE} characters")
         try:
             text = line.decode("ascii").strip()
         except UnicodeDecodeError:
@@ -66,6 +110,10 @@ class Statement:
     def __str__(self) -> str:
         return self.encode().decode("ascii").strip()
 
+    def echoed_by(self, line: bytes) -> bool:
+        """Whether a line is this statement's echo."""
+        return line.strip().upper() == str(self).encode("ascii").upper()
+
 
 def encode_status(status: int) -> bytes:
     """The status byte as handshake mode sends it: two hexadecimal digits."""
@@ -75,11 +123,16 @@ def encode_status(status: int) -> bytes:
 def decode_status(line: bytes) -> int:
     """The status byte from its line. Raises StatementError."""
     text = line.strip()
-    if len(text) != 2:
+    if not re.fullmatch(rb"[0-9A-Fa-f]{2}", text):
         raise StatementError(f"no status byte: {line!r}")
+    return int(text, 16)
+
+
+def decode_known_status(line: bytes) -> int:
+    """NO_ERROR or ERROR_SINCE_LAST_READ: a status byte with any other bit is taken for a fault. Raises StatementError."""
     try:
-        return int(text, 16)
-    except ValueError:
+        return STATUS_TEXTS[line.strip()]
+    except KeyError:
         raise StatementError(f"no status byte: {line!r}") from None
 
 
@@ -89,8 +142,32 @@ def encode_nm(wavelength_nm: float) -> str:
 
 
 def decode_number(line: bytes) -> float:
-    """A number from an answer's line. Raises StatementError."""
-    try:
-        return float(line.decode("ascii").strip())
-    except (UnicodeDecodeError, ValueError):
-        raise StatementError(f"no number: {line!r}") from None
+    """A finite number from an answer's line, digits and nothing else. Raises StatementError."""
+    text = line.strip()
+    if not _NUMBER.fullmatch(text):
+        raise StatementError(f"no number: {line!r}")
+    value = float(text)
+    if not math.isfinite(value):
+        raise StatementError(f"no number: {line!r}")
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class Grating:
+    """What `GRAT?` answers: number, lines per mm, label."""
+
+    number: int
+    lines_per_mm: int
+    label: str
+
+    def encode(self) -> str:
+        """Such as `1,1200,VIS`."""
+        return f"{self.number},{self.lines_per_mm},{self.label}"
+
+    @classmethod
+    def decode(cls, line: bytes) -> "Grating":
+        """Raises StatementError."""
+        match = re.fullmatch(rb"\s*(\d)\s*,\s*(\d{1,5})\s*,\s*([ -~]{0,%d}?)\s*" % MAX_LABEL, line)
+        if match is None:
+            raise StatementError(f"no grating: {line!r}")
+        return cls(int(match[1]), int(match[2]), match[3].decode("ascii"))

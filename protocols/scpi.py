@@ -1,15 +1,23 @@
-"""SCPI: headers with short and long forms and optional nodes, and the numbers of answers.
+"""SCPI: headers with short and long forms and optional nodes, parameters, and the numbers of answers.
 
 Source: SCPI-99 volume 1, chapters 5 to 7; IEEE 488.2 chapter 7.
 """
 
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
 OVERRANGE = 9.9e37
+NOT_A_NUMBER = 9.91e37
 MAX_MESSAGE = 4096
+LONGEST_MNEMONIC = 12
+
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:\s*[eE]\s*[+-]?\d{1,5})?")
+_NODE = re.compile(r"[A-Z][A-Z0-9_]*")
+_BLANK = re.compile(r"[\x00-\x20]+")
+_PREFIXES = {"": 1.0, "M": 1e-3, "U": 1e-6, "N": 1e-9, "P": 1e-12, "K": 1e3}
 
 
 class ScpiError(ValueError):
@@ -31,36 +39,70 @@ class Unit:
 
 
 def parse(message: bytes) -> list[Unit]:
-    """The units of a message, in order; `;` joins on the level of the unit before, `;:` at the root.
+    """The units of a message, in order. Raises ScpiError as `units` does."""
+    return list(units(message))
 
-    Raises ScpiError: -101 for characters that are not ASCII, -102 for a header that is none.
+
+def units(message: bytes) -> Iterator[Unit]:
+    """The units of a message one by one; `;` joins on the level of the unit before, `;:` at the root.
+
+    Raises ScpiError where the message goes wrong, after the units before that: -101 for characters that are not ASCII,
+    -102 for a header that is none, -103 for a separator too many, -112 for a mnemonic of more than twelve characters.
     """
     try:
-        text = message.decode("ascii").strip()
+        text = message.decode("ascii")
     except UnicodeDecodeError:
         raise ScpiError(-101, "Invalid character") from None
-    units: list[Unit] = []
     path: tuple[str, ...] = ()
-    for part in text.split(";"):
-        piece = part.strip()
+    for part in _outside_quotes(text, ";"):
+        piece = part.strip("".join(map(chr, range(33))))
         if not piece:
             continue
-        head, _, tail = piece.partition(" ")
-        query = head.endswith("?")
-        words = head.removesuffix("?")
-        parameters = tuple(each.strip() for each in tail.split(",")) if tail.strip() else ()
+        words, *rest = _BLANK.split(piece, maxsplit=1)
+        tail = rest[0] if rest else ""
+        parameters = tuple(each.strip() for each in _outside_quotes(tail, ",")) if tail else ()
+        if parameters and not all(parameters):
+            raise ScpiError(-103, "Invalid separator")
+        query = words.endswith("?")
+        words = words.removesuffix("?").upper()
         if words.startswith("*"):
-            header: tuple[str, ...] = (words.upper(),)
-        else:
-            if words.startswith(":"):
-                path, words = (), words[1:]
-            nodes = tuple(words.upper().split(":"))
-            if not all(re.fullmatch(r"[A-Z][A-Z0-9_]*", node) for node in nodes):
-                raise ScpiError(-102, f"Syntax error: {head}")
-            header = path + nodes
-            path = header[:-1]
-        units.append(Unit(header, query, parameters))
-    return units
+            if not _NODE.fullmatch(words[1:]):
+                raise ScpiError(-102, f"Syntax error: {_printable(words)}")
+            yield Unit((words,), query, parameters)
+            continue
+        if words.startswith(":"):
+            path, words = (), words[1:]
+        nodes = tuple(words.split(":"))
+        if not all(_NODE.fullmatch(node) for node in nodes):
+            raise ScpiError(-102, f"Syntax error: {_printable(words)}")
+        if any(len(node.rstrip("0123456789")) > LONGEST_MNEMONIC for node in nodes):
+            raise ScpiError(-112, "Program mnemonic too long")
+        header = path + nodes
+        path = header[:-1]
+        yield Unit(header, query, parameters)
+
+
+def _outside_quotes(text: str, separator: str) -> list[str]:
+    """Split at a separator, but not within a string in single or double quotes. Raises ScpiError -151."""
+    if '"' not in text and "'" not in text:
+        return text.split(separator)
+    pieces, begin, quote = [], 0, ""
+    for index, character in enumerate(text):
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        elif character == separator:
+            pieces.append(text[begin:index])
+            begin = index + 1
+    if quote:
+        raise ScpiError(-151, "Invalid string data")
+    return [*pieces, text[begin:]]
+
+
+def _printable(text: str) -> str:
+    """For an error's text: nothing in it ends a line or a string."""
+    return "".join(each if " " < each <= "~" and each != '"' else "?" for each in text[:40])
 
 
 @lru_cache(maxsize=1024)
@@ -75,17 +117,47 @@ def spellings(pattern: str) -> frozenset[tuple[str, ...]]:
     return frozenset(tuple(word for form in chosen for word in form) for chosen in product(*nodes))
 
 
+@lru_cache(maxsize=256)
+def words(pattern: str) -> tuple[str, str]:
+    """Short and long form of one word, such as `MINimum`."""
+    return "".join(each for each in pattern if not each.islower()), pattern.upper()
+
+
+def suffixes(unit: str) -> dict[str, float]:
+    """What a number in a unit may be followed by: `A` gives A, MA (milli), UA, NA, PA, KA."""
+    return {prefix + unit: factor for prefix, factor in _PREFIXES.items()}
+
+
+def decode_quantity(text: str, factors: Mapping[str, float]) -> float:
+    """A parameter's number with one of the suffixes, or with none.
+
+    Raises ScpiError: -104 for what is no number, -131 for another suffix, -138 where none is allowed.
+    """
+    match = _NUMBER.match(text)
+    if match is None:
+        raise ScpiError(-104, "Data type error")
+    suffix = text[match.end() :].strip().upper()
+    if suffix and not factors:
+        raise ScpiError(-138, "Suffix not allowed")
+    if suffix and suffix not in factors:
+        raise ScpiError(-131, "Invalid suffix")
+    return float(re.sub(r"\s", "", match[0])) * (factors[suffix] if suffix else 1.0)
+
+
 def encode_number(value: float) -> bytes:
     """A number as answers carry it, such as `1.23456789E-09`."""
     return f"{value:.8E}".encode("ascii")
 
 
 def decode_number(answer: bytes) -> float:
-    """The number of an answer. Raises ScpiError -104."""
+    """The number of an answer: digits and nothing else. Raises ScpiError -104."""
     try:
-        return float(answer.decode("ascii").strip())
-    except (UnicodeDecodeError, ValueError):
-        raise ScpiError(-104, f"no number: {answer!r}") from None
+        text = answer.decode("ascii").strip()
+    except UnicodeDecodeError:
+        text = ""
+    if not _NUMBER.fullmatch(text):
+        raise ScpiError(-104, f"no number: {answer!r}")
+    return float(re.sub(r"\s", "", text))
 
 
 def overloaded(value: float) -> bool:
@@ -100,7 +172,7 @@ def encode_error(code: int, text: str) -> bytes:
 
 def decode_error(answer: bytes) -> tuple[int, str]:
     """Number and text of an entry of the error queue. Raises ScpiError -104."""
-    match = re.fullmatch(rb'\s*([+-]?\d+)\s*,\s*"(.*)"\s*', answer)
+    match = re.fullmatch(rb'\s*([+-]?\d{1,9})\s*,\s*"(.*)"\s*', answer)
     if match is None:
         raise ScpiError(-104, f"no entry of an error queue: {answer!r}")
     return int(match[1]), match[2].decode("ascii", "replace")

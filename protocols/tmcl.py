@@ -1,12 +1,18 @@
 """TMCL, the binary protocol of Trinamic's motion modules: nine bytes each way, big-endian, summed.
 
 Source: Trinamic, "TMCM-6214 TMCL Firmware Manual" V1.06 (frames, commands, axis parameters) and "TMCL Reference and
-Programming Manual" 2.22. Parameters marked (*) are to be confirmed on hardware.
+Programming Manual" 2.22. The parameters' numbers are in `tmcl_parameters`.
+
+The sum finds every error that changes one byte. Of errors that change two bytes at random it passes one in 255, and it
+passes an exchange of two bytes always: who decodes has to look at addresses, command and echoed value as well.
 """
 
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
+
+from protocols.tmcl_parameters import Axis as Axis
+from protocols.tmcl_parameters import Search
 
 FRAME_BYTES = 9
 HOST_ADDRESS = 2
@@ -32,6 +38,9 @@ class Command(IntEnum):
     RFS = 13
     SIO = 14
     GIO = 15
+    SCO = 30
+    GCO = 31
+    CCO = 32
     STOP_APPLICATION = 128
     RUN_APPLICATION = 129
     RESET_APPLICATION = 131
@@ -63,37 +72,6 @@ class MoveType(IntEnum):
     ABSOLUTE = 0
     RELATIVE = 1
     COORDINATE = 2
-
-
-class Axis(IntEnum):
-    """Axis parameters (AP). Positions in microsteps, velocities in pps, accelerations in pps/s."""
-
-    TARGET_POSITION = 0
-    ACTUAL_POSITION = 1
-    TARGET_VELOCITY = 2
-    ACTUAL_VELOCITY = 3
-    MAX_VELOCITY = 4
-    MAX_ACCELERATION = 5
-    RUN_CURRENT = 6
-    STANDBY_CURRENT = 7
-    POSITION_REACHED = 8
-    HOME_SWITCH = 9
-    RIGHT_SWITCH = 10
-    LEFT_SWITCH = 11
-    RIGHT_SWITCH_DISABLED = 12
-    LEFT_SWITCH_DISABLED = 13
-    MAX_DECELERATION = 17
-    RELATIVE_REFERENCE = 127  # (*)
-    MICROSTEP_RESOLUTION = 140
-    REFERENCE_SEARCH_MODE = 193
-    REFERENCE_SEARCH_SPEED = 194
-    REFERENCE_SWITCH_SPEED = 195
-    ERROR_FLAGS = 207
-    ENCODER_POSITION = 209
-    ENCODER_RESOLUTION = 210
-    MAX_ENCODER_DEVIATION = 212
-    POWER_DOWN_DELAY = 214
-    UNIT_MODE = 255
 
 
 class FrameError(ValueError):
@@ -159,6 +137,16 @@ class Reply:
         return f"{_name(Command, self.command)} {_name(Status, self.status)} value {self.value}"
 
 
+def split(buffer: bytes) -> tuple[list[bytes], bytes]:
+    """The whole frames that bytes begin with, and what is left, less than a frame: bytes are frames by count alone.
+
+    However the bytes of a line are cut into pieces, each piece put behind what was left of the one before gives the same
+    frames. What does not begin with a frame's first byte stays shifted, so that both sides drop what is left after a pause.
+    """
+    whole = len(buffer) - len(buffer) % FRAME_BYTES
+    return [buffer[k : k + FRAME_BYTES] for k in range(0, whole, FRAME_BYTES)], buffer[whole:]
+
+
 def encode_version_text(host: int, text: str) -> bytes:
     """The special answer to FIRMWARE_VERSION type 0: host address and eight ASCII characters, no checksum."""
     body = text.encode("ascii")
@@ -199,4 +187,6 @@ def _type_name(command: int, number: int) -> str:
         return f"{number} {_name(Axis, number)}"
     if command == Command.MVP:
         return _name(MoveType, number)
+    if command == Command.RFS:
+        return _name(Search, number)
     return str(number)

@@ -10,6 +10,7 @@ from enum import IntEnum, IntFlag
 HEADER_BYTES = 12
 INTERFACE_CLASS = (0xFE, 0x03)
 PROTOCOL_USB488 = 0x01
+LARGEST_TRANSFER = 1 << 24
 _HEADER = struct.Struct("<BBBBIBBH")
 
 
@@ -18,6 +19,8 @@ class MsgId(IntEnum):
 
     DEV_DEP_MSG_OUT = 1
     DEV_DEP_MSG_IN = 2  # from the host: the request for one
+    VENDOR_OUT = 126
+    VENDOR_IN = 127
     TRIGGER = 128
 
 
@@ -37,6 +40,11 @@ class Request(IntEnum):
     GO_TO_LOCAL = 161
     LOCAL_LOCKOUT = 162
 
+    @property
+    def of_endpoint(self) -> bool:
+        """Whether it goes to an endpoint (bmRequestType 0xA2); the others go to the interface (0xA1)."""
+        return self <= Request.CHECK_ABORT_BULK_IN_STATUS
+
 
 class Status(IntEnum):
     """USBTMC_status, the first byte of each answer."""
@@ -51,12 +59,14 @@ class Status(IntEnum):
 
 
 class StatusByte(IntFlag):
-    """IEEE 488.2 status byte."""
+    """IEEE 488.2 status byte, with SCPI's summaries of the error queue and of the two status groups."""
 
     EAV = 0x04
+    QUES = 0x08
     MAV = 0x10
     ESB = 0x20
     SRQ = 0x40
+    OPER = 0x80
 
 
 class HeaderError(ValueError):
@@ -97,15 +107,70 @@ class Header:
             raise HeaderError(f"reserved bytes are not zero: {data[:HEADER_BYTES].hex(' ')}")
         return cls(msg_id, tag, size, bool(attributes & 1), term if attributes & 2 else None)
 
+    @classmethod
+    def from_host(cls, data: bytes) -> "Header":
+        """A header that a host may send: known MsgID, no bit set that its kind does not have. Raises HeaderError."""
+        header = cls.decode(data)
+        allowed = {
+            MsgId.DEV_DEP_MSG_OUT: 0x01, MsgId.DEV_DEP_MSG_IN: 0x02,
+            MsgId.VENDOR_OUT: 0x00, MsgId.VENDOR_IN: 0x00, MsgId.TRIGGER: 0x00,
+        }  # fmt: skip
+        if header.msg_id not in allowed:
+            raise HeaderError(f"MsgID {header.msg_id} is none of a host")
+        attributes = data[8]
+        if attributes & ~allowed[MsgId(header.msg_id)]:
+            raise HeaderError(f"bmTransferAttributes {attributes:02x} with MsgID {header.msg_id}")
+        if data[9] and not attributes & 2:
+            raise HeaderError(f"a TermChar {data[9]:02x} that is not enabled")
+        if header.msg_id == MsgId.TRIGGER and header.size:
+            raise HeaderError("a trigger has no data")
+        if header.size > LARGEST_TRANSFER:
+            raise HeaderError(f"a transfer of {header.size} bytes")
+        if header.size == 0 and header.msg_id == MsgId.DEV_DEP_MSG_IN:
+            raise HeaderError("a request for no byte")
+        return header
 
-def request_in(tag: int, size: int) -> bytes:
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A whole bulk message."""
+
+    header: Header
+    payload: bytes = b""
+
+
+def take_message(data: bytes, *, from_host: bool) -> tuple[Message | None, bytes]:
+    """The first whole message of the bytes so far, and what comes after it; None while it is not whole.
+
+    However the bytes are split, the messages are the same. Raises HeaderError as soon as the first twelve bytes are none.
+    """
+    if len(data) < HEADER_BYTES:
+        return None, data
+    header = Header.from_host(data) if from_host else Header.decode(data)
+    if header.size > LARGEST_TRANSFER:
+        raise HeaderError(f"a transfer of {header.size} bytes")
+    carried = (MsgId.DEV_DEP_MSG_OUT, MsgId.VENDOR_OUT) if from_host else (MsgId.DEV_DEP_MSG_IN, MsgId.VENDOR_IN)
+    size = header.size if header.msg_id in carried else 0
+    whole = HEADER_BYTES + size + -size % 4
+    if len(data) < whole:
+        return None, data
+    return Message(header, data[HEADER_BYTES : HEADER_BYTES + size]), data[whole:]
+
+
+def request_in(tag: int, size: int, term_char: int | None = None) -> bytes:
     """REQUEST_DEV_DEP_MSG_IN: the host asks for at most `size` bytes."""
-    return Header(MsgId.DEV_DEP_MSG_IN, tag, size, end=False).encode()
+    return Header(MsgId.DEV_DEP_MSG_IN, tag, size, end=False, term_char=term_char).encode()
 
 
-def message(msg_id: int, tag: int, payload: bytes, *, end: bool = True) -> bytes:
-    """Header, payload and the zero bytes that fill up to a multiple of four."""
-    return Header(msg_id, tag, len(payload), end).encode() + payload + bytes(-len(payload) % 4)
+def message(msg_id: int, tag: int, payload: bytes, *, end: bool = True, by_term_char: bool = False) -> bytes:
+    """Header, payload and the zero bytes that fill up to a multiple of four; `by_term_char` where one ended an answer."""
+    term = 0 if by_term_char else None
+    return Header(msg_id, tag, len(payload), end, term).encode() + payload + bytes(-len(payload) % 4)
+
+
+def trigger(tag: int) -> bytes:
+    """USB488's TRIGGER."""
+    return Header(MsgId.TRIGGER, tag, 0, end=False).encode()
 
 
 def next_tag(tag: int) -> int:
@@ -113,11 +178,18 @@ def next_tag(tag: int) -> int:
     return tag % 255 + 1
 
 
+def next_status_tag(tag: int) -> int:
+    """The tags of READ_STATUS_BYTE: 2 to 127, then 2 again."""
+    return tag + 1 if 2 <= tag < 127 else 2
+
+
 def capabilities(*, trigger: bool = True) -> bytes:
     """The answer to GET_CAPABILITIES of a USB488 device that speaks SCPI."""
     answer = bytearray(24)
     answer[0] = Status.SUCCESS
     answer[2:4] = answer[12:14] = (0x0100).to_bytes(2, "little")
+    answer[4] = 0b100  # INDICATOR_PULSE
+    answer[5] = 0b1  # TermChar
     answer[14] = 0b110 | int(trigger)  # 488.2, REN/GTL/LLO, TRIGGER
-    answer[15] = 0b1000 | int(trigger)  # SCPI, DT1
+    answer[15] = 0b1110 | int(trigger)  # SCPI, SR1, RL1, DT1
     return bytes(answer)

@@ -1,14 +1,17 @@
 """A virtual rig: one plant, the devices that share it, the clock they live by, and the addresses they are found at."""
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from protocols.clock import Clock
-from twin.devices import Adam6017, Cornerstone260, Pm100d, Tmcm6214, UsbTmcDevice
+from twin.devices import Adam4117, Adam6017, AdamModule, Cornerstone260, Pm100d, RtuStation, TmclLine, UsbTmcDevice
 from twin.devices.line import SerialDevice
 from twin.plant import Plant, TwinModel
 
 AXES, MONOCHROMATOR, MONITOR = "axes", "mono", "monitor"
 CONVERTER = "adc-{}"
+CONVERTER_LINE = "adcs"
 
 
 @dataclass
@@ -18,17 +21,27 @@ class VirtualRig:
     plant: Plant
     clock: Clock
     serial: dict[str, SerialDevice] = field(default_factory=dict)
-    modbus: dict[str, Adam6017] = field(default_factory=dict)
+    modbus: dict[str, AdamModule] = field(default_factory=dict)
     usb: dict[str, UsbTmcDevice] = field(default_factory=dict)
+    lock: threading.RLock = field(default_factory=threading.RLock)
+    """Held by whoever brings bytes to a device: all of them share one plant."""
+    modbus_wires: dict[str, Callable[[SerialDevice], SerialDevice]] = field(default_factory=dict)
+    """By a Modbus TCP device's name: what is put between its end of each new connection and the in-process door."""
 
     @classmethod
     def build(cls, model: TwinModel, clock: Clock) -> "VirtualRig":
-        """The rig of a model: `axes`, `mono`, `adc-0` and so on, `monitor`."""
+        """The rig of a model: `axes`, `mono`, `adc-0` and so on, `monitor`; with an RTU line of converters also `adcs`."""
         plant = Plant(model)
         rig = cls(plant, clock)
-        rig.serial[AXES] = Tmcm6214(plant)
+        rig.serial[AXES] = TmclLine(plant)
         rig.serial[MONOCHROMATOR] = Cornerstone260(plant)
-        rig.modbus = {CONVERTER.format(index): Adam6017(plant, index) for index in range(plant.modules)}
+        electronics = model.electronics
+        if electronics.module == "adam-4117":
+            modules = [Adam4117(plant, index, unit=index + 1) for index in range(plant.modules)]
+            rig.modbus = {CONVERTER.format(index): module for index, module in enumerate(modules)}
+            rig.serial[CONVERTER_LINE] = RtuStation([*modules], electronics.baudrate)
+        else:
+            rig.modbus = {CONVERTER.format(index): Adam6017(plant, index) for index in range(plant.modules)}
         rig.usb[MONITOR] = UsbTmcDevice(Pm100d(plant), model.monitor.latency_s)
         return rig
 

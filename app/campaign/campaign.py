@@ -7,10 +7,11 @@ from pathlib import Path
 from app.campaign.engine import Engine
 from app.campaign.events import Listener, State
 from app.campaign.journal import Journal
-from app.campaign.operator import BackDoor, Operator, Person
+from app.campaign.operator import BackDoor, Operator, Person, ServedBackDoor
 from app.campaign.plan import Plan
 from app.campaign.provenance import versions
-from app.rig import OpenRig, open_rig
+from app.errors import UserError
+from app.rig import OpenRig, RigFile, open_rig
 from protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -26,8 +27,11 @@ class Outcome:
 
 
 def clock_for(plan: Plan) -> Clock:
-    """A virtual clock for a virtual rig, real time for a real one."""
-    return VirtualClock() if plan.rig.file.twin is not None and _all_virtual(plan) else RealClock()
+    """A virtual clock for a virtual rig in this process, real time for any other, at the speed of one that is served."""
+    file = plan.rig.file
+    if file.twin is not None and all(address.startswith("twin://") for address in file.addresses):
+        return VirtualClock()
+    return RealClock(file.simulated.speed if file.simulated is not None else 1.0)
 
 
 def run_campaign(
@@ -36,24 +40,27 @@ def run_campaign(
     *,
     listeners: list[Listener] | None = None,
     transcript: Path | None = None,
-    ask: Callable[[str], None] = print,
+    ask: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Runs a plan to its end, or to the first fault. Raises UserError before anything is written, where it cannot start."""
     with open_rig(plan.rig, clock_for(plan), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # says why not
+        operator = operator_for(opened, plan.rig.file, ask)
         opened.connect()
         with Journal.create(journal_path, plan, versions()) as journal:
-            engine = Engine(opened.rig, plan, journal, operator_for(opened, ask), listeners)
+            engine = Engine(opened.rig, plan, journal, operator, listeners)
             state = engine.run()
             rows, of = journal.counted()
             return Outcome(state, rows, of, journal.seconds, tuple(engine.faults))
 
 
-def operator_for(opened: OpenRig, ask: Callable[[str], None]) -> Operator:
-    """The back door of a virtual rig, a person at a real one."""
-    return BackDoor(opened.virtual) if opened.virtual is not None else Person(ask)
-
-
-def _all_virtual(plan: Plan) -> bool:
-    return all(address.startswith("twin://") for address in plan.rig.file.addresses)
+def operator_for(opened: OpenRig, rig: RigFile, ask: Callable[[str], None] | None) -> Operator:
+    """The back door of a virtual rig, in this process or another; a person at a real one. Raises UserError without any."""
+    if opened.virtual is not None:
+        return BackDoor(opened.virtual)
+    if rig.simulated is not None and rig.simulated.control_port is not None:
+        return ServedBackDoor(rig.simulated.control_port)
+    if ask is None:
+        raise UserError(f"{rig.name}: somebody has to mount the samples, and nobody can be asked here")
+    return Person(ask)

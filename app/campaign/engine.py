@@ -177,7 +177,7 @@ class Engine:
                 axis = self._rig.axes[name]
                 with self._motion:
                     self._heed()
-                    moves.append(axis.start(target))
+                    moves.append(self._rig.start(name, target))
                 self._commanded[name] = target
                 settling = max(settling, axis.settings.settling_s)
         if row.wavelength_nm != self._wavelength_nm:

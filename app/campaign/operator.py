@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Protocol
 
+from app.errors import UserError
+from mocks.control import Control, Refused
 from twin import VirtualRig
 
 
@@ -22,6 +24,24 @@ class BackDoor:
     def mount(self, sample: str) -> None:
         """Raises KeyError for a sample that the virtual rig does not have."""
         self._rig.mount(sample)
+
+
+class ServedBackDoor:
+    """Mounts on a virtual rig that another process serves, through its control port."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+
+    def mount(self, sample: str) -> None:
+        """Raises UserError where nobody serves it any more, or where it has no such sample."""
+        try:
+            control = Control(self._port)
+            try:
+                control.mount(sample)
+            finally:
+                control.close()
+        except (OSError, Refused) as error:
+            raise UserError(f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running?") from None
 
 
 class Person:

@@ -11,7 +11,7 @@ from app.campaign.row import Row
 from app.campaign.schedule import ScheduleDescription, ScheduleFile, grid_values
 from app.campaign.timing import Timing
 from app.errors import UserError
-from app.rig import AXES, RigDescription, axis_settings
+from app.rig import AXES, RigDescription, arc_clearance, axis_settings
 from drivers import LimitError
 from drivers.axis import Axis, AxisSettings
 
@@ -39,7 +39,9 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
     _check_limits(schedule, rig)
     gains = _gain_numbers(schedule, rig)
     _check_samples(schedule, rig)
-    return Plan(schedule, rig, tuple(_timed(_rows(file, gains), file, gains, Timing(rig.file))))
+    plan = Plan(schedule, rig, tuple(_timed(_rows(file, gains), file, gains, Timing(rig.file))))
+    _check_clearance(plan)
+    return plan
 
 
 def _rows(file: ScheduleFile, gains: tuple[int, ...]) -> Iterator[Row]:
@@ -130,6 +132,20 @@ def _check_axis(schedule: ScheduleDescription, rig: RigDescription, settings: Ax
             f"{schedule.name}: {settings.name}_deg: {value:g} deg is {error.happened} in {rig.name}; "
             "take it out of the schedule"
         ) from None
+
+
+def _check_clearance(plan: Plan) -> None:
+    """No row may have the arc sweep through what it must keep clear of, on its way from the row before."""
+    clearance = arc_clearance(plan.rig.file)
+    before: Row | None = None
+    for row in plan.rows:
+        if row.pose is None:
+            continue
+        last = row.pose if before is None or before.pose is None else before.pose
+        reason = clearance.veto((last[2], row.pose[2]), (last[3], row.pose[3]))
+        if reason is not None:
+            raise UserError(f"{plan.schedule.name}: on the way to {row.identity}: {reason}; change beta_deg or shift_deg")
+        before = row
 
 
 def _gain_numbers(schedule: ScheduleDescription, rig: RigDescription) -> tuple[int, ...]:

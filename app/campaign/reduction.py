@@ -94,7 +94,7 @@ def reduce_journal(journal: Journal) -> Reduced:
     samples = {}
     for sample in schedule.samples:
         blocks = [
-            _points(rig, row, found, etalon[_pose_key(row)])
+            row_points(rig, row, found, etalon[_pose_key(row)])
             for row, found in signals.values()
             if row.sample == sample and _pose_key(row) in etalon
         ]
@@ -107,7 +107,7 @@ def _pose_key(row: Row) -> tuple[object, ...]:
     return (row.wavelength_nm, row.pose)
 
 
-def _points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
+def row_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
     """The upper arc's photodiodes in one row: reflection of the front side."""
     assert row.pose is not None
     assert row.wavelength_nm is not None

@@ -21,7 +21,7 @@ class Timing:
         self._photodiodes = photodiode_settings(rig)
         self._exchange_s = 2 * FRAME_BYTES * 10.0 / rig.axes.baudrate + CONTROLLER_LATENCY_S
         encoders = sum(settings.encoder for settings in self._axes.values())
-        self._readback_s = (len(AXES) + encoders) * self._exchange_s
+        self._readback_s = 2 * (len(AXES) + encoders) * self._exchange_s  # each with the canary
         # Where the axes stand before the first row nobody knows; at the origin of their counters is a fair guess.
         self._pose = {name: settings.zero_offset_deg for name, settings in self._axes.items()}
         self._commanded: dict[str, float] = {}
@@ -44,9 +44,9 @@ class Timing:
         for name, target in zip(AXES, row.pose, strict=True):
             if self._commanded.get(name) == target:
                 continue
-            begun += 2 * self._exchange_s
-            ramp = self._axes[name].seconds(target - self._pose[name])
-            done = max(done, begun + ramp + ARRIVED_AFTER_S) + self._exchange_s
+            begun += 3 * self._exchange_s  # where it is, the canary, the move
+            ramp = self._axes[name].seconds_between(self._pose[name], target)
+            done = max(done, begun + ramp + ARRIVED_AFTER_S) + 2 * self._exchange_s  # whether it has arrived, the canary
             settling = max(settling, self._axes[name].settling_s)
             self._pose[name] = self._commanded[name] = target
         if row.wavelength_nm != self._wavelength_nm:
@@ -54,7 +54,8 @@ class Timing:
             known = self._wavelength_nm
             way = 0.0 if known is None else row.wavelength_nm - known
             text = str(Statement("GOWAVE", parameter=encode_nm(row.wavelength_nm)))
-            done = max(done, begun + self._statement(text, settings.slew_seconds(way)))
+            asked = settings.question_seconds("WAVE?", encode_nm(row.wavelength_nm))
+            done = max(done, begun + self._statement(text, settings.slew_seconds(way)) + asked)
             self._wavelength_nm = row.wavelength_nm
         return done + self._shutter(opened=True) + settling
 
@@ -63,18 +64,19 @@ class Timing:
         seconds = 0.0
         for gain in row.gains:
             if gain != self._gain:
-                seconds += settings.modules * settings.exchange_s
+                seconds += settings.gain_seconds
                 self._gain = gain
-            last = row.readings * settings.period_s
-            fetching = max(settings.modules * settings.exchange_s, ANSWER_MARGIN_S + 2 * USB_LATENCY_S)
-            seconds += settings.settling_s + last + fetching
+            last = (row.readings - 1) * settings.period_s
+            fetching = max(settings.fetching_seconds, ANSWER_MARGIN_S + 2 * USB_LATENCY_S)
+            seconds += settings.wait_s + last + fetching
         return seconds
 
     def _shutter(self, *, opened: bool) -> float:
         if self._shutter_open is opened:
             return 0.0
         self._shutter_open = opened
-        return self._statement(f"SHUTTER {'O' if opened else 'C'}", self._monochromator.shutter_s)
+        asked = self._monochromator.question_seconds("SHUTTER?", "O")
+        return self._statement(f"SHUTTER {'O' if opened else 'C'}", self._monochromator.shutter_s) + asked
 
     def _statement(self, text: str, seconds: float) -> float:
         return seconds + self._monochromator.statement_seconds(text) + STATUS_MARGIN_S

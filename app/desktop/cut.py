@@ -13,8 +13,7 @@ import numpy.typing as npt
 from app.campaign.events import RowCommitted, RowStarted
 from app.campaign.journal import Committed
 from app.campaign.plan import Plan
-from app.campaign.reduction import BsdfPoints
-from app.campaign.reduction import _points as row_points
+from app.campaign.reduction import BsdfPoints, row_points
 from app.campaign.row import Row
 from app.campaign.shadow import shadowed
 from app.campaign.signals import Signal, darks_by_gain, signal

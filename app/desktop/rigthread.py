@@ -41,6 +41,9 @@ Ask = Callable[[str], None]
 WATCH_S = 0.2
 """Between two looks at the axes while nothing runs, in a person's time."""
 TWIN = "twin://"
+LONGEST_HEARTBEAT_S = 65.0
+"""The module's silence counter has 16 bits of ms. Of a virtual rig it counts the rig's time, while the host that it minds
+is slow in ours: at 60 times a drawing of 35 ms would look like a dead host."""
 NO_RIG = "there is no rig to plan for"
 
 
@@ -158,6 +161,8 @@ class RigThread:
             self._refuse(str(error))
             return
         self._opened, self._description = opened, description
+        if _all_virtual(description):
+            opened.rig.axes_module.heartbeat_s = LONGEST_HEARTBEAT_S
         outcome = opened.rig.connect()
         self._axes_answer = outcome["axes"] is None
         devices = {
@@ -199,7 +204,7 @@ class RigThread:
         with journal:
             # So often that the numbers move for a person, whatever the pace of the rig's time.
             every_s = max(WATCH_S, 0.25 * WATCH_S * self._clock.speed)
-            operator = operator_for(self._opened, self._ask)
+            operator = operator_for(self._opened, plan.rig.file, self._ask)
             self._reason = ""
             engine = Engine(self._opened.rig, plan, journal, operator, [self._heed], every_s)
             self._engine = engine

@@ -33,9 +33,14 @@ SAID = {
 
 
 class Session(QObject):
-    """The rig, the plan and the run as far as they have been told. `told` is the only thing that crosses threads."""
+    """The rig, the plan and the run as far as they have been told.
+
+    `told` is the only thing that crosses threads, and `_heed` its only slot: one that is no `@Slot` would be called in the
+    rig's thread, and crash. Who else wants to listen takes `heard`, which comes in the window's thread afterwards.
+    """
 
     told = Signal(object)
+    heard = Signal(object)
     changed = Signal()
     mount_wanted = Signal(str)
     ended = Signal()
@@ -103,7 +108,6 @@ class Session(QObject):
         match message:
             case Positions(degrees):
                 self._parts.axes.set_positions(degrees)
-                return
             case RowStarted() | RowCommitted():
                 self._heed_row(message)
             case StateChanged(state, _reason):
@@ -128,7 +132,9 @@ class Session(QObject):
                 self._parts.say(self._stop_trouble, bad=True)
             case RigOpened() | RigClosed() | DeviceLost():
                 self._heed_rig(message)
-        self.changed.emit()
+        if not isinstance(message, Positions):
+            self.changed.emit()
+        self.heard.emit(message)
 
     def _heed_plan(self, message: PlanMade | PlanRefused) -> None:
         if isinstance(message, PlanMade):

@@ -2,13 +2,14 @@
 
 from app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
 from app.rig.schema import AXES, RigFile
-from app.rig.settings import axis_settings, believed_instrument, monochromator_settings, photodiode_settings
+from app.rig.settings import arc_clearance, axis_settings, believed_instrument, monochromator_settings, photodiode_settings
 
 __all__ = [
     "AXES",
     "OpenRig",
     "RigDescription",
     "RigFile",
+    "arc_clearance",
     "axis_settings",
     "believed_instrument",
     "monochromator_settings",

@@ -7,29 +7,25 @@ from typing import Any
 
 import serial
 import usb.core
-from pymodbus.client import ModbusTcpClient
-from pymodbus.client.base import ModbusBaseSyncClient
 
 from app.errors import UserError
+from app.rig.lock import RigLock
+from app.rig.modbus_units import ModbusUnits
 from app.rig.schema import RigFile
-from app.rig.settings import axis_settings, monitor_settings, monochromator_settings, photodiode_settings
+from app.rig.settings import arc_clearance, axis_settings, monitor_settings, monochromator_settings, photodiode_settings
 from app.rig.twin_table import model_hash, twin_model
 from app.tables import checked, parse_toml, read_toml
 from drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
-from drivers import photodiodes as photodiode_driver
 from drivers import tmcl as tmcl_driver
 from drivers import usbtmc as usbtmc_driver
-from drivers.photodiodes import ModbusOpener
 from drivers.tap import Explain, Tap, as_text, no_tap
 from drivers.tmcl import PortOpener
 from drivers.usbtmc import UsbOpener
 from protocols.clock import Clock
 from twin import TwinModel, VirtualRig
-from twin.doors import TwinModbusClient, TwinUsbBackend, register, unregister
+from twin.doors import TwinUsbBackend, register, unregister
 
 TWIN = "twin://"
-MODBUS_PORT = 502
-MODBUS_TIMEOUT_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +80,7 @@ class OpenRig:
     virtual: VirtualRig | None
     _name: str | None
     _transcript: Transcript | None
+    _lock: RigLock | None = None
 
     def connect(self) -> None:
         """Connects every device. Raises UserError for the first that does not answer; closes everything then."""
@@ -100,6 +97,13 @@ class OpenRig:
             self._name = None
         if self._transcript is not None:
             self._transcript.close()
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def lock(self, addresses: list[str], doing: str) -> None:
+        """Keeps other programs from real devices until `close`. Raises UserError that says who has one."""
+        self._lock = RigLock(addresses, doing)
 
     def __enter__(self) -> "OpenRig":
         return self
@@ -133,24 +137,30 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
         def address(stated_address: str) -> str:
             return stated_address.replace(f"{TWIN}{stated}/", f"{TWIN}{name}/", 1)
 
-    module = TmclModule(_serial(address(file.axes.port)), clock, file.axes.baudrate, tap("axes", tmcl_driver.explain))
-    units = file.photodiodes.units
+    settings = axis_settings(file)
+    module = TmclModule(
+        _serial(address(file.axes.port)),
+        clock,
+        file.axes.baudrate,
+        tap("axes", tmcl_driver.explain),
+        [each.module for each in settings.values()],
+        file.axes.heartbeat_s,
+    )
+    addresses = ModbusUnits(virtual)
+    units = [addresses.unit(address(each)) for each in file.photodiodes.units]
+    for k, unit in enumerate(units):
+        unit.tap = tap(f"photodiodes-{k}", addresses.explain(unit))
     rig = Rig(
         clock=clock,
         axes_module=module,
-        axes={axis: Axis(module, settings, clock) for axis, settings in axis_settings(file).items()},
+        axes={axis: Axis(module, each, clock) for axis, each in settings.items()},
         monochromator=Monochromator(
             _serial(address(file.monochromator.port)),
             monochromator_settings(file),
             clock,
             tap("monochromator", as_text),
         ),
-        photodiodes=PhotodiodeArray(
-            [_modbus(address(unit)) for unit in units],
-            photodiode_settings(file),
-            clock,
-            [tap(f"photodiodes-{k}", photodiode_driver.explain) for k in range(len(units))] if written else None,
-        ),
+        photodiodes=PhotodiodeArray(units, photodiode_settings(file), clock),
         monitor=Monitor(
             _usb(address(file.monitor.usb), virtual),
             monitor_settings(file),
@@ -158,8 +168,15 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
             tap("monitor", usbtmc_driver.explain),
         ),
         simulated=description.simulated,
+        clearance=arc_clearance(file),
     )
-    return OpenRig(rig, virtual, name, written)
+    opened = OpenRig(rig, virtual, name, written)
+    try:
+        opened.lock([each for each in file.addresses if not each.startswith(TWIN)], f"{file.name} ({description.name})")
+    except UserError:
+        opened.close()
+        raise
+    return opened
 
 
 def _serial(address: str) -> PortOpener:
@@ -167,21 +184,6 @@ def _serial(address: str) -> PortOpener:
 
     def opener(baudrate: int, timeout_s: float) -> serial.Serial:
         return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s)
-
-    return opener
-
-
-def _modbus(address: str) -> ModbusOpener:
-    """`HOST` or `HOST:PORT`. Raises UserError for what is neither."""
-    if address.startswith(TWIN):
-        return lambda trace: TwinModbusClient(address, timeout=MODBUS_TIMEOUT_S, trace_packet=trace)
-    host, _, number = address.partition(":")
-    if not host or (number and not number.isdigit()):
-        raise UserError(f"photodiodes.units: {address!r} is neither HOST nor HOST:PORT; mend it in the rig file")
-    port = int(number or MODBUS_PORT)
-
-    def opener(trace: Callable[[bool, bytes], bytes] | None) -> ModbusBaseSyncClient:
-        return ModbusTcpClient(host, port=port, timeout=MODBUS_TIMEOUT_S, retries=0, trace_packet=trace)
 
     return opener
 

@@ -16,14 +16,44 @@ Polar = Annotated[float, Field(ge=0.0, le=90.0)]
 
 
 class Simulated(Table):
-    """That nothing here is real: the seed of the virtual rig and, where the file has no [twin], its model's hash."""
+    """That nothing here is real: the seed of the virtual rig.
+
+    Where another process serves it, so that the file has no [twin]: its model's hash, how fast its time passes, and the
+    port of its back door, through which samples are mounted.
+    """
 
     seed: int = 1
     model: str | None = None
+    speed: PositiveFloat = 1.0
+    control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
+
+
+class HomingTable(Table):
+    """A reference search: its mode as Trinamic counts them (1 to 8, and 64 or 128 more), and the angle of the reference.
+
+    Without `angle_deg` the reference is where the axis' microsteps are 0.
+    """
+
+    mode: Annotated[int, Field(ge=1, le=136)]
+    speed_deg_s: PositiveFloat
+    switch_speed_deg_s: PositiveFloat
+    angle_deg: float | None = None
+    longest_s: PositiveFloat = 180.0
+
+    @field_validator("mode")
+    @classmethod
+    def _known_mode(cls, mode: int) -> int:
+        if mode not in (*range(1, 9), *range(65, 69), *range(133, 137)):
+            raise ValueError(f"{mode} is no reference search: 1 to 8 are, 1 to 4 with 64 added and 5 to 8 with 128 added")
+        return mode
 
 
 class AxisTable(Table):
-    """An axis as the operator believes it to be; gears are motor turns a turn of the axis."""
+    """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
+
+    Against backlash every move arrives from one side. `switches` has the limit switches stop the motor, `max_deviation_deg`
+    the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off.
+    """
 
     motor: Annotated[int, Field(ge=0, le=5)]
     gear: PositiveFloat
@@ -38,8 +68,21 @@ class AxisTable(Table):
     microsteps: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256] = 256
     run_current: Annotated[int, Field(ge=0, le=255)] = 128
     standby_current: Annotated[int, Field(ge=0, le=255)] = 8
+    power_down_s: Annotated[float, Field(ge=0.01, le=655.0)] = 2.0
     settling_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.1
     encoder: bool = True
+    encoder_counts: PositiveInt | None = None
+    max_deviation_deg: Annotated[float, Field(ge=0.0)] = 0.0
+    stall_speed_deg_s: Annotated[float, Field(ge=0.0)] = 0.0
+    switches: bool = False
+    swap_switches: bool = False
+    right_polarity: Literal[0, 1] = 0
+    left_polarity: Literal[0, 1] = 0
+    soft_stop: bool = False
+    backlash_deg: Annotated[float, Field(ge=0.0)] = 0.0
+    approach_from: Literal["below", "above"] = "below"
+    homing: HomingTable | None = None
+    homing_required: bool = False
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> "AxisTable":
@@ -54,6 +97,7 @@ class AxesTable(Table):
     kind: Literal["tmcl"]
     port: str
     baudrate: PositiveInt = 115200
+    heartbeat_s: Annotated[float, Field(ge=0.0, le=65.0)] = 2.0
     gamma: AxisTable
     sigma: AxisTable
     beta: AxisTable
@@ -82,12 +126,19 @@ class MonochromatorTable(Table):
     slew_nm_per_s: PositiveFloat = 175.0
     slew_settle_s: Annotated[float, Field(ge=0.0)] = 0.1
     shutter_s: Annotated[float, Field(ge=0.0)] = 0.15
+    filter_s: Annotated[float, Field(ge=0.0)] = 1.0
+    grating_s: Annotated[float, Field(ge=0.0)] = 8.0
+    slit_um_per_s: PositiveFloat = 500.0
+    tolerance_nm: PositiveFloat = 0.05
 
 
 class PhotodiodesTable(Table):
-    """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs."""
+    """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs.
 
-    kind: Literal["adam-6017"]
+    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is how long one question takes.
+    """
+
+    kind: Literal["adam-6017", "adam-4117"]
     units: Annotated[list[str], Field(min_length=1)]
     upper_deg: Annotated[list[Polar], Field(min_length=1)]
     lower_deg: list[Polar]
@@ -101,9 +152,9 @@ class PhotodiodesTable(Table):
     @field_validator("range_code")
     @classmethod
     def _known_range(cls, code: int) -> int:
-        if code not in adam.RANGES:
-            known = ", ".join(f"0x{each:04X}" for each in adam.RANGES)
-            raise ValueError(f"0x{code:04X} is no range code of the ADAM-6017; it has {known}")
+        if code not in adam.VOLTAGE_RANGES:
+            known = ", ".join(f"0x{each:04X}" for each in adam.VOLTAGE_RANGES)
+            raise ValueError(f"0x{code:04X} is no code of a voltage range; there are {known}")
         return code
 
     @field_validator("gains_v_per_a")
@@ -121,12 +172,21 @@ class PhotodiodesTable(Table):
             raise ValueError(f"{diodes} photodiodes take {needed} units of {adam.CHANNELS}, not {len(self.units)}")
         return self
 
+    @model_validator(mode="after")
+    def _gain_can_be_set(self) -> "PhotodiodesTable":
+        model = adam.MODELS[self.kind]
+        if len(self.gains_v_per_a) > 1 << model.outputs:
+            raise ValueError(f"an {model.title} has no outputs that could choose between gains; list the one that is fixed")
+        return self
+
 
 class MonitorTable(Table):
     """The monitor photodiode's instrument."""
 
     kind: Literal["pm100d"]
     usb: str
+    dialect: Literal["pm100d", "b2980"] = "pm100d"
+    wavelength_nm: PositiveFloat = 550.0
     range_a: PositiveFloat = 500e-9
     samples_per_s: PositiveFloat = 3000.0
     relative_uncertainty: Share = 3.0e-4

@@ -1,7 +1,8 @@
 """From the operator's part of a rig file to the drivers' settings and the geometry that plans are made with."""
 
 from app.rig.schema import AXES, AxisTable, RigFile
-from drivers import AxisSettings, MonitorSettings, MonochromatorSettings, PhotodiodeSettings
+from drivers import ArcClearance, AxisSettings, Homing, MonitorSettings, MonochromatorSettings, PhotodiodeSettings
+from protocols import adam
 from twin.optics import Instrument
 
 
@@ -18,11 +19,14 @@ def monochromator_settings(file: RigFile) -> MonochromatorSettings:
 def photodiode_settings(file: RigFile) -> PhotodiodeSettings:
     """Of the photodiodes and their modules."""
     table = file.photodiodes
+    values = table.model_dump(exclude={"units", "upper_deg", "lower_deg", "gains_v_per_a"})
+    if adam.MODELS[table.kind].serial and "exchange_s" not in table.model_fields_set:
+        values["exchange_s"] = adam.RTU_EXCHANGE_S
     return PhotodiodeSettings(
         upper_deg=tuple(table.upper_deg),
         lower_deg=tuple(table.lower_deg),
         gains_v_per_a=tuple(table.gains_v_per_a),
-        **table.model_dump(exclude={"kind", "units", "upper_deg", "lower_deg", "gains_v_per_a"}),
+        **values,
     )
 
 
@@ -36,11 +40,23 @@ def believed_instrument(file: RigFile) -> Instrument:
     return file.geometry.instrument()
 
 
+def arc_clearance(file: RigFile) -> ArcClearance:
+    """What the arc must keep clear of."""
+    return ArcClearance(top_polar_deg=max(*file.photodiodes.upper_deg, *file.photodiodes.lower_deg, 0.0))
+
+
 def _axis(name: str, table: AxisTable) -> AxisSettings:
+    homing = table.homing
     return AxisSettings(
         name=name,
         speed=table.speed_deg_s,
         acceleration=table.acceleration_deg_s2,
         microstep_exponent=table.microsteps.bit_length() - 1,
-        **table.model_dump(exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps"}),
+        stall_speed=table.stall_speed_deg_s,
+        homing=None if homing is None else Homing(
+            homing.mode, homing.speed_deg_s, homing.switch_speed_deg_s, homing.angle_deg, homing.longest_s
+        ),
+        **table.model_dump(
+            exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps", "stall_speed_deg_s", "homing"}
+        ),
     )

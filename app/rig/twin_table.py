@@ -40,6 +40,24 @@ class MechanicsTable(Table):
     zero_deg: float = 0.0
     full_steps: PositiveInt = 200
     encoder: bool = True
+    module: Annotated[int, Field(ge=1, le=255)] = 1
+    backlash_deg: NotNegative = 0.0
+    lower_switch_deg: float | None = None
+    upper_switch_deg: float | None = None
+    home_deg: float | None = None
+    home_width_deg: Annotated[float, Field(gt=0.0, lt=360.0)] = 1.0
+    encoder_counts: PositiveInt = 51_200
+    encoder_error_deg: NotNegative = 0.0
+
+
+class ControllerTable(Table):
+    """The motion modules and their wire: one module for each address among the axes' `module`."""
+
+    kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
+    wire: Literal["usb", "rs485"] = "usb"
+    baudrate: PositiveInt = 115200
+    latency_s: NotNegative = 3.0e-4
+    encoder_noise_microsteps: NotNegative = 1.0
 
 
 class AxesMechanicsTable(Table):
@@ -52,10 +70,10 @@ class AxesMechanicsTable(Table):
 
     @model_validator(mode="after")
     def _one_motor_each(self) -> "AxesMechanicsTable":
-        motors = [self.gamma.motor, self.sigma.motor, self.beta.motor, self.shift.motor]
-        for motor in motors:
-            if motors.count(motor) > 1:
-                raise ValueError(f"motor {motor} turns {motors.count(motor)} axes; give each its own")
+        motors = [(each.module, each.motor) for each in (self.gamma, self.sigma, self.beta, self.shift)]
+        for module, motor in motors:
+            if (count := motors.count((module, motor))) > 1:
+                raise ValueError(f"motor {motor} of module {module} turns {count} axes; give each its own")
         return self
 
 
@@ -111,6 +129,22 @@ class ElectronicsTable(Table):
     offset_v: float = 1.0e-3
     noise_v: NotNegative = 1.5e-4
     settling_s: PositiveFloat = 0.02
+    module: Literal["adam-6017", "adam-4117"] = "adam-6017"
+    baudrate: PositiveInt = 9600
+    conversions_per_s: Literal[10, 100] = 100
+
+
+class DriveTable(Table):
+    """The monochromator as it is: its speeds, whether its line echoes, whether it knows handshake mode."""
+
+    echo: bool = True
+    handshake: bool = True
+    slew_nm_per_s: PositiveFloat = 175.0
+    settle_s: NotNegative = 0.1
+    shutter_s: NotNegative = 0.15
+    filter_s: NotNegative = 1.0
+    filters: Annotated[int, Field(ge=0, le=6)] = 6
+    grating_s: NotNegative = 8.0
 
 
 class LambertianTable(Table):
@@ -160,6 +194,17 @@ class TwinTable(Table):
     light: LightTable = LightTable()
     photodiodes: DiodesTable = DiodesTable()
     electronics: ElectronicsTable = ElectronicsTable()
+    monochromator: DriveTable = DriveTable()
+    controller: ControllerTable = ControllerTable()
+
+    @model_validator(mode="after")
+    def _motors_are_there(self) -> "TwinTable":
+        motors = {"tmcm-6214": 6, "tmcm-1240": 1}[self.controller.kind]
+        for name in type(self.axes).model_fields:
+            axis: MechanicsTable = getattr(self.axes, name)
+            if axis.motor >= motors:
+                raise ValueError(f"axes.{name}: a {self.controller.kind} has {motors} motors, so none with number {axis.motor}")
+        return self
 
 
 def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinModel:
@@ -174,8 +219,8 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
         photodiodes=Photodiodes(**_tuples(table.photodiodes)),
         electronics=Electronics(**_tuples(table.electronics)),
         monitor=Monitor(),
-        monochromator=MonochromatorDrive(),
-        controller=AxisController(),
+        monochromator=MonochromatorDrive(**table.monochromator.model_dump()),
+        controller=AxisController(**table.controller.model_dump()),
         noise=table.noise,
         rays=rays,
     )

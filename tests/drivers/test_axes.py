@@ -6,6 +6,7 @@ import pytest
 import serial
 
 from drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
+from drivers.tmcl import CANARY, MARKER_VARIABLE
 from protocols.clock import Clock, VirtualClock
 from protocols.tmcl import Axis, Command, Reply, Request, Status
 from tests.conftest import RigOpener
@@ -55,8 +56,12 @@ def test_stop_brings_the_axes_to_rest_over_their_ramps(opened: RigOpener) -> Non
     rig = opened()
     assert rig.virtual is not None
     clock = rig.rig.clock
-    rig.rig.axes["beta"].start(180.0)
-    clock.sleep_until(clock.now() + 3.0)
+    move = rig.rig.axes["beta"].start(180.0)
+    until = clock.now() + 3.0
+    while move.due < until:  # a moving axis is asked, or its module takes its host for dead
+        clock.sleep_until(move.due)
+        assert not move.poll()
+    clock.sleep_until(until)
     start = clock.now()
     assert rig.rig.stop() == []
     assert clock.now() - start < 0.2
@@ -93,15 +98,23 @@ class Wire(serial.Serial):
         self.timeout = 0.06
 
     def write(self, data: object, /) -> int:
-        self.sent.append(bytes(data))  # type: ignore[call-overload]
+        request = Request.decode(bytes(data))  # type: ignore[call-overload]
+        if (request.command, request.type) == (Command.SGP, MARKER_VARIABLE):
+            self._waiting += Reply(2, 1, Status.OK, Command.SGP, request.value).encode()
+            return 9
+        self.sent.append(request.encode())
         if self._answers:
             self._waiting += self._answers.pop(0)
         return 9
 
+    @property
+    def in_waiting(self) -> int:
+        return len(self._waiting)
+
     def read(self, size: int = 1, /) -> bytes:
         data, self._waiting = self._waiting[:size], self._waiting[size:]
         if len(data) < size:
-            self._clock.sleep_until(self._clock.now() + 0.06)
+            self._clock.sleep_until(self._clock.now() + 0.01)
         return data
 
     def reset_input_buffer(self) -> None:
@@ -111,6 +124,8 @@ class Wire(serial.Serial):
 
 
 GOOD_VERSION = Reply(2, 1, Status.OK, Command.FIRMWARE_VERSION, 6214 << 16).encode()
+HEARTBEAT_SET = Reply(2, 1, Status.OK, Command.GGP, 2000).encode()
+CANARY_THERE = Reply(2, 1, Status.OK, Command.GGP, CANARY).encode()
 Module = Callable[..., tuple[TmclModule, Wire]]
 
 
@@ -118,7 +133,7 @@ Module = Callable[..., tuple[TmclModule, Wire]]
 def module() -> Module:
     def connect(*answers: bytes) -> tuple[TmclModule, Wire]:
         clock = VirtualClock()
-        wire = Wire(clock, [GOOD_VERSION, *answers])
+        wire = Wire(clock, [GOOD_VERSION, CANARY_THERE, HEARTBEAT_SET, *answers])
         module = TmclModule(lambda baud, timeout: wire, clock)
         assert module.connect() == 6214
         wire.sent.clear()

@@ -28,3 +28,19 @@ def test_a_voltage_is_kept_to_half_a_step_or_clipped(code: int, volts: float) ->
         assert abs(each.volts(raw) - volts) <= 0.5001 * each.lsb_v
     else:
         assert adam.clipped(raw)
+
+
+def test_a_current_is_the_voltage_over_the_shunt() -> None:
+    loop = adam.RANGES[adam.FOUR_TO_TWENTY_MA]
+    assert [loop.shown(0), loop.shown(65535)] == pytest.approx([4.0, 20.0])
+    assert loop.raw(12e-3 * 120.0) in (32767, 32768)  # half way, over 120 ohm
+    assert loop.code not in adam.VOLTAGE_RANGES
+
+
+def test_small_ranges_show_millivolts() -> None:
+    assert adam.RANGES[0x0103].shown(65535) == pytest.approx(150.0)
+    assert adam.RANGES[0x0140].shown(65535) == pytest.approx(1.0)
+
+
+def test_a_firmware_version_reads_as_in_the_manual() -> None:
+    assert adam.firmware([0x0506, 0]) == "5.06"

@@ -66,3 +66,29 @@ def test_overrange_is_no_number(value: float) -> None:
 
 def test_no_error_looks_as_published() -> None:
     assert scpi.encode_error(0, "No error") == b'+0,"No error"'
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("50 uA", 50e-6), ("50E-6", 50e-6), ("5MA", 5e-3), ("-1.5e2 na", -1.5e-7), ("1 E 3", 1e3)]
+)
+def test_numbers_take_suffixes(text: str, value: float) -> None:
+    assert scpi.decode_quantity(text, scpi.suffixes("A")) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(("text", "code"), [("x", -104), ("5 V", -131), ("", -104), ("1_0", -131)])
+def test_other_numbers_are_errors(text: str, code: int) -> None:
+    with pytest.raises(scpi.ScpiError) as caught:
+        scpi.decode_quantity(text, scpi.suffixes("A"))
+    assert caught.value.code == code
+
+
+def test_separators_within_a_string_separate_nothing() -> None:
+    (first, second) = scpi.parse(b"DISP:TEXT 'a;b,c', \"d\";*CLS")
+    assert first.parameters == ("'a;b,c'", '"d"')
+    assert second.header == ("*CLS",)
+
+
+@pytest.mark.parametrize("answer", [b"nan", b"inf", b"1_0", b"0x1", b"1,2", b""])
+def test_what_python_takes_for_a_number_and_scpi_does_not_is_none(answer: bytes) -> None:
+    with pytest.raises(scpi.ScpiError):
+        scpi.decode_number(answer)

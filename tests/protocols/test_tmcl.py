@@ -1,5 +1,9 @@
 """TMCL frames, against those of the manufacturer's own client and manual."""
 
+import contextlib
+from itertools import pairwise
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -71,3 +75,55 @@ def test_what_does_not_fit_is_refused() -> None:
         tmcl.Request(1, 4, 0, 0, 2**31).encode()
     with pytest.raises(tmcl.FrameError, match="8 characters"):
         tmcl.encode_version_text(2, "short")
+
+
+@given(st.binary(max_size=60), st.lists(st.integers(0, 60), max_size=8))
+def test_any_split_of_the_bytes_gives_the_same_frames(data: bytes, cuts: list[int]) -> None:
+    whole, rest = tmcl.split(data)
+    places = sorted({0, *(min(cut, len(data)) for cut in cuts), len(data)})
+    frames: list[bytes] = []
+    left = b""
+    for begin, end in pairwise(places):
+        found, left = tmcl.split(left + data[begin:end])
+        frames += found
+        assert len(left) < tmcl.FRAME_BYTES
+    assert (frames, left) == (whole, rest)
+    assert b"".join(frames) + left == data
+
+
+@given(st.lists(st.tuples(BYTE, BYTE, BYTE, BYTE, VALUE), max_size=5))
+def test_frames_in_a_row_are_the_frames(fields: list[tuple[int, int, int, int, int]]) -> None:
+    requests = [tmcl.Request(*each) for each in fields]
+    frames, rest = tmcl.split(b"".join(request.encode() for request in requests))
+    assert [tmcl.Request.decode(frame) for frame in frames] == requests
+    assert rest == b""
+
+
+def test_one_in_255_errors_of_two_bytes_is_not_noticed() -> None:
+    """What a sum cannot see: of all changes of two given bytes, each to another value, one second one for each first."""
+    frame = tmcl.Reply(2, 1, 100, 6, 51_200).encode()
+    passed = 0
+    for first in range(1, 256):
+        for second in range(1, 256):
+            changed = bytearray(frame)
+            changed[6] = (changed[6] + first) & 0xFF
+            changed[7] = (changed[7] + second) & 0xFF
+            passed += tmcl.checksum(bytes(changed[:8])) == changed[8]
+    assert passed == 255  # of 255 * 255
+
+
+@pytest.mark.long
+def test_a_million_inputs_raise_nothing_but_the_decoders_error() -> None:
+    generator = np.random.default_rng(1)
+    for _ in range(1000):
+        block = generator.integers(0, 256, 12_000, dtype=np.uint8).tobytes()
+        lengths = generator.integers(0, 12, 1000)
+        place = 0
+        for length in lengths:
+            data = block[place : place + int(length)]
+            place += int(length)
+            for decode in (tmcl.Request.decode, tmcl.Reply.decode, tmcl.decode_version_text):
+                with contextlib.suppress(tmcl.FrameError):
+                    assert str(decode(data))
+            frames, rest = tmcl.split(data)
+            assert b"".join(frames) + rest == data

@@ -1,5 +1,7 @@
 """USBTMC headers."""
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -55,3 +57,48 @@ def test_a_header_of_reserved_bytes_is_refused() -> None:
     data[3] = 1
     with pytest.raises(usbtmc.HeaderError, match="reserved"):
         usbtmc.Header.decode(bytes(data))
+
+
+MESSAGES = st.lists(st.tuples(TAG, st.binary(max_size=50), st.booleans()), max_size=5)
+
+
+@given(MESSAGES, st.booleans(), st.lists(st.integers(0, 400), max_size=8))
+def test_messages_are_the_same_however_the_bytes_are_split(
+    messages: list[tuple[int, bytes, bool]], from_host: bool, cuts: list[int]
+) -> None:
+    kind = usbtmc.MsgId.DEV_DEP_MSG_OUT if from_host else usbtmc.MsgId.DEV_DEP_MSG_IN
+    data = b"".join(usbtmc.message(kind, tag, payload, end=end) for tag, payload, end in messages)
+    places = sorted({0, len(data), *(cut for cut in cuts if cut < len(data))})
+    found, pending = [], b""
+    for start, stop in pairwise(places):
+        pending += data[start:stop]
+        while True:
+            message, pending = usbtmc.take_message(pending, from_host=from_host)
+            if message is None:
+                break
+            found.append(message)
+    assert pending == b""
+    assert [(each.header.tag, each.payload, each.header.end) for each in found] == messages
+
+
+@given(st.binary(max_size=60), st.booleans())
+def test_other_bytes_are_header_errors_or_not_whole(data: bytes, from_host: bool) -> None:
+    try:
+        message, rest = usbtmc.take_message(data, from_host=from_host)
+    except usbtmc.HeaderError:
+        return
+    assert len(rest) < len(data) or message is None
+
+
+def test_a_size_that_nobody_means_is_refused_before_anything_is_kept() -> None:
+    header = usbtmc.Header(usbtmc.MsgId.DEV_DEP_MSG_OUT, 1, 0xFFFF_FFFF).encode()
+    with pytest.raises(usbtmc.HeaderError, match="4294967295 bytes"):
+        usbtmc.take_message(header, from_host=True)
+
+
+def test_status_tags_go_from_2_to_127() -> None:
+    tags = [0]
+    for _ in range(127):
+        tags.append(usbtmc.next_status_tag(tags[-1]))
+    assert tags[1:127] == list(range(2, 128))
+    assert tags[127] == 2

@@ -27,7 +27,7 @@ def test_two_virtual_rigs_of_the_same_name_do_not_disturb_each_other(
         with open_rig(plan.rig, VirtualClock()) as opened:
             opened.connect()
             with Journal.create(tmp_path / name, plan, {}) as journal:
-                engine = Engine(opened.rig, plan, journal, operator_for(opened, print), [listen])
+                engine = Engine(opened.rig, plan, journal, operator_for(opened, plan.rig.file, None), [listen])
                 assert engine.run() is State.DONE
                 return [
                     reading.counts.tobytes() + str((reading.first_s, reading.monitor_a)).encode()

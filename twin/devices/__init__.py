@@ -1,9 +1,20 @@
 """Firmware: devices that answer the wires' protocols from the plant that they share. Each is asked with a time."""
 
-from twin.devices.adam6017 import Adam6017
+from twin.devices.adam import Adam4117, Adam6017, AdamModule
 from twin.devices.cornerstone260 import Cornerstone260
+from twin.devices.modbus import RtuStation, TcpStation
 from twin.devices.pm100d import Pm100d
-from twin.devices.tmcm6214 import Tmcm6214
+from twin.devices.tmcl_line import TmclLine
 from twin.devices.usbtmc import UsbTmcDevice
 
-__all__ = ["Adam6017", "Cornerstone260", "Pm100d", "Tmcm6214", "UsbTmcDevice"]
+__all__ = [
+    "Adam4117",
+    "Adam6017",
+    "AdamModule",
+    "Cornerstone260",
+    "Pm100d",
+    "RtuStation",
+    "TcpStation",
+    "TmclLine",
+    "UsbTmcDevice",
+]

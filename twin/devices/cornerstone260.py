@@ -1,36 +1,43 @@
-"""An Oriel Cornerstone 260: grating drive, shutter and filter wheel behind lines of ASCII.
+"""An Oriel Cornerstone 260: grating drive, shutter, filter wheel and slits behind lines of ASCII.
 
-While it moves it hears but does not answer, as the classic unit does; echo and handshake mode as on RS232.
+While something moves it hears but does not answer, as the classic unit does: what it has heard it does afterwards, in
+order. Only ABORT is heard at once; it stops what moves, and what waited behind comes next. Echo and handshake mode as on
+RS232. Assumed where the manual is silent (to be confirmed on hardware): the echo of what waits comes when it is its turn;
+an aborted statement ends like any other, with its status in handshake mode; filters, slits and gratings take their
+time and pass all the light.
 """
 
+import re
 from collections import deque
+from dataclasses import dataclass, replace
 
 from protocols.cornerstone import (
     ERROR_SINCE_LAST_READ,
     FROM_DEVICE,
-    MAX_LINE,
     NO_ERROR,
     Error,
     Statement,
     StatementError,
-    encode_nm,
     encode_status,
+    take_lines,
 )
+from twin.devices.cornerstone_state import GratingData, State
+from twin.devices.cornerstone_statements import IDENTITY, Refused, Statements
 from twin.plant import Plant
 
-IDENTITY = "Cornerstone 260 virtual"
+__all__ = ["IDENTITY", "Cornerstone260"]
+
 LATENCY_S = 2.0e-3
-LINES_PER_MM = {1: 1200, 2: 600}
-HIGHEST_NM_OF_1200 = 1400.0
-FILTERS = 6
+WAITING_AT_MOST = 64
 
 
-class Refused(Exception):
-    """A statement that the device does not carry out, with the error that it then reports."""
+@dataclass(frozen=True)
+class Turn:
+    """A statement that has been given its turn: what it was, from when on, and the state before it."""
 
-    def __init__(self, error: Error) -> None:
-        super().__init__(error.name)
-        self.error = error
+    line: bytes
+    start: float
+    before: State
 
 
 class Cornerstone260:
@@ -39,37 +46,57 @@ class Cornerstone260:
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
         self._drive = plant.model.monochromator
+        self._statements = Statements(plant, self._drive)
         self.baudrate = self._drive.baudrate
         self.outbox: deque[tuple[float, bytes]] = deque()
-        self._line = bytearray()
+        self._pending = b""
+        self._unechoed = self._last = b""
         self._busy_until = 0.0
-        self._handshake = False
-        self._status = NO_ERROR
-        self._error = Error.NONE
-        self._grating = 1
-        self._filter = 1
+        self._turns: deque[Turn] = deque(maxlen=WAITING_AT_MOST)
+        gratings = tuple(GratingData(lines, label) for lines, label in self._drive.gratings)
+        self._state = State(gratings, tuple(f"FILTER{k + 1}" for k in range(self._drive.filters)))
 
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`."""
+        for piece in _pieces(data):
+            self._unechoed += piece
+            lines, self._pending = take_lines(self._pending, piece)
+            self._echo(max(t, self._busy_until))
+            for line in lines:
+                if line.strip().upper() == b"ABORT" and t < self._busy_until:
+                    self._abort(line, t)
+                elif line.strip():
+                    self._take_turn(line, t)
+
+    def reset(self, t: float) -> None:
+        """The power went away and came back: everything rests, volatile settings are forgotten, the shutter is closed."""
+        self._take_back(t)
+        self.outbox.clear()
+        self._pending = self._unechoed = b""
+        self._busy_until = t
+        self._state = self._state.after_power_on()
+        self._plant.shutter_open.set(t, False)
+
+    def _echo(self, t: float) -> None:
+        heard, self._unechoed = self._unechoed, b""
+        if not heard:
+            return
+        before, self._last = self._last, heard[-1:]
+        echo = heard if before == b"\r" and heard[:1] == b"\n" else re.sub(rb"(?<!\r)\n", FROM_DEVICE, heard)
         if self._drive.echo:
-            self.outbox.append((max(t, self._busy_until), data.replace(b"\n", FROM_DEVICE)))
-        for byte in data:
-            if byte in b"\r\n":
-                line, self._line = bytes(self._line), bytearray()
-                if line.strip():
-                    self._perform(line, max(t, self._busy_until) + LATENCY_S)
-            elif len(self._line) < MAX_LINE:
-                self._line.append(byte)
+            self.outbox.append((t, echo))
+
+    def _take_turn(self, line: bytes, t: float) -> None:
+        start = max(t, self._busy_until)
+        self._turns.append(Turn(line, start, self._state))
+        self._perform(line, start + LATENCY_S)
 
     def _perform(self, line: bytes, t: float) -> None:
         answer: str | None = None
         done = t
         try:
-            statement = Statement.decode(line)
-            if statement.query:
-                answer = self._ask(statement, t)
-            else:
-                done = self._command(statement, t)
+            result = self._statements.perform(self._state, Statement.decode(line), t)
+            self._state, done, answer = result.state, result.t, result.answer
         except StatementError:
             self._fail(Error.NOT_UNDERSTOOD)
         except Refused as refused:
@@ -77,91 +104,38 @@ class Cornerstone260:
         if answer is not None:
             self.outbox.append((t, answer.encode("ascii") + FROM_DEVICE))
         self._busy_until = done
-        if self._handshake:
-            self.outbox.append((done, encode_status(self._status)))
-            self._status = NO_ERROR  # sent is read
+        self._end_statement(done)
+
+    def _end_statement(self, t: float) -> None:
+        if self._state.handshake:
+            self.outbox.append((t, encode_status(self._state.status)))
+            self._state = replace(self._state, status=NO_ERROR)  # sent is read
 
     def _fail(self, error: Error) -> None:
-        self._error = error
-        self._status = ERROR_SINCE_LAST_READ
+        self._state = replace(self._state, error=error, status=ERROR_SINCE_LAST_READ)
 
-    def _ask(self, statement: Statement, t: float) -> str:
-        match statement.word:
-            case "WAVE":
-                return encode_nm(self._plant.wavelength_nm.at(t))
-            case "SHUTTER":
-                return "O" if self._plant.shutter_open.at(t) else "C"
-            case "FILTER":
-                return str(self._filter)
-            case "GRAT":
-                return f"{self._grating},{LINES_PER_MM[self._grating]},VIS"
-            case "UNITS":
-                return "NM"
-            case "HANDSHAKE":
-                return str(int(self._handshake))
-            case "INFO":
-                return IDENTITY
-            case "STB":
-                status, self._status = self._status, NO_ERROR
-                return f"{status:02X}" if self._handshake else f"{status:02d}"
-            case "ERROR":
-                error, self._error = self._error, Error.NONE
-                return str(int(error))
-        raise Refused(Error.NOT_UNDERSTOOD)
+    def _abort(self, line: bytes, t: float) -> None:
+        waiting = self._take_back(t)
+        self._busy_until = t
+        self._end_statement(t)  # of what has been aborted
+        for each in (line, *waiting):
+            self._unechoed = each + b"\n"
+            self._echo(max(t, self._busy_until))
+            self._take_turn(each, t)
 
-    def _command(self, statement: Statement, t: float) -> float:
-        """Does it; returns when it will be done."""
-        match statement.word:
-            case "GOWAVE":
-                return self._go_wave(_number(statement.parameter), t)
-            case "SHUTTER":
-                if statement.parameter.upper() not in ("O", "C"):
-                    raise Refused(Error.BAD_PARAMETER)
-                done = t + self._drive.shutter_s
-                self._plant.shutter_open.set(done, statement.parameter.upper() == "O")
-                return done
-            case "FILTER":
-                return self._go_filter(_integer(statement.parameter), t)
-            case "GRAT":
-                if _integer(statement.parameter) not in LINES_PER_MM:
-                    raise Refused(Error.DESTINATION_NOT_ALLOWED)
-                self._grating = _integer(statement.parameter)
-                return t
-            case "HANDSHAKE":
-                if statement.parameter not in ("0", "1"):
-                    raise Refused(Error.BAD_PARAMETER)
-                self._handshake = statement.parameter == "1"
-                return t
-            case "ABORT":
-                return t
-        raise Refused(Error.NOT_UNDERSTOOD)
-
-    def _go_wave(self, wavelength_nm: float, t: float) -> float:
-        highest = HIGHEST_NM_OF_1200 * 1200 / LINES_PER_MM[self._grating]
-        if not 0.0 <= wavelength_nm <= highest:
-            raise Refused(Error.DESTINATION_NOT_ALLOWED)
-        way = abs(wavelength_nm - self._plant.wavelength_nm.at(t))
-        done = t + (way / self._drive.slew_nm_per_s + self._drive.settle_s if way else 0.0)
-        self._plant.wavelength_nm.set(done, wavelength_nm)
-        return done
-
-    def _go_filter(self, position: int, t: float) -> float:
-        if not 1 <= position <= FILTERS:
-            raise Refused(Error.DESTINATION_NOT_ALLOWED)
-        turns = abs(position - self._filter)
-        self._filter = position
-        return t + turns * self._drive.filter_s
+    def _take_back(self, t: float) -> list[bytes]:
+        """Everything stops at `t`; returns the statements whose turn has not come, and undoes what they would have done."""
+        waiting = [turn for turn in self._turns if turn.start > t]
+        if waiting:
+            self._state = waiting[0].before
+        while self.outbox and self.outbox[-1][0] > t:
+            self.outbox.pop()
+        self._turns.clear()
+        self._plant.wavelength_nm.stop(t)
+        self._plant.shutter_open.set(t, self._plant.shutter_open.at(t))
+        return [turn.line for turn in waiting]
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise Refused(Error.BAD_PARAMETER) from None
-
-
-def _integer(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise Refused(Error.BAD_PARAMETER) from None
+def _pieces(data: bytes) -> list[bytes]:
+    """Cut after each line's end."""
+    return re.findall(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", data)

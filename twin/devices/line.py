@@ -15,3 +15,6 @@ class SerialDevice(Protocol):
 
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`."""
+
+    def reset(self, t: float) -> None:
+        """Power fails and comes back: what is not kept in its memory it has forgotten."""

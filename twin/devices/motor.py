@@ -1,158 +1,164 @@
-"""One motor of a motion module: its axis parameters, its ramp, and the shaft that it turns."""
+"""One motor of a motion module: its axis parameters, what it is asked and what it is told."""
 
-from collections.abc import Callable
+from protocols.tmcl import Status
+from protocols.tmcl_parameters import Axis, DriverFlag, ErrorFlag
+from twin.devices import reference_search
+from twin.devices.axis_table import COMPUTED, Parameter
+from twin.devices.encoder import Encoder
+from twin.devices.ramp_generator import RampGenerator, Rejected, signed
+from twin.devices.switches import Place
+from twin.plant.motion import turning
+from twin.plant.shaft import Leash, Shaft
 
-from protocols.tmcl import Axis, Status
-from twin.plant.motion import Trajectory, moving, resting, turning
-from twin.plant.shaft import Shaft
-
-MAX_VELOCITY_PPS = 7_999_774
-MAX_MICROSTEP_EXPONENT = 8
-
-# What a module has after power-on; the ranges are those of the manual's table of axis parameters.
-DEFAULTS: dict[Axis, tuple[int, int, int]] = {
-    # parameter: (value, lowest, highest)
-    Axis.TARGET_VELOCITY: (0, -MAX_VELOCITY_PPS, MAX_VELOCITY_PPS),
-    Axis.MAX_VELOCITY: (51_200, 1, MAX_VELOCITY_PPS),
-    Axis.MAX_ACCELERATION: (51_200, 1, 2_147_418_111),
-    Axis.MAX_DECELERATION: (51_200, 1, 2_147_418_111),
-    Axis.RUN_CURRENT: (128, 0, 255),
-    Axis.STANDBY_CURRENT: (8, 0, 255),
-    Axis.RIGHT_SWITCH_DISABLED: (1, 0, 1),
-    Axis.LEFT_SWITCH_DISABLED: (1, 0, 1),
-    Axis.RELATIVE_REFERENCE: (0, 0, 2),
-    Axis.MICROSTEP_RESOLUTION: (8, 0, MAX_MICROSTEP_EXPONENT),
-    Axis.MAX_ENCODER_DEVIATION: (0, 0, 2**31 - 1),
-    Axis.POWER_DOWN_DELAY: (200, 1, 65_535),
-    Axis.UNIT_MODE: (0, 0, 1),
-}
-CHIP_UNITS_PPS = 16_000_000 / 2**24  # of velocities where UNIT_MODE is 0
+UNLOADED = 512
+POWER_DOWN_UNIT_S = 0.01
+REPLANNED = frozenset(
+    {
+        Axis.MAX_VELOCITY, Axis.MAX_ACCELERATION, Axis.MAX_DECELERATION, Axis.RIGHT_SWITCH_DISABLED, Axis.SWAP_SWITCHES,
+        Axis.LEFT_SWITCH_DISABLED, Axis.RIGHT_SWITCH_POLARITY, Axis.LEFT_SWITCH_POLARITY, Axis.SOFT_STOP,
+        Axis.STALL_VELOCITY, Axis.MAX_ENCODER_DEVIATION, Axis.ENCODER_RESOLUTION, Axis.UNIT_MODE,
+    }
+)  # fmt: skip
 
 
-class Rejected(Exception):
-    """A request that the module refuses, with the status that says so."""
+class Motor(RampGenerator):
+    """A motor by its parameters. `faults` are bits of AP 208 that a test may set."""
 
-    def __init__(self, status: Status) -> None:
-        super().__init__(status.name)
-        self.status = status
+    def __init__(self, shaft: Shaft | None, encoder: Encoder | None, table: dict[int, Parameter], leash: Leash) -> None:
+        super().__init__(shaft, encoder, table, leash)
+        self.faults = DriverFlag(0)
 
+    def reset(self, t: float) -> None:
+        """Power-on: the rotor stands, EEPROM's settings hold, the counter and the encoder's are 0, and the shaft stays."""
+        self._forget(t)
+        self._wanted = self._trajectory = self.shaft.recount(t, 0.0, self._per_full())
+        if self.encoder is not None:
+            self._encoder_offset = -self.encoder.read(t, self._resolution())
 
-class Motor:
-    """A motor, its counter and its ramp generator. `shaft` is None where nothing is coupled to it.
-
-    `encoder(t)` gives the encoder's reading in microsteps, None where the motor has no encoder.
-    """
-
-    def __init__(self, shaft: Shaft | None, encoder: Callable[[float], float] | None) -> None:
-        self.shaft = shaft
-        self._encoder = encoder
-        self._encoder_offset = 0.0
-        self._values = {axis: value for axis, (value, _, _) in DEFAULTS.items()}
-        self._trajectory = resting(0.0)
-        self._target = 0
+    def factory_reset(self, t: float) -> None:
+        """The same with an empty EEPROM."""
+        self._eeprom.clear()
+        self.reset(t)
 
     def position(self, t: float) -> float:
         """The counter, microsteps."""
+        self.catch_up(t)
         return self._trajectory.position(t)
+
+    def arrival(self) -> float | None:
+        """When it will have reached its target, None where it will not."""
+        end = self._trajectory.end
+        reaches = self._search is None and round(self._trajectory.position(end)) == self._target
+        return end if reaches and self._trajectory.velocity(end) == 0.0 else None
+
+    def current(self, t: float) -> int:
+        """Of 255: the run current, and a power-down delay after the end of a movement the standby current."""
+        rests = self._trajectory.end + self._values[Axis.POWER_DOWN_DELAY] * POWER_DOWN_UNIT_S
+        return self._values[Axis.STANDBY_CURRENT if t >= rests and not self.is_moving(t) else Axis.RUN_CURRENT]
 
     def get(self, number: int, t: float) -> int:
         """GAP. Raises Rejected for a parameter that is not there."""
+        self.catch_up(t)
+        if number in COMPUTED:
+            return signed(self._computed(number, t))
+        if number not in self._values:
+            raise Rejected(Status.WRONG_TYPE)
+        return self._values[number]
+
+    def _computed(self, number: int, t: float) -> int:
+        angle = self.shaft.angle_deg(t)
         match number:
             case Axis.TARGET_POSITION:
                 return self._target
-            case Axis.ACTUAL_POSITION:
+            case Axis.ACTUAL_POSITION | 198:
                 return round(self._trajectory.position(t))
-            case Axis.ACTUAL_VELOCITY:
+            case Axis.ACTUAL_VELOCITY | 29:
                 return round(self._trajectory.velocity(t) / self._unit())
             case Axis.POSITION_REACHED:
-                return int(self._trajectory.end <= t and round(self._trajectory.position(t)) == self._target)
-            case Axis.HOME_SWITCH | Axis.RIGHT_SWITCH | Axis.LEFT_SWITCH | Axis.ERROR_FLAGS:
-                return 0
-            case Axis.ENCODER_POSITION if self._encoder is not None:
-                return round(self._encoder(t) + self._encoder_offset)
-        return self._values[self._known(number)]
+                at_target = round(self._trajectory.position(t)) == self._target
+                return int(not self.is_moving(t) and at_target and self._search is None)
+            case Axis.HOME_SWITCH:
+                return int(self.switch(Place.HOME).active(angle))
+            case Axis.RIGHT_SWITCH:
+                return int(self.end_switch(1).active(angle))
+            case Axis.LEFT_SWITCH:
+                return int(self.end_switch(-1).active(angle))
+            case Axis.SWITCH_DISTANCE:
+                return self._distance
+            case Axis.LAST_REFERENCE_POSITION:
+                return self._last_reference
+            case Axis.LOAD_VALUE:
+                return 0 if self._stalls(t) else UNLOADED
+            case Axis.ERROR_FLAGS:
+                errors, self._errors = self._errors, ErrorFlag(0)  # reading clears them
+                return int(errors)
+            case Axis.DRIVER_FLAGS:
+                return int(self.faults | self._driver_flags(t))
+            case 180:
+                return self.current(t) >> 3
+        if self.encoder is None:
+            raise Rejected(Status.WRONG_TYPE)
+        return round(self.encoder.read(t, self._resolution()) + self._encoder_offset)
+
+    def _driver_flags(self, t: float) -> DriverFlag:
+        if self._stalls(t):
+            return DriverFlag.STALL
+        return DriverFlag(0) if self.is_moving(t) else DriverFlag.STANDSTILL
 
     def set(self, number: int, value: int, t: float) -> None:
         """SAP. Raises Rejected for a parameter that is not there or a value out of its range."""
+        self.catch_up(t)
         match number:
             case Axis.TARGET_POSITION:
                 self.move_to(value, t)
                 return
             case Axis.ACTUAL_POSITION:
-                self._recount(value, t)
-                self._target = value
+                self._recount(float(value), t)
                 return
-            case Axis.ENCODER_POSITION if self._encoder is not None:
-                self._encoder_offset = value - self._encoder(t)
+            case Axis.ENCODER_POSITION if self.encoder is not None:
+                self._encoder_offset = value - self.encoder.read(t, self._resolution())
+                self.refresh(t)
                 return
-        parameter = self._known(number)
-        _, lowest, highest = DEFAULTS[parameter]
-        if not lowest <= value <= highest:
+        parameter = self._table.get(number)
+        if parameter is None:
+            raise Rejected(Status.WRONG_TYPE)
+        if not parameter.lowest <= value <= parameter.highest:
             raise Rejected(Status.INVALID_VALUE)
-        self._values[parameter] = value
-        if parameter == Axis.MICROSTEP_RESOLUTION:
-            self._recount(round(self._trajectory.position(t)), t)
-        elif parameter == Axis.TARGET_VELOCITY:
+        if number == Axis.REFERENCE_SEARCH_MODE and not reference_search.known(value):
+            raise Rejected(Status.INVALID_VALUE)
+        self._values[number] = value
+        if number in (Axis.MICROSTEP_RESOLUTION, Axis.REVERSE_SHAFT):
+            self._trajectory = self._wanted = self.shaft.recount(t, round(self._trajectory.position(t)), self._per_full())
+        elif number == Axis.TARGET_VELOCITY:
             self.turn(value, t)
+        elif number in REPLANNED:
+            self.refresh(t)
 
-    def move_to(self, target: int, t: float) -> int:
-        """MVP ABS: starts the ramp; returns the target."""
-        self._target = target
-        unit = self._unit()
-        self._follow(
-            moving(
-                t,
-                self._trajectory.position(t),
-                self._trajectory.velocity(t),
-                float(target),
-                self._values[Axis.MAX_VELOCITY] * unit,
-                self._values[Axis.MAX_ACCELERATION] * unit,
-                self._values[Axis.MAX_DECELERATION] * unit,
-            ),
-            t,
-        )
-        return target
+    def store(self, number: int, *, restore: bool, t: float) -> None:
+        """STAP and RSAP. Raises Rejected for a parameter that EEPROM does not keep."""
+        parameter = self._table.get(number)
+        if parameter is None or not parameter.stored:
+            raise Rejected(Status.WRONG_TYPE)
+        if restore:
+            self.set(number, self._eeprom.get(number, parameter.value), t)
+        else:
+            self._eeprom[number] = self._values[number]
 
     def move_by(self, offset: int, t: float) -> int:
-        """MVP REL: from the last target or from where it is, as RELATIVE_REFERENCE says; returns the target."""
-        from_actual = self._values[Axis.RELATIVE_REFERENCE] == 1
-        start = round(self._trajectory.position(t)) if from_actual else self._target
-        return self.move_to(start + offset, t)
+        """MVP REL: from the last target, from where it is or from the encoder, as AP 127 says; returns the target."""
+        reference = self._values[Axis.RELATIVE_REFERENCE]
+        start = (Axis.TARGET_POSITION, Axis.ACTUAL_POSITION, Axis.ENCODER_POSITION)[reference]
+        return self.move_to(self.get(start, t) + offset, t)
 
-    def turn(self, velocity: int, t: float) -> None:
-        """ROR and ROL (signed), and MST with 0: the target position stays what it was."""
-        unit = self._unit()
-        self._follow(
-            turning(
-                t,
-                self._trajectory.position(t),
-                self._trajectory.velocity(t),
-                velocity * unit,
-                self._values[Axis.MAX_ACCELERATION] * unit,
-                self._values[Axis.MAX_DECELERATION] * unit,
-            ),
-            t,
-        )
-
-    def _follow(self, trajectory: Trajectory, t: float) -> None:
-        self._trajectory = trajectory
-        if self.shaft is not None:
-            self.shaft.follow(t, trajectory)
-
-    def _recount(self, position: int, t: float) -> None:
-        per_full = 2 ** self._values[Axis.MICROSTEP_RESOLUTION]
-        self._trajectory = (
-            resting(float(position), t) if self.shaft is None else self.shaft.recount(t, float(position), per_full)
-        )
-
-    def _unit(self) -> float:
-        return 1.0 if self._values[Axis.UNIT_MODE] == 1 else CHIP_UNITS_PPS
-
-    def _known(self, number: int) -> Axis:
-        try:
-            parameter = Axis(number)
-        except ValueError:
-            raise Rejected(Status.WRONG_TYPE) from None
-        if parameter not in self._values:
-            raise Rejected(Status.WRONG_TYPE)
-        return parameter
+    def _recount(self, position: float, t: float) -> None:
+        """Moving, it goes on to the old target from the new count: the axis then ends elsewhere (as a TMCM-3214 does)."""
+        goes_on, velocity = self._positioning and self.is_moving(t), self._trajectory.velocity(t)
+        self._cancel_search(t)
+        self._halt = None
+        self._wanted = self._trajectory = self.shaft.recount(t, position, self._per_full())
+        if goes_on:
+            self._follow(self._ramp(t, position, velocity), t)
+        elif velocity == 0.0:
+            self._target = int(position)
+        else:
+            self._follow(turning(t, position, velocity, velocity, *self._slopes()), t)

@@ -1,13 +1,16 @@
-"""A Trinamic TMCM-6214: six motors on one serial line, in binary TMCL."""
+"""Trinamic's motion modules: the TMCM-6214 with six motors, the TMCM-1240 with one. Their firmware, frame by frame.
+
+Source: TMCL firmware manuals; what of it could not be read there is marked (*) and is to be confirmed on hardware: that
+bank 0's parameters 64 to 127 go to EEPROM as they are set, that suppressed replies begin with the command that sets
+them, the unit of the telegram pause (ms), and the states of a stand-alone program (there is none, so none runs).
+"""
 
 import math
-from collections import deque
 from collections.abc import Callable
-
-import numpy as np
+from dataclasses import dataclass
+from typing import ClassVar
 
 from protocols.tmcl import (
-    FRAME_BYTES,
     HOST_ADDRESS,
     Command,
     FrameError,
@@ -18,117 +21,258 @@ from protocols.tmcl import (
     encode_version_text,
     version_number,
 )
-from twin.devices.motor import Motor, Rejected
+from protocols.tmcl_parameters import BAUD_RATES, Global
+from twin.devices.axis_table import TMCM_1240, TMCM_6214, Parameter
+from twin.devices.encoder import Encoder
+from twin.devices.globals import Globals
+from twin.devices.motor import Motor
+from twin.devices.ramp_generator import Rejected
 from twin.plant import Plant
-from twin.plant.noise import normal, process_key
+from twin.plant.shaft import Leash
 
-MODULE = 6214
-FIRMWARE = (1, 17)
-MOTORS = 6
-IDLE_GAP_S = 0.05
-ENCODER_PERIOD_S = 1.0e-3
-GLOBALS = {(0, 65): 7, (0, 66): 1, (0, 68): 0, (0, 75): 0, (0, 76): HOST_ADDRESS, (0, 77): 0, (0, 128): 0, (0, 255): 0}
+FACTORY_RESET_CODE, FACTORY_RESET_S = 1234, 5.0
+SUPPLY_DECIVOLT, TEMPERATURE_C = 240, 30
+COORDINATES = 21
+OUTPUTS = 8
+EVENT_AFTER_S = 2.0e-3
+Post = Callable[[float, bytes], None]
+Withdraw = Callable[[bytes], None]
+Answers = list[tuple[float, bytes]]
 
 
-class Tmcm6214:
-    """The module's firmware: frames in, frames out. Any module address is answered, as over USB."""
+class Unasked(bytes):
+    """A frame that answers nothing that was just asked."""
 
-    def __init__(self, plant: Plant) -> None:
-        controller = plant.model.controller
-        self.baudrate = controller.baudrate
-        self.outbox: deque[tuple[float, bytes]] = deque()
-        self._latency_s = controller.latency_s
-        self._partial = b""
-        self._last_byte = -math.inf
-        self._globals = dict(GLOBALS)
-        self._globals[0, 66] = controller.address
-        self.motors = [Motor(None, None) for _ in range(MOTORS)]
-        for name, shaft in plant.shafts.items():
-            mechanics = shaft.mechanics
-            encoder = _encoder(plant, name) if mechanics.encoder else None
-            self.motors[mechanics.motor] = Motor(shaft, encoder)
 
-    def receive(self, data: bytes, t: float) -> None:
-        """Bytes of which the last has arrived at `t`; a frame begun before a pause is forgotten."""
-        if t - self._last_byte > IDLE_GAP_S:
-            self._partial = b""
-        self._last_byte = t
-        self._partial += data
-        while len(self._partial) >= FRAME_BYTES:
-            frame, self._partial = self._partial[:FRAME_BYTES], self._partial[FRAME_BYTES:]
-            self.outbox.append((t + self._latency_s, self._answer(frame, t)))
+@dataclass(frozen=True)
+class Kind:
+    """A product."""
 
-    def _answer(self, frame: bytes, t: float) -> bytes:
-        host, address = self._globals[0, 76], self._globals[0, 66]
+    number: int
+    firmware: tuple[int, int]
+    motors: int
+    table: dict[int, Parameter]
+
+
+KINDS = {
+    "tmcm-6214": Kind(6214, (1, 17), 6, TMCM_6214),
+    "tmcm-1240": Kind(1240, (1, 45), 1, TMCM_1240),
+}
+
+
+class MotionModule:
+    """One module. `strict` has it answer to its own address and to 0 only; `post` sends what nobody has just asked for,
+    `withdraw` takes it back."""
+
+    def __init__(self, plant: Plant, kind: Kind, address: int, post: Post, withdraw: Withdraw, *, strict: bool) -> None:
+        self.kind = kind
+        self._strict = strict
+        self._post = post
+        self._withdraw = withdraw
+        self._address = address
+        baudrate = plant.model.controller.baudrate
+        self._factory: dict[int, int] = {
+            Global.ADDRESS: address,
+            Global.HOST_ADDRESS: HOST_ADDRESS,
+            Global.BAUD_RATE: BAUD_RATES.index(baudrate) if baudrate in BAUD_RATES else 0,
+        }
+        self.globals = Globals(dict(self._factory))
+        self._leash = Leash()
+        self._dead_until = -math.inf
+        self._coordinates: dict[tuple[int, int], int] = {}
+        self._outputs = [0] * OUTPUTS
+        self._event: Unasked | None = None
+        self._event_mask = 0
+        wired = {shaft.mechanics.motor: name for name, shaft in plant.shafts.items() if shaft.mechanics.module == address}
+        for motor, name in wired.items():
+            if motor >= kind.motors:
+                raise ValueError(f"{name} is motor {motor} of module {address}, and a TMCM-{kind.number} has {kind.motors}")
+        self.motors = [self._motor(plant, wired.get(number)) for number in range(kind.motors)]
+
+    def _motor(self, plant: Plant, name: str | None) -> Motor:
+        shaft = plant.shafts[name] if name is not None else None
+        encoder = Encoder(plant, name) if name is not None and plant.shafts[name].mechanics.encoder else None
+        return Motor(shaft, encoder, self.kind.table, self._leash)
+
+    def reset(self, t: float) -> None:
+        """The power was away for a moment: EEPROM's settings hold, counters are 0, and nothing turns any more."""
+        self.globals.reset(t)
+        self._leash.until = math.inf
+        self._coordinates.clear()
+        self._outputs = [0] * OUTPUTS
+        self._event_mask = 0
+        for motor in self.motors:
+            motor.reset(t)
+
+    def answer(self, frame: bytes, t: float) -> Answers:
+        """What it says to a frame that has arrived at `t`: nothing or one answer, each with how long it waits before it."""
+        host, address = self.globals.get(0, Global.HOST_ADDRESS, t), self.globals.get(0, Global.ADDRESS, t)
+        if t < self._dead_until or (self._strict and frame[0] not in (0, address)):
+            return []
+        self._mind_heartbeat(t)
+        reply = self._reply(frame, t, host & 0xFF, address & 0xFF)
+        self._plan_event(t, host & 0xFF, address & 0xFF)
+        if reply is None or self.globals.get(0, Global.SUPPRESS_REPLY, t):
+            return []
+        return [(self.globals.get(0, Global.TELEGRAM_PAUSE, t) * 1.0e-3, reply)]
+
+    def _reply(self, frame: bytes, t: float, host: int, address: int) -> bytes | None:
         try:
             request = Request.decode(frame)
         except FrameError:
             return Reply(host, address, Status.WRONG_CHECKSUM, frame[1], 0).encode()
         if request.command == Command.FIRMWARE_VERSION and request.type == 0:
-            return encode_version_text(host, f"{MODULE}V{FIRMWARE[0]}{FIRMWARE[1]:02d}")
+            major, minor = self.kind.firmware
+            return encode_version_text(host, f"{self.kind.number}V{major}{minor:02d}")
+        if request.command == Command.FACTORY_RESET and request.value == FACTORY_RESET_CODE:
+            self._factory_reset(t)
+            return None
         try:
             value, status = self._execute(request, t), Status.OK
         except Rejected as rejected:
             value, status = 0, rejected.status
         return Reply(host, address, status, request.command, value).encode()
 
+    def _factory_reset(self, t: float) -> None:
+        self.globals = Globals(dict(self._factory))
+        for motor in self.motors:
+            motor.factory_reset(t)
+        self.reset(t)
+        self._dead_until = t + FACTORY_RESET_S
+
+    def _mind_heartbeat(self, t: float) -> None:
+        """What was still turning when the host had been silent for too long has been stopped then."""
+        if t > self._leash.until:
+            for motor in self.motors:
+                if motor.is_moving(self._leash.until):
+                    motor.turn(0, self._leash.until)
+        self._extend_leash(t)
+
+    def _extend_leash(self, t: float) -> None:
+        heartbeat = self.globals.get(0, Global.HEARTBEAT, t)
+        self._leash.until = t + heartbeat * 1.0e-3 if heartbeat > 0 else math.inf
+
     def _execute(self, request: Request, t: float) -> int:
+        number, bank, value = request.type, request.motor, request.value
         match request.command:
             case Command.FIRMWARE_VERSION:
-                return version_number(MODULE, *FIRMWARE)
-            case Command.SGP | Command.GGP:
-                return self._global(request)
-        actions: dict[int, Callable[[Motor], int]] = {
-            Command.ROR: lambda motor: _turn(motor, request.value, request.value, t),
-            Command.ROL: lambda motor: _turn(motor, -request.value, request.value, t),
-            Command.MST: lambda motor: _turn(motor, 0, 0, t),
-            Command.MVP: lambda motor: _move(motor, request, t),
-            Command.SAP: lambda motor: _set(motor, request, t),
-            Command.GAP: lambda motor: motor.get(request.type, t),
-        }
-        action = actions.get(request.command)
+                return version_number(self.kind.number, *self.kind.firmware)
+            case Command.SGP:
+                self.globals.set(bank, number, value, t)
+                self._extend_leash(t)
+                return value
+            case Command.GGP:
+                return self.globals.get(bank, number, t)
+            case Command.STGP | Command.RSGP:
+                self.globals.store(bank, number, restore=request.command == Command.RSGP)
+                return 0
+            case Command.SIO | Command.GIO:
+                return self._port(request)
+            case Command.RUN_APPLICATION | Command.STOP_APPLICATION | Command.RESET_APPLICATION:
+                self.globals.run(request.command)
+                return 0
+            case Command.APPLICATION_STATUS:
+                return self.globals.get(0, Global.APPLICATION_STATUS, t)
+            case Command.REQUEST_TARGET_REACHED:
+                if not 0 <= value < 1 << len(self.motors):
+                    raise Rejected(Status.INVALID_VALUE)
+                self._event_mask = value
+                return value
+            case Command.GET_INFO:
+                raise Rejected(Status.NOT_AVAILABLE)  # newer firmware has it
+            case Command.FACTORY_RESET:
+                raise Rejected(Status.INVALID_VALUE)
+        return self._with_motor(request, t)
+
+    def _with_motor(self, request: Request, t: float) -> int:
+        action = self._actions.get(request.command)
         if action is None:
             raise Rejected(Status.INVALID_COMMAND)
-        if request.motor >= MOTORS:
+        if request.motor >= len(self.motors):
             raise Rejected(Status.INVALID_VALUE)
-        return action(self.motors[request.motor])
+        if request.command == Command.STAP and self.globals.locked:
+            raise Rejected(Status.EEPROM_LOCKED)
+        return action(self, self.motors[request.motor], request, t)
 
-    def _global(self, request: Request) -> int:
+    def _turn(self, motor: Motor, request: Request, t: float) -> int:
+        stop = request.command == Command.MST
+        motor.turn(0 if stop else -request.value if request.command == Command.ROL else request.value, t)
+        return 0 if stop else request.value
+
+    def _move(self, motor: Motor, request: Request, t: float) -> int:
+        match request.type:
+            case MoveType.ABSOLUTE:
+                return motor.move_to(request.value, t)
+            case MoveType.RELATIVE:
+                return motor.move_by(request.value, t)
+            case MoveType.COORDINATE if 0 <= request.value < COORDINATES:
+                return motor.move_to(self._coordinates.get((request.motor, request.value), 0), t)
+            case MoveType.COORDINATE:
+                raise Rejected(Status.INVALID_VALUE)
+        raise Rejected(Status.WRONG_TYPE)
+
+    def _coordinate(self, motor: Motor, request: Request, t: float) -> int:
         key = (request.motor, request.type)
-        if key not in self._globals:
+        if request.type >= COORDINATES:
             raise Rejected(Status.WRONG_TYPE)
-        if request.command == Command.SGP:
-            self._globals[key] = request.value
-        return self._globals[key]
+        if request.command == Command.SCO:
+            self._coordinates[key] = request.value
+        elif request.command == Command.CCO:
+            self._coordinates[key] = round(motor.position(t))
+        return self._coordinates.get(key, 0)
 
+    def _parameter(self, motor: Motor, request: Request, t: float) -> int:
+        if request.command == Command.GAP:
+            return motor.get(request.type, t)
+        if request.command == Command.SAP:
+            motor.set(request.type, request.value, t)
+            return request.value
+        motor.store(request.type, restore=request.command == Command.RSAP, t=t)
+        return 0
 
-def _turn(motor: Motor, velocity: int, answer: int, t: float) -> int:
-    motor.turn(velocity, t)
-    return answer
+    def _search(self, motor: Motor, request: Request, t: float) -> int:
+        return motor.search(request.type, t)
 
+    _actions: ClassVar[dict[int, Callable[["MotionModule", Motor, Request, float], int]]] = {
+        Command.ROR: _turn, Command.ROL: _turn, Command.MST: _turn, Command.MVP: _move, Command.RFS: _search,
+        Command.SAP: _parameter, Command.GAP: _parameter, Command.STAP: _parameter, Command.RSAP: _parameter,
+        Command.SCO: _coordinate, Command.GCO: _coordinate, Command.CCO: _coordinate,
+    }  # fmt: skip
 
-def _move(motor: Motor, request: Request, t: float) -> int:
-    if request.type == MoveType.ABSOLUTE:
-        return motor.move_to(request.value, t)
-    if request.type == MoveType.RELATIVE:
-        return motor.move_by(request.value, t)
-    raise Rejected(Status.WRONG_TYPE)
+    def _port(self, request: Request) -> int:
+        number, bank = request.type, request.motor
+        if request.command == Command.SIO:
+            if bank not in (0, 2):
+                raise Rejected(Status.INVALID_VALUE)
+            if request.value not in (0, 1):
+                raise Rejected(Status.INVALID_VALUE)
+            if bank == 2:
+                if number >= OUTPUTS:
+                    raise Rejected(Status.WRONG_TYPE)
+                self._outputs[number] = request.value
+            return request.value
+        if bank == 1:
+            known = {0: 0, 4: 0, 8: SUPPLY_DECIVOLT, 9: TEMPERATURE_C}
+            if number not in known:
+                raise Rejected(Status.WRONG_TYPE)
+            return known[number]
+        if bank not in (0, 2):
+            raise Rejected(Status.INVALID_VALUE)
+        if number >= OUTPUTS:
+            raise Rejected(Status.WRONG_TYPE)
+        return self._outputs[number] if bank == 2 else 0
 
-
-def _set(motor: Motor, request: Request, t: float) -> int:
-    motor.set(request.type, request.value, t)
-    return request.value
-
-
-def _encoder(plant: Plant, axis: str) -> Callable[[float], float]:
-    """The encoder of an axis: it sits on the shaft, counts in microsteps of 1/256 of the motor's full step, and is noisy."""
-    shaft = plant.shafts[axis]
-    noise = plant.model.controller.encoder_noise_microsteps if plant.model.noise else 0.0
-    key = process_key(plant.model.seed, f"encoder {axis}")
-
-    def read(t: float) -> float:
-        turned = shaft.angle_deg(t) - shaft.mechanics.zero_deg
-        microsteps = turned / shaft.mechanics.deg_per_full_step * 256.0
-        return microsteps + noise * normal(key, np.int64(math.floor(t / ENCODER_PERIOD_S)))
-
-    return read
+    def _plan_event(self, t: float, host: int, address: int) -> None:
+        """The frame that says that all motors of the mask are where they were sent, when they will be."""
+        if not self._event_mask and self._event is None:
+            return
+        if self._event is not None:
+            self._withdraw(self._event)
+            self._event = None
+        arrivals = [motor.arrival() for number, motor in enumerate(self.motors) if self._event_mask >> number & 1]
+        if not arrivals or any(arrival is None for arrival in arrivals):
+            return
+        due = max(t + EVENT_AFTER_S, *(arrival for arrival in arrivals if arrival is not None))
+        told = Reply(host, address, Status.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, self._event_mask)
+        self._event = Unasked(told.encode())
+        self._post(due, self._event)

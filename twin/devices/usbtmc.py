@@ -1,158 +1,186 @@
-"""The USB side of a USBTMC-USB488 instrument: bulk transfers, class requests, halted endpoints.
+"""A USBTMC-USB488 instrument on the bus: its transfers, and the requests to endpoint 0.
 
-Source: USB-IF, USBTMC 1.0 sections 3 and 4, USB488 section 4.
+Source: USB-IF, USBTMC 1.0 section 4, USB488 section 4; USB 2.0 section 9.4. Assumed (to be confirmed on hardware): an
+answer that is not ready yet when its transfer is aborted comes afterwards, as in IEEE 488.2's output queue.
 """
 
-from collections import deque
+import struct
 
-from protocols.usbtmc import (
-    HEADER_BYTES,
-    PROTOCOL_USB488,
-    Header,
-    HeaderError,
-    MsgId,
-    Request,
-    Status,
-    StatusByte,
-    capabilities,
-    message,
+from protocols.usbtmc import HEADER_BYTES, PROTOCOL_USB488, Request, Status, capabilities
+from twin.devices.usb_standard import (
+    BULK_IN,
+    BULK_OUT,
+    CONFIGURATION,
+    DEVICE,
+    ENDPOINTS,
+    HALT_FEATURE,
+    INTERRUPT_IN,
+    MAX_PACKET,
+    STRING,
+    configuration_descriptor,
+    device_descriptor,
+    string_descriptor,
 )
-from twin.devices.pm100d import Pm100d
+from twin.devices.usbtmc_transfers import Overflow, Stall, Transfers
 
-VENDOR_ID = 0x1313
-PRODUCT_ID = 0x8078
-MANUFACTURER = "Thorlabs"
-PRODUCT = "PM100D"
-BULK_OUT, BULK_IN = 0x02, 0x82
-MAX_PACKET = 64
+__all__ = ["BULK_IN", "BULK_OUT", "INTERRUPT_IN", "MAX_PACKET", "PROTOCOL", "Overflow", "Stall", "UsbTmcDevice"]
+
 PROTOCOL = PROTOCOL_USB488
+CLASS_TO_INTERFACE, CLASS_TO_ENDPOINT = 0xA1, 0xA2
+LENGTHS = {
+    Request.INITIATE_ABORT_BULK_OUT: 2, Request.CHECK_ABORT_BULK_OUT_STATUS: 8, Request.INITIATE_ABORT_BULK_IN: 2,
+    Request.CHECK_ABORT_BULK_IN_STATUS: 8, Request.INITIATE_CLEAR: 1, Request.CHECK_CLEAR_STATUS: 2,
+    Request.GET_CAPABILITIES: 24, Request.INDICATOR_PULSE: 1, Request.READ_STATUS_BYTE: 3, Request.REN_CONTROL: 1,
+    Request.GO_TO_LOCAL: 1, Request.LOCAL_LOCKOUT: 1,
+}  # fmt: skip
 
 
-class Stall(Exception):
-    """The endpoint is halted: the host gets a stall."""
-
-
-class UsbTmcDevice:
+class UsbTmcDevice(Transfers):
     """One instrument on the bus. Times are those at which a transfer reaches it."""
-
-    def __init__(self, instrument: Pm100d, latency_s: float) -> None:
-        self.instrument = instrument
-        self.latency_s = latency_s
-        self._halted: set[int] = set()
-        self._clear()
-
-    def _clear(self) -> None:
-        self._input = bytearray()
-        self._answers: deque[tuple[float, bytes]] = deque()
-        self._request: Header | None = None
-        self._last_out = self._last_in = 0
-
-    @property
-    def serial_number(self) -> str:
-        """As in the device descriptor."""
-        return self.instrument.serial_number
-
-    def bulk_out(self, data: bytes, t: float) -> None:
-        """A bulk OUT transfer. Raises Stall where the endpoint is halted, or where the class says to halt it."""
-        if BULK_OUT in self._halted:
-            raise Stall
-        try:
-            header = Header.decode(data)
-        except HeaderError:
-            self._halt(BULK_OUT)
-        self._last_out = header.tag
-        body = data[HEADER_BYTES : HEADER_BYTES + header.size]
-        if header.msg_id == MsgId.DEV_DEP_MSG_OUT:
-            if len(body) != header.size:
-                self._halt(BULK_OUT)
-            self._take(body, header.end, t)
-        elif header.msg_id == MsgId.DEV_DEP_MSG_IN:
-            if self._request is not None:
-                self._halt(BULK_OUT)
-            self._request = header
-        elif header.msg_id == MsgId.TRIGGER:
-            self._take(b"INIT\n", True, t)
-        else:
-            self._halt(BULK_OUT)
-
-    def bulk_in_ready(self) -> float | None:
-        """When the bulk IN transfer that the host has asked for can begin; None while there is nothing to send."""
-        if BULK_IN in self._halted:
-            raise Stall
-        if self._request is None or not self._answers:
-            return None
-        return self._answers[0][0]
-
-    def bulk_in(self) -> bytes:
-        """The transfer that `bulk_in_ready` spoke of."""
-        request, (ready, answer) = self._request, self._answers.popleft()
-        assert request is not None
-        size = min(len(answer), request.size)
-        if request.term_char is not None and (found := answer.find(request.term_char)) >= 0:
-            size = min(size, found + 1)
-        rest = answer[size:]
-        if rest:
-            self._answers.appendleft((ready, rest))
-        self._request, self._last_in = None, request.tag
-        return message(MsgId.DEV_DEP_MSG_IN, request.tag, answer[:size], end=not rest)
 
     def control_in(self, request: int, value: int, t: float) -> bytes:
         """A class request and its answer. Raises Stall for one that the device does not know."""
+        if request not in LENGTHS:
+            raise Stall
+        of_endpoint = Request(request).of_endpoint
+        index = 0
+        if of_endpoint:
+            index = BULK_OUT if request <= Request.CHECK_ABORT_BULK_OUT_STATUS else BULK_IN
+        return self.control(CLASS_TO_ENDPOINT if of_endpoint else CLASS_TO_INTERFACE, request, value, index, 0xFF, t)
+
+    def control(self, kind: int, request: int, value: int, index: int, length: int, t: float) -> bytes:
+        """Any request to endpoint 0: bmRequestType, bRequest, wValue, wIndex, wLength; its answer.
+
+        Raises Stall for one that the device does not know, or that goes to a wrong place.
+        """
+        self.log.append((t, "control", struct.pack("<BBHHH", kind, request, value, index, length)))
+        if kind & 0x60 == 0:
+            return self._standard(kind, request, value, index)[:length]
+        if request not in LENGTHS:
+            raise Stall
+        known = Request(request)
+        if kind != (CLASS_TO_ENDPOINT if known.of_endpoint else CLASS_TO_INTERFACE):
+            raise Stall
+        if index != (0 if not known.of_endpoint else BULK_OUT if known <= Request.CHECK_ABORT_BULK_OUT_STATUS else BULK_IN):
+            raise Stall
+        if length < LENGTHS[known]:
+            self.complaints.append(f"{known.name}: room for {length} of {LENGTHS[known]} bytes")
+        return self._class_request(known, value, t)[:length]
+
+    def _class_request(self, request: Request, value: int, t: float) -> bytes:
         match request:
             case Request.GET_CAPABILITIES:
                 return capabilities()
             case Request.INITIATE_CLEAR:
-                self._clear()
-                return bytes((Status.SUCCESS,))
+                return self._initiate_clear(t)
             case Request.CHECK_CLEAR_STATUS:
-                return bytes((Status.SUCCESS, 0))
+                if self._fifo is not None:
+                    return bytes((Status.PENDING, 1))
+                return bytes((Status.PENDING if t < self._clear_until else Status.SUCCESS, 0))
             case Request.INITIATE_ABORT_BULK_OUT:
-                found = bool(self._input) and value == self._last_out
-                self._input.clear()
-                return bytes((Status.SUCCESS if found else Status.FAILED, self._last_out))
-            case Request.CHECK_ABORT_BULK_OUT_STATUS | Request.CHECK_ABORT_BULK_IN_STATUS:
-                return bytes((Status.SUCCESS, 0, 0, 0, 0, 0, 0, 0))
+                return self._abort_out(value)
+            case Request.CHECK_ABORT_BULK_OUT_STATUS:
+                return bytes((Status.SUCCESS, 0, 0, 0)) + self._received.to_bytes(4, "little")
             case Request.INITIATE_ABORT_BULK_IN:
                 return self._abort_in(value, t)
+            case Request.CHECK_ABORT_BULK_IN_STATUS:
+                return self._check_abort_in()
             case Request.READ_STATUS_BYTE:
-                available = StatusByte.MAV if self._answers and self._answers[0][0] <= t else 0
-                return bytes((Status.SUCCESS, value & 0x7F, self.instrument.status_byte() | available))
-            case Request.INDICATOR_PULSE | Request.REN_CONTROL | Request.GO_TO_LOCAL | Request.LOCAL_LOCKOUT:
-                return bytes((Status.SUCCESS,))
-        raise Stall
+                return self._read_status(value, t)
+            case Request.INDICATOR_PULSE:
+                self.pulses += 1
+            case Request.REN_CONTROL:
+                self.remote = bool(value & 1)
+                self.locked_out = self.locked_out and self.remote
+            case Request.GO_TO_LOCAL:
+                self.remote = self.locked_out = False
+            case Request.LOCAL_LOCKOUT:
+                self.locked_out = True
+        return bytes((Status.SUCCESS,))
 
-    def clear_halt(self, endpoint: int) -> None:
-        """CLEAR_FEATURE(ENDPOINT_HALT)."""
-        self._halted.discard(endpoint)
-
-    def reset(self) -> None:
-        """A reset of the port: no endpoint is halted, nothing is pending."""
-        self._halted.clear()
+    def _initiate_clear(self, t: float) -> bytes:
+        fifo = self._fifo if self.keeps_fifo else None
         self._clear()
+        self._fifo = fifo
+        self._notices.clear()
+        self._reported = 0
+        self._halted.add(BULK_OUT)  # until the host has seen the end of the clear, and says so
+        self._clear_until = t + self.clear_s
+        self.instrument.clear(t)
+        return bytes((Status.SUCCESS,))
 
-    def _abort_in(self, tag: int, t: float) -> bytes:
-        request, self._request = self._request, None
-        if request is None:
-            return bytes((Status.FAILED, self._last_in))
-        if request.tag != tag:
-            self._request = request
-            return bytes((Status.TRANSFER_NOT_IN_PROGRESS, request.tag))
-        # The host waits for a short packet: an empty last message, which it throws away.
-        self._answers.clear()
-        self._answers.append((t, b""))
-        self._request = request
+    def _abort_out(self, tag: int) -> bytes:
+        if not self._transfer and not self._input:
+            return bytes((Status.FAILED, self._last_out))
+        current = self._transfer[1] if self._transfer else self._last_out
+        if current != tag:
+            return bytes((Status.TRANSFER_NOT_IN_PROGRESS, current))
+        self._received = max(0, len(self._transfer) - HEADER_BYTES)
+        self._transfer.clear()
+        self._input.clear()
+        self._halted.add(BULK_OUT)
         return bytes((Status.SUCCESS, tag))
 
-    def _take(self, body: bytes, end: bool, t: float) -> None:
-        self._input += body
-        if not end and not self._input.endswith(b"\n"):
-            return
-        program, self._input = bytes(self._input), bytearray()
-        if self._answers:
+    def _abort_in(self, tag: int, t: float) -> bytes:
+        if self._fifo is not None:
+            current = self._last_in
+        elif self._request is not None:
+            current = self._request.tag
+        else:
+            return bytes((Status.FAILED, self._last_in))
+        if current != tag:
+            return bytes((Status.TRANSFER_NOT_IN_PROGRESS, current))
+        if self._fifo is not None or (self._answers and self._answers[0][0] <= t):
             self._answers.clear()
-            self.instrument.report(-410, "Query INTERRUPTED")
-        self._answers.extend(self.instrument.execute(program, t))
+        self._request, self._last_in = None, tag
+        self._sent = 0
+        self._fifo, self._aborting = b"", True  # the short packet that ends what has been aborted
+        return bytes((Status.SUCCESS, tag))
 
-    def _halt(self, endpoint: int) -> None:
-        self._halted.add(endpoint)
+    def _check_abort_in(self) -> bytes:
+        pending = self._aborting and self._fifo is not None and self.keeps_fifo
+        if self._aborting and not pending:
+            self._fifo, self._aborting = None, False  # taken out of the FIFO, which this device can
+        status = Status.PENDING if pending else Status.SUCCESS
+        return bytes((status, int(pending), 0, 0)) + self._sent.to_bytes(4, "little")
+
+    def _standard(self, kind: int, request: int, value: int, index: int) -> bytes:
+        addresses = {address for address, _ in ENDPOINTS}
+        match kind, request:
+            case 0x80, 6:
+                return self._descriptor(value)
+            case 0x80, 0:
+                return bytes((1, 0))  # self-powered
+            case 0x81, 0:
+                return bytes(2)
+            case 0x82, 0 if index in addresses or index & 0x7F == 0:
+                return bytes((int(index in self._halted), 0))
+            case 0x02, 1 if value == HALT_FEATURE and index in addresses:
+                self.clear_halt(index)
+                return b""
+            case 0x02, 3 if value == HALT_FEATURE and index in addresses:
+                self._halted.add(index)
+                return b""
+            case 0x80, 8:
+                return bytes((1,))
+            case 0x81, 10:
+                return bytes((0,))
+            case (0x00, 9) if value in (0, 1):
+                return b""
+            case (0x01, 11) if value == 0:
+                return b""
+        raise Stall
+
+    def _descriptor(self, value: int) -> bytes:
+        instrument = self.instrument
+        match value >> 8:
+            case kind if kind == DEVICE:
+                return device_descriptor(instrument.vendor_id, instrument.product_id)
+            case kind if kind == CONFIGURATION and value & 0xFF == 0:
+                return configuration_descriptor()
+            case kind if kind == STRING:
+                texts = {1: instrument.manufacturer, 2: instrument.product, 3: self.serial_number}
+                found = string_descriptor(value & 0xFF, texts)
+                if found is not None:
+                    return found
         raise Stall

@@ -5,11 +5,11 @@ Serial: `protocol_twin`, a URL handler of pyserial. Modbus: a subclass of pymodb
 
 import serial
 
-from twin.doors.modbus import TwinModbusClient
+from twin.doors.modbus import TwinModbusClient, TwinRtuClient
 from twin.doors.registry import NoSuchTwin, find, register, unregister
 from twin.doors.usb import TwinUsbBackend
 
 if __name__ not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append(__name__)
 
-__all__ = ["NoSuchTwin", "TwinModbusClient", "TwinUsbBackend", "find", "register", "unregister"]
+__all__ = ["NoSuchTwin", "TwinModbusClient", "TwinRtuClient", "TwinUsbBackend", "find", "register", "unregister"]

@@ -1,111 +1,129 @@
-"""pymodbus's door: its synchronous client with the socket's place taken by a twin device.
+"""pymodbus's doors: its synchronous clients with the socket's or the port's place taken by a twin device.
 
-Framing, PDUs and transactions stay pymodbus's, on both sides of the wire.
+Framing, PDUs and transactions stay pymodbus's, on both sides of the wire. Its client for serial ports waits by the wall
+clock between frames, so that of the RTU line has its own `send` and `recv`, over pyserial's door, where bytes take their
+time at the line's baud rate.
 """
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable
 
-from pymodbus.client import ModbusTcpClient
-from pymodbus.framer import FramerSocket
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
-from pymodbus.pdu.bit_message import ReadCoilsResponse, WriteMultipleCoilsResponse, WriteSingleCoilResponse
-from pymodbus.pdu.register_message import (
-    ReadHoldingRegistersResponse,
-    ReadInputRegistersResponse,
-    WriteMultipleRegistersResponse,
-    WriteSingleRegisterResponse,
-)
+import serial
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ConnectionException
 
-from twin.devices.adam6017 import Adam6017, ModbusFault
-from twin.doors.registry import find, missing
+from protocols import adam
+from twin.devices.line import SerialDevice
+from twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
+from twin.doors.registry import NoSuchTwin, find, missing, split
+from twin.rig import CONVERTER_LINE
 
-ILLEGAL_FUNCTION = 1
+Trace = Callable[[bool, bytes], bytes]
+CHUNK = 256
 
 
 class TwinModbusClient(ModbusTcpClient):
-    """A Modbus client whose server is a twin device, found by its `twin://` address. Raises NoSuchTwin."""
+    """A Modbus TCP client whose server is a twin device, found by its `twin://` address. Raises NoSuchTwin."""
 
-    def __init__(self, address: str, *, timeout: float = 1.0, trace_packet: object = None) -> None:
-        super().__init__(address, timeout=timeout, retries=0, trace_packet=trace_packet)  # type: ignore[arg-type]
-        rig, name = find(address)
-        if name not in rig.modbus:
-            raise missing(address, {**rig.modbus})
-        self._clock = rig.clock
-        self._device = rig.modbus[name]
-        self._server = FramerSocket(DecodePDU(is_server=True))
-        self._answers: list[tuple[float, bytes]] = []
-        self._open = False
+    def __init__(self, address: str, *, timeout: float = 1.0, trace_packet: Trace | None = None) -> None:
+        super().__init__(address, timeout=timeout, retries=0, trace_packet=trace_packet)
+        self._rig, self._name = find(address)
+        if self._name not in self._rig.modbus:
+            raise missing(address, {**self._rig.modbus})
+        if self._rig.modbus[self._name].model.serial:
+            raise NoSuchTwin(f"{address} is on a serial line: open it with TwinRtuClient")
+        self._clock = self._rig.clock
+        self._device = self._rig.modbus[self._name]
+        self._wire: SerialDevice | None = None
+        self._answers: deque[tuple[float, bytes]] = deque()
 
     @property
     def connected(self) -> bool:
         """Whether `connect` has been called and `close` has not."""
-        return self._open
+        return self._wire is not None
 
     def connect(self) -> bool:
-        """There is nothing to dial."""
-        self._open = True
+        """There is nothing to dial: the device takes any connection."""
+        if self._wire is None:
+            station = TcpStation(self._device)
+            between = self._rig.modbus_wires.get(self._name)
+            self._wire = between(station) if between is not None else station
         return True
 
     def close(self) -> None:
         """Answers on their way are lost."""
-        self._open = False
+        self._wire = None
         self._answers.clear()
 
     def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
-        """Brings a request's bytes to the device, which answers after its latency."""
+        """Brings a request's bytes to the device, which answers after its latency. Raises ConnectionException."""
         del addr
-        arrival = self._clock.now() + 0.5 * self._device.latency_s
-        used, pdu = self._server.handleFrame(request, 0, 0)
-        if used and pdu is not None and pdu.dev_id == self._device.unit:
-            answer = answered(self._device, pdu, arrival)
-            answer.transaction_id, answer.dev_id = pdu.transaction_id, pdu.dev_id
-            self._answers.append((arrival + 0.5 * self._device.latency_s, self._server.buildFrame(answer)))
+        if self._wire is None:
+            raise ConnectionException(str(self))
+        with self._rig.lock:
+            self._wire.receive(request, self._clock.now() + 0.5 * self._device.latency_s)
         return len(request)
 
     def recv(self, size: int | None) -> bytes:
-        """The next answer's bytes; none after the timeout."""
+        """The next answer's bytes; none after the timeout. Raises ConnectionException."""
         del size
+        if self._wire is None:
+            raise ConnectionException(str(self))
+        self._answers += self._wire.outbox
+        self._wire.outbox.clear()
         deadline = self._clock.now() + self.comm_params.timeout_connect
         if not self._answers or self._answers[0][0] > deadline:
             self._clock.sleep_until(deadline)
             return b""
-        ready, data = self._answers.pop(0)
+        ready, data = self._answers.popleft()
         self._clock.sleep_until(ready)
         return data
 
 
-def answered(device: Adam6017, request: ModbusPDU, t: float) -> ModbusPDU:
-    """The response of a device to a request that arrives at `t`, an exception response where it refuses."""
-    try:
-        return _response(device, request, t)
-    except ModbusFault as fault:
-        return ExceptionResponse(request.function_code, fault.code)
+class TwinRtuClient(ModbusSerialClient):
+    """A Modbus RTU client on the line of a twin device, found by its `twin://` address. Raises NoSuchTwin.
 
+    The address may be that of any device on the line or of the line; which device is asked is the request's unit.
+    """
 
-def _response(device: Adam6017, request: ModbusPDU, t: float) -> ModbusPDU:
-    address, count = request.address, request.count
-    match request.function_code:
-        case 3:
-            return ReadHoldingRegistersResponse(registers=device.registers(address, count, t))
-        case 4:
-            return ReadInputRegistersResponse(registers=device.registers(address, count, t))
-        case 1:
-            return ReadCoilsResponse(bits=device.coils(address, count))
-        case 6:
-            device.write_registers(address, list(request.registers[:1]), t)
-            return WriteSingleRegisterResponse(address=address, registers=request.registers[:1])
-        case 16:
-            device.write_registers(address, list(request.registers), t)
-            return WriteMultipleRegistersResponse(address=address, count=len(request.registers))
-        case 5:
-            device.write_coils(address, _first(request.bits, 1), t)
-            return WriteSingleCoilResponse(address=address, bits=request.bits[:1])
-        case 15:
-            device.write_coils(address, _first(request.bits, count), t)
-            return WriteMultipleCoilsResponse(address=address, count=count)
-    return ExceptionResponse(request.function_code, ILLEGAL_FUNCTION)
+    def __init__(
+        self, address: str, *, baudrate: int = adam.BAUDRATE, timeout: float = 1.0, trace_packet: Trace | None = None
+    ) -> None:
+        rig, name = find(address)
+        on_the_line = [CONVERTER_LINE, *(each for each, device in rig.modbus.items() if device.model.serial)]
+        if CONVERTER_LINE not in rig.serial or name not in on_the_line:
+            raise missing(address, dict.fromkeys(on_the_line) if CONVERTER_LINE in rig.serial else {})
+        line = f"twin://{split(address)[0]}/{CONVERTER_LINE}"
+        super().__init__(line, baudrate=baudrate, timeout=timeout, retries=0, trace_packet=trace_packet)
+        self._clock = rig.clock
+        self._gap_s = GAP_CHARACTERS * BITS_A_BYTE / baudrate
+        self._quiet_since = float("-inf")
 
+    def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
+        """Sends after the gap that ends the frame before; what came unasked is thrown away. Raises ConnectionException."""
+        del addr
+        port = self._port()
+        self._clock.sleep_until(self._quiet_since + self._gap_s)
+        port.reset_input_buffer()
+        port.write(request)
+        port.flush()
+        self._quiet_since = self._clock.now()
+        return len(request)
 
-def _first(bits: Sequence[bool], count: int) -> list[bool]:
-    """The bits that were sent, without those that fill up the last byte."""
-    return [bool(bit) for bit in bits[:count]]
+    def recv(self, size: int | None) -> bytes:
+        """The bytes up to the next gap; none after the timeout. Raises ConnectionException."""
+        del size
+        port = self._port()
+        port.timeout = self.comm_params.timeout_connect
+        data = bytes(port.read(1))
+        if data:
+            port.timeout = self._gap_s
+            while chunk := port.read(CHUNK):
+                data += chunk
+            self._quiet_since = self._clock.now() - self._gap_s
+        return data
+
+    def _port(self) -> serial.Serial:
+        if self.socket is None:
+            raise ConnectionException(str(self))
+        return self.socket

@@ -5,6 +5,7 @@ where the answer's last byte arrives.
 """
 
 from collections import deque
+from contextlib import AbstractContextManager, nullcontext
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
@@ -29,8 +30,13 @@ class Serial(SerialBase):
                 raise missing(str(self.port), {**rig.serial})
         except NoSuchTwin as error:
             raise SerialException(str(error)) from None
-        self._clock: Clock = rig.clock
-        self._device: SerialDevice = rig.serial[name]
+        self.connect_to(rig.serial[name], rig.clock, rig.lock)
+
+    def connect_to(self, device: SerialDevice, clock: Clock, lock: AbstractContextManager[object] | None = None) -> None:
+        """The port is open to a device; `lock` is held while it is brought bytes."""
+        self._clock = clock
+        self._device = device
+        self._lock = lock if lock is not None else nullcontext()
         self._arriving: deque[tuple[float, int]] = deque()
         self._sent_until = self._received_until = 0.0
         self.is_open = True
@@ -57,7 +63,8 @@ class Serial(SerialBase):
         self._sent_until = max(self._clock.now(), self._sent_until) + len(frame) * self._byte_s
         self._listen(self._sent_until)
         if self.baudrate == self._device.baudrate:
-            self._device.receive(frame, self._sent_until)
+            with self._lock:
+                self._device.receive(frame, self._sent_until)
         return len(frame)
 
     def read(self, size: int = 1, /) -> bytes:

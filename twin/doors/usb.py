@@ -1,35 +1,25 @@
 """pyusb's door: a backend whose bus has the twin's USB devices on it.
 
-`usb.core.find(backend=TwinUsbBackend(rig))` finds them; pyusb's programs need not know. Source: pyusb 1.3's IBackend.
+`usb.core.find(backend=TwinUsbBackend(rig))` finds them; pyusb's programs need not know. `unplug` and `replug` are its back
+door. Source: pyusb 1.3's IBackend and the errors of its libusb backend: a timeout is USBTimeoutError(-7, 110), a stall
+USBError(-9, 32), a packet too large USBError(-8, 75), a device that is gone USBError(-4, 19).
 """
 
-import threading
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import usb.core
 from usb.backend import IBackend
 
-from twin.devices.usbtmc import (
-    BULK_IN,
-    BULK_OUT,
-    MANUFACTURER,
-    MAX_PACKET,
-    PRODUCT,
-    PRODUCT_ID,
-    PROTOCOL,
-    VENDOR_ID,
-    Stall,
-    UsbTmcDevice,
-)
+from protocols.clock import VirtualClock
+from protocols.usbtmc import INTERFACE_CLASS
+from twin.devices.usb_standard import ENDPOINTS, INTERRUPT_IN, INTERVAL_MS, MAX_POWER_2_MA, packet_bytes
+from twin.devices.usbtmc import PROTOCOL, Overflow, Stall, UsbTmcDevice
 from twin.rig import VirtualRig
 
-GET_DESCRIPTOR = (0x80, 6)
-STRING_DESCRIPTOR = 3
-ENGLISH = bytes((4, 3, 0x09, 0x04))
-CLASS_IN = 0x20
-HIGH_SPEED = 3
+FULL_SPEED = 2
+POLL_S = 0.002
 
 
 @dataclass
@@ -45,28 +35,57 @@ class Descriptor:
             raise AttributeError(name) from None
 
 
+class Handle:
+    """A device that somebody has opened; dead for good once its cable has been out."""
+
+    def __init__(self, device: UsbTmcDevice) -> None:
+        self._device = device
+        self._plugs = device.plugs
+
+    @property
+    def device(self) -> UsbTmcDevice:
+        """Raises USBError where it is gone."""
+        if not self._device.plugged or self._device.plugs != self._plugs:
+            raise gone()
+        return self._device
+
+
 class TwinUsbBackend(IBackend):
     """The bus. One instance a rig, since pyusb compares devices by the objects that this gives it."""
 
     def __init__(self, rig: VirtualRig) -> None:
         super().__init__()
+        self._rig = rig
         self._clock = rig.clock
-        self._devices = list(rig.usb.values())
-        self._lock = threading.RLock()
+        self._lock = rig.lock
+
+    def unplug(self, name: str) -> None:
+        """Pulls a device's cable. Raises KeyError for one that the rig does not have."""
+        with self._lock:
+            self._rig.usb[name].unplug()
+
+    def replug(self, name: str, *, reset: bool = False) -> None:
+        """Puts the cable in again; with `reset` the instrument had no other power, and has forgotten its settings."""
+        with self._lock:
+            device = self._rig.usb[name]
+            if reset:
+                device.instrument.power_cycle(self._clock.now())
+            device.replug()
 
     def enumerate_devices(self) -> Iterator[UsbTmcDevice]:
-        return iter(self._devices)
+        return iter([device for device in self._rig.usb.values() if device.plugged])
 
     def get_parent(self, dev: UsbTmcDevice) -> None:
         del dev
 
     def get_device_descriptor(self, dev: UsbTmcDevice) -> Descriptor:
+        instrument = dev.instrument
         return Descriptor(
             dict(
                 bLength=18, bDescriptorType=1, bcdUSB=0x0200, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
-                bMaxPacketSize0=64, idVendor=VENDOR_ID, idProduct=PRODUCT_ID, bcdDevice=0x0100, iManufacturer=1, iProduct=2,
-                iSerialNumber=3, bNumConfigurations=1, address=self._devices.index(dev) + 1, bus=1, port_number=1,
-                port_numbers=(1,), speed=HIGH_SPEED,
+                bMaxPacketSize0=64, idVendor=instrument.vendor_id, idProduct=instrument.product_id, bcdDevice=0x0100,
+                iManufacturer=1, iProduct=2, iSerialNumber=3, bNumConfigurations=1,
+                address=list(self._rig.usb.values()).index(dev) + 1, bus=1, port_number=1, port_numbers=(1,), speed=FULL_SPEED,
             )
         )  # fmt: skip
 
@@ -75,96 +94,107 @@ class TwinUsbBackend(IBackend):
         _only_first(config)
         return Descriptor(
             dict(
-                bLength=9, bDescriptorType=2, wTotalLength=32, bNumInterfaces=1, bConfigurationValue=1, iConfiguration=0,
-                bmAttributes=0xC0, bMaxPower=50, extra_descriptors=[],
+                bLength=9, bDescriptorType=2, wTotalLength=18 + 7 * len(ENDPOINTS), bNumInterfaces=1, bConfigurationValue=1,
+                iConfiguration=0, bmAttributes=0xC0, bMaxPower=MAX_POWER_2_MA, extra_descriptors=[],
             )
         )  # fmt: skip
 
     def get_interface_descriptor(self, dev: UsbTmcDevice, intf: int, alt: int, config: int) -> Descriptor:
         del dev
         _only_first(intf, alt, config)
+        device_class, subclass = INTERFACE_CLASS
         return Descriptor(
             dict(
-                bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=2,
-                bInterfaceClass=0xFE, bInterfaceSubClass=3, bInterfaceProtocol=PROTOCOL, iInterface=0, extra_descriptors=[],
+                bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=len(ENDPOINTS),
+                bInterfaceClass=device_class, bInterfaceSubClass=subclass, bInterfaceProtocol=PROTOCOL, iInterface=0,
+                extra_descriptors=[],
             )
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev: UsbTmcDevice, ep: int, intf: int, alt: int, config: int) -> Descriptor:
         del dev
         _only_first(intf, alt, config)
-        address = (BULK_OUT, BULK_IN)[ep]
+        address, kind = ENDPOINTS[ep]
         return Descriptor(
             dict(
-                bLength=7, bDescriptorType=5, bEndpointAddress=address, bmAttributes=2, wMaxPacketSize=MAX_PACKET,
-                bInterval=0, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
+                bLength=7, bDescriptorType=5, bEndpointAddress=address, bmAttributes=kind, wMaxPacketSize=packet_bytes(address),
+                bInterval=INTERVAL_MS if kind == 3 else 0, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
             )
         )  # fmt: skip
 
-    def open_device(self, dev: UsbTmcDevice) -> UsbTmcDevice:
-        return dev
+    def open_device(self, dev: UsbTmcDevice) -> Handle:
+        return Handle(dev)
 
-    def close_device(self, dev_handle: UsbTmcDevice) -> None:
+    def close_device(self, dev_handle: Handle) -> None:
         del dev_handle
 
-    def set_configuration(self, dev_handle: UsbTmcDevice, config_value: int) -> None:
-        del dev_handle, config_value
+    def set_configuration(self, dev_handle: Handle, config_value: int) -> None:
+        del config_value
+        self._now(dev_handle.device.new_host)
 
-    def get_configuration(self, dev_handle: UsbTmcDevice) -> int:
-        del dev_handle
+    def get_configuration(self, dev_handle: Handle) -> int:
+        assert dev_handle.device
         return 1
 
-    def set_interface_altsetting(self, dev_handle: UsbTmcDevice, intf: int, altsetting: int) -> None:
-        del dev_handle
+    def set_interface_altsetting(self, dev_handle: Handle, intf: int, altsetting: int) -> None:
+        assert dev_handle.device
         _only_first(intf, altsetting)
 
-    def claim_interface(self, dev_handle: UsbTmcDevice, intf: int) -> None:
-        del dev_handle
+    def claim_interface(self, dev_handle: Handle, intf: int) -> None:
+        _only_first(intf)
+        self._now(dev_handle.device.new_host)
+
+    def release_interface(self, dev_handle: Handle, intf: int) -> None:
+        assert dev_handle.device
         _only_first(intf)
 
-    def release_interface(self, dev_handle: UsbTmcDevice, intf: int) -> None:
-        del dev_handle, intf
-
-    def is_kernel_driver_active(self, dev_handle: UsbTmcDevice, intf: int) -> bool:
-        del dev_handle, intf
+    def is_kernel_driver_active(self, dev_handle: Handle, intf: int) -> bool:
+        assert dev_handle.device
+        _only_first(intf)
         return False
 
-    def clear_halt(self, dev_handle: UsbTmcDevice, ep: int) -> None:
-        dev_handle.clear_halt(ep)
+    def detach_kernel_driver(self, dev_handle: Handle, intf: int) -> None:
+        del dev_handle, intf
+        raise usb.core.USBError("Entity not found", -5, 2)
 
-    def reset_device(self, dev_handle: UsbTmcDevice) -> None:
-        dev_handle.reset()
+    def attach_kernel_driver(self, dev_handle: Handle, intf: int) -> None:
+        del dev_handle, intf
+        raise usb.core.USBError("Entity not found", -5, 2)
 
-    def bulk_write(self, dev_handle: UsbTmcDevice, ep: int, intf: int, data: "array[int]", timeout: int) -> int:
+    def clear_halt(self, dev_handle: Handle, ep: int) -> None:
+        device = dev_handle.device
+        self._now(lambda: device.clear_halt(ep))
+
+    def reset_device(self, dev_handle: Handle) -> None:
+        self._now(dev_handle.device.reset)
+
+    def bulk_write(self, dev_handle: Handle, ep: int, intf: int, data: "array[int]", timeout: int) -> int:
         del ep, intf, timeout
-        with self._lock:
-            try:
-                dev_handle.bulk_out(data.tobytes(), self._clock.now() + 0.5 * dev_handle.latency_s)
-            except Stall:
-                raise _stalled() from None
-            return len(data)
+        device = dev_handle.device
+        self._now(lambda: device.bulk_out(data.tobytes(), self._clock.now() + 0.5 * device.latency_s))
+        return len(data)
 
-    def bulk_read(self, dev_handle: UsbTmcDevice, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
+    def bulk_read(self, dev_handle: Handle, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
         del ep, intf
-        deadline = self._clock.now() + timeout / 1000.0
-        with self._lock:
-            try:
-                ready = dev_handle.bulk_in_ready()
-            except Stall:
-                raise _stalled() from None
-            if ready is None or ready + 0.5 * dev_handle.latency_s > deadline:
-                self._clock.sleep_until(deadline)
-                raise usb.core.USBTimeoutError("Operation timed out", -7, 110)
-            self._clock.sleep_until(ready + 0.5 * dev_handle.latency_s)
-            data = dev_handle.bulk_in()
-            if len(data) > len(buff):
-                raise usb.core.USBError("Overflow", -8, 75)
-            buff[: len(data)] = array("B", data)
-            return len(data)
+        return self._read(
+            dev_handle, buff, timeout, lambda device: device.bulk_in_ready(), lambda device: device.bulk_in(len(buff))
+        )
+
+    def intr_read(self, dev_handle: Handle, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
+        del intf
+        if ep != INTERRUPT_IN:
+            raise usb.core.USBError("Entity not found", -5, 2)
+        return self._read(
+            dev_handle,
+            buff,
+            timeout,
+            lambda device: device.interrupt_in_ready(),
+            lambda device: device.interrupt_in(self._clock.now()),
+        )
 
     def ctrl_transfer(
         self,
-        dev_handle: UsbTmcDevice,
+        dev_handle: Handle,
         bmRequestType: int,
         bRequest: int,
         wValue: int,
@@ -172,21 +202,62 @@ class TwinUsbBackend(IBackend):
         data: "array[int]",
         timeout: int,
     ) -> int:
-        del wIndex, timeout
+        del timeout
+        device = dev_handle.device
+        if bmRequestType & 0x60:
+            self._clock.sleep_until(self._clock.now() + device.latency_s)
+        answers: list[bytes] = []
+        length = len(data)
+        self._now(lambda: answers.append(device.control(bmRequestType, bRequest, wValue, wIndex, length, self._clock.now())))
+        if not bmRequestType & 0x80:
+            return length
+        size = min(len(answers[0]), length)
+        data[:size] = array("B", answers[0][:size])
+        return size
+
+    def _now(self, action: Callable[[], object]) -> None:
+        """What a device does, alone; a stall becomes pyusb's."""
         with self._lock:
-            if (bmRequestType, bRequest) == GET_DESCRIPTOR and wValue >> 8 == STRING_DESCRIPTOR:
-                answer = _string(dev_handle, wValue & 0xFF)
-            elif bmRequestType & 0x60 == CLASS_IN and bmRequestType & 0x80:
-                self._clock.sleep_until(self._clock.now() + dev_handle.latency_s)
+            try:
+                action()
+            except Stall:
+                raise stalled() from None
+
+    def _read(
+        self,
+        handle: Handle,
+        buffer: "array[int]",
+        timeout_ms: int,
+        ready: Callable[[UsbTmcDevice], float | None],
+        take: Callable[[UsbTmcDevice], bytes],
+    ) -> int:
+        """Waits for something to read, NAK after NAK, and takes it; a timeout of 0 is none. Others may go on meanwhile."""
+        deadline = self._clock.now() + timeout_ms / 1000.0 if timeout_ms else float("inf")
+        while True:
+            now = self._clock.now()
+            with self._lock:
+                device = handle.device
                 try:
-                    answer = dev_handle.control_in(bRequest, wValue, self._clock.now())
+                    when = ready(device)
+                    arrives = float("inf") if when is None else max(when, now - 0.5 * device.latency_s) + 0.5 * device.latency_s
+                    if arrives <= now:
+                        data = take(device)
+                        break
                 except Stall:
-                    raise _stalled() from None
-            else:
-                raise _stalled()
-            size = min(len(answer), len(data))
-            data[:size] = array("B", answer[:size])
-            return size
+                    raise stalled() from None
+                except Overflow:
+                    raise usb.core.USBError("Overflow", -8, 75) from None
+            if now >= deadline:
+                raise usb.core.USBTimeoutError("Operation timed out", -7, 110)
+            self._clock.sleep_until(min(arrives, deadline, self._next_change(now)))
+        buffer[: len(data)] = array("B", data)
+        return len(data)
+
+    def _next_change(self, now: float) -> float:
+        """When somebody else may do something to the device."""
+        if isinstance(self._clock, VirtualClock):
+            return self._clock.next_event()
+        return now + POLL_S * getattr(self._clock, "speed", 1.0)
 
 
 def _only_first(*numbers: int) -> None:
@@ -195,15 +266,11 @@ def _only_first(*numbers: int) -> None:
         raise IndexError("past the last descriptor")
 
 
-def _string(device: UsbTmcDevice, index: int) -> bytes:
-    texts = {1: MANUFACTURER, 2: PRODUCT, 3: device.serial_number}
-    if index == 0:
-        return ENGLISH
-    if index not in texts:
-        raise _stalled()
-    body = texts[index].encode("utf-16-le")
-    return bytes((len(body) + 2, 3)) + body
-
-
-def _stalled() -> usb.core.USBError:
+def stalled() -> usb.core.USBError:
+    """What libusb says of a stall."""
     return usb.core.USBError("Pipe error", -9, 32)
+
+
+def gone() -> usb.core.USBError:
+    """What libusb says of a device that is not there any more."""
+    return usb.core.USBError("No such device (it may have been disconnected)", -4, 19)

@@ -13,7 +13,7 @@ from twin.plant.noise import normal, process_key, wandering
 @njit(cache=True, error_model="numpy")
 def lamp_level(t: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[np.uint64]) -> float:
     """Radiance at `t` over the nominal one. `constants` and `keys` as `lamp_constants` makes them."""
-    level: float = 1.0 + constants[0] * t / 3600.0
+    level: float = constants[6] + constants[0] * (t - constants[5]) / 3600.0
     if constants[1] > 0.0:
         level += constants[1] * normal(keys[0], np.int64(math.floor(t / constants[2])))
     if constants[3] > 0.0:
@@ -33,7 +33,9 @@ def lamp_mean(start: float, end: float, constants: npt.NDArray[np.float64], keys
 
 
 def lamp_constants(light: Light, seed: int, noise: bool) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint64]]:
-    """What the kernels take: (drift an hour, flicker, its period, wander, its period) and the keys of both processes."""
+    """What the kernels take: (drift an hour, flicker, its period, wander, its period, from when on the drift goes, the
+    level then) and the keys of both processes.
+    """
     scale = 1.0 if noise else 0.0
     constants = np.array(
         [
@@ -42,6 +44,8 @@ def lamp_constants(light: Light, seed: int, noise: bool) -> tuple[npt.NDArray[np
             light.flicker_period_s,
             scale * light.wander,
             light.wander_period_s,
+            0.0,
+            1.0,
         ]
     )
     keys = np.array([process_key(seed, "lamp flicker"), process_key(seed, "lamp wander")], dtype=np.uint64)

@@ -4,13 +4,20 @@ The defaults are one consistent set of assumptions; where the source says nothin
 """
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from twin.optics import Instrument, Scatterer
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """An axis: motor `motor` turns it by `sense` * 360 deg / (`full_steps` * `gear`) a full step from `zero_deg` on."""
+    """An axis: motor `motor` turns it by `sense` * 360 deg / (`full_steps` * `gear`) a full step from `zero_deg` on.
+
+    `module` is the address of the motion module whose motor it is. The axis follows with `backlash_deg` of play: driven
+    downwards it is so much higher than driven upwards. A limit switch is closed at and beyond its angle, the home switch
+    over `home_width_deg` upwards from `home_deg` in each turn; None: there is no such switch. The encoder sits on the
+    axis, has `encoder_counts` a turn of the motor, and an eccentricity of `encoder_error_deg`.
+    """
 
     motor: int
     gear: float
@@ -18,6 +25,14 @@ class Mechanics:
     zero_deg: float = 0.0
     full_steps: int = 200
     encoder: bool = True
+    module: int = 1
+    backlash_deg: float = 0.0
+    lower_switch_deg: float | None = None
+    upper_switch_deg: float | None = None
+    home_deg: float | None = None
+    home_width_deg: float = 1.0
+    encoder_counts: int = 51_200
+    encoder_error_deg: float = 0.0
 
     @property
     def deg_per_full_step(self) -> float:
@@ -76,7 +91,11 @@ class Photodiodes:
 
 @dataclass(frozen=True)
 class Electronics:
-    """Transimpedance amplifiers and the converters behind them; a module has eight channels and one gain."""
+    """Transimpedance amplifiers and the converters behind them; a module has eight channels and one gain.
+
+    `module` is the kind of converter; one with a serial line (`adam-4117`, at `baudrate`) has no outputs, so the gain stays
+    the first. `conversions_per_s` of all channels of a module: 10 or 100.
+    """
 
     gains_v_per_a: tuple[float, ...] = (1e6, 1e8, 1e10, 1e11)
     gain_spread: float = 1.0e-3
@@ -86,6 +105,8 @@ class Electronics:
     temperature_k: float = 300.0
     conversions_per_s: float = 100.0
     latency_s: float = 4.0e-4
+    module: str = "adam-6017"
+    baudrate: int = 9600
 
 
 @dataclass(frozen=True)
@@ -102,7 +123,11 @@ class Monitor:
 
 @dataclass(frozen=True)
 class MonochromatorDrive:
-    """How fast the grating, the shutter and the filter wheel are, and whether the wire echoes."""
+    """How fast grating, shutter, filter wheel and slits are, whether the wire echoes and knows handshake mode.
+
+    `nm_per_step` is that of a grating of 1200 lines a mm; `gratings` are (lines a mm, label); 0 `filters` is no wheel.
+    `already_there_is_error`: whether a filter wheel sent to where it is reports error 7 (to be confirmed on hardware).
+    """
 
     slew_nm_per_s: float = 175.0
     settle_s: float = 0.1
@@ -111,14 +136,26 @@ class MonochromatorDrive:
     start_nm: float = 550.0
     echo: bool = True
     baudrate: int = 9600
+    handshake: bool = True
+    grating_s: float = 8.0
+    slit_um_per_s: float = 500.0
+    nm_per_step: float = 0.01
+    gratings: tuple[tuple[int, str], ...] = ((1200, "VIS"), (600, "NIR"))
+    filters: int = 6
+    already_there_is_error: bool = False
 
 
 @dataclass(frozen=True)
 class AxisController:
-    """The motion module's wire: baud rate (no matter over USB), module address, and how long it thinks."""
+    """The motion modules' wire: how many bits a second (no matter over USB), and how long a module thinks.
 
+    `kind` is that of every module; there is one for each address among the axes' `module`. On `rs485` a module is silent
+    where another's address is called, over `usb` it answers any.
+    """
+
+    kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
+    wire: Literal["usb", "rs485"] = "usb"
     baudrate: int = 115200
-    address: int = 1
     latency_s: float = 3.0e-4
     encoder_noise_microsteps: float = 1.0
 

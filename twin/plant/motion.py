@@ -102,6 +102,40 @@ def moving(
     return Trajectory((*pieces, Piece(now, target, 0.0, 0.0)))
 
 
+def cut(trajectory: Trajectory, t: float) -> Trajectory:
+    """The same until `t`, and at rest there and then."""
+    return _then(trajectory, resting(trajectory.position(t), t))
+
+
+def braked(trajectory: Trajectory, t: float, deceleration: float) -> Trajectory:
+    """The same until `t`, and from there to rest over a ramp."""
+    position, velocity = trajectory.position(t), trajectory.velocity(t)
+    return _then(trajectory, turning(t, position, velocity, 0.0, deceleration, deceleration))
+
+
+def joined(first: Trajectory, second: Trajectory) -> Trajectory:
+    """The first until the second begins."""
+    return _then(first, second)
+
+
+def turning_points(trajectory: Trajectory, start: float) -> list[float]:
+    """Times from `start` on, it first, between which the movement does not change its direction."""
+    times = [start]
+    for piece, after in zip(trajectory.pieces, (*trajectory.pieces[1:], None), strict=True):
+        if piece.acceleration != 0.0:
+            zero = piece.t - piece.velocity / piece.acceleration
+            if piece.t < zero and (after is None or zero < after.t) and zero > times[-1]:
+                times.append(zero)
+        if after is not None and after.t > times[-1]:
+            times.append(after.t)
+    return times
+
+
+def _then(first: Trajectory, second: Trajectory) -> Trajectory:
+    begun = second.pieces[0].t
+    return Trajectory((*(piece for piece in first.pieces if piece.t < begun), *second.pieces))
+
+
 def _slope(
     pieces: list[Piece], now: float, position: float, velocity: float, wanted: float, slope: float
 ) -> tuple[float, float, float]:

@@ -12,11 +12,14 @@ from twin.plant.lamp import lamp_constants, lamp_mean
 from twin.plant.model import TwinModel
 from twin.plant.noise import normal, process_key
 from twin.plant.shaft import Shaft
+from twin.plant.slew import Slewing
 from twin.plant.timeline import Timeline
 
 Floats = npt.NDArray[np.float64]
 MODULE_CHANNELS = 8
 POSES_KEPT = 64
+MONITOR_PIECES = 16
+"""Into so many a mean of the monitor is cut where shutter or wavelength change during it."""
 
 
 class Plant:
@@ -25,9 +28,10 @@ class Plant:
     def __init__(self, model: TwinModel) -> None:
         self.model = model
         self.shafts = {name: Shaft(mechanics) for name, mechanics in model.axes.items()}
-        self.wavelength_nm: Timeline[float] = Timeline(model.monochromator.start_nm)
+        self.wavelength_nm = Slewing(model.monochromator.start_nm)
         self.shutter_open: Timeline[bool] = Timeline(False)
         self.sample: Timeline[str | None] = Timeline(None)
+        self.tilt_deg: Timeline[float] = Timeline(0.0)
         diodes = model.photodiodes
         self.modules = math.ceil(diodes.count / MODULE_CHANNELS)
         self.gain: list[Timeline[int]] = [Timeline(0) for _ in range(self.modules)]
@@ -78,6 +82,20 @@ class Plant:
             raise KeyError(f"the virtual rig has no sample {sample!r}; it has: {known}")
         self.sample.set(t, sample)
 
+    def set_lamp(self, t: float, *, drift_per_hour: float | None = None, level: float | None = None) -> None:
+        """The lamp drifts otherwise from `t` on, or jumps to another level (1 is the nominal one)."""
+        constants, keys = self._lamp
+        now = constants[6] + constants[0] * (t - constants[5]) / 3600.0
+        changed = constants.copy()
+        changed[5], changed[6] = t, now if level is None else level
+        if drift_per_hour is not None:
+            changed[0] = drift_per_hour
+        self._lamp = (changed, keys)
+
+    def tilt_sample(self, tilt_deg: float, t: float) -> None:
+        """The sample's normal leans by so much in the plane of incidence, towards the light for positive angles."""
+        self.tilt_deg.set(t, tilt_deg)
+
     def angle_deg(self, axis: str, t: float) -> float:
         """The true angle of an axis at `t`; 0 for one that this rig does not have."""
         shaft = self.shafts.get(axis)
@@ -89,7 +107,8 @@ class Plant:
         if sample is None:
             return np.zeros(self._polar_deg.size)
         pose = tuple(self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
-        key = (sample, *pose)
+        tilt = self.tilt_deg.at(t)
+        key = (sample, tilt, *pose)
         known = self._poses.get(key)
         if known is not None:
             self._poses.move_to_end(key)
@@ -97,6 +116,12 @@ class Plant:
         sigma, gamma, beta, shift = pose
         directions = arc_direction(self._polar_deg + shift, np.full(self._polar_deg.size, beta))
         directions[self._lower, 2] *= -1.0
+        if tilt:
+            # Everything else turns about y, so a sample that leans is a rig that is turned the other way.
+            c, s = math.cos(math.radians(tilt)), math.sin(math.radians(tilt))
+            x, z = directions[:, 0].copy(), directions[:, 2].copy()
+            directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
+            sigma -= tilt
         model = self.model
         result = throughput(model.instrument, sigma, directions, model.samples[sample], rays=model.rays, gamma_deg=gamma)
         self._poses[key] = result
@@ -151,9 +176,14 @@ class Plant:
         """Mean current of the monitor photodiode over [start, end], A."""
         monitor = self.model.monitor
         current = monitor.dark_a
-        middle = 0.5 * (start + end)
-        if self.shutter_open.at(start) and self.shutter_open.at(end):
-            current += monitor.current_a * self._spectrum(middle) * lamp_mean(start, end, *self._lamp)
+        changing = max(self.wavelength_nm.last_change, self.shutter_open.last_change) > start
+        pieces = MONITOR_PIECES if changing else 1
+        for k in range(pieces):
+            begun, ended = (start + (end - start) * each / pieces for each in (k, k + 1))
+            middle = 0.5 * (begun + ended)
+            if self.shutter_open.at(middle):
+                level = lamp_mean(begun, ended, *self._lamp)
+                current += monitor.current_a * self._spectrum(middle) * level / pieces
         if self.model.noise:
             key = process_key(self.model.seed, "monitor")
             current *= 1.0 + monitor.noise * normal(key, np.int64(math.floor(end * monitor.samples_per_s)))
@@ -164,5 +194,5 @@ class Plant:
 
     def _steady_since(self, t: float) -> bool:
         """Whether nothing that decides on the photocurrents has changed after `t`."""
-        lines = (self.wavelength_nm, self.shutter_open, self.sample)
+        lines = (self.wavelength_nm, self.shutter_open, self.sample, self.tilt_deg)
         return all(line.last_change <= t for line in lines) and not any(shaft.moved_since(t) for shaft in self.shafts.values())

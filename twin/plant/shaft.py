@@ -1,49 +1,139 @@
 """A shaft: what a motor's microsteps do to the angle of an axis. The motor knows no degrees, the axis no microsteps."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from twin.plant.model import Mechanics
-from twin.plant.motion import Trajectory, resting
+from twin.plant.motion import Trajectory, braked, resting, turning_points
 from twin.plant.timeline import Timeline
 
+ELECTRIC_CYCLE = 4
+"""Full steps after which a stepper motor's field is the same again: a rotor that was held back falls in at one of these."""
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
+class Leash:
+    """How long a movement may go on without news from its host: at `until` it brakes (the module's heartbeat)."""
+
+    until: float = math.inf
+
+
+@dataclass(frozen=True)
 class Drive:
-    """A trajectory in microsteps, and how its counter is tied to the shaft: full steps = origin + microsteps / per_full."""
+    """A trajectory in microsteps from `since` on, and how its counter is tied to the shaft.
 
+    Full steps of the motor = origin + microsteps / per_full; `per_full` is negative where the shaft is reversed. The axis
+    was at `start_deg` then, and stays there while it is jammed.
+    """
+
+    mechanics: Mechanics
     trajectory: Trajectory
-    per_full: int
-    origin: float
+    per_full: int = 256
+    origin: float = 0.0
+    since: float = -math.inf
+    start_deg: float = 0.0
+    jammed: bool = False
+    deceleration: float = math.inf
+    leash: Leash = field(default_factory=Leash)
+
+    def angle_deg(self, t: float) -> float:
+        """The axis at `t`."""
+        if self.jammed:
+            return self.start_deg
+        play = self.mechanics.backlash_deg
+        if play == 0.0:
+            return self._driven_deg(t)
+        angle = self.start_deg
+        for turn in self._turning_points:
+            if turn >= t:
+                break
+            angle = self._dragged(angle, self._driven_deg(turn))
+        return self._dragged(angle, self._driven_deg(t))
 
     def full_steps(self, t: float) -> float:
-        """The shaft's place in full steps of the motor."""
-        return self.origin + self.trajectory.position(t) / self.per_full
+        """The motor's place in full steps, if nothing holds it."""
+        return self.origin + self.counter(t) / self.per_full
+
+    def counter(self, t: float) -> float:
+        """Microsteps."""
+        return self._trajectory(t).position(t)
+
+    def _trajectory(self, t: float) -> Trajectory:
+        until = self.leash.until
+        if t <= until or self.trajectory.velocity(until) == 0.0:
+            return self.trajectory
+        return braked(self.trajectory, until, self.deceleration)
+
+    def _driven_deg(self, t: float) -> float:
+        return self.mechanics.zero_deg + self.full_steps(t) * self.mechanics.deg_per_full_step
+
+    def _dragged(self, angle: float, driven: float) -> float:
+        return min(max(angle, driven), driven + self.mechanics.backlash_deg)
+
+    @cached_property
+    def _turning_points(self) -> list[float]:
+        start = max(self.since, self.trajectory.pieces[0].t)
+        return [start, *turning_points(self.trajectory, start)]
 
 
 class Shaft:
-    """One axis of the plant."""
+    """One axis of the plant. `jam` is its back door, of which `listener` is told."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self.mechanics = mechanics
-        self._drives = Timeline(Drive(resting(0.0), 256, 0.0))
+        self.listener: Callable[[float], object] = float
+        self._drives = Timeline(Drive(mechanics, resting(0.0), start_deg=mechanics.zero_deg))
+
+    @property
+    def jammed(self) -> bool:
+        """Whether something holds it now."""
+        return self._drives.at(math.inf).jammed
+
+    def drive(self, t: float) -> Drive:
+        """How it is driven at `t`."""
+        return self._drives.at(t)
 
     def angle_deg(self, t: float) -> float:
         """The true angle at `t`."""
-        full_steps = self._drives.at(t).full_steps(t)
-        return self.mechanics.zero_deg + full_steps * self.mechanics.deg_per_full_step
+        return self._drives.at(t).angle_deg(t)
 
     def moved_since(self, t: float) -> bool:
         """Whether the axis may have moved after `t`."""
-        return t < max(self._drives.last_change, self._drives.at(float("inf")).trajectory.end)
+        last = self._drives.at(math.inf).trajectory.pieces[-1]
+        return t < max(self._drives.last_change, last.t) or last.velocity != 0.0
 
-    def follow(self, t: float, trajectory: Trajectory) -> None:
-        """From `t` on the motor's counter follows `trajectory`."""
+    def driven(self, t: float, trajectory: Trajectory, deceleration: float = math.inf, leash: Leash | None = None) -> Drive:
+        """What would become of it if from `t` on the motor's counter followed `trajectory`."""
         old = self._drives.at(t)
-        self._drives.set(t, Drive(trajectory, old.per_full, old.origin))
+        return replace(
+            old, trajectory=trajectory, since=t, start_deg=old.angle_deg(t), deceleration=deceleration,
+            leash=leash if leash is not None else Leash(),
+        )  # fmt: skip
+
+    def follow(self, t: float, trajectory: Trajectory, deceleration: float = math.inf, leash: Leash | None = None) -> None:
+        """From `t` on the motor's counter follows `trajectory`, on a leash that ends it with a ramp."""
+        self._drives.set(t, self.driven(t, trajectory, deceleration, leash))
 
     def recount(self, t: float, position: float, per_full: int) -> Trajectory:
         """The counter is set to `position`, in microsteps of `per_full` a full step: nothing moves. Returns the rest."""
         rest = resting(position, t)
-        origin = self._drives.at(t).full_steps(t) - position / per_full
-        self._drives.set(t, Drive(rest, per_full, origin))
+        old = self._drives.at(t)
+        origin = old.full_steps(t) - position / per_full
+        self._drives.set(t, replace(self.driven(t, rest), per_full=per_full, origin=origin))
         return rest
+
+    def jam(self, t: float, jammed: bool = True) -> None:
+        """From `t` on the axis stands, whatever its motor's counter does; or turns again, the rotor falling in at the
+        nearest place where the motor's field is what it is now."""
+        old = self._drives.at(t)
+        if jammed and not old.jammed:
+            self._drives.set(t, replace(old, since=t, start_deg=old.angle_deg(t), jammed=True))
+            self.listener(t)
+        elif old.jammed and not jammed:
+            deg_per_cycle = ELECTRIC_CYCLE * self.mechanics.deg_per_full_step
+            ahead = self.mechanics.zero_deg + old.full_steps(t) * self.mechanics.deg_per_full_step - old.start_deg
+            origin = old.origin - ELECTRIC_CYCLE * round(ahead / deg_per_cycle)
+            self._drives.set(t, replace(old, since=t, origin=origin, jammed=False))
+            self.listener(t)

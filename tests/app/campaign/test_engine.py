@@ -47,7 +47,7 @@ def bench(plan: Plan, tmp_path: Path, request: pytest.FixtureRequest) -> MakeBen
         opened.connect()
         journal = Journal.create(tmp_path / "bench.journal", plan, {})
         request.addfinalizer(journal.close)
-        operator = operator_for(opened, lambda text: None)
+        operator = operator_for(opened, plan.rig.file, None)
         return Bench(plan, opened, journal, Engine(opened.rig, plan, journal, operator, listeners, positions))
 
     return make

@@ -17,7 +17,7 @@ from app.campaign.operator import BackDoor
 from app.desktop import MainWindow, rigthread, run_desktop
 from app.desktop.allowed import BUSY
 from app.desktop.cut import Cut, LiveCut
-from app.rig import OpenRig
+from app.rig import OpenRig, RigFile
 from drivers import Axis, DeviceError, Rig
 from drivers.errors import NoAnswer
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
@@ -70,7 +70,7 @@ def test_a_second_run_gets_a_journal_of_its_own(qtbot: QtBot, window: MainWindow
 def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=20.0))
     seen: set[str] = set()
-    window.session.told.connect(lambda _message: seen.add(window.parts.axes.position("sigma")))
+    window.session.heard.connect(lambda _message: seen.add(window.parts.axes.position("sigma")))
     click(window.parts.run.start_button)
     qtbot.waitUntil(lambda: window.parts.axes.position("sigma") == "30.00°", timeout=READY_MS)
     assert len(seen) >= 4  # more than where it began and where it ends
@@ -78,7 +78,7 @@ def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: Window
 
 def test_pause_waits_and_resume_goes_on_without_a_row_twice(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=20.0))
-    with qtbot.waitSignal(window.session.told, timeout=READY_MS, check_params_cb=lambda m: isinstance(m, RowCommitted)):
+    with qtbot.waitSignal(window.session.heard, timeout=READY_MS, check_params_cb=lambda m: isinstance(m, RowCommitted)):
         click(window.parts.run.start_button)
     qtbot.waitUntil(window.parts.run.pause_button.isEnabled)
     click(window.parts.run.pause_button)
@@ -110,7 +110,7 @@ def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(
         if isinstance(message, Positions):
             places.append(message.degrees)
 
-    window.session.told.connect(listen)
+    window.session.heard.connect(listen)
     click(window.parts.run.start_button)
     qtbot.waitUntil(lambda: bool(places) and 2.0 < places[-1]["sigma"] < 20.0, timeout=READY_MS)
     click(window.parts.run.stop_button)
@@ -216,9 +216,11 @@ def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: Ma
 
     gc.callbacks.append(note)
     try:
-        assert not gc.isenabled()
         click(window.parts.run.start_button)
         ended(qtbot, window, State.DONE)
+        other = threading.Thread(target=leave_cycles)
+        other.start()
+        other.join()
         qtbot.waitUntil(lambda: bool(collected_in), timeout=READY_MS)
     finally:
         gc.callbacks.remove(note)
@@ -286,10 +288,17 @@ def test_closing_during_a_run_asks_and_keeps_it_or_stops_it(qtbot: QtBot, open_w
         assert journal.counted()[0] < ROWS
 
 
+def leave_cycles() -> None:
+    """More than the collector lets pass: by itself it would begin here."""
+    for _ in range(10 * gc.get_threshold()[0]):
+        cycle: list[object] = []
+        cycle.append(cycle)
+
+
 class Helped:
     """A person, and the back door that does what the person says to have done."""
 
-    def __init__(self, opened: OpenRig, ask: rigthread.Ask) -> None:
+    def __init__(self, opened: OpenRig, _rig: RigFile, ask: rigthread.Ask) -> None:
         assert opened.virtual is not None
         self._door = BackDoor(opened.virtual)
         self._ask = ask

@@ -1,5 +1,7 @@
 """The virtual monochromator, by its lines."""
 
+from dataclasses import replace
+
 import pytest
 
 from protocols.clock import VirtualClock
@@ -73,3 +75,112 @@ def test_an_endless_line_fills_no_memory(device: Cornerstone260) -> None:
     device.outbox.clear()
     (_, *_) = say(device, b"\n", 201.0)
     assert say(device, b"ERROR?\n", 202.0)[1][1] == b"1\r\n"
+
+
+def lines(device: Cornerstone260, line: bytes, t: float) -> list[bytes]:
+    """What it says without the echo."""
+    return [text.rstrip() for _, text in say(device, line, t)][1:]
+
+
+def test_while_the_grating_turns_the_wavelength_passes(rig: VirtualRig, device: Cornerstone260) -> None:
+    say(device, b"GOWAVE 725\n", 200.0)  # 175 nm at 175 nm/s
+    assert rig.plant.wavelength_nm.at(200.502) == pytest.approx(550.0 + 87.5, abs=1e-6)
+    assert rig.plant.wavelength_nm.at(199.0) == 550.0
+    assert rig.plant.wavelength_nm.at(300.0) == 725.0
+
+
+def test_abort_stops_it_in_the_middle_and_what_waited_comes_next(rig: VirtualRig, device: Cornerstone260) -> None:
+    device.receive(b"GOWAVE 725\n", 200.0)
+    device.receive(b"SHUTTER O\nWAVE?\n", 200.1)
+    device.receive(b"abort\n", 200.502)
+    said = [text.rstrip() for _, text in device.outbox]
+    assert said == [b"GOWAVE 725", b"abort", b"SHUTTER O", b"WAVE?", b"637.500"]
+    assert max(t for t, _ in device.outbox) < 201.0
+    assert rig.plant.wavelength_nm.at(300.0) == pytest.approx(637.5)
+    assert rig.plant.shutter_open.at(300.0)
+    assert not rig.plant.shutter_open.at(200.6)
+
+
+def test_in_handshake_mode_an_aborted_statement_ends_with_its_status(device: Cornerstone260) -> None:
+    lines(device, b"HANDSHAKE 1\n", 200.0)
+    device.receive(b"GOWAVE 725\n", 201.0)
+    device.receive(b"ABORT\n", 201.5)
+    assert [text.rstrip() for _, text in device.outbox] == [b"GOWAVE 725", b"00", b"ABORT", b"00"]
+
+
+def test_a_statement_byte_by_byte_is_the_same_statement(device: Cornerstone260) -> None:
+    for k, byte in enumerate(b"UNITS?\r\n"):
+        device.receive(bytes((byte,)), 200.0 + 1e-3 * k)
+    assert b"".join(text for _, text in device.outbox) == b"UNITS?\rNM\r\n\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "query", "answer"),
+    [
+        (b"GRAT1LABEL red", b"GRAT1LABEL?", b"red"),
+        (b"GRAT2LINES 300", b"GRAT2LINES?", b"300"),
+        (b"GRAT1ZERO 0.25", b"GRAT1ZERO?", b"0.2500"),
+        (b"GRAT1FACTOR 1.001", b"GRAT1FACTOR?", b"1.001000"),
+        (b"GRAT 2", b"GRAT?", b"2,600,NIR"),
+        (b"FILTER 3", b"FILTER?", b"3"),
+        (b"FILTER3LABEL OG550", b"FILTER3LABEL?", b"OG550"),
+        (b"OUTPORT 2", b"OUTPORT?", b"2"),
+        (b"SLIT2MICRONS 500", b"SLIT2MICRONS?", b"500"),
+        (b"BANDPASS 3.2", b"BANDPASS?", b"3.200"),
+        (b"UNITS um", b"WAVE?", b"0.550000"),
+        (b"UNITS WN", b"WAVE?", b"18181.82"),
+        (b"STEP 100", b"WAVE?", b"551.000"),  # 0.01 nm a step with 1200 lines/mm
+        (b"STEP -100", b"STEP?", b"54900"),
+        (b"CALIBRATE 551.5", b"WAVE?", b"551.500"),
+        (b"Shutter  o  ", b"shutter?", b"O"),
+    ],
+)
+def test_what_is_set_is_told(device: Cornerstone260, command: bytes, query: bytes, answer: bytes) -> None:
+    assert lines(device, command + b"\r\n", 200.0) == []
+    assert lines(device, query + b"\n", 300.0) == [answer]
+    assert lines(device, b"STB?\n", 301.0) == [b"00"]
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        (b"GRAT1LABEL much too long", b"9"), (b"GRAT 9", b"3"), (b"GRAT9LINES?", b"2"), (b"SLIT4MICRONS 10", b"2"),
+        (b"SLIT1MICRONS 99999", b"3"), (b"OUTPORT 3", b"2"), (b"UNITS ell", b"2"), (b"STEP 1.5", b"2"), (b"STEP 999999", b"3"),
+        (b"HANDSHAKE 2", b"2"), (b"\xff\xfe", b"1"), (b"WAVE", b"1"), (b"GOWAVE nan", b"2"), (b"IDLE?", b"1"),
+    ],
+)  # fmt: skip
+def test_what_it_does_not_do_it_says_when_asked(device: Cornerstone260, line: bytes, error: bytes) -> None:
+    lines(device, line + b"\n", 200.0)
+    assert lines(device, b"ERROR?\n", 201.0) == [error]
+
+
+def test_a_calibration_moves_the_numbers_and_not_the_light(rig: VirtualRig, device: Cornerstone260) -> None:
+    say(device, b"CALIBRATE 560\n", 200.0)
+    assert rig.plant.wavelength_nm.at(201.0) == 550.0
+    say(device, b"GOWAVE 570\n", 202.0)
+    assert rig.plant.wavelength_nm.at(300.0) == pytest.approx(560.0)
+
+
+@pytest.mark.parametrize(("command", "seconds"), [(b"GRAT 2", 8.0), (b"FILTER 4", 3.0), (b"SLIT1MICRONS 700", 1.0)])
+def test_what_moves_takes_its_time(device: Cornerstone260, command: bytes, seconds: float) -> None:
+    say(device, command + b"\n", 200.0)
+    (_, answer) = say(device, b"INFO?\n", 200.1)
+    assert answer[0] == pytest.approx(200.0 + seconds, abs=0.01)
+
+
+def test_a_unit_without_a_filter_wheel_or_handshake_says_so(rig: VirtualRig) -> None:
+    rig.plant.model = replace(rig.plant.model, monochromator=replace(rig.plant.model.monochromator, filters=0, handshake=False))
+    device = Cornerstone260(rig.plant)
+    lines(device, b"FILTER 2\n", 200.0)
+    assert lines(device, b"ERROR?\n", 201.0) == [b"6"]
+    assert lines(device, b"HANDSHAKE 1\n", 202.0) == []
+    assert lines(device, b"ERROR?\n", 203.0) == [b"1"]
+
+
+def test_a_reset_forgets_what_is_volatile(rig: VirtualRig, device: Cornerstone260) -> None:
+    for command in (b"GRAT1LABEL red\n", b"HANDSHAKE 1\n", b"UNITS WN\n", b"SHUTTER O\n"):
+        say(device, command, 200.0)
+    device.reset(210.0)
+    assert lines(device, b"UNITS?\n", 211.0) == [b"NM"]
+    assert lines(device, b"GRAT1LABEL?\n", 212.0) == [b"red"]
+    assert not rig.plant.shutter_open.at(212.0)

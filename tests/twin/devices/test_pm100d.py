@@ -43,7 +43,7 @@ def test_averaging_takes_its_time(instrument: Pm100d) -> None:
 
 def test_a_range_that_is_too_small_reads_over(rig: VirtualRig, instrument: Pm100d) -> None:
     rig.plant.shutter_open.set(5.0, True)
-    instrument.execute(b"SENS:CURR:RANG 500E-9\n", 10.0)
+    instrument.execute(b"CONF:CURR;:SENS:CURR:RANG 500E-9\n", 10.0)
     assert float(ask(instrument, b"READ?\n")) == pytest.approx(1.4e-7, rel=0.02)
     instrument.execute(b"SENS:CURR:RANG MIN\n", 10.0)
     assert float(ask(instrument, b"READ?\n")) == 9.9e37
@@ -138,3 +138,89 @@ def test_python_usbtmc_unmodified_talks_to_the_twin(opened: RigOpener) -> None:
         client.clear()
         assert client.read_stb() == 0
         client.close()
+
+
+@pytest.mark.parametrize(
+    ("command", "query", "answer"),
+    [
+        (b"Sense:Average:COUNt 300", b"Sense:Average:COUNt?", b"300"),
+        (b"SENS1:AVER1:COUN MAX", b"AVER?", b"10000"),
+        (b"Sense:Correction:WAVelength 633 nm", b"SENSE:CORR:WAV?", b"6.33000000E+02"),
+        (b"SENS:CORR:WAV MIN", b"SENS:CORR:WAV? MAX", b"1.10000000E+03"),
+        (b"Configure:Scalar:Current:DC", b"CONFigure?", b"CURR"),
+        (b"CONF:POW", b"CONF?", b"POW"),
+        (b"Sense:Current:Dc:Range:AUTO 1", b"CURR:RANG:AUTO?", b"1"),
+        (b"SENS:CURR:RANG:AUTO OFF", b"POW:RANG:AUTO?", b"0"),
+        (b"CURR:RANG 40 uA", b"CURR:RANG?", b"5.00000000E-05"),
+        (b"Input:Pdiode:Filter:Lpass:STATe 1", b"INP:FILT?", b"1"),
+        (b"SENS:POW:UNIT DBM", b"POW:UNIT?", b"DBM"),
+        (b"SENS:CORR:LOSS:INP:MAGN 3", b"SENS:CORR:LOSS?", b"3.00000000E+00"),
+        (b"SENS:CORR:BEAM 5mm", b"SENS:CORR:BEAM?", b"5.00000000E+00"),
+        (b"SENS:CORR:POW:PDI:RESP 0.2 A/W", b"SENS:CORR:POW:PDI:RESP?", b"2.00000000E-01"),
+        (b"*ESE 60;*SRE 48", b"*ESE?;*SRE?", b"60;48"),
+        (b"STAT:OPER:ENAB 16;PTR 0;NTR 16", b"STAT:OPER:ENAB?;PTR?;NTR?", b"16;0;16"),
+        (b"STAT:PRES", b"STAT:MEAS:PTR?;:STAT:AUX:COND?", b"32767;0"),
+        (b"*CLS", b"SYST:ERR:NEXT?;COUN?", b'+0,"No error";0'),
+        (b"*RST", b"*TST?;SYST:VERS?", b"0;1999.0"),
+    ],
+)
+def test_every_command_in_its_spellings(instrument: Pm100d, command: bytes, query: bytes, answer: bytes) -> None:
+    assert instrument.execute(command + b"\n", 10.0) == []
+    assert ask(instrument, query) == answer
+    assert ask(instrument, b"SYST:ERR?") == b'+0,"No error"'
+
+
+@pytest.mark.parametrize(
+    ("program", "code"),
+    [
+        (b"SENS2:AVER 1", -114), (b"CURR:RANG 5 V", -131), (b"AVER 5 s", -138), (b"CONF:VOLT", -241),
+        (b"CURR:RANG:AUTO maybe", -224),
+        (b"CURR:RANG? 7", -224), (b"*IDN? 1", -108), (b"ABORTNOWPLEASEDO", -112), (b"AVER 1,,2", -103), (b"AVER '1", -151),
+        (b"AVER 1" + b"0" * 5000, -223),
+    ],
+)  # fmt: skip
+def test_each_mistake_has_its_number(instrument: Pm100d, program: bytes, code: int) -> None:
+    assert instrument.execute(program, 10.0) == []
+    assert ask(instrument, b"SYST:ERR?").startswith(f"{code},".encode())
+
+
+def test_after_a_command_error_the_rest_is_not_done_and_after_another_it_is(instrument: Pm100d) -> None:
+    instrument.execute(b"AVER 5;NONSENSE;AVER 6", 10.0)
+    assert ask(instrument, b"AVER?") == b"5"
+    instrument.execute(b"AVER 1E9;:AVER 7", 10.0)
+    assert ask(instrument, b"AVER?") == b"7"
+
+
+def test_power_is_current_over_responsivity(rig: VirtualRig, instrument: Pm100d) -> None:
+    rig.plant.shutter_open.set(5.0, True)
+    current = float(ask(instrument, b"MEAS:CURR?"))
+    watts = float(ask(instrument, b"SENS:CORR:POW:RESP 0.2;:MEAS:POW?"))
+    assert watts == pytest.approx(current / 0.2, rel=0.01)
+    assert float(ask(instrument, b"POW:UNIT DBM;:READ?")) == pytest.approx(-31.5, abs=0.3)  # 0.7 uW over 1 mW
+    assert float(ask(instrument, b"POW:UNIT W;:CORR:LOSS:INP 10;:READ?")) == pytest.approx(10.0 * watts, rel=0.01)
+
+
+def test_a_dark_zero_takes_its_time_and_is_subtracted(rig: VirtualRig, instrument: Pm100d) -> None:
+    dark = float(ask(instrument, b"MEAS:CURR?"))
+    assert dark == pytest.approx(1.0e-11, rel=0.01)
+    assert instrument.execute(b"SENS:CORR:COLL:ZERO", 20.0) == []
+    assert ask(instrument, b"SENS:CORR:COLL:ZERO:STAT?;:STAT:OPER:COND?", 20.5) == b"1;1"
+    assert ask(instrument, b"SENS:CORR:COLL:ZERO:STAT?;:STAT:OPER:COND?", 21.5) == b"0;0"
+    assert float(ask(instrument, b"SENS:CORR:COLL:ZERO:MAGN?", 21.6)) == pytest.approx(dark, rel=0.01)
+    assert abs(float(ask(instrument, b"MEAS:CURR?", 22.0))) < 1e-13
+    rig.plant.shutter_open.set(25.0, True)
+    instrument.execute(b"SENS:CORR:COLL:ZERO", 30.0)
+    assert ask(instrument, b"*OPC?;SYST:ERR?", 30.1).startswith(b'1;-200,"Execution error; too much light')
+
+
+def test_operation_complete_comes_with_the_end_of_the_measurement(instrument: Pm100d) -> None:
+    instrument.execute(b"*CLS;*ESE 1;:AVER 3000;:INIT;*OPC", 10.0)
+    assert ask(instrument, b"*ESR?", 10.5) == b"0"
+    assert ask(instrument, b"*ESR?", 11.1) == b"1"
+
+
+def test_a_power_cycle_forgets_every_setting(instrument: Pm100d) -> None:
+    instrument.execute(b"AVER 77;*SRE 4", 10.0)
+    instrument.power_cycle(20.0)
+    assert ask(instrument, b"AVER?;*SRE?", 21.0) == b"1;0"
+    assert ask(instrument, b"*ESR?", 22.0) == b"128"  # power on

@@ -6,7 +6,13 @@ from pymodbus.exceptions import ModbusIOException
 from protocols import adam
 from protocols.clock import VirtualClock
 from tests.conftest import RigOpener
-from twin.doors import NoSuchTwin, TwinModbusClient
+from twin.doors import NoSuchTwin, TwinModbusClient, TwinRtuClient
+
+SERIAL_MODULES = (
+    ('kind = "adam-6017"', 'kind = "adam-4117"'),
+    ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e10]"),
+    ("[twin.light]", '[twin.electronics]\nmodule = "adam-4117"\ngains_v_per_a = [1e10]\n\n[twin.light]'),
+)
 
 
 @pytest.fixture
@@ -43,7 +49,7 @@ def test_dark_photodiodes_read_their_dark_current(client: TwinModbusClient, cloc
     assert len(set(volts)) > 1
 
 
-@pytest.mark.parametrize(("address", "count"), [(300, 1), (7, 2), (99, 1)])
+@pytest.mark.parametrize(("address", "count"), [(300, 1), (8, 2), (99, 1), (9, 1), (48, 1)])
 def test_an_address_without_a_register_is_exception_2(client: TwinModbusClient, address: int, count: int) -> None:
     answer = client.read_holding_registers(address, count=count)
     assert answer.isError()
@@ -57,7 +63,15 @@ def test_a_range_code_that_does_not_exist_is_exception_3(client: TwinModbusClien
 
 
 def test_another_function_is_exception_1(client: TwinModbusClient) -> None:
-    assert client.read_discrete_inputs(0, count=1).exception_code == 1
+    assert client.report_device_id().exception_code == 1
+    assert client.readwrite_registers(read_address=0, read_count=1, address=200, values=[0x0143]).exception_code == 1
+
+
+def test_outputs_are_read_as_coils_and_as_discrete_inputs(client: TwinModbusClient) -> None:
+    client.write_coils(adam.DIGITAL_OUTPUT, [True, False])
+    assert client.read_coils(adam.DIGITAL_OUTPUT, count=2).bits[:2] == [True, False]
+    assert client.read_discrete_inputs(adam.DIGITAL_OUTPUT, count=2).bits[:2] == [True, False]
+    assert client.diag_query_data(b"\x12\x34").message == b"\x12\x34"  # type: ignore[attr-defined]
 
 
 def test_outputs_are_read_back(client: TwinModbusClient) -> None:
@@ -76,3 +90,39 @@ def test_there_is_no_client_for_nothing(opened: RigOpener) -> None:
     opened()
     with pytest.raises(NoSuchTwin, match="adc-9"):
         TwinModbusClient("twin://virtual/adc-9")
+
+
+@pytest.fixture
+def line(opened: RigOpener, clock: VirtualClock) -> TwinRtuClient:
+    """The converters of the example rig, were they ADAM-4117 on one line."""
+    opened(*SERIAL_MODULES, clock=clock)
+    clock.sleep_until(60.0)
+    return TwinRtuClient("twin://virtual/adc-0")
+
+
+def test_the_units_of_a_line_answer_each_for_itself(line: TwinRtuClient) -> None:
+    for unit in range(1, 6):
+        assert line.read_holding_registers(adam.MODULE_NAME, count=2, device_id=unit).registers == [0x4117, 0x0000]
+
+
+def test_an_rtu_read_takes_its_bytes_and_its_gaps(line: TwinRtuClient, clock: VirtualClock) -> None:
+    line.read_holding_registers(adam.AI_VALUE, count=8)
+    start = clock.now()
+    line.read_holding_registers(adam.AI_VALUE, count=8)
+    # 8 and 21 characters, the gap that ends the request, the one that ends the answer, and the module's latency
+    assert clock.now() - start == pytest.approx((8 + 21 + 2 * 3.5) * 10 / 9600 + 4e-4, abs=2e-3)
+
+
+def test_a_foreign_rtu_unit_is_silent_for_one_timeout(line: TwinRtuClient, clock: VirtualClock) -> None:
+    start = clock.now()
+    with pytest.raises(ModbusIOException):
+        line.read_holding_registers(adam.AI_VALUE, count=1, device_id=9)
+    assert clock.now() - start == pytest.approx(1.0, abs=0.02)
+    assert not line.read_holding_registers(adam.AI_VALUE, count=1).isError()
+
+
+def test_each_wire_has_its_own_client(line: TwinRtuClient) -> None:
+    with pytest.raises(NoSuchTwin, match="TwinRtuClient"):
+        TwinModbusClient("twin://virtual/adc-0")
+    with pytest.raises(NoSuchTwin, match="adc-9"):
+        TwinRtuClient("twin://virtual/adc-9")

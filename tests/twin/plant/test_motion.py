@@ -1,11 +1,13 @@
 """Ramps of stepper motors."""
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ramp import move_seconds
-from twin.plant.motion import Trajectory, moving, resting, turning
+from twin.plant.motion import Trajectory, braked, cut, joined, moving, resting, turning, turning_points
 
 PLACE = st.floats(-1e6, 1e6)
 SPEED = st.floats(100.0, 1e6)
@@ -48,6 +50,35 @@ def test_a_change_of_mind_turns_round() -> None:
 
 def test_rest_stays() -> None:
     assert resting(5.0).position(-10.0) == resting(5.0).position(1e9) == 5.0
+
+
+@given(PLACE, PLACE, SPEED, SLOPE, st.floats(0.0, 1.0))
+def test_a_cut_trajectory_is_the_same_before_and_rests_after(
+    start: float, target: float, speed: float, slope: float, share: float
+) -> None:
+    whole = moving(0.0, start, 0.0, target, speed, slope, slope)
+    t = share * whole.end
+    short = cut(whole, t)
+    assert short.position(0.5 * t) == whole.position(0.5 * t)
+    assert short.position(t + 1e6) == whole.position(t)
+    assert short.velocity(t + 1.0) == 0.0
+
+
+def test_a_braked_trajectory_rests_after_its_braking_way() -> None:
+    stopped = braked(turning(0.0, 0.0, 0.0, 100.0, 100.0, 100.0), 2.0, 50.0)
+    assert stopped.position(10.0) == pytest.approx(50.0 + 100.0 + 100.0)
+    assert stopped.end == pytest.approx(4.0)
+
+
+def test_turning_points_are_where_the_direction_changes() -> None:
+    out = moving(0.0, 0.0, 0.0, 1000.0, 100.0, 100.0, 100.0)
+    back = joined(out, moving(2.0, out.position(2.0), out.velocity(2.0), 0.0, 100.0, 100.0, 100.0))
+    points = turning_points(back, 0.0)
+    assert points[0] == 0.0
+    for begin, end in pairwise(points):
+        signs = {back.velocity(begin + share * (end - begin)) > 0.0 for share in (0.1, 0.5, 0.9)}
+        assert len(signs) == 1
+    assert 3.0 in [pytest.approx(point) for point in points]  # it brakes from 100 at 100 a second
 
 
 def _is_smooth(trajectory: Trajectory, slope: float, speed: float) -> None:

@@ -1,0 +1,90 @@
+"""One controller a rig: a lock on each address, which the system takes back when the process that holds it dies."""
+
+import contextlib
+import getpass
+import hashlib
+import os
+import socket
+import sys
+import tempfile
+from pathlib import Path
+from typing import IO
+
+from app.errors import UserError
+from protocols.clock import calendar_stamp
+
+FOLDER = "goniotwin-locks"
+LONGEST_NOTE = 400
+
+
+class RigLock:
+    """Holds addresses until `release`, or until the process ends, however it ends."""
+
+    def __init__(self, addresses: list[str], doing: str, folder: Path | None = None) -> None:
+        """Takes all or none. Raises UserError that says who has one, and since when."""
+        self._folder = folder if folder is not None else Path(tempfile.gettempdir()) / FOLDER
+        self._files: list[IO[str]] = []
+        note = f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {doing}"
+        try:
+            for address in sorted(set(addresses)):
+                self._take(address, note)
+        except UserError:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Gives all back."""
+        for file in self._files:
+            file.close()
+        self._files = []
+
+    def _take(self, address: str, note: str) -> None:
+        path = self._folder / f"{hashlib.sha256(address.encode()).hexdigest()[:20]}.lock"
+        try:
+            self._folder.mkdir(mode=0o777, parents=True, exist_ok=True)
+            with contextlib.suppress(OSError):
+                self._folder.chmod(0o1777)  # other users of this computer use the same rig
+            file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+", encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{path}: the lock of {address} cannot be made: {error.strerror}; check that folder") from None
+        if not _locked(file):
+            file.seek(0)
+            holder = file.read(LONGEST_NOTE).strip() or "another program"
+            file.close()
+            raise UserError(f"{address}: is in use by {holder}; wait for it, or end it")
+        file.seek(0)
+        file.truncate()
+        file.write(note + "\n")
+        file.flush()
+        self._files.append(file)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "somebody"
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _locked(file: IO[str]) -> bool:
+        """Whether the lock is ours now; it lies on a byte far behind the note, which others may read."""
+        try:
+            file.seek(1 << 20)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+
+else:
+    import fcntl
+
+    def _locked(file: IO[str]) -> bool:
+        """Whether the lock is ours now."""
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+        return True

@@ -1,0 +1,50 @@
+"""What may be said twice on a TMCL line, what sets a motor in motion, and which reply is believed."""
+
+from drivers.errors import BadAnswer, Refused
+from protocols.tmcl import HOST_ADDRESS, Axis, Command, FrameError, MoveType, Reply, Request, Status
+from protocols.tmcl_parameters import Search
+
+ECHOING = frozenset({Command.SAP, Command.SGP, Command.ROR, Command.ROL, Command.MST})
+REPEATABLE = frozenset({Command.GAP, Command.GGP, Command.SAP, Command.SGP, Command.MST, Command.FIRMWARE_VERSION})
+
+
+def repeatable(request: Request) -> bool:
+    """Whether a request may happen twice. Reading the error flags clears them, so that they are read once."""
+    match request.command:
+        case Command.MVP:
+            return request.type == MoveType.ABSOLUTE
+        case Command.RFS:
+            return request.type != Search.START
+        case Command.GAP:
+            return request.type != Axis.ERROR_FLAGS
+    return request.command in REPEATABLE
+
+
+def moves(request: Request) -> bool:
+    """Whether a request sets a motor in motion."""
+    match request.command:
+        case Command.MVP | Command.ROR | Command.ROL:
+            return True
+        case Command.RFS:
+            return request.type == Search.START
+        case Command.SAP:
+            return request.type in (Axis.TARGET_POSITION, Axis.TARGET_VELOCITY)
+    return False
+
+
+def believed(request: Request, frame: bytes, words: str) -> Reply | None:
+    """The reply to a request, or None for one that belongs to another. Raises BadAnswer and Refused, with its `words`."""
+    try:
+        reply = Reply.decode(frame)
+    except FrameError as error:
+        raise BadAnswer("axes", words, str(error)) from None
+    if reply.host != HOST_ADDRESS or reply.address != request.address:
+        return None
+    if reply.status == Status.WRONG_CHECKSUM:
+        raise BadAnswer("axes", words, "the request was garbled on its way")
+    if reply.command != request.command or reply.status == Status.TARGET_REACHED:
+        return None
+    if reply.status != Status.OK:
+        raise Refused("axes", words, f"the module answers: {reply}")
+    echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
+    return None if echoes and reply.value != request.value else reply

@@ -1,0 +1,137 @@
+"""Endpoint 0 of a USBTMC instrument: the class requests of abort, clear and status byte, each in bounded time.
+
+Source: USB-IF, USBTMC 1.0 section 4.2.1; USB488 section 4.3.1.
+"""
+
+import contextlib
+import struct
+from typing import Any
+
+import usb.core
+
+from drivers.errors import BadAnswer
+from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
+from protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Request, Status
+
+TO_INTERFACE, TO_ENDPOINT = 0xA1, 0xA2
+CLEAR_FEATURE = (0x02, 1)
+ROUNDS = 20
+DRAIN_BYTES = 4096
+DRAIN_MS = 100
+
+
+class Control:
+    """The requests of one device. Everything raises pyusb's USBError, or BadAnswer."""
+
+    def __init__(self, name: str, device: Any, interface: int, timeout_ms: int, tap: Tap) -> None:
+        self._name = name
+        self._device = device
+        self._interface = interface
+        self._timeout_ms = timeout_ms
+        self._tap = tap
+
+    def request(self, request: Request, value: int, index: int, size: int) -> bytes:
+        """A class request; its answer, whole."""
+        kind = TO_ENDPOINT if request.of_endpoint else TO_INTERFACE
+        self._tap(TO_DEVICE, struct.pack("<BBHHH", kind, request, value, index, size))
+        answer = bytes(self._device.ctrl_transfer(kind, request, value, index, size, self._timeout_ms))
+        self._tap(FROM_DEVICE, answer)
+        if len(answer) != size:
+            raise BadAnswer(self._name, request.name, f"{len(answer)} of {size} bytes", "ask again")
+        return answer
+
+    def clear(self, bulk_in: int, bulk_out: int) -> None:
+        """Device clear: buffers empty, settings kept."""
+        status = self.request(Request.INITIATE_CLEAR, 0, self._interface, 1)
+        if status[0] != Status.SUCCESS:
+            raise BadAnswer(self._name, "clear it", f"it answers {status[0]:#04x}", "switch it off and on")
+        for _ in range(ROUNDS):
+            status = self.request(Request.CHECK_CLEAR_STATUS, 0, self._interface, 2)
+            if status[0] != Status.PENDING:
+                break
+            # Where it has something to be read it waits for that; otherwise a read that fails passes the time.
+            self._drain(bulk_in)
+        if status[0] != Status.SUCCESS:
+            raise BadAnswer(self._name, "clear it", "it stays busy", "switch it off and on")
+        self.clear_halt(bulk_out)
+
+    def abort_in(self, tag: int, bulk_in: int) -> None:
+        """Takes a request for an answer back: what comes until a short packet is thrown away."""
+        status = self.request(Request.INITIATE_ABORT_BULK_IN, tag, bulk_in, 2)
+        if status[0] != Status.SUCCESS:
+            return  # nothing under way, or another transfer: the clear that follows sees to it
+        for _ in range(ROUNDS):
+            self._drain(bulk_in)
+            status = self.request(Request.CHECK_ABORT_BULK_IN_STATUS, 0, bulk_in, 8)
+            if status[0] != Status.PENDING:
+                return
+        raise BadAnswer(self._name, "abort an answer", "it stays busy", "switch it off and on")
+
+    def abort_out(self, tag: int, bulk_out: int) -> None:
+        """Takes back what has been written in part."""
+        status = self.request(Request.INITIATE_ABORT_BULK_OUT, tag, bulk_out, 2)
+        if status[0] != Status.SUCCESS:
+            return
+        for _ in range(ROUNDS):
+            if self.request(Request.CHECK_ABORT_BULK_OUT_STATUS, 0, bulk_out, 8)[0] != Status.PENDING:
+                break
+        self.clear_halt(bulk_out)
+
+    def status_byte(self, tag: int, interrupt: int | None) -> int:
+        """The status byte: in the answer, or, where there is an interrupt endpoint, from there."""
+        answer = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
+        if answer[0] == Status.INTERRUPT_IN_BUSY and interrupt is not None:
+            self._notice(interrupt)  # nobody has read what it said before
+            answer = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
+        if answer[0] != Status.SUCCESS or answer[1] != tag:
+            raise BadAnswer(self._name, "READ_STATUS_BYTE", f"{answer.hex(' ')} for tag {tag}", "ask again")
+        if interrupt is None:
+            return answer[2]
+        for _ in range(ROUNDS):
+            kind, status = self._notice(interrupt)
+            if kind == 0x80 | tag:
+                return status
+        raise BadAnswer(self._name, "READ_STATUS_BYTE", "its answer does not come", "ask again")
+
+    def clear_halt(self, endpoint: int) -> None:
+        """CLEAR_FEATURE(ENDPOINT_HALT)."""
+        self._tap(TO_DEVICE, struct.pack("<BBHHH", *CLEAR_FEATURE, 0, endpoint, 0))
+        self._device.clear_halt(endpoint)
+
+    def _notice(self, interrupt: int) -> tuple[int, int]:
+        notice = bytes(self._device.read(interrupt, 2, self._timeout_ms))
+        self._tap(FROM_DEVICE, notice)
+        if len(notice) != 2:
+            raise BadAnswer(self._name, "READ_STATUS_BYTE", f"a notice of {len(notice)} bytes", "ask again")
+        return notice[0], notice[1]
+
+    def _drain(self, bulk_in: int) -> None:
+        with contextlib.suppress(usb.core.USBTimeoutError):
+            self._tap(FROM_DEVICE, bytes(self._device.read(bulk_in, DRAIN_BYTES, DRAIN_MS)))
+
+
+def explain(direction: str, data: bytes) -> str:
+    """A bulk message or a control transfer in words, for transcripts."""
+    if len(data) < HEADER_BYTES:
+        return _explain_control(direction, data)
+    try:
+        header = Header.decode(data)
+    except HeaderError as error:
+        return str(error)
+    if direction == TO_DEVICE and header.msg_id == MsgId.DEV_DEP_MSG_IN:
+        return f"transfer {header.tag}: up to {header.size} bytes, please"
+    payload = data[HEADER_BYTES : HEADER_BYTES + header.size]
+    return f"transfer {header.tag}: {payload.decode('ascii', 'backslashreplace')!a}"
+
+
+def _explain_control(direction: str, data: bytes) -> str:
+    if direction == FROM_DEVICE:
+        if len(data) == 2 and data[0] & 0x80 and data[0] not in set(Status):
+            return f"notice: status byte {data[1]:#04x}"
+        return f"control: {Status(data[0]).name}" if data and data[0] in set(Status) else "control"
+    if len(data) != 8:
+        return "no bulk message"
+    kind, request, *_ = struct.unpack("<BBHHH", data)
+    if kind in (TO_INTERFACE, TO_ENDPOINT) and request in set(Request):
+        return f"control: {Request(request).name}"
+    return "control: CLEAR_FEATURE(ENDPOINT_HALT)"

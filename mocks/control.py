@@ -1,0 +1,164 @@
+"""The back door of a served virtual rig: one JSON object a line, over TCP on loopback; no wire of the instrument.
+
+    {"do": "mount", "sample": "etalon"}         {"do": "lamp", "drift_per_hour": 0.1, "level": 0.9}
+    {"do": "tilt", "deg": 0.05}                 {"do": "jam", "axis": "beta", "jammed": true}
+    {"do": "fault", "wire": "axes", "kinds": ["reply lost"], "share": 0.2, "seed": 1, "count": 100}
+    {"do": "unplug", "wire": "axes"}            {"do": "state"}
+
+Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`.
+"""
+
+import contextlib
+import json
+import socket
+import socketserver
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from protocols.clock import Clock
+from twin import VirtualRig
+
+LOOPBACK = "127.0.0.1"
+LONGEST_LINE = 65_536
+AXES = ("gamma", "sigma", "beta", "shift")
+
+
+class Refused(ValueError):
+    """An order that cannot be carried out, in words."""
+
+
+Order = dict[str, Any]
+Action = Callable[[Order], dict[str, Any] | None]
+
+
+class BackDoor:
+    """What can be done to a virtual rig from outside its wires; `others` are the orders of whoever serves it."""
+
+    def __init__(self, rig: VirtualRig, others: dict[str, Action] | None = None) -> None:
+        self._rig = rig
+        self._clock: Clock = rig.clock
+        self._actions: dict[str, Action] = {
+            "mount": self._mount,
+            "lamp": self._lamp,
+            "tilt": self._tilt,
+            "jam": self._jam,
+            "state": self._state,
+            **(others or {}),
+        }
+
+    def obey(self, line: bytes) -> dict[str, Any]:
+        """The answer to one line; what goes wrong is in it."""
+        try:
+            order = json.loads(line)
+            if not isinstance(order, dict) or order.get("do") not in self._actions:
+                raise Refused(f'an order is {{"do": ...}} with one of: {", ".join(sorted(self._actions))}')
+            with self._rig.lock:
+                return {"ok": True, **(self._actions[order["do"]](order) or {})}
+        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+            return {"ok": False, "error": f"not JSON: {error}"}
+        except (Refused, KeyError) as error:
+            return {"ok": False, "error": str(error.args[0] if error.args else error)}
+
+    def _mount(self, order: Order) -> None:
+        sample = order.get("sample")
+        if sample is not None and not isinstance(sample, str):
+            raise Refused("sample is a name, or null for none")
+        self._rig.mount(sample)
+
+    def _lamp(self, order: Order) -> None:
+        drift = number(order, "drift_per_hour") if "drift_per_hour" in order else None
+        level = number(order, "level") if "level" in order else None
+        self._rig.plant.set_lamp(self._clock.now(), drift_per_hour=drift, level=level)
+
+    def _tilt(self, order: Order) -> None:
+        self._rig.plant.tilt_sample(number(order, "deg"), self._clock.now())
+
+    def _jam(self, order: Order) -> None:
+        axis = order.get("axis")
+        if axis not in self._rig.plant.shafts:
+            raise Refused(f"axis is one of: {', '.join(self._rig.plant.shafts)}")
+        self._rig.plant.shafts[axis].jam(self._clock.now(), bool(order.get("jammed", True)))
+
+    def _state(self, order: Order) -> dict[str, Any]:
+        del order
+        now = self._clock.now()
+        plant = self._rig.plant
+        return {
+            "t_s": now,
+            "angles_deg": {axis: plant.angle_deg(axis, now) for axis in AXES},
+            "wavelength_nm": plant.wavelength_nm.at(now),
+            "shutter_open": plant.shutter_open.at(now),
+            "sample": plant.sample.at(now),
+        }
+
+
+def number(order: Order, key: str) -> float:
+    """A finite number of an order. Raises Refused."""
+    value = order.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -1e9 < value < 1e9:
+        raise Refused(f"{key} is a number, not {value!r}")
+    return float(value)
+
+
+class ControlServer:
+    """Serves a back door on a port of loopback, a thread a client."""
+
+    def __init__(self, door: BackDoor, port: int = 0) -> None:
+        class Handler(socketserver.StreamRequestHandler):
+            def handle(self) -> None:
+                with contextlib.suppress(OSError):
+                    while line := self.rfile.readline(LONGEST_LINE):
+                        self.wfile.write(json.dumps(door.obey(line)).encode() + b"\n")
+
+        class Server(socketserver.ThreadingTCPServer):
+            daemon_threads = True
+            allow_reuse_address = True
+
+        self._server = Server((LOOPBACK, port), Handler)
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="control", daemon=True)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._server.server_address[1])
+
+    def start(self) -> None:
+        """Serves from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends; the port is free again."""
+        if self._thread.is_alive():
+            self._server.shutdown()
+            self._thread.join()
+        self._server.server_close()
+
+
+class Control:
+    """A client: the operator of a rig that another process serves."""
+
+    def __init__(self, port: int, timeout_s: float = 10.0) -> None:
+        self._socket = socket.create_connection((LOOPBACK, port), timeout=timeout_s)
+        self._file = self._socket.makefile("rwb")
+
+    def do(self, what: str, **order: object) -> dict[str, Any]:
+        """Carries an order out. Raises Refused where it cannot be, OSError where nobody serves any more."""
+        self._file.write(json.dumps({"do": what, **order}).encode() + b"\n")
+        self._file.flush()
+        line = self._file.readline()
+        if not line:
+            raise ConnectionResetError("nobody serves the rig any more")
+        answer: dict[str, Any] = json.loads(line)
+        if not answer.pop("ok"):
+            raise Refused(answer["error"])
+        return answer
+
+    def mount(self, sample: str) -> None:
+        """Puts a sample into the sample unit of the served rig."""
+        self.do("mount", sample=sample)
+
+    def close(self) -> None:
+        """Hangs up."""
+        self._file.close()
+        self._socket.close()

@@ -1,0 +1,136 @@
+"""Wires that fail, on purpose and by a seed: what happens to which exchange is a function of the seed and its number.
+
+A fault sits between a device and whoever listens to it, in process and on real endpoints alike. The device itself stays
+right; what it is asked, or what it says, does not.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from twin.plant.noise import mixed, process_key
+
+
+class Fault(StrEnum):
+    """What can happen to an exchange."""
+
+    NONE = "none"
+    LATE = "late reply"
+    LOST = "reply lost"
+    UNHEARD = "request lost"
+    TRUNCATED = "truncated reply"
+    MERGED = "reply merged with the next"
+    CORRUPTED = "corrupted reply"
+    GARBLED = "corrupted request"
+    REPEATED = "repeated reply"
+    FOREIGN = "reply of another address"
+    NOISE = "noise before the reply"
+    HANG = "hang"
+    UNPLUGGED = "unplugged and plugged in again"
+    RESET = "device resets itself"
+    EXCEPTION = "Modbus exception"
+    STALL = "USB stall"
+    NAK = "USB NAK"
+
+
+ON_A_SERIAL_LINE = (
+    Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.MERGED, Fault.CORRUPTED, Fault.GARBLED, Fault.REPEATED,
+    Fault.FOREIGN, Fault.NOISE, Fault.HANG, Fault.RESET,
+)  # fmt: skip
+ON_MODBUS = (
+    Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.MERGED, Fault.CORRUPTED, Fault.REPEATED, Fault.FOREIGN,
+    Fault.NOISE, Fault.HANG, Fault.UNPLUGGED, Fault.RESET, Fault.EXCEPTION,
+)  # fmt: skip
+ON_USB = (
+    Fault.LATE,
+    Fault.LOST,
+    Fault.UNHEARD,
+    Fault.TRUNCATED,
+    Fault.CORRUPTED,
+    Fault.HANG,
+    Fault.UNPLUGGED,
+    Fault.STALL,
+    Fault.NAK,
+)
+
+
+@dataclass
+class Misfortune:
+    """Decides, exchange by exchange. `share` of them fail, each with one of `kinds`; after `until` of them none does.
+
+    A hang lasts `hang` exchanges.
+    """
+
+    seed: int
+    kinds: tuple[Fault, ...]
+    share: float = 0.2
+    until: int = 1 << 30
+    hang: int = 3
+
+    def __post_init__(self) -> None:
+        self._key = process_key(self.seed, "misfortune")
+        self._count = 0
+        self._hung = 0
+        self.met: list[Fault] = []
+
+    def next(self) -> Fault:
+        """What happens to this exchange."""
+        number = self._count
+        self._count += 1
+        if self._hung:
+            self._hung -= 1
+            return Fault.HANG
+        if number >= self.until or self.draw(number, 1 << 20) >= self.share * (1 << 20):
+            return Fault.NONE
+        fault = self.kinds[self.draw(number + (1 << 32), len(self.kinds))]
+        self.met.append(fault)
+        if fault is Fault.HANG:
+            self._hung = self.hang - 1
+        return fault
+
+    def draw(self, number: int, below: int) -> int:
+        """A number from 0 to `below` - 1, of the seed and `number`."""
+        return int(mixed(self._key, np.int64(number)) >> np.uint64(16)) % below
+
+    @property
+    def exchanges(self) -> int:
+        """How many there have been."""
+        return self._count
+
+
+class Script(Misfortune):
+    """Given faults, one an exchange, in order; then none."""
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        super().__init__(0, ())
+        self._script = list(faults)
+
+    def next(self) -> Fault:
+        """The next of them."""
+        self._count += 1
+        fault = self._script.pop(0) if self._script else Fault.NONE
+        if fault is not Fault.NONE:
+            self.met.append(fault)
+        return fault
+
+
+def corrupted(data: bytes, misfortune: Misfortune) -> bytes:
+    """One byte of them changed."""
+    if not data:
+        return data
+    place = misfortune.draw(misfortune.exchanges + (1 << 33), len(data))
+    change = 1 + misfortune.draw(misfortune.exchanges + (1 << 34), 255)
+    return data[:place] + bytes((data[place] ^ change,)) + data[place + 1 :]
+
+
+def truncated(data: bytes, misfortune: Misfortune) -> bytes:
+    """The beginning of them, not all."""
+    return data[: misfortune.draw(misfortune.exchanges + (1 << 35), max(1, len(data)))]
+
+
+def noise(misfortune: Misfortune) -> bytes:
+    """One to four bytes of anything."""
+    length = 1 + misfortune.draw(misfortune.exchanges + (1 << 36), 4)
+    return bytes(misfortune.draw(misfortune.exchanges + (1 << 37) + k, 256) for k in range(length))

@@ -1,0 +1,198 @@
+"""Twin converter modules on real Modbus endpoints: a TCP port a module, and serial lines with several units each.
+
+pymodbus's servers listen, accept and open ports. What a module does with the bytes is decided where it is in process too
+(`twin.devices.modbus`): pymodbus's own handler answers functions that these modules lack, loses pipelined requests, and
+says "device failure" for a foreign unit where a module is silent.
+
+The modules' limits of eight connections and of idle time (to be confirmed on hardware) are not kept here.
+"""
+
+import asyncio
+import threading
+from collections.abc import Callable
+
+from pymodbus.framer import FramerType
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server.base import ModbusBaseServer
+from pymodbus.server.requesthandler import ServerRequestHandler
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from protocols import adam
+from protocols.clock import Clock
+from twin import VirtualRig
+from twin.devices.line import SerialDevice
+from twin.devices.modbus import RtuStation, TcpStation
+from twin.rig import CONVERTER_LINE
+
+LOOPBACK = "127.0.0.1"
+GAP_S = 0.02
+"""What ends a frame on an endpoint: its bytes come when the system brings them, not when the baud rate would."""
+NOBODY = SimDevice(id=0, simdata=[SimData(0, values=0, datatype=DataType.REGISTERS)])
+Station = Callable[[], SerialDevice]
+
+
+class ModbusEndpoints:
+    """Endpoints served by one thread with a loop of its own. Also a context manager."""
+
+    def __init__(self, rig: VirtualRig) -> None:
+        self._rig = rig
+        self._tcp: dict[str, int] = {}
+        self._rtu: dict[str, tuple[list[str], int]] = {}
+        self._servers: dict[str, ModbusBaseServer] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+        self.ports: dict[str, int] = {}
+
+    @property
+    def address(self) -> dict[str, str]:
+        """Of each module that is served, as a rig file writes it: `127.0.0.1:PORT` or `rtu:PORT?unit=N&baudrate=B`."""
+        found = {name: f"{LOOPBACK}:{port}" for name, port in self.ports.items()}
+        for port, (names, baudrate) in self._rtu.items():
+            found |= {name: f"rtu:{port}?unit={self._rig.modbus[name].unit}&baudrate={baudrate}" for name in names}
+        return found
+
+    def add_tcp(self, name: str, port: int = 0) -> None:
+        """A module on a port of loopback, 0 for a free one; `ports` says which from `start` on. Raises KeyError."""
+        self._known(name)
+        self._tcp[name] = port
+
+    def add_rtu(self, port: str, names: list[str] | None = None, baudrate: int = adam.BAUDRATE) -> None:
+        """Modules (all that have a serial line, if not given) on a serial port or pseudo-terminal. Raises KeyError."""
+        chosen = [name for name, device in self._rig.modbus.items() if device.model.serial] if names is None else names
+        for name in chosen:
+            self._known(name)
+        self._rtu[port] = (chosen, baudrate)
+
+    def start(self) -> None:
+        """Serves from now on. Raises OSError for a port that cannot be opened; nothing is served then."""
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="Modbus endpoints", daemon=True)
+        self._thread.start()
+        try:
+            asyncio.run_coroutine_threadsafe(self._listen(), self._loop).result()
+        except BaseException:
+            self.stop()
+            raise
+
+    def stop(self) -> None:
+        """Ends: connections are closed, ports free again."""
+        if self._loop is None or self._thread is None:
+            return
+        asyncio.run_coroutine_threadsafe(self._close(), self._loop).result()
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+        self._loop = self._thread = None
+        self._servers = {}
+        self.ports = {}
+
+    def unplug(self, name: str) -> None:
+        """Closes the connections to a module on TCP; others may be made at once. Raises KeyError."""
+        server = self._servers[name]
+        assert self._loop is not None
+
+        async def cut() -> None:
+            for connection in list(server.active_connections.values()):
+                connection.close()
+
+        asyncio.run_coroutine_threadsafe(cut(), self._loop).result()
+
+    def __enter__(self) -> "ModbusEndpoints":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _known(self, name: str) -> None:
+        if name not in self._rig.modbus:
+            raise KeyError(f"the virtual rig has no module {name!r}; it has: {', '.join(self._rig.modbus)}")
+
+    async def _listen(self) -> None:
+        for name, port in self._tcp.items():
+            self._servers[name] = tcp = _TcpServer(self._rig, self._station(name), port)
+            await _serve(tcp, f"{LOOPBACK}:{port}")
+            transport: asyncio.Server = tcp.transport  # type: ignore[assignment]
+            self.ports[name] = int(transport.sockets[0].getsockname()[1])
+        for path, (names, baudrate) in self._rtu.items():
+            self._servers[path] = rtu = _RtuServer(self._rig, self._line(names, baudrate), path, baudrate)
+            await _serve(rtu, path)
+
+    async def _close(self) -> None:
+        for server in self._servers.values():
+            await server.shutdown()  # type: ignore[no-untyped-call]
+        ModbusBaseServer.active_server = None
+        for _ in range(3):  # transports close their sockets in a later turn of the loop
+            await asyncio.sleep(0)
+
+    def _station(self, name: str) -> Station:
+        """What makes the module's end of a new connection."""
+
+        def station() -> SerialDevice:
+            between = self._rig.modbus_wires.get(name)
+            end = TcpStation(self._rig.modbus[name])
+            return between(end) if between is not None else end
+
+        return station
+
+    def _line(self, names: list[str], baudrate: int) -> Station:
+        def station() -> SerialDevice:
+            between = self._rig.modbus_wires.get(CONVERTER_LINE)
+            end = RtuStation([self._rig.modbus[name] for name in names], baudrate, GAP_S)
+            return between(end) if between is not None else end
+
+        return station
+
+
+class _Handler(ServerRequestHandler):
+    """One connection: pymodbus brings the bytes, a station answers them."""
+
+    def __init__(self, owner: ModbusBaseServer, rig: VirtualRig, station: SerialDevice) -> None:
+        super().__init__(owner, None, None, None)  # type: ignore[no-untyped-call]
+        self._rig = rig
+        self._station = station
+        self._clock: Clock = rig.clock
+        self._speed = float(getattr(rig.clock, "speed", 1.0))
+
+    def data_received(self, data: bytes) -> None:
+        """Any piece of a request, or several."""
+        with self._rig.lock:
+            self._station.receive(data, self._clock.now())
+        self._flush()
+
+    def _flush(self) -> None:
+        """Sends what is due, in order, and comes back for the rest."""
+        outbox = self._station.outbox
+        while outbox:
+            wait_s = (outbox[0][0] - self._clock.now()) / self._speed
+            if wait_s > 0.0:
+                self.loop.call_later(wait_s, self._flush)
+                return
+            _, data = outbox.popleft()
+            if self.transport is not None:
+                self.transport.write(data)  # type: ignore[attr-defined]
+
+
+class _TcpServer(ModbusTcpServer):
+    def __init__(self, rig: VirtualRig, station: Station, port: int) -> None:
+        super().__init__(NOBODY, address=(LOOPBACK, port))
+        self._rig, self._station = rig, station
+
+    def callback_new_connection(self) -> _Handler:
+        """A connection has a station of its own."""
+        return _Handler(self, self._rig, self._station())
+
+
+class _RtuServer(ModbusSerialServer):
+    def __init__(self, rig: VirtualRig, station: Station, port: str, baudrate: int) -> None:
+        super().__init__(NOBODY, framer=FramerType.RTU, port=port, baudrate=baudrate)
+        self._rig, self._station = rig, station
+
+    def callback_new_connection(self) -> _Handler:
+        """The line is its one connection."""
+        return _Handler(self, self._rig, self._station())
+
+
+async def _serve(server: ModbusBaseServer, where: str) -> None:
+    if not await server.listen():
+        raise OSError(f"{where} cannot be opened: it does not exist, or another program has it")

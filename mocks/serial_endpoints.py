@@ -1,0 +1,227 @@
+"""Twin devices with a serial line, on real endpoints: pseudo-terminals with stable names, and TCP.
+
+One thread serves them all. A device is asked when bytes arrive and when it has said that it will have something to
+send; nothing polls. Pseudo-terminals exist on Linux and macOS; on Windows there is TCP.
+"""
+
+import contextlib
+import os
+import selectors
+import socket
+import sys
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from protocols.clock import RealClock
+from twin.devices.line import SerialDevice
+
+LOOPBACK = "127.0.0.1"
+CHUNK = 4096
+LONGEST_WAIT_S = 0.5
+UNSENT_LIMIT = 65_536
+"""What a client that does not read may leave unread; then the oldest is lost, as on a line without handshake."""
+
+
+@dataclass
+class Line:
+    """A device and those who listen to it. Whatever the device sends goes to every open end."""
+
+    name: str
+    device: SerialDevice
+    ends: list["End"] = field(default_factory=list)
+
+
+@dataclass
+class End:
+    """One open end of a line: a file descriptor, the bytes that could not be written yet."""
+
+    line: Line
+    descriptor: int
+    connection: socket.socket | None = None
+    slave: int | None = None
+    unsent: bytearray = field(default_factory=bytearray)
+
+    def write(self, data: bytes) -> None:
+        """As much as goes without waiting; the rest is kept. Raises OSError where the other side is gone."""
+        self.unsent += data
+        if len(self.unsent) > UNSENT_LIMIT:
+            del self.unsent[: len(self.unsent) - UNSENT_LIMIT]
+        while self.unsent:
+            try:
+                sent = os.write(self.descriptor, self.unsent) if self.connection is None else self.connection.send(self.unsent)
+            except BlockingIOError:
+                return
+            del self.unsent[:sent]
+
+    def read(self) -> bytes:
+        """What has arrived. Raises OSError where the other side is gone; no bytes from a socket mean the same."""
+        if self.connection is None:
+            return os.read(self.descriptor, CHUNK)
+        data = self.connection.recv(CHUNK)
+        if not data:
+            raise ConnectionResetError
+        return data
+
+
+class SerialEndpoints:
+    """Lines served by one thread. `lock` is that of the virtual rig, whose devices share one plant."""
+
+    def __init__(self, clock: RealClock, lock: threading.RLock) -> None:
+        self._clock = clock
+        self._lock = lock
+        self._lines: dict[str, Line] = {}
+        self._selector = selectors.DefaultSelector()
+        self._wake_out, self._wake_in = socket.socketpair()
+        self._wake_out.setblocking(False)
+        self._selector.register(self._wake_out, selectors.EVENT_READ, None)
+        self._links: list[Path] = []
+        self._ending = False
+        self._thread = threading.Thread(target=self._serve, name="serial endpoints", daemon=True)
+
+    def add_pty(self, name: str, device: SerialDevice, link: Path) -> Path:
+        """A pseudo-terminal, found under the stable name `link`, which replaces a stale one. Raises OSError."""
+        import tty
+
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        if link.is_symlink():
+            link.unlink()
+        link.symlink_to(os.ttyname(slave))
+        self._links.append(link)
+        self._attach(End(self._line(name, device), master, slave=slave))
+        return link
+
+    def add_tcp(self, name: str, device: SerialDevice, port: int = 0) -> int:
+        """A listening socket on loopback; returns its port. Any number of clients may come and go."""
+        listener = socket.create_server((LOOPBACK, port))
+        listener.setblocking(False)
+        self._selector.register(listener, selectors.EVENT_READ, self._line(name, device))
+        return int(listener.getsockname()[1])
+
+    def start(self) -> None:
+        """Serves from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends; ports and names are free again."""
+        self._ending = True
+        self._wake()
+        if self._thread.is_alive():
+            self._thread.join()
+        for key in list(self._selector.get_map().values()):
+            self._selector.unregister(key.fileobj)
+            if isinstance(key.data, End):
+                self._close(key.data)
+            elif isinstance(key.fileobj, socket.socket):
+                key.fileobj.close()
+        self._wake_in.close()
+        self._selector.close()
+        for link in self._links:
+            link.unlink(missing_ok=True)
+
+    def changed(self) -> None:
+        """A device may have something to send that no byte has asked for."""
+        self._wake()
+
+    def unplug(self, name: str) -> None:
+        """Everybody on a line loses it: sockets are closed. A pseudo-terminal stays, and is silent in both directions."""
+        for end in list(self._lines[name].ends):
+            if end.connection is not None:
+                self._detach(end)
+
+    def _line(self, name: str, device: SerialDevice) -> Line:
+        return self._lines.setdefault(name, Line(name, device))
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):
+            self._wake_in.send(b"\0")
+
+    def _serve(self) -> None:
+        while not self._ending:
+            for key, _ in self._selector.select(self._wait_s()):
+                if key.data is None:
+                    with contextlib.suppress(BlockingIOError):
+                        self._wake_out.recv(CHUNK)
+                elif isinstance(key.data, Line):
+                    self._accept(key.fileobj, key.data)
+                else:
+                    self._hear(key.data)
+            self._send_due()
+
+    def _wait_s(self) -> float:
+        """Until the first device wants to send."""
+        with self._lock:
+            due = [line.device.outbox[0][0] for line in self._lines.values() if line.device.outbox]
+        if any(end.unsent for line in self._lines.values() for end in line.ends):
+            return 0.01
+        left = min(due, default=float("inf")) - self._clock.now()
+        return min(LONGEST_WAIT_S, max(0.0, left / self._clock.speed))
+
+    def _accept(self, listener: object, line: Line) -> None:
+        assert isinstance(listener, socket.socket)
+        connection, _ = listener.accept()
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._attach(End(line, connection.fileno(), connection))
+
+    def _hear(self, end: End) -> None:
+        try:
+            data = end.read()
+        except BlockingIOError:
+            return
+        except OSError:
+            self._detach(end)
+            return
+        if end.slave is not None and _baudrate(end.slave) not in (None, end.line.device.baudrate):
+            return  # at another baud rate the device hears nothing that it understands
+        with self._lock:
+            end.line.device.receive(data, self._clock.now())
+
+    def _send_due(self) -> None:
+        for line in self._lines.values():
+            due = bytearray()
+            with self._lock:
+                outbox = line.device.outbox
+                while outbox and outbox[0][0] <= self._clock.now():
+                    due += outbox.popleft()[1]
+            for end in list(line.ends):
+                try:
+                    end.write(bytes(due))
+                except OSError:
+                    self._detach(end)
+
+    def _attach(self, end: End) -> None:
+        end.line.ends.append(end)
+        self._selector.register(end.connection if end.connection is not None else end.descriptor, selectors.EVENT_READ, end)
+
+    def _detach(self, end: End) -> None:
+        if end in end.line.ends:
+            end.line.ends.remove(end)
+            self._selector.unregister(end.connection if end.connection is not None else end.descriptor)
+            self._close(end)
+
+    @staticmethod
+    def _close(end: End) -> None:
+        if end.connection is not None:
+            end.connection.close()
+        else:
+            os.close(end.descriptor)
+        if end.slave is not None:
+            os.close(end.slave)
+
+
+def ptys_exist() -> bool:
+    """Whether this system has pseudo-terminals."""
+    return sys.platform != "win32"
+
+
+def _baudrate(slave: int) -> int | None:
+    """What the client has set on its side, None where that is not to be known."""
+    import termios
+
+    speed = termios.tcgetattr(slave)[5]
+    names = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200) if hasattr(termios, f"B{rate}")}
+    return names.get(speed)

@@ -1,0 +1,20 @@
+"""A campaign with converters on one serial line, whose questions take longer than the conversions."""
+
+from pathlib import Path
+
+import pytest
+
+from app.campaign.campaign import run_campaign
+from app.campaign.plan import make_plan
+from app.campaign.schedule import read_schedule
+from app.rig import read_rig
+from tests.conftest import Writer
+from tests.drivers.test_photodiodes import SERIAL
+
+
+def test_its_duration_is_foretold_too(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    schedule = read_schedule(write_schedule(("gains_v_per_a = [1e8, 1e10]", "gains_v_per_a = [1e11]")))
+    plan = make_plan(schedule, read_rig(write_rig(*SERIAL)))
+    outcome = run_campaign(plan, tmp_path / "serial.journal")
+    assert outcome.rows == outcome.of == len(plan.rows)
+    assert outcome.seconds == pytest.approx(plan.seconds, rel=0.01)

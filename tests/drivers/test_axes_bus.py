@@ -1,0 +1,82 @@
+"""Four TMCM-1240 on one RS485 bus instead of one TMCM-6214: the same drivers, by the rig file."""
+
+import pytest
+
+from drivers import wait
+from drivers.errors import Forgotten
+from protocols.tmcl import Command, Request
+from tests.conftest import RigOpener
+from twin.devices import TmclLine
+
+BUS = (
+    ("[twin]\n", '[twin]\ncontroller = { kind = "tmcm-1240", wire = "rs485", baudrate = 57600 }\n'),
+    ("baudrate = 115200", "baudrate = 57600"),
+    ("gamma = { motor = 3,", "gamma = { motor = 0, module = 1,"),
+    ("sigma = { motor = 4,", "sigma = { motor = 0, module = 2,"),
+    ("beta = { motor = 5,", "beta = { motor = 0, module = 3,"),
+    ("shift = { motor = 0,", "shift = { motor = 0, module = 4,"),
+    ("# the sample unit about its normal\nmotor = 3", "\nmotor = 0\nmodule = 1"),
+    ("motor = 4\n", "motor = 0\nmodule = 2\n"),
+    ("motor = 5\n", "motor = 0\nmodule = 3\n"),
+    ("[axes.shift]                            # the arc's polar shift\nmotor = 0", "[axes.shift]\nmotor = 0\nmodule = 4"),
+)
+
+
+def test_axes_on_a_bus_go_where_they_are_sent(opened: RigOpener) -> None:
+    rig = opened(*BUS)
+    assert rig.virtual is not None
+    targets = {"gamma": 90.0, "sigma": 45.0, "beta": 123.0, "shift": 2.5}
+    wait(rig.rig.clock, [rig.rig.start(name, target) for name, target in targets.items()])
+    for name, target in targets.items():
+        assert rig.virtual.plant.angle_deg(name, rig.rig.clock.now()) == pytest.approx(target, abs=1e-3)
+        assert rig.rig.axes[name].position_deg() == pytest.approx(target, abs=1e-3)
+    assert rig.rig.identities["axes"] == "TMCM-1240"
+
+
+def test_all_are_stopped(opened: RigOpener) -> None:
+    rig = opened(*BUS).rig
+    for name in rig.axes:
+        rig.axes[name].start(5.0 if name == "shift" else 150.0)
+    rig.clock.sleep_until(rig.clock.now() + 0.3)
+    start = rig.clock.now()
+    assert rig.stop() == []
+    assert rig.clock.now() - start < 0.2
+    rig.clock.sleep_until(start + 2.0)
+    rest = [axis.position_deg() for axis in rig.axes.values()]
+    rig.clock.sleep_until(start + 20.0)
+    assert [axis.position_deg() for axis in rig.axes.values()] == rest
+
+
+def test_one_modules_reset_is_its_axis_own(opened: RigOpener) -> None:
+    rig = opened(*BUS)
+    assert rig.virtual is not None
+    line = rig.virtual.serial["axes"]
+    assert isinstance(line, TmclLine)
+    line.modules[2].reset(rig.rig.clock.now())
+    axes = rig.rig.axes
+    assert axes["gamma"].position_deg() == 0.0
+    with pytest.raises(Forgotten, match="module 2"):
+        axes["sigma"].position_deg()
+    assert [name for name, axis in axes.items() if not axis.referenced] == ["sigma"]
+    rig.rig.reconnect_axes()
+    assert [name for name, axis in axes.items() if not axis.referenced] == ["sigma"]
+    axes["sigma"].assume_referenced()
+    assert axes["sigma"].position_deg() == 0.0
+
+
+def test_the_heartbeat_is_minded_by_each_module_for_itself(opened: RigOpener) -> None:
+    """Only what is said to a module keeps its own motor turning."""
+    rig = opened(*BUS).rig
+    rig.axes["sigma"].start(150.0)
+    rig.axes["beta"].start(150.0)
+    for _ in range(100):
+        rig.clock.sleep_until(rig.clock.now() + 0.2)
+        rig.axes["beta"].ask(Command.GAP, 8)
+    assert rig.axes["beta"].position_deg() == pytest.approx(150.0)
+    assert rig.axes["sigma"].position_deg() == pytest.approx(10.0 * 2.0, abs=1.0)  # 2 s at 10 deg/s less the ramps
+
+
+def test_errors_name_the_module(opened: RigOpener) -> None:
+    rig = opened(*BUS).rig
+    with pytest.raises(Exception, match="of module 3"):
+        rig.axes_module.exchange(Request(3, Command.GAP, 99, 0))

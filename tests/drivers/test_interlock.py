@@ -1,0 +1,45 @@
+"""What one axis forbids another."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import LimitError, wait
+from drivers.interlock import ArcClearance
+from tests.conftest import RigOpener
+
+ARC = ArcClearance(top_polar_deg=85.0)
+ANGLE = st.floats(-720.0, 720.0)
+
+
+@given(ANGLE, ANGLE, st.floats(-0.5, 5.5), st.floats(-0.5, 5.5))
+def test_a_sweep_is_forbidden_where_any_place_on_it_is(one: float, two: float, low: float, high: float) -> None:
+    places = [one + (two - one) * k / 500 for k in range(501)]
+    meets = any(abs((place - 270.0 + 180.0) % 360.0 - 180.0) < 5.9 for place in places)
+    if meets and 85.0 + max(low, high) > 87.0:
+        assert ARC.veto((one, two), (low, high)) is not None
+    clear = all(abs((place - 270.0 + 180.0) % 360.0 - 180.0) > 9.0 for place in places)
+    if clear or 85.0 + max(low, high) <= 87.0:
+        assert ARC.veto((one, two), (low, high)) is None
+
+
+def test_the_arc_does_not_go_through_the_beam_with_its_shift_up(opened: RigOpener) -> None:
+    rig = opened()
+    assert rig.virtual is not None
+    clock = rig.rig.clock
+    wait(clock, [rig.rig.start("beta", 200.0), rig.rig.start("shift", 4.0)])
+    with pytest.raises(LimitError, match=r"beta: move to 300 deg: the arc would meet the incoming beam"):
+        rig.rig.start("beta", 300.0)
+    assert not rig.virtual.plant.shafts["beta"].moved_since(clock.now())
+    wait(clock, [rig.rig.start("shift", 1.0)])
+    wait(clock, [rig.rig.start("beta", 300.0)])
+
+
+def test_the_shift_does_not_go_up_while_the_arc_is_on_its_way_through(opened: RigOpener) -> None:
+    rig = opened().rig
+    wait(rig.clock, [rig.start("beta", 200.0), rig.start("shift", 0.0)])
+    sweep = rig.start("beta", 340.0)
+    with pytest.raises(LimitError, match=r"shift: move to 5 deg: the arc would meet"):
+        rig.start("shift", 5.0)
+    wait(rig.clock, [sweep])
+    wait(rig.clock, [rig.start("shift", 5.0)])

@@ -1,0 +1,294 @@
+"""The array of converter modules: gain, settling, missing readings, resets noticed, settings restored, faults survived."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from app.rig import OpenRig
+from drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, Pending, PhotodiodeArray, PhotodiodeSettings, Refused, wait
+from mocks.faults import ON_A_SERIAL_LINE, ON_MODBUS, Fault, Misfortune, Script
+from mocks.faulty_line import FaultyLine
+from protocols import adam
+from protocols.clock import Clock, VirtualClock
+from tests.conftest import Change, RigOpener
+
+QUIET: Change = ("noise = true", "noise = false")
+NARROW: Change = ("gain_uncertainty", f"range_code = {0x0142}\ngain_uncertainty")  # not what a module has after power-on
+SERIAL: tuple[Change, ...] = (
+    ('kind = "adam-6017"', 'kind = "adam-4117"'),
+    ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e11]"),
+    ("[twin.light]", '[twin.electronics]\nmodule = "adam-4117"\ngains_v_per_a = [1e11]\n\n[twin.light]'),
+)
+TIMEOUT_S = 1.0
+Bench = Callable[[bool], OpenRig]
+
+
+@pytest.fixture
+def bench(opened: RigOpener) -> Bench:
+    return lambda serial: opened(QUIET, NARROW, *(SERIAL if serial else ()), clock=VirtualClock(10.0))
+
+
+def read(array: PhotodiodeArray, clock: Clock, gain: int = 0, readings: int = 1) -> np.ndarray:
+    wait(clock, [array.start_gain(gain)])
+    taken = array.start_readings(readings)
+    wait(clock, [taken])
+    assert len(taken.counts) == readings
+    return taken.counts.astype(int)
+
+
+def break_wires(rig: OpenRig, misfortune: Misfortune, late_s: float = 0.1) -> None:
+    """From the next connection on."""
+    virtual = rig.virtual
+    assert virtual is not None
+    rig.rig.photodiodes.close()
+    if "adcs" in virtual.serial:
+        virtual.serial["adcs"] = FaultyLine(virtual.serial["adcs"], misfortune, late_s)
+    for name in virtual.modbus:
+        virtual.modbus_wires[name] = lambda device: FaultyLine(device, misfortune, late_s)
+    misfortune.until, until = 0, misfortune.until
+    rig.rig.photodiodes.connect()
+    misfortune.until = until
+
+
+@pytest.mark.parametrize("serial", [False, True])
+def test_the_same_dark_currents_come_over_either_wire(bench: Bench, serial: bool) -> None:
+    rig = bench(serial)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    counts = read(array, clock, 0 if serial else 3, 2)
+    # 2 pA with a spread of 5 % at 1e11 V/A, and an offset of 1 mV
+    volts = array.settings.range.low_v + counts * array.settings.range.lsb_v
+    assert volts.mean() == pytest.approx(0.201, abs=0.01)
+    assert np.ptp(volts, axis=0).max() <= 2 * array.settings.range.lsb_v
+
+
+def test_identities_name_model_and_firmware(bench: Bench) -> None:
+    assert bench(True).rig.photodiodes.connect() == ["ADAM-4117 firmware 5.06"] * 5
+
+
+def test_a_gain_is_on_the_amplifiers_and_a_fixed_one_cannot_be_changed(bench: Bench) -> None:
+    rig = bench(False)
+    read(rig.rig.photodiodes, rig.rig.clock, 2)
+    assert rig.virtual is not None
+    assert [gain.at(rig.rig.clock.now()) for gain in rig.virtual.plant.gain] == [2] * 5
+    with pytest.raises(Refused, match="gain 4"):
+        rig.rig.photodiodes.start_gain(4)
+    with pytest.raises(Refused, match="gain 1"):
+        bench(True).rig.photodiodes.start_gain(1)
+
+
+def test_a_first_reading_was_converted_after_the_settling() -> None:
+    slow = PhotodiodeSettings((0.0,), (), (1e6,), conversions_per_s=10.0)
+    assert slow.wait_s == pytest.approx(2 * 1.01 * 0.8)
+    assert PhotodiodeSettings((0.0,), (), (1e6,)).wait_s == pytest.approx(0.25 + 1.01 * 0.09)
+    line = PhotodiodeSettings(tuple(float(k) for k in range(36)), (), (1e6,), exchange_s=0.04, kind="adam-4117")
+    assert line.period_s == pytest.approx(1.01 * 5 * 0.04)  # asking five modules takes longer than their conversions
+
+
+def test_what_was_not_read_is_not_there(bench: Bench) -> None:
+    rig = bench(False)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    taken = array.start_readings(3)
+    assert taken.counts.shape == (0, 36)
+    assert np.isnan(taken.mean_volts()).all()
+    clock.sleep_until(taken.due)
+    taken.poll()
+    assert taken.counts.shape == (0, 36)  # one module of five
+
+
+def test_a_clipped_reading_has_no_mean(bench: Bench) -> None:
+    rig = bench(False)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    assert rig.virtual is not None
+    rig.virtual.modbus["adc-0"].inputs.enabled = 0xFE  # channel 0 reads 0 from now on
+    taken = array.start_readings(1)
+    wait(clock, [taken])
+    assert taken.clipped[0].tolist() == [True] + [False] * 35
+    assert np.isnan(taken.mean_volts()).tolist() == [True] + [False] * 35
+
+
+@pytest.mark.parametrize(("serial", "gain"), [(False, 3), (False, 0), (True, 0)])
+def test_a_module_that_has_reset_is_noticed_and_gets_its_settings_again(bench: Bench, serial: bool, gain: int) -> None:
+    rig = bench(serial)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    assert rig.virtual is not None
+    before = read(array, clock, gain)
+    rig.virtual.modbus["adc-3"].reset(clock.now())
+    taken = array.start_readings(2)
+    with pytest.raises(Forgotten, match=r"photodiodes module 3: .*reconnect"):
+        wait(clock, [taken])
+    with pytest.raises(Forgotten):
+        wait(clock, [array.start_readings(1)])
+    restored = array.reconnect()
+    assert restored[0] == "photodiodes module 3: ranges set"
+    assert len(restored) == (2 if gain else 1)
+    taken = array.start_readings(1)
+    wait(clock, [taken])
+    np.testing.assert_allclose(taken.counts, before, atol=1)
+
+
+def test_settings_that_change_without_a_reset_are_found_at_intervals(bench: Bench) -> None:
+    rig = bench(False)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    read(array, clock, 3)
+    assert rig.virtual is not None
+    rig.virtual.modbus["adc-1"].inputs.set_range(5, adam.PLUS_MINUS_10_V, clock.now())
+    clock.sleep_until(clock.now() + 61.0)
+    with pytest.raises(Forgotten, match=r"module 1.*ranges"):
+        wait(clock, [array.start_readings(1)])
+
+
+@pytest.mark.parametrize("serial", [False, True])
+def test_a_dead_module_costs_few_timeouts_and_is_named(bench: Bench, serial: bool) -> None:
+    rig = bench(serial)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    read(array, clock)
+    assert rig.virtual is not None
+    rig.virtual.modbus["adc-2"].silent = True
+    taken = array.start_readings(1)
+    clock.sleep_until(taken.due)
+    start = clock.now()
+    with pytest.raises(NoAnswer, match=r"photodiodes module 2: .*check address, cable and power"):
+        wait(clock, [taken])
+    assert clock.now() - start < 5 * TIMEOUT_S
+    assert len(taken.counts) == 0
+    start = clock.now()
+    with pytest.raises(NoAnswer):
+        wait(clock, [array.start_readings(1)])
+    assert clock.now() - start < 4 * TIMEOUT_S
+    rig.virtual.modbus["adc-2"].silent = False
+    array.reconnect()
+    assert read(array, clock).shape == (1, 36)
+
+
+def test_a_missing_module_is_told_with_all_others_that_are_missing_and_joins_later(bench: Bench) -> None:
+    rig = bench(False)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    assert rig.virtual is not None
+    for name in ("adc-1", "adc-4"):
+        rig.virtual.modbus[name].silent = True
+    with pytest.raises(DeviceError, match=r"module 1: .*also photodiodes module 4"):
+        array.connect()
+    with pytest.raises(NoAnswer, match="not connected"):
+        array.start_readings(1)
+    for name in ("adc-1", "adc-4"):
+        rig.virtual.modbus[name].silent = False
+    array.reconnect()
+    assert read(array, clock).shape == (1, 36)
+
+
+def test_another_module_at_the_address_is_refused(bench: Bench) -> None:
+    rig = bench(False)
+    assert rig.virtual is not None
+    rig.virtual.modbus["adc-0"].model = adam.ADAM_4117
+    with pytest.raises(BadAnswer, match="it is 4117, not 6017"):
+        rig.rig.photodiodes.reconnect()
+
+
+@pytest.mark.parametrize("code", [adam.DEVICE_FAILURE, adam.BUSY])
+def test_what_passes_is_tried_again_once(bench: Bench, code: int) -> None:
+    rig = bench(False)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    expected = read(array, clock)
+    assert rig.virtual is not None
+    rig.virtual.modbus["adc-0"].refusals.append(code)
+    np.testing.assert_array_equal(read(array, clock), expected)
+    rig.virtual.modbus["adc-0"].refusals.extend([code, code])
+    with pytest.raises(Refused, match=f"exception {code}"):
+        read(array, clock)
+
+
+@pytest.mark.parametrize("serial", [False, True])
+@pytest.mark.parametrize("fault", [Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.REPEATED, Fault.TRUNCATED, Fault.MERGED])
+def test_one_fault_is_survived_without_a_wrong_value(bench: Bench, serial: bool, fault: Fault) -> None:
+    rig = bench(serial)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    gain = 0 if serial else 3
+    read(array, clock, gain)
+    expected = read(array, clock, gain)
+    script = Script([])
+    break_wires(rig, script, late_s=1.0 + 0.02)
+    read(array, clock, gain)
+    script._script = [Fault.NONE, fault]
+    np.testing.assert_allclose(read(array, clock, gain, 2), np.repeat(expected, 2, axis=0), atol=1)
+    assert script.met == [fault]
+
+
+class Timed:
+    """Something under way whose polls are timed."""
+
+    def __init__(self, pending: Pending, clock: Clock, polls: list[float]) -> None:
+        self._pending, self._clock, self._polls = pending, clock, polls
+        self.due = pending.due
+
+    def poll(self) -> bool:
+        begun = self._clock.now()
+        try:
+            return self._pending.poll()
+        finally:
+            self.due = self._pending.due
+            self._polls.append(self._clock.now() - begun)
+
+
+def campaign(rig: OpenRig, serial: bool, misfortune: Misfortune, late_s: float) -> tuple[int, int, float]:
+    """Groups of readings until the faults are over: how many were good, how many failed, the longest poll, s."""
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    gains = (0,) if serial else (3, 0, 2)
+    expected = {gain: read(array, clock, gain, 2)[1] for gain in gains}
+    break_wires(rig, misfortune, late_s)
+    good = failed = 0
+    longest, polls = 0.0, [0.0]
+    while misfortune.exchanges < misfortune.until + 20:
+        gain = gains[(good + failed) % len(gains)]
+        polls[:] = [0.0]
+        try:
+            wait(clock, [Timed(array.start_gain(gain), clock, polls)])
+            readings = array.start_readings(2)
+            wait(clock, [Timed(readings, clock, polls)])
+            np.testing.assert_allclose(readings.counts, [expected[gain]] * 2, atol=1)
+            good += 1
+        except DeviceError:
+            failed += 1
+            for _ in range(20):
+                try:
+                    array.reconnect()
+                    break
+                except DeviceError:
+                    continue
+        longest = max(longest, *polls)
+    for gain in gains:
+        np.testing.assert_allclose(read(array, clock, gain), [expected[gain]], atol=1)
+    return good, failed, longest
+
+
+UNDETECTED_OVER_TCP = (Fault.CORRUPTED, Fault.NOISE)
+
+
+@pytest.mark.parametrize("serial", [False, True])
+@pytest.mark.parametrize("seed", range(25))
+def test_no_wrong_value_comes_over_a_failing_wire(bench: Bench, serial: bool, seed: int) -> None:
+    kinds = ON_A_SERIAL_LINE if serial else tuple(each for each in ON_MODBUS if each not in UNDETECTED_OVER_TCP)
+    good, failed, longest = campaign(bench(serial), serial, Misfortune(seed, kinds, 0.02, until=200), (0.05, 1.05)[seed % 2])
+    assert good + failed >= 3
+    assert longest < 5 * TIMEOUT_S
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("serial", [False, True])
+@pytest.mark.parametrize("hundred", range(10))
+def test_no_wrong_value_comes_in_a_thousand_campaigns(bench: Bench, serial: bool, hundred: int) -> None:
+    for seed in range(1000 + 100 * hundred, 1100 + 100 * hundred):
+        test_no_wrong_value_comes_over_a_failing_wire(bench, serial, seed)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_changed_bytes_over_tcp_end_in_device_errors_at_worst(bench: Bench, seed: int) -> None:
+    """Modbus TCP has no checksum: a changed count passes. Nothing else but an error of ours may come of it."""
+    rig = bench(False)
+    array, clock = rig.rig.photodiodes, rig.rig.clock
+    break_wires(rig, Misfortune(seed, UNDETECTED_OVER_TCP, 0.5, until=100))
+    for _ in range(10):
+        try:
+            read(array, clock, 3)
+        except DeviceError:
+            continue

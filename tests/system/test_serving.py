@@ -1,0 +1,121 @@
+"""`goniotwin serve`, `usb` and `devices`, as other programs meet them."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+from pymodbus.client import ModbusTcpClient
+
+from mocks.control import Control, Refused
+from protocols.tmcl import Axis, Command, Reply, Request
+from tests.conftest import RIG
+from tests.system.test_command import goniotwin
+
+MAIN = [sys.executable, "-c", "from app.cli import main; main()"]
+Served = tuple[subprocess.Popen[str], list[dict[str, Any]]]
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Served]:
+    process = subprocess.Popen(
+        [*MAIN, "serve", "--rig", str(RIG), "--speed", "20", "--ptys", str(tmp_path / "ptys")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    lines: list[dict[str, Any]] = []
+    while not lines or lines[-1]["device"] != "control":
+        lines.append(json.loads(process.stdout.readline()))
+    yield process, lines
+    process.kill()
+    process.communicate()
+
+
+def at(lines: list[dict[str, Any]], device: str, key: str) -> dict[str, Any]:
+    return next(line for line in lines if line["device"] == device and key in line)
+
+
+def test_all_devices_share_one_plant(served: Served) -> None:
+    """A move over the serial port changes what the Modbus registers read."""
+    _, lines = served
+    control = Control(at(lines, "control", "port")["port"])
+    control.mount("etalon")
+    mono = serial.serial_for_url(f"socket://127.0.0.1:{at(lines, 'mono', 'port')['port']}", timeout=5.0)
+    mono.write(b"SHUTTER O\n")
+    mono.read_until(b"\n")
+    mono.close()
+    modbus = ModbusTcpClient("127.0.0.1", port=at(lines, "adc-0", "port")["port"])
+    modbus.write_coils(16, [True, True])
+    axes = serial.serial_for_url(f"socket://127.0.0.1:{at(lines, 'axes', 'port')['port']}", timeout=5.0)
+
+    def seen(angle_deg: float) -> int:
+        axes.write(Request(1, Command.SAP, Axis.UNIT_MODE, 4, 1).encode())
+        axes.read(9)
+        axes.write(Request(1, Command.SAP, Axis.MAX_ACCELERATION, 4, 500_000).encode())
+        axes.read(9)
+        axes.write(Request(1, Command.MVP, 0, 4, round(angle_deg * 5120)).encode())
+        assert Reply.decode(axes.read(9)).status == 100
+        while control.do("state")["angles_deg"]["sigma"] != pytest.approx(angle_deg, abs=1e-3):
+            pass
+        start = control.do("state")["t_s"]
+        while control.do("state")["t_s"] < start + 1.0:  # until the amplifiers have settled
+            pass
+        return int(modbus.read_holding_registers(1, count=1).registers[0])
+
+    assert seen(30.0) > 1.2 * (seen(75.0) - 32768) + 32768
+    axes.close()
+    modbus.close()  # type: ignore[no-untyped-call]
+    control.close()
+
+
+def test_the_back_door_refuses_in_words(served: Served) -> None:
+    _, lines = served
+    control = Control(at(lines, "control", "port")["port"])
+    with pytest.raises(Refused, match="no sample 'satin'"):
+        control.mount("satin")
+    with pytest.raises(Refused, match="an order is"):
+        control.do("dance")
+    with pytest.raises(Refused, match="deg is a number"):
+        control.do("tilt", deg="much")
+    control.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_cleanly_and_frees_ports_and_names(served: Served, number: int) -> None:
+    process, lines = served
+    os.kill(process.pid, number)
+    process.communicate(timeout=30.0)
+    assert process.returncode == 0
+    for line in lines:
+        if "port" in line:
+            with socket.create_server(("127.0.0.1", line["port"])):
+                pass
+        else:
+            assert not Path(line["path"]).is_symlink()
+
+
+def test_an_unmodified_pyusb_program_finds_the_monitor(tmp_path: Path) -> None:
+    program = tmp_path / "ask.py"
+    program.write_text("import sys, usbtmc\nprint(usbtmc.Instrument(0x1313, 0x8078).ask(sys.argv[1]))\n", encoding="utf-8")
+    done = goniotwin("usb", "--rig", RIG, program, "*IDN?")
+    assert done.stdout == "Thorlabs,PM100D,TWIN0001,2.8.0\n"
+    assert done.returncode == 0
+
+
+def test_devices_of_a_rig_say_who_they_are() -> None:
+    done = goniotwin("devices", "--rig", RIG, "--json")
+    assert done.returncode == 0, done.stderr
+    answers = {each["address"]: each["answers"] for each in json.loads(done.stdout)["devices"]}
+    assert answers["axes"] == "TMCM-6214"
+    assert answers["monitor"].endswith("2.8.0")
+
+
+def test_devices_of_this_computer_can_be_listed() -> None:
+    assert goniotwin("devices").returncode == 0

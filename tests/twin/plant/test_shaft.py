@@ -1,0 +1,64 @@
+"""Shafts: play, jams, leashes."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin.plant import Mechanics
+from twin.plant.motion import moving, turning
+from twin.plant.shaft import Leash, Shaft
+
+PER_TURN = 51_200
+
+
+def shaft(**mechanics: float) -> Shaft:
+    return Shaft(Mechanics(0, 36.0, **mechanics))  # type: ignore[arg-type]
+
+
+@given(st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=8), st.floats(0.01, 2.0))
+def test_the_axis_is_never_further_from_its_drive_than_its_play(targets: list[float], play: float) -> None:
+    axis = shaft(backlash_deg=play)
+    counter, t = 0.0, 0.0
+    for target in targets:
+        way = moving(t, counter, 0.0, target * PER_TURN / 10.0, 1e5, 1e6, 1e6)
+        axis.follow(t, way)
+        for share in (0.2, 0.5, 0.8, 1.0):
+            moment = t + share * (way.end - t)
+            ahead = axis.angle_deg(moment) - way.position(moment) * 10.0 / PER_TURN
+            assert -1e-9 <= ahead <= play + 1e-9
+        counter, t = way.position(way.end), way.end + 1.0
+
+
+@given(st.floats(0.0, 2.0), st.lists(st.floats(0.0, 10.0), min_size=2, max_size=20))
+def test_the_past_is_what_it_was_whoever_asks_when(play: float, times: list[float]) -> None:
+    axis = shaft(backlash_deg=play)
+    axis.follow(0.0, moving(0.0, 0.0, 0.0, 2e4, 1e4, 1e4, 1e4))
+    axis.follow(1.5, moving(1.5, axis.drive(1.5).counter(1.5), 1e4, 0.0, 1e4, 1e4, 1e4))
+    assert {t: axis.angle_deg(t) for t in times} == {t: axis.angle_deg(t) for t in reversed(times)}
+
+
+def test_a_leash_brakes_what_runs_on_it() -> None:
+    axis, leash = shaft(), Leash()
+    axis.follow(0.0, turning(0.0, 0.0, 0.0, 1e4, 1e4, 1e4), 1e4, leash)
+    leash.until = 2.0
+    free = axis.angle_deg(2.0)
+    assert axis.angle_deg(1e6) == pytest.approx(free + 5_000 * 10.0 / PER_TURN)
+    leash.until = 3.0
+    assert axis.angle_deg(2.5) > axis.angle_deg(2.0) == free
+
+
+def test_what_turns_steadily_moves_for_ever() -> None:
+    axis = shaft()
+    axis.follow(0.0, turning(0.0, 0.0, 0.0, 1e4, 1e4, 1e4))
+    assert axis.moved_since(1e6)
+
+
+def test_a_jam_is_told_once() -> None:
+    axis = shaft()
+    told: list[float] = []
+    axis.listener = told.append
+    axis.jam(1.0)
+    axis.jam(2.0)
+    axis.jam(3.0, jammed=False)
+    axis.jam(4.0, jammed=False)
+    assert told == [1.0, 3.0]

@@ -1,0 +1,173 @@
+"""Advantech's converter modules: ADAM-6017, whose digital outputs choose the amplifiers' gain, and ADAM-4117, without any.
+
+An ADAM-4117 stands behind amplifiers of one fixed gain, the first of the plant's list. Registers of the 4X table are
+read by functions 03 and 04 alike, coils of the 0X table by 01 and 02 alike (the latter to be confirmed on hardware).
+"""
+
+import struct
+from collections import deque
+
+from protocols import adam
+from twin.devices.adam_inputs import Inputs
+from twin.plant import Plant
+
+FIRMWARE = (0x0506, 0x0000)
+INPUT_REGISTERS = 40
+
+
+class ModbusFault(Exception):
+    """A request that the module answers with an exception code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"Modbus exception {code}")
+        self.code = code
+
+
+class AdamModule:
+    """Module `index` of the plant: registers and coils at a time t.
+
+    The back door, which is no wire: `silent`, `reset`, and `refusals`, exception codes for the next requests.
+    """
+
+    model = adam.ADAM_6017
+
+    def __init__(self, plant: Plant, index: int, unit: int = adam.UNIT) -> None:
+        self.unit = unit
+        self.silent = False
+        self.refusals: deque[int] = deque()
+        self.latency_s = plant.model.electronics.latency_s
+        self.inputs = Inputs(plant, index)
+        self._plant = plant
+        self._index = index
+        self._outputs = [False] * self.model.outputs
+        self._safety = 0
+
+    def reset(self, t: float) -> None:
+        """As after power-on: ranges, outputs and so the gain, enabled channels, maximum and minimum are forgotten."""
+        self.inputs.reset(t)
+        self._safety = 0
+        if self.model.outputs:
+            self._switch([False] * self.model.outputs, t)
+
+    def registers(self, address: int, count: int, t: float) -> list[int]:
+        """Holding (and input) registers. Raises ModbusFault for an address without a register."""
+        self._refuse()
+        if address == adam.AI_VALUE and count <= adam.CHANNELS:
+            return self.inputs.counts(t)[:count]
+        wanted = range(address, address + count)
+        held = self._measured(t) if address < adam.FLOAT_VALUE + INPUT_REGISTERS else {}
+        held |= self._settings()
+        if not all(at in held for at in wanted):
+            raise ModbusFault(adam.ILLEGAL_ADDRESS)
+        return [held[at] for at in wanted]
+
+    def write_registers(self, address: int, values: list[int], t: float) -> None:
+        """Raises ModbusFault for an address that cannot be written, or a value that means nothing; nothing is changed then."""
+        self._refuse()
+        places = list(enumerate(values, address))
+        for at, value in places:
+            if adam.RANGE_CODE <= at < adam.RANGE_CODE + adam.CHANNELS:
+                if value not in self.model.ranges:
+                    raise ModbusFault(adam.ILLEGAL_VALUE)
+            elif at == adam.CHANNEL_ENABLE:
+                if value > adam.ALL_CHANNELS:
+                    raise ModbusFault(adam.ILLEGAL_VALUE)
+            elif not (self.model.serial and at in (adam.COMM_SAFETY_ENABLE, adam.COMM_SAFETY_FLAG)):
+                raise ModbusFault(adam.ILLEGAL_ADDRESS)
+        for at, value in places:
+            if at == adam.CHANNEL_ENABLE:
+                self.inputs.enabled = value
+            elif at == adam.COMM_SAFETY_ENABLE:
+                self._safety = value
+            elif at != adam.COMM_SAFETY_FLAG:
+                self.inputs.set_range(at - adam.RANGE_CODE, value, t)
+
+    def coils(self, address: int, count: int, t: float) -> list[bool]:
+        """Outputs and flags; a coil that is only written reads 0. Raises ModbusFault for an address without a coil."""
+        self._refuse()
+        held = self._flags(t)
+        wanted = range(address, address + count)
+        if not all(at in held for at in wanted):
+            raise ModbusFault(adam.ILLEGAL_ADDRESS)
+        return [held[at] for at in wanted]
+
+    def write_coils(self, address: int, values: list[bool], t: float) -> None:
+        """Outputs (0 is the low bit of the gain's number), and the resets of maximum and minimum. Raises ModbusFault."""
+        self._refuse()
+        places = list(enumerate(values, address))
+        writable = {*range(adam.DIGITAL_OUTPUT, adam.DIGITAL_OUTPUT + self.model.outputs)}
+        if self.model.statistics:
+            for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
+                writable |= {*range(first, first + adam.CHANNELS + 1)}
+        if not all(at in writable for at, _ in places):
+            raise ModbusFault(adam.ILLEGAL_ADDRESS)
+        outputs = list(self._outputs)
+        for at, value in places:
+            if at < adam.RESET_MAXIMUM:
+                outputs[at - adam.DIGITAL_OUTPUT] = value
+            elif value and at < adam.RESET_MINIMUM:
+                self.inputs.forget_highest(at - adam.RESET_MAXIMUM, t)
+            elif value:
+                self.inputs.forget_lowest(at - adam.RESET_MINIMUM, t)
+        if places[0][0] < adam.RESET_MAXIMUM:
+            self._switch(outputs, t)
+
+    def _switch(self, outputs: list[bool], t: float) -> None:
+        self._outputs = outputs
+        gain = sum(1 << bit for bit, on in enumerate(outputs) if on)
+        highest = len(self._plant.model.electronics.gains_v_per_a) - 1
+        self._plant.gain[self._index].set(t, min(gain, highest))
+
+    def _refuse(self) -> None:
+        if self.refusals:
+            raise ModbusFault(self.refusals.popleft())
+
+    def _measured(self, t: float) -> dict[int, int]:
+        """The input registers by their addresses."""
+        held = dict(enumerate(self.inputs.counts(t), adam.AI_VALUE))
+        if self.model.statistics:
+            held[adam.AVERAGE] = self.inputs.average(t)
+            held |= enumerate(self.inputs.highest(t), adam.MAXIMUM)
+            held |= enumerate(self.inputs.lowest(t), adam.MINIMUM)
+            words = [half for value in self.inputs.shown(t) for half in low_word_first(value)]
+            held |= enumerate(words, adam.FLOAT_VALUE)
+        return held
+
+    def _settings(self) -> dict[int, int]:
+        """The registers that do not measure, by their addresses."""
+        held = dict(enumerate(self.inputs.ranges, adam.RANGE_CODE))
+        held |= enumerate(self.model.name, adam.MODULE_NAME)
+        held |= enumerate(FIRMWARE, adam.FIRMWARE_VERSION)
+        held[adam.CHANNEL_ENABLE] = self.inputs.enabled
+        if self.model.serial:
+            held |= {adam.COMM_SAFETY_ENABLE: self._safety, adam.COMM_SAFETY_FLAG: 0}
+        return held
+
+    def _flags(self, t: float) -> dict[int, bool]:
+        """All coils by their addresses. No alarm limits can be set over Modbus, so no alarm is ever on."""
+        held = dict(enumerate(self._outputs, adam.DIGITAL_OUTPUT))
+        if self.model.statistics:
+            for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
+                held |= {first + channel: False for channel in range(adam.CHANNELS + 1)}
+            held |= enumerate(self.inputs.broken(t), adam.BURN_OUT)
+            for first in (adam.HIGH_ALARM, adam.LOW_ALARM):
+                held |= {first + channel: False for channel in range(adam.CHANNELS)}
+        return held
+
+
+class Adam6017(AdamModule):
+    """Eight inputs, two outputs, Modbus TCP."""
+
+    model = adam.ADAM_6017
+
+
+class Adam4117(AdamModule):
+    """Eight inputs, Modbus RTU."""
+
+    model = adam.ADAM_4117
+
+
+def low_word_first(value: float) -> tuple[int, int]:
+    """An IEEE 754 number in two registers."""
+    high, low = struct.unpack(">HH", struct.pack(">f", value))
+    return low, high

@@ -1,0 +1,256 @@
+"""What each statement of the Cornerstone 260 does: state and time in; state, answer and the time it takes out."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from protocols.cornerstone import MAX_LABEL, NO_ERROR, Error, Grating, Statement, StatementError, Unit, decode_number
+from twin.devices.cornerstone_state import SLITS, State
+from twin.plant import MonochromatorDrive, Plant
+
+IDENTITY = "Cornerstone 260 virtual"
+HIGHEST_NM_OF_1200 = 1400.0
+WIDEST_SLIT_UM = 3000.0
+NM_A_MICROMETRE_OF_1200 = 0.0032
+"""Bandpass of a slit: 3.2 nm a millimetre for 1200 lines/mm (to be confirmed on hardware)."""
+OUTPORTS = (1, 2)
+
+
+class Refused(Exception):
+    """A statement that the device does not carry out, with the error that it then reports."""
+
+    def __init__(self, error: Error) -> None:
+        super().__init__(error.name)
+        self.error = error
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a statement led to: the state after it, its answer, and when all that it moves has arrived."""
+
+    state: State
+    t: float
+    answer: str | None = None
+
+
+class Statements:
+    """The statements, on one plant."""
+
+    def __init__(self, plant: Plant, drive: MonochromatorDrive) -> None:
+        self._plant = plant
+        self._drive = drive
+        self._commands: dict[str, Callable[[State, str, float], Done]] = {
+            "GOWAVE": self._go_wave, "STEP": self._step, "ABORT": lambda state, _, t: Done(state, t),
+            "CALIBRATE": self._calibrate, "GRAT": self._go_grating, "SHUTTER": self._shutter, "FILTER": self._go_filter,
+            "OUTPORT": self._outport, "BANDPASS": self._bandpass, "UNITS": self._units, "HANDSHAKE": self._handshake,
+        }  # fmt: skip
+
+    def perform(self, state: State, statement: Statement, t: float) -> Done:
+        """Carries one out at `t`. Raises Refused."""
+        if statement.query:
+            return self._ask(state, statement, t)
+        action = self._commands.get(statement.word)
+        if action is not None:
+            return action(state, statement.parameter, t)
+        return self._set_numbered(state, statement, t)
+
+    def highest_nm(self, state: State) -> float:
+        """As far as the drive reaches with the present grating."""
+        return HIGHEST_NM_OF_1200 * 1200 / state.current.lines_per_mm
+
+    def _nm_per_step(self, state: State) -> float:
+        return self._drive.nm_per_step * 1200 / state.current.lines_per_mm
+
+    def _ask(self, state: State, statement: Statement, t: float) -> Done:
+        true_nm = self._plant.wavelength_nm.at(t)
+        grating = state.current
+        match statement.word:
+            case "WAVE":
+                answer = state.unit.encode(grating.shown_nm(true_nm))
+            case "STEP":
+                answer = str(round(true_nm / self._nm_per_step(state)))
+            case "SHUTTER":
+                answer = "O" if self._plant.shutter_open.at(t) else "C"
+            case "FILTER":
+                answer = str(state.filter if self._drive.filters else 0)
+            case "GRAT":
+                answer = Grating(state.grating, grating.lines_per_mm, grating.label).encode()
+            case "OUTPORT":
+                answer = str(state.outport)
+            case "BANDPASS":
+                answer = f"{state.bandpass_nm:.3f}"
+            case "UNITS":
+                answer = state.unit.name
+            case "HANDSHAKE" if self._drive.handshake:
+                answer = str(int(state.handshake))
+            case "INFO":
+                answer = IDENTITY
+            case "STB":
+                answer = f"{state.status:02X}" if state.handshake else f"{state.status:02d}"
+                state = replace(state, status=NO_ERROR)
+            case "ERROR":
+                answer = str(int(state.error))
+                state = replace(state, error=Error.NONE)
+            case word:
+                answer = self._ask_numbered(state, word)
+        return Done(state, t, answer)
+
+    def _ask_numbered(self, state: State, word: str) -> str:
+        kind, number, name = _numbered(word, state, self._drive.filters)
+        if kind == "SLIT":
+            return f"{state.slits_um[number - 1]:.0f}"
+        if kind == "FILTER":
+            return state.filter_labels[number - 1]
+        grating = state.gratings[number - 1]
+        match name:
+            case "LABEL":
+                return grating.label
+            case "LINES":
+                return str(grating.lines_per_mm)
+            case "ZERO":
+                return f"{grating.zero_nm:.4f}"
+        return f"{grating.factor:.6f}"
+
+    def _set_numbered(self, state: State, statement: Statement, t: float) -> Done:
+        kind, number, name = _numbered(statement.word, state, self._drive.filters)
+        text = statement.parameter
+        if name == "LABEL":
+            if len(text) > MAX_LABEL:
+                raise Refused(Error.LABEL_TOO_LONG)
+            if not text:
+                raise Refused(Error.BAD_PARAMETER)
+            if kind == "FILTER":
+                labels = [*state.filter_labels]
+                labels[number - 1] = text
+                return Done(replace(state, filter_labels=tuple(labels)), t)
+            return Done(state.with_grating(number, label=text), t)
+        if kind == "SLIT":
+            return self._go_slits(state, {number: _number(text)}, t)
+        if name == "LINES":
+            if not 1 <= _integer(text) <= 10_000:
+                raise Refused(Error.BAD_PARAMETER)
+            return Done(state.with_grating(number, lines_per_mm=_integer(text)), t)
+        if name == "ZERO":
+            return Done(state.with_grating(number, zero_nm=_number(text)), t)
+        if not 0.5 <= _number(text) <= 2.0:
+            raise Refused(Error.BAD_PARAMETER)
+        return Done(state.with_grating(number, factor=_number(text)), t)
+
+    def _go_wave(self, state: State, text: str, t: float) -> Done:
+        return self._slew(state, state.current.true_nm(state.unit.to_nm(_number(text))), t)
+
+    def _step(self, state: State, text: str, t: float) -> Done:
+        step = self._nm_per_step(state)
+        return self._slew(state, (round(self._plant.wavelength_nm.at(t) / step) + _integer(text)) * step, t)
+
+    def _slew(self, state: State, true_nm: float, t: float) -> Done:
+        if not 0.0 <= true_nm <= self.highest_nm(state):
+            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+        step = self._nm_per_step(state)
+        target = round(round(true_nm / step) * step, 6)
+        way = abs(target - self._plant.wavelength_nm.at(t))
+        if way:
+            arrived = t + way / self._drive.slew_nm_per_s
+            self._plant.wavelength_nm.slew(t, arrived, target)
+            t = arrived + self._drive.settle_s
+        return Done(state, t)
+
+    def _calibrate(self, state: State, text: str, t: float) -> Done:
+        shown = state.unit.to_nm(_number(text))
+        if not 0.0 <= shown <= 10_000.0:
+            raise Refused(Error.BAD_PARAMETER)
+        zero = shown - self._plant.wavelength_nm.at(t) * state.current.factor
+        return Done(state.with_grating(state.grating, zero_nm=zero), t)
+
+    def _go_grating(self, state: State, text: str, t: float) -> Done:
+        number = _integer(text)
+        if not 1 <= number <= len(state.gratings):
+            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+        if number == state.grating:
+            return Done(state, t)
+        changed = replace(state, grating=number)
+        # The turret turns, and the unit goes back to the wavelength where it was, if that grating reaches it.
+        wanted = changed.current.true_nm(state.current.shown_nm(self._plant.wavelength_nm.at(t)))
+        target = min(max(wanted, 0.0), self.highest_nm(changed))
+        step = self._nm_per_step(changed)
+        done = t + self._drive.grating_s
+        self._plant.wavelength_nm.slew(t, done, round(round(target / step) * step, 6))
+        return Done(changed, done)
+
+    def _shutter(self, state: State, text: str, t: float) -> Done:
+        if text.upper() not in ("O", "C"):
+            raise Refused(Error.BAD_PARAMETER)
+        done = t + self._drive.shutter_s
+        self._plant.shutter_open.set(done, text.upper() == "O")
+        return Done(state, done)
+
+    def _go_filter(self, state: State, text: str, t: float) -> Done:
+        position = _integer(text)
+        if not self._drive.filters:
+            raise Refused(Error.ACCESSORY_NOT_PRESENT)
+        if not 1 <= position <= self._drive.filters:
+            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+        if position == state.filter and self._drive.already_there_is_error:
+            raise Refused(Error.ACCESSORY_ALREADY_THERE)
+        return Done(replace(state, filter=position), t + abs(position - state.filter) * self._drive.filter_s)
+
+    def _outport(self, state: State, text: str, t: float) -> Done:
+        if _integer(text) not in OUTPORTS:
+            raise Refused(Error.BAD_PARAMETER)
+        way = self._drive.filter_s if _integer(text) != state.outport else 0.0
+        return Done(replace(state, outport=_integer(text)), t + way)
+
+    def _bandpass(self, state: State, text: str, t: float) -> Done:
+        bandpass = _number(text)
+        width = bandpass / (NM_A_MICROMETRE_OF_1200 * 1200 / state.current.lines_per_mm)
+        done = self._go_slits(state, dict.fromkeys(range(1, SLITS + 1), width), t)
+        return Done(replace(done.state, bandpass_nm=bandpass), done.t)
+
+    def _go_slits(self, state: State, widths_um: dict[int, float], t: float) -> Done:
+        if not all(4.0 <= width <= WIDEST_SLIT_UM for width in widths_um.values()):
+            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+        slits = list(state.slits_um)
+        way = 0.0
+        for number, width in widths_um.items():
+            way = max(way, abs(width - slits[number - 1]))
+            slits[number - 1] = float(round(width))
+        return Done(replace(state, slits_um=tuple(slits)), t + way / self._drive.slit_um_per_s)
+
+    def _units(self, state: State, text: str, t: float) -> Done:
+        if text.upper() not in Unit.__members__:
+            raise Refused(Error.BAD_PARAMETER)
+        return Done(replace(state, unit=Unit[text.upper()]), t)
+
+    def _handshake(self, state: State, text: str, t: float) -> Done:
+        if not self._drive.handshake:
+            raise Refused(Error.NOT_UNDERSTOOD)
+        if text not in ("0", "1"):
+            raise Refused(Error.BAD_PARAMETER)
+        return Done(replace(state, handshake=text == "1"), t)
+
+
+def _numbered(word: str, state: State, filters: int) -> tuple[str, int, str]:
+    """`GRAT2LABEL` taken apart. Raises Refused."""
+    match = re.fullmatch(r"(GRAT)(\d)(LABEL|LINES|ZERO|FACTOR)|(FILTER)(\d)(LABEL)|(SLIT)(\d)(MICRONS)", word)
+    if match is None:
+        raise Refused(Error.NOT_UNDERSTOOD)
+    kind, digit, name = (each for each in match.groups() if each is not None)
+    number = int(digit)
+    if kind == "FILTER" and not filters:
+        raise Refused(Error.ACCESSORY_NOT_PRESENT)
+    if not 1 <= number <= {"GRAT": len(state.gratings), "FILTER": filters, "SLIT": SLITS}[kind]:
+        raise Refused(Error.BAD_PARAMETER)
+    return kind, number, name
+
+
+def _number(text: str) -> float:
+    try:
+        return decode_number(text.encode("ascii"))
+    except StatementError:
+        raise Refused(Error.BAD_PARAMETER) from None
+
+
+def _integer(text: str) -> int:
+    if not re.fullmatch(r"[+-]?\d{1,9}", text):
+        raise Refused(Error.BAD_PARAMETER)
+    return int(text)

@@ -1,0 +1,40 @@
+"""An incremental encoder on an axis: its counts are the axis' angle, its eccentricity and its noise, in whole counts."""
+
+import math
+
+import numpy as np
+
+from twin.plant import Plant
+from twin.plant.noise import normal, process_key
+
+PERIOD_S = 1.0e-3
+MICROSTEPS = 256
+"""Microsteps of a full step in which the module gives the encoder's position (*)."""
+
+
+class Encoder:
+    """The encoder of one axis. `resolution` is what the module believes of its counts a turn of the motor."""
+
+    def __init__(self, plant: Plant, axis: str) -> None:
+        self._shaft = plant.shafts[axis]
+        self._noise = plant.model.controller.encoder_noise_microsteps if plant.model.noise else 0.0
+        self._key = process_key(plant.model.seed, f"encoder {axis}")
+
+    def steady(self, angle_deg: float, resolution: int) -> float:
+        """What it would say at an angle without noise and rounding, in the module's microsteps."""
+        mechanics = self._shaft.mechanics
+        error = mechanics.encoder_error_deg * math.sin(math.radians(angle_deg))
+        full_steps = (angle_deg + error - mechanics.zero_deg) / mechanics.deg_per_full_step
+        return full_steps * MICROSTEPS * self._scale(resolution)
+
+    def read(self, t: float, resolution: int) -> float:
+        """What it says at `t`, in the module's microsteps: whole counts, turned into them."""
+        mechanics = self._shaft.mechanics
+        scale = self._scale(resolution)
+        noise = self._noise * normal(self._key, np.int64(math.floor(t / PERIOD_S))) if self._noise else 0.0
+        microsteps = self.steady(self._shaft.angle_deg(t), resolution) / scale + noise
+        a_count = mechanics.full_steps * MICROSTEPS / mechanics.encoder_counts
+        return round(microsteps / a_count) * a_count * scale
+
+    def _scale(self, resolution: int) -> float:
+        return self._shaft.mechanics.encoder_counts / resolution

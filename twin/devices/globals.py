@@ -1,0 +1,117 @@
+"""The global parameters of a motion module: its settings, the user's variables, what EEPROM keeps of them."""
+
+import numpy as np
+
+from protocols.tmcl import Command, Status
+from protocols.tmcl_parameters import USER_BANK, Global
+from twin.devices.ramp_generator import Rejected
+from twin.plant.noise import mixed, process_key
+
+USER_VARIABLES, USER_STORED = 256, 56
+LOCK, UNLOCK = 1234, 4321
+STOPPED, RUNNING, RESET = 0, 1, 3
+TIMERS_AND_INTERRUPTS = (0, 1, 2, *range(27, 47))
+
+# Bank 0: number -> (value, lowest, highest). Ranges of what only CAN and programs use are assumptions.
+BANK_0: dict[int, tuple[int, int, int]] = {
+    Global.BAUD_RATE: (0, 0, 11),
+    Global.ADDRESS: (1, 1, 255),
+    Global.HEARTBEAT: (0, 0, 65_535),
+    69: (8, 0, 8),
+    70: (2, 0, 0x7FF),
+    71: (1, 0, 0x7FF),
+    Global.EEPROM_LOCK: (0, 0, 0x7FFF_FFFF),
+    Global.TELEGRAM_PAUSE: (0, 0, 255),
+    Global.HOST_ADDRESS: (2, 0, 255),
+    Global.AUTOSTART: (0, 0, 1),
+    Global.PROTECTION: (0, 0, 3),
+    82: (0, 0, 65_535),
+    83: (0, 0, 0x7FF),
+    Global.COORDINATES_IN_EEPROM: (0, 0, 1),
+    85: (0, 0, 1),
+    86: (0, 0, 255),
+    87: (0, 0, 255),
+    Global.SUPPRESS_REPLY: (0, 0, 1),
+}
+
+
+class Globals:
+    """Bank 0 has the module's settings, bank 2 the user's variables, bank 3 timers and interrupts; bank 1 is empty."""
+
+    def __init__(self, factory: dict[int, int]) -> None:
+        self._factory = {(0, number): value for number, (value, _, _) in BANK_0.items()}
+        self._factory |= {(0, int(number)): value for number, value in factory.items()}
+        self._eeprom: dict[tuple[int, int], int] = {}
+        self._key = process_key(0, "TMCL random number")
+        self.reset(0.0)
+
+    def reset(self, t: float) -> None:
+        """Power-on: what EEPROM keeps, else what the module came with."""
+        self._values = self._factory | self._eeprom
+        self._status = STOPPED
+        self._ticks_from = t
+
+    @property
+    def locked(self) -> bool:
+        """Whether EEPROM may not be written."""
+        return self._values[0, Global.EEPROM_LOCK] == 1
+
+    def run(self, command: int) -> None:
+        """What was done to the stand-alone program."""
+        states = {Command.RUN_APPLICATION: RUNNING, Command.STOP_APPLICATION: STOPPED, Command.RESET_APPLICATION: RESET}
+        self._status = states[Command(command)]
+
+    def get(self, bank: int, number: int, t: float) -> int:
+        """GGP. Raises Rejected."""
+        if bank == 0:
+            match number:
+                case Global.APPLICATION_STATUS:
+                    return self._status
+                case Global.DOWNLOAD_MODE | Global.PROGRAM_COUNTER:
+                    return 0
+                case Global.TICK_TIMER:
+                    return round((t - self._ticks_from) * 1000.0) & 0x7FFF_FFFF
+                case Global.RANDOM_NUMBER:
+                    return int(mixed(self._key, np.int64(int(t * 1.0e6)))) & 0x7FFF_FFFF
+        self._check(bank, number)
+        return self._values.get((bank, number), 0)
+
+    def set(self, bank: int, number: int, value: int, t: float) -> None:
+        """SGP. Raises Rejected."""
+        if (bank, number) == (0, Global.TICK_TIMER):
+            self._ticks_from = t - value / 1000.0
+            return
+        self._check(bank, number)
+        if bank == 0:
+            if number == Global.EEPROM_LOCK:
+                if value not in (LOCK, UNLOCK):
+                    raise Rejected(Status.INVALID_VALUE)
+                value = int(value == LOCK)
+            elif self.locked and number < Global.APPLICATION_STATUS:
+                raise Rejected(Status.EEPROM_LOCKED)
+            _, lowest, highest = BANK_0[number]
+            if not lowest <= value <= highest:
+                raise Rejected(Status.INVALID_VALUE)
+        self._values[bank, number] = value
+        if bank == 0 and number < Global.APPLICATION_STATUS:
+            self._eeprom[bank, number] = value
+
+    def store(self, bank: int, number: int, *, restore: bool) -> None:
+        """STGP and RSGP. Raises Rejected for what EEPROM does not keep."""
+        self._check(bank, number)
+        if bank == 3 or (bank == USER_BANK and number >= USER_STORED):
+            raise Rejected(Status.WRONG_TYPE)
+        if restore:
+            self._values[bank, number] = self._eeprom.get((bank, number), self._factory.get((bank, number), 0))
+        elif self.locked:
+            raise Rejected(Status.EEPROM_LOCKED)
+        else:
+            self._eeprom[bank, number] = self._values.get((bank, number), 0)
+
+    def _check(self, bank: int, number: int) -> None:
+        if bank not in (0, 1, USER_BANK, 3):
+            raise Rejected(Status.INVALID_VALUE)
+        known = {0: number in BANK_0, USER_BANK: number < USER_VARIABLES, 3: number in TIMERS_AND_INTERRUPTS}
+        if not known.get(bank, False):
+            raise Rejected(Status.WRONG_TYPE)
+

@@ -1,0 +1,222 @@
+"""What stands between a Modbus wire and the modules on it: requests cut from the bytes as they come, and answered.
+
+Any split of the bytes gives the same requests. Framing, checksums and PDUs are pymodbus's; what its own server would do
+with a request (functions that these modules lack, foreign units, pipelined or malformed requests) differs from the
+modules, so the answers are made here. Both stations look like a device on a line to their doors (`twin.devices.line`).
+"""
+
+from collections import deque
+from struct import unpack
+
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.bit_message import (
+    ReadCoilsResponse,
+    ReadDiscreteInputsResponse,
+    WriteMultipleCoilsResponse,
+    WriteSingleCoilResponse,
+)
+from pymodbus.pdu.diag_message import ReturnQueryDataResponse
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersResponse,
+    ReadInputRegistersResponse,
+    WriteMultipleRegistersResponse,
+    WriteSingleRegisterResponse,
+)
+
+from protocols import adam
+from twin.devices.adam import AdamModule, ModbusFault
+
+MBAP = 7
+LONGEST_TCP = 260
+LONGEST_RTU = 256
+GAP_CHARACTERS = 3.5
+BITS_A_BYTE = 10
+BROADCAST = 0
+COIL_VALUES = (0x0000, 0xFF00)
+
+
+class TcpStation:
+    """The module's end of one Modbus TCP connection: one request after the other; foreign units are silent."""
+
+    baudrate = 0
+
+    def __init__(self, device: AdamModule) -> None:
+        self.device = device
+        self.outbox: deque[tuple[float, bytes]] = deque()
+        self._framer = FramerSocket(DecodePDU(is_server=True))
+        self._buffer = b""
+        self._free = 0.0
+
+    def receive(self, data: bytes, t: float) -> None:
+        """Bytes of which the last has arrived at `t`. What is not Modbus empties the buffer."""
+        self._buffer += data
+        while len(self._buffer) >= MBAP + 1:
+            protocol, length = unpack(">HH", self._buffer[2:6])
+            if protocol != 0 or not 2 <= length <= LONGEST_TCP - MBAP + 1:
+                self._buffer = b""
+                return
+            frame = self._buffer[: 6 + length]
+            if len(frame) < 6 + length:
+                return
+            self._buffer = self._buffer[len(frame) :]
+            _, unit, transaction, pdu = self._framer.decode(frame)
+            if unit == self.device.unit and not self.device.silent:
+                self._free = max(self._free, t)
+                answer = answered(self.device, pdu, self._free)
+                answer.transaction_id, answer.dev_id = transaction, unit
+                self._free += 0.5 * self.device.latency_s  # the other half is the way here
+                self.outbox.append((self._free, self._framer.buildFrame(answer)))
+
+    def reset(self, t: float) -> None:
+        """The module loses its power for a moment, and with it what has been half said and half heard."""
+        self.device.reset(t)
+        self._buffer = b""
+
+
+class RtuStation:
+    """The modules' end of one RS485 line: a gap ends a frame; what has no right checksum is silent until the next gap.
+
+    `gap_s` is 3.5 characters where it is not given; on an endpoint whose bytes keep no time it has to be longer.
+    """
+
+    def __init__(self, devices: list[AdamModule], baudrate: int = adam.BAUDRATE, gap_s: float | None = None) -> None:
+        self.devices = devices
+        self.baudrate = baudrate
+        self.outbox: deque[tuple[float, bytes]] = deque()
+        self._decoder = DecodePDU(is_server=True)
+        self._framer = FramerRTU(self._decoder)
+        self._byte_s = BITS_A_BYTE / baudrate
+        self._quiet_s = GAP_CHARACTERS * self._byte_s
+        self._gap_s = self._quiet_s if gap_s is None else gap_s
+        self._buffer = b""
+        self._deaf = False
+        self._last = float("-inf")
+
+    def receive(self, data: bytes, t: float) -> None:
+        """Bytes of which the last has arrived at `t`, the others right before it."""
+        if t - len(data) * self._byte_s - self._last > self._gap_s * (1.0 - 1e-9):
+            self._buffer, self._deaf = b"", False
+        self._last = t
+        if self._deaf:
+            return
+        self._buffer += data
+        while (frame := self._cut()) is not None:
+            self._hear(frame, t)
+
+    def reset(self, t: float) -> None:
+        """All modules of the line lose their power for a moment."""
+        for device in self.devices:
+            device.reset(t)
+        self._buffer = b""
+
+    def _cut(self) -> bytes | None:
+        """The next frame, once it is complete."""
+        if len(self._buffer) < FramerRTU.MIN_SIZE:
+            return None
+        size = self._size()
+        if size is None:  # only the checksum tells where a function ends that pymodbus does not know
+            whole = checked(self._buffer)
+            if not whole and len(self._buffer) > LONGEST_RTU:
+                self._buffer, self._deaf = b"", True
+            if not whole:
+                return None
+            size = len(self._buffer)
+        elif size == 0 or len(self._buffer) < size:
+            return None
+        frame, self._buffer = self._buffer[:size], self._buffer[size:]
+        if not checked(frame):
+            self._buffer, self._deaf = b"", True
+            return None
+        return frame
+
+    def _size(self) -> int | None:
+        """Of the frame that begins the buffer: 0 while its count is missing, None where only its end will tell."""
+        if self._buffer[1] not in FUNCTIONS:
+            return None
+        try:
+            kind = self._decoder.lookupPduClass(self._buffer)
+            return kind.calculateRtuFrameSize(self._buffer) if kind is not None else None
+        except (ModbusException, LookupError):
+            return None
+
+    def _hear(self, frame: bytes, t: float) -> None:
+        unit, pdu = frame[0], frame[1:-2]
+        for device in self.devices:
+            if device.silent or unit not in (device.unit, BROADCAST):
+                continue
+            begins = t + self._quiet_s
+            answer = answered(device, pdu, begins)
+            if unit != BROADCAST:
+                answer.dev_id = unit
+                self.outbox.append((begins + device.latency_s, self._framer.buildFrame(answer)))
+
+
+def checked(frame: bytes) -> bool:
+    """Whether an RTU frame's checksum is right."""
+    return FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big"))
+
+
+def well_formed(pdu: bytes) -> bool:
+    """Whether a request's lengths agree and its counts and values are legal."""
+    function, length = pdu[0], len(pdu)
+    if function == 8:
+        return length >= 5
+    if length < 5:
+        return False
+    number = int.from_bytes(pdu[3:5], "big")
+    if function in (1, 2, 3, 4):
+        return length == 5 and 1 <= number <= (2000 if function < 3 else 125)
+    if function == 5:
+        return length == 5 and number in COIL_VALUES
+    if function == 6:
+        return length == 5
+    size = -(-number // 8) if function == 15 else 2 * number
+    return 1 <= number <= (1968 if function == 15 else 123) and length == 6 + size and pdu[5] == size
+
+
+def answered(device: AdamModule, request: bytes, t: float) -> ModbusPDU:
+    """The response of a module to the PDU of a request that arrives at `t`, an exception response where it refuses."""
+    function = request[0]
+    try:
+        if function not in FUNCTIONS or (function == 8 and request[1:3] != b"\0\0"):
+            raise ModbusFault(adam.ILLEGAL_FUNCTION)
+        pdu = DECODER.decode(request) if well_formed(request) else None
+        if pdu is None:
+            raise ModbusFault(adam.ILLEGAL_VALUE)
+        return _response(device, pdu, t)
+    except ModbusFault as fault:
+        return ExceptionResponse(function & 0x7F, fault.code)
+
+
+DECODER = DecodePDU(is_server=True)
+FUNCTIONS = (1, 2, 3, 4, 5, 6, 8, 15, 16)
+
+
+def _response(device: AdamModule, request: ModbusPDU, t: float) -> ModbusPDU:
+    address, count = request.address, request.count
+    match request.function_code:
+        case 1:
+            return ReadCoilsResponse(bits=device.coils(address, count, t))
+        case 2:
+            return ReadDiscreteInputsResponse(bits=device.coils(address, count, t))
+        case 3:
+            return ReadHoldingRegistersResponse(registers=device.registers(address, count, t))
+        case 4:
+            return ReadInputRegistersResponse(registers=device.registers(address, count, t))
+        case 5:
+            device.write_coils(address, [bool(request.bits[0])], t)
+            return WriteSingleCoilResponse(address=address, bits=request.bits[:1])
+        case 6:
+            device.write_registers(address, list(request.registers[:1]), t)
+            return WriteSingleRegisterResponse(address=address, registers=request.registers[:1])
+        case 8:
+            return ReturnQueryDataResponse(message=getattr(request, "message", b""))
+        case 15:
+            device.write_coils(address, [bool(bit) for bit in request.bits[:count]], t)
+            return WriteMultipleCoilsResponse(address=address, count=count)
+        case 16:
+            device.write_registers(address, list(request.registers), t)
+            return WriteMultipleRegistersResponse(address=address, count=len(request.registers))
+    raise ModbusFault(adam.ILLEGAL_FUNCTION)

@@ -1,0 +1,73 @@
+"""The serial line of one or several motion modules: bytes into frames, the frames to the modules, their answers back."""
+
+import math
+from collections import deque
+
+from protocols.tmcl import FRAME_BYTES, split
+from twin.devices.tmcm6214 import KINDS, MotionModule, Unasked
+from twin.plant import Plant
+
+IDLE_GAP_S = 0.05
+
+
+class TmclLine:
+    """One TMCM-6214, or several TMCM-1240 on an RS485 bus, as the plant's controller and the axes' `module` say.
+
+    Over USB a module answers whatever address it is called by; on RS485 it is silent where another's is called, and all
+    answer to 0 at once, so that of several nobody can be understood.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        controller = plant.model.controller
+        self.baudrate = controller.baudrate
+        self.outbox: deque[tuple[float, bytes]] = deque()
+        self._latency_s = controller.latency_s
+        self._rest = b""
+        self._last_byte = -math.inf
+        kind = KINDS[controller.kind]
+        addresses = sorted({mechanics.module for mechanics in plant.model.axes.values()}) or [1]
+        strict = controller.wire == "rs485"
+        self.modules = {
+            address: MotionModule(plant, kind, address, self._post, self._withdraw, strict=strict) for address in addresses
+        }
+
+    def receive(self, data: bytes, t: float) -> None:
+        """Bytes of which the last has arrived at `t`; a frame begun before a pause is forgotten."""
+        if t - self._last_byte > IDLE_GAP_S:
+            self._rest = b""
+        self._last_byte = t
+        frames, self._rest = split(self._rest + data)
+        for frame in frames:
+            answers = [(pause, answer) for module in self.modules.values() for pause, answer in module.answer(frame, t)]
+            if len(answers) == 1:
+                self._post(t + self._latency_s + answers[0][0], answers[0][1])
+            elif answers:  # they speak at the same time, and a line that one pulls down is down
+                self._post(t + self._latency_s, _at_once([answer for _, answer in answers]))
+
+    def reset(self, t: float) -> None:
+        """All modules lose their power for a moment: what EEPROM does not keep is forgotten, counters are 0."""
+        self._rest = b""
+        self.outbox.clear()
+        for module in self.modules.values():
+            module.reset(t)
+
+    def _post(self, t: float, data: bytes) -> None:
+        """An answer leaves after those before it, and before what is only to be told later."""
+        later: list[tuple[float, bytes]] = []
+        while self.outbox and isinstance(self.outbox[-1][1], Unasked) and self.outbox[-1][0] > t:
+            later.append(self.outbox.pop())
+        self.outbox.append((t, data))
+        self.outbox.extend(reversed(later))
+
+    def _withdraw(self, data: bytes) -> None:
+        """What has not been sent yet need not be sent."""
+        left = [each for each in self.outbox if each[1] is not data]
+        self.outbox.clear()
+        self.outbox.extend(left)
+
+
+def _at_once(answers: list[bytes]) -> bytes:
+    mixed = bytes((0xFF,)) * FRAME_BYTES
+    for answer in answers:
+        mixed = bytes(a & b for a, b in zip(mixed, answer, strict=True))
+    return mixed
