@@ -198,9 +198,7 @@ def serve(
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "allow_interspersed_args": False})
 def usb(
     context: typer.Context,
-    program: Annotated[
-        Path, typer.Argument(metavar="PROGRAM.py", help="A program that uses pyusb.", show_default=False)
-    ],
+    program: Annotated[Path, typer.Argument(metavar="PROGRAM.py", help="A program that uses pyusb.", show_default=False)],
     rig: RigOption,
 ) -> None:
     """Run an unmodified pyusb program that finds the virtual rig's USB devices. What follows PROGRAM.py is its own."""
@@ -250,6 +248,7 @@ def _answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> 
 def main() -> None:
     """The entry point: what a person can mend is one line on standard error, and status 2."""
     logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors come to us as exceptions
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs inherit it ignored
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a request to end is a stop: axes at rest, journal whole
     try:
         app()

@@ -172,7 +172,10 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     )
     opened = OpenRig(rig, virtual, name, written)
     try:
-        opened.lock([each for each in file.addresses if not each.startswith(TWIN)], f"{file.name} ({description.name})")
+        opened.lock(
+            [each.partition("?")[0] for each in file.addresses if not each.startswith(TWIN)],
+            f"{file.name} ({description.name})",
+        )
     except UserError:
         opened.close()
         raise

@@ -73,7 +73,7 @@ class AxesMechanicsTable(Table):
         motors = [(each.module, each.motor) for each in (self.gamma, self.sigma, self.beta, self.shift)]
         for module, motor in motors:
             if (count := motors.count((module, motor))) > 1:
-                raise ValueError(f"motor {motor} of module {module} turns {count} axes; give each its own")
+                raise ValueError(f"motor {motor} turns {count} axes of module {module}; give each its own")
         return self
 
 
