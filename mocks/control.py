@@ -2,8 +2,7 @@
 
     {"do": "mount", "sample": "etalon"}         {"do": "lamp", "drift_per_hour": 0.1, "level": 0.9}
     {"do": "tilt", "deg": 0.05}                 {"do": "jam", "axis": "beta", "jammed": true}
-    {"do": "fault", "wire": "axes", "kinds": ["reply lost"], "share": 0.2, "seed": 1, "count": 100}
-    {"do": "unplug", "wire": "axes"}            {"do": "state"}
+    {"do": "state"}
 
 Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`.
 """
