@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
+from typer.exceptions import TyperException
 
 from app.errors import UserError
 from app.progress import RowProgress
@@ -178,6 +179,15 @@ def demo(
 def serve(
     rig: RigOption,
     speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="How much faster the rig's time passes.")] = 1.0,
+    write_rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-rig", metavar="FILE", help="Write the rig file with which others measure on it.", show_default=False
+        ),
+    ] = None,
+    control: Annotated[
+        bool, typer.Option("--control/--no-control", help="Open its back door, a port for orders in JSON.")
+    ] = True,
     ptys: Annotated[
         Path | None,
         typer.Option("--ptys", metavar="DIR", help="Where pseudo-terminals get their stable names.", show_default=False),
@@ -186,13 +196,14 @@ def serve(
     """Put the devices of a virtual rig on real endpoints, on this computer alone.
 
     Prints a JSON line for each: `device`, `kind`, and `path` of a pseudo-terminal or `host` and `port`, for Modbus the
-    `unit`. All share one instrument. `control` is its back door. Serves until interrupted. The monitor is a USB device:
-    programs reach it with `goniotwin usb`.
+    `unit`, for USB/IP the `bus_id`. All share one instrument. `control` is its back door. Serves until interrupted.
+
+    Programs that know USB but not USB/IP reach the monitor with `goniotwin usb`.
     """
     from app.rig import read_rig
     from app.serving import serve_until_interrupted
 
-    serve_until_interrupted(read_rig(rig), speed, ptys)
+    serve_until_interrupted(read_rig(rig), speed, ptys, write_rig, control=control)
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "allow_interspersed_args": False})
@@ -225,6 +236,29 @@ def devices(
     _answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(in_words(found)))
 
 
+@app.command()
+def replay(
+    transcripts: Annotated[list[Path], typer.Argument(metavar="TRANSCRIPT.txt", help="What --transcript wrote.")],
+    rig: RigOption,
+    device: Annotated[str | None, typer.Option("--device", help="Of which device, if the file's name does not tell.")] = None,
+    mount: Annotated[str | None, typer.Option("--mount", metavar="SAMPLE", help="A sample that is in.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Tell the twin of a rig file what was recorded; show byte by byte where it answers otherwise (status 1, else 0).
+
+    The file's name tells the device: axes, monochromator, photodiodes-0 and so on, monitor. Files of one recording, named
+    together, are told in the order of their times, so that shutter and axes are where they were. No real device is opened.
+
+    Numbers that depend on time and noise differ: counts, encoder positions, measured currents. Serial numbers do too.
+    """
+    from app.replaying import replay_transcripts
+    from app.rig import read_rig
+
+    result = replay_transcripts(transcripts, read_rig(rig), device, mount)
+    _answer(as_json, result.as_dict(), lambda: print(result.in_words()))
+    raise typer.Exit(1 if result.differences else 0)
+
+
 def _read(schedule: Path, rig: Path) -> tuple[Any, Any]:
     from app.campaign.schedule import read_schedule
     from app.rig import read_rig
@@ -251,10 +285,14 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs inherit it ignored
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a request to end is a stop: axes at rest, journal whole
     try:
-        app()
-    except KeyboardInterrupt:
+        sys.exit(app(standalone_mode=False) or 0)
+    except (KeyboardInterrupt, typer.Abort):
         errors.print("goniotwin: stopped")
         sys.exit(130)
+    except TyperException as error:
+        told = error.format_message().replace("Value error, ", "")
+        errors.print(f"goniotwin: {told} See: goniotwin --help", style="red", markup=False)
+        sys.exit(2)
     except UserError as error:
         errors.print(f"goniotwin: {error}", style="red", markup=False)
         sys.exit(2)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from app.errors import UserError
 from app.rig import RigDescription
+from app.rig.served_file import served_rig, write_served_rig
 from mocks import installed
 from mocks.served import ServedRig
 from protocols.clock import RealClock
@@ -17,12 +18,16 @@ from twin import TwinModel, VirtualRig
 from twin.doors import TwinUsbBackend
 
 
-def serve_until_interrupted(rig: RigDescription, speed: float, ptys: Path | None) -> None:
+def serve_until_interrupted(
+    rig: RigDescription, speed: float, ptys: Path | None, write_rig: Path | None = None, *, control: bool = True
+) -> None:
     """Prints where the devices are, and serves until SIGINT or SIGTERM. Raises UserError."""
     folder = ptys if ptys is not None else Path(tempfile.gettempdir()) / f"goniotwin-{getpass.getuser()}" / rig.file.name
-    served = ServedRig(_model(rig), speed, folder)
+    served = ServedRig(_model(rig), speed, folder.absolute(), control=control)
     try:
         served.start()
+        if write_rig is not None:
+            write_served_rig(write_rig, served_rig(rig, served.endpoints, speed))
         for endpoint in served.endpoints:
             print(json.dumps(endpoint.as_dict()), flush=True)
         threading.Event().wait()

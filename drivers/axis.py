@@ -119,12 +119,15 @@ class Axis:
 
     # ---- moving ----
 
-    def start(self, target_deg: float) -> Move:
-        """Sends the axis to an angle. Raises LimitError or Unreferenced before anything is sent, DeviceError after."""
+    def start(self, target_deg: float, since: int | None = None) -> Move:
+        """Sends the axis to an angle, unless a stop has come since the module's `stops` were `since` (by default: now).
+
+        Raises LimitError or Unreferenced before anything is sent, DeviceError after.
+        """
         self.check_limits(self.settings, target_deg)
         if self.doubt:
             raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.doubt, "home it, or say where it is")
-        stops = self._module.stops
+        stops = self._module.stops if since is None else since
         here = self.ask(Command.GAP, Parameter.ACTUAL_POSITION)
         self._module.check_canary(self.settings.module)
         legs = self.settings.legs(self.settings.angle_deg(here), target_deg, taken_up=self._taken_up)
@@ -218,6 +221,10 @@ class Axis:
         """Where the motor's counter says that the axis is; the module is known to have its settings. Raises DeviceError."""
         return self.settings.angle_deg(self._confirmed(Parameter.ACTUAL_POSITION))
 
+    def turns(self) -> bool:
+        """Whether the motor turns. Raises DeviceError."""
+        return self._confirmed(Parameter.ACTUAL_VELOCITY) != 0
+
     def encoder_deg(self) -> float | None:
         """Where the encoder says that the axis is; None where it has none."""
         if not self.settings.encoder:
@@ -232,8 +239,7 @@ class Axis:
     def switches(self) -> Switches:
         """The limit switches and the home switch, as the module sees them."""
         right, left, home = (
-            bool(self.ask(Command.GAP, each))
-            for each in (Parameter.RIGHT_SWITCH, Parameter.LEFT_SWITCH, Parameter.HOME_SWITCH)
+            bool(self.ask(Command.GAP, each)) for each in (Parameter.RIGHT_SWITCH, Parameter.LEFT_SWITCH, Parameter.HOME_SWITCH)
         )
         return Switches(right, left, home)
 

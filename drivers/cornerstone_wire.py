@@ -5,6 +5,7 @@ answer, status (in handshake mode), no line less and none more. After anything e
 been drained and two marker questions (`INFO?`, `HANDSHAKE?`) have been answered as expected.
 """
 
+import contextlib
 import threading
 from collections import deque
 
@@ -237,7 +238,7 @@ class CornerstoneWire:
         try:
             self._port = self._open_port(self._baudrate, ANSWER_S)
         except (SerialException, OSError, ValueError) as error:
-            raise DeviceError(NAME, "open the port", str(error), "check the port in the rig file") from None
+            raise NoAnswer(NAME, "open the port", str(error), "check the port in the rig file") from None
 
     def _drop(self) -> None:
         self._tap(FROM_DEVICE, self._untapped)  # a line that was cut off belongs into the transcript too
@@ -245,7 +246,8 @@ class CornerstoneWire:
         self.in_step = False
         port, self._port = self._port, None
         if port is not None:
-            port.close()
+            with contextlib.suppress(SerialException, OSError):
+                port.close()
 
     def _write(self, data: bytes, doing: str) -> None:
         if self._port is None:
@@ -269,8 +271,7 @@ class CornerstoneWire:
         lines, self._pending = take_lines(self._pending, data)
         self._lines.extend(lines)
         self._untapped += data
-        while b"\n" in self._untapped:
-            line, end, self._untapped = self._untapped.partition(b"\n")
-            self._tap(FROM_DEVICE, line + end)
-        self._untapped = self._untapped[-MAX_LINE:]
+        end = max(self._untapped.rfind(b"\r"), self._untapped.rfind(b"\n")) + 1
+        self._tap(FROM_DEVICE, self._untapped[:end])
+        self._untapped = self._untapped[end:][-MAX_LINE:]
         return bytes(data)

@@ -6,6 +6,7 @@ question's answer: after a fault the line is listened to until it is quiet, and 
 (see `drivers.adam`). The library's own retries are off: a retry that reuses an identifier takes a late answer for its own.
 """
 
+import contextlib
 import struct
 import threading
 from collections.abc import Callable
@@ -58,12 +59,18 @@ class ModbusBus:
                 self._client = None
 
     def ask(self, call: Callable[[ModbusBaseSyncClient], ModbusPDU], tap: Tap) -> ModbusPDU:
-        """One exchange. Raises WIRE_FAULTS; what comes back may still answer something else."""
+        """One exchange. Raises WIRE_FAULTS; what comes back may still answer something else.
+
+        A connection or port that fails is given up: `renew` makes another one.
+        """
         if self._client is None:
             raise ConnectionError("the connection is not open")
         self._tap, self._heard = tap, b""
         try:
             return call(self._client)
+        except OSError:
+            self._give_up()
+            raise
         finally:
             self._tap(FROM_DEVICE, self._heard)
 
@@ -84,9 +91,17 @@ class ModbusBus:
                 self._tap(FROM_DEVICE, late)
                 if not late:
                     break
+        except OSError:
+            self._give_up()
+            raise
         finally:
             self._client.comm_params.timeout_connect = timeout
         return True
+
+    def _give_up(self) -> None:
+        assert self._client is not None
+        with contextlib.suppress(OSError):
+            self._client.close()  # type: ignore[no-untyped-call]
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         """pymodbus shows an answer again with each piece that has come; the tap gets it once."""

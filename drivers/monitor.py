@@ -1,29 +1,33 @@
 """The monitor photodiode behind a Thorlabs PM100D, or another SCPI picoammeter: mean current or power over some time.
 
-What was set is asked back after the wire had to be brought into step (the canary is the averaging, the range, the kind of
-measurement), and set again where the instrument has forgotten it. An overrange (9.9E37) is an error and never a value;
-neither is a number beyond the range. See drivers.usbtmc for what the wire cannot show. To be confirmed on hardware:
-3000 samples a second, how long a zero takes.
+The averaging is the canary: asked for after each mean and after the wire had to be brought into step. Where it is not what
+was set the instrument has reset, and everything is set again. What is set goes out with a question behind it in the same
+message, so that none is lost unnoticed. An overrange (9.9E37) is an error and never a value; neither is a number beyond the
+range. See drivers.usbtmc for what the wire cannot show. To be confirmed on hardware: 3000 samples a second, how long a zero
+takes.
 """
 
+import contextlib
 import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.errors import BadAnswer, DeviceError, Forgotten, Refused
+from drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
+from drivers.monitor_mean import ANSWER_MARGIN_S as ANSWER_MARGIN_S
+from drivers.monitor_mean import NAME, MonitorMean
 from drivers.pending import Pending, Poll
 from drivers.scpi_dialect import DIALECTS
 from drivers.tap import Tap, no_tap
 from drivers.usbtmc import UsbOpener, UsbTmc
 from protocols.clock import Clock
-from protocols.scpi import ScpiError, decode_error, decode_number, overloaded
+from protocols.scpi import ScpiError, decode_error, decode_number
 
-NAME = "monitor"
 LONGEST_READING_S = 1.0
-ANSWER_MARGIN_S = 2.0e-3
 OVER_RANGE = 1.1
+NEXT_ERROR = "SYST:ERR?"
 MOST_ERRORS = 40
+COMMAND_ERRORS = range(-199, -99)
 ZERO_POLL_S = 0.2
 LONGEST_ZERO_S = 30.0
 Quantity = Literal["current", "power"]
@@ -110,19 +114,20 @@ class Monitor:
 
     # ---- measuring ----
 
-    def start_mean(self, seconds: float, quantity: Quantity = "current") -> "MonitorMean":
+    def start_mean(self, seconds: float, quantity: Quantity = "current") -> MonitorMean:
         """Averages current or power over about so many seconds from now. Raises DeviceError."""
         self._ready()
         if quantity != self._quantity:
             self._quantity = quantity
             self._tell(f"measure {quantity}", *self._quantity_commands())
         pieces = max(1, math.ceil(seconds / LONGEST_READING_S))
-        averages = max(1, round(seconds / pieces * self.settings.samples_per_s))
+        # One is what it has after power-on, and the averaging is the canary.
+        averages = max(2, round(seconds / pieces * self.settings.samples_per_s))
         if averages != self._averages:
             self._averages = averages
             self._tell("set the averaging", self._averaging_command())
         each_s = averages / self.settings.samples_per_s
-        return MonitorMean(self._wire, self._clock, self._dialect.read, pieces, each_s, self._limit())
+        return MonitorMean(self._wire, self._clock, self._dialect.read, pieces, each_s, self._limit(), self.check)
 
     def start_zero(self) -> Pending:
         """Takes what it sees now, in the dark, for zero. Raises DeviceError."""
@@ -174,8 +179,7 @@ class Monitor:
         return not math.isclose(self._ask_number(question), told, rel_tol=1e-3)
 
     def _set_up(self) -> None:
-        self._wire.write("*CLS")
-        commands = [*self._dialect.before, *self._quantity_commands(), *self._range_commands()]
+        commands = ["*CLS", *self._dialect.before, *self._quantity_commands(), *self._range_commands()]
         if self._dialect.wavelength is not None:
             commands.append(self._dialect.wavelength.format(self._wavelength_nm))
         if self._dialect.low_pass is not None:
@@ -200,9 +204,16 @@ class Monitor:
         return self._dialect.averaging.format(value)
 
     def _tell(self, doing: str, *commands: str) -> None:
+        """Each with a question in the same message, whose answer says that the command has been heard. Raises DeviceError."""
         for command in commands:
-            self._wire.write(command)
-        self._check_errors(doing)
+            try:
+                self._check_errors(doing, f"{command};:{NEXT_ERROR}")
+            except NoAnswer:
+                with contextlib.suppress(NoAnswer, BadAnswer):  # a command that it does not know ends a message
+                    code, text = self._next_error(doing)
+                    if code in COMMAND_ERRORS:
+                        raise self._refused(doing, code, text) from None
+                raise
 
     def _ask_number(self, question: str) -> float:
         try:
@@ -211,67 +222,27 @@ class Monitor:
             self._wire.in_step = False
             raise BadAnswer(NAME, question, str(error), "ask again") from None
 
-    def _check_errors(self, doing: str) -> None:
+    def _check_errors(self, doing: str, question: str = NEXT_ERROR) -> None:
         """Reads the error queue until it is empty. Raises Refused with the first error in it."""
-        first: str | None = None
+        code, _ = first = self._next_error(doing, question)
         for _ in range(MOST_ERRORS):
-            try:
-                code, text = decode_error(self._wire.ask("SYST:ERR?"))
-            except ScpiError as error:
-                self._wire.in_step = False
-                raise BadAnswer(NAME, doing, str(error), "ask again") from None
             if code == 0:
                 break
-            first = first or f"it answers {code}, {text}"
-        if first is not None:
-            raise Refused(NAME, doing, first, "check range and averaging in the rig file")
+            code, _ = self._next_error(doing)
+        if first[0] != 0:
+            raise self._refused(doing, *first)
+
+    def _next_error(self, doing: str, question: str = NEXT_ERROR) -> tuple[int, str]:
+        try:
+            return decode_error(self._wire.ask(question))
+        except ScpiError as error:
+            self._wire.in_step = False
+            raise BadAnswer(NAME, doing, str(error), "ask again") from None
+
+    def _refused(self, doing: str, code: int, text: str) -> Refused:
+        return Refused(NAME, doing, f"it answers {code}, {text}", "check range and averaging in the rig file")
 
     def _have(self, command: str | None, what: str) -> str:
         if command is None:
             raise Refused(NAME, "set it up", f"a {self._dialect.name} has not {what}", "change the rig file")
         return command
-
-
-class MonitorMean:
-    """A mean under way, of one or more readings; `current_a` (or `power_w`) when it is done."""
-
-    def __init__(self, wire: UsbTmc, clock: Clock, question: str, pieces: int, seconds: float, limit: float | None) -> None:
-        self._wire = wire
-        self._clock = clock
-        self._question = question
-        self._left = pieces
-        self._seconds = seconds
-        self._limit = limit
-        self._values: list[float] = []
-        self._begin()
-
-    @property
-    def current_a(self) -> float:
-        """The mean current, A."""
-        return math.fsum(self._values) / len(self._values)
-
-    power_w = current_a
-    """The mean power, W, where power was asked for."""
-
-    def poll(self) -> bool:
-        """Fetches the reading that is due, and starts the next one. Raises DeviceError."""
-        answer = self._wire.read(self._question)
-        try:
-            value = decode_number(answer)
-        except ScpiError as error:
-            self._wire.in_step = False
-            raise BadAnswer(NAME, self._question, str(error), "measure again") from None
-        if overloaded(value):
-            raise DeviceError(NAME, self._question, "the current is over the range", "set a wider range in the rig file")
-        if self._limit is not None and abs(value) > self._limit:
-            self._wire.in_step = False
-            raise BadAnswer(NAME, self._question, f"{value:g} is beyond the range", "measure again")
-        self._values.append(value)
-        self._left -= 1
-        if self._left:
-            self._begin()
-        return not self._left
-
-    def _begin(self) -> None:
-        self._wire.write(self._question, answered=True)
-        self.due = self._clock.now() + self._seconds + ANSWER_MARGIN_S

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 from drivers.cornerstone_wire import CHECK_LINE, NAME, CornerstoneWire
 from drivers.errors import BadAnswer, DeviceError, Refused
-from drivers.monochromator_move import STATUS_MARGIN_S, Move
+from drivers.monochromator_move import ABORT, STATUS_MARGIN_S, Move
 from drivers.pending import Pending
 from drivers.tap import Tap, no_tap
 from drivers.tmcl import PortOpener
@@ -72,6 +72,7 @@ class Monochromator:
         self._clock = clock
         self._lock = threading.RLock()
         self._move: Move | None = None
+        self._stops = 0
         self._believed: dict[str, str] = {}
         self.settings = settings
 
@@ -191,7 +192,13 @@ class Monochromator:
         if move is not None:
             move.aborted = True
         self._believed.clear()
-        self._wire.send_now(Statement("ABORT"))
+        self._wire.send_now(ABORT)
+
+    def stop(self) -> None:
+        """Aborts what moves, and what is just being started does not begin; from any thread. Raises DeviceError."""
+        self._stops += 1
+        if self.moving:
+            self.abort()
 
     @property
     def moving(self) -> bool:
@@ -215,7 +222,7 @@ class Monochromator:
 
             text = str(statement)
             on_the_wire = self.settings.statement_seconds(text) + STATUS_MARGIN_S
-            move = Move(self._wire, self._clock, statement, seconds, on_the_wire, confirmed, before)
+            move = Move(self._wire, self._clock, statement, seconds, on_the_wire, confirmed, before, lambda: self._stops)
             self._move = move
             return move
 

@@ -7,7 +7,7 @@ way is found out by bringing the line into step and asking where the unit is: no
 from collections.abc import Callable
 
 from drivers.cornerstone_wire import ANSWER_S, NAME, CornerstoneWire
-from drivers.errors import DeviceError, NoAnswer, Refused
+from drivers.errors import DeviceError, Interrupted, NoAnswer, Refused
 from protocols.clock import Clock
 from protocols.cornerstone import NO_ERROR, Error, Statement
 
@@ -16,6 +16,7 @@ STATUS_MARGIN_S = 3.0e-3
 OVERDUE_S = 2.0
 LONGEST_S = 30.0
 STB = Statement("STB", query=True)
+ABORT = Statement("ABORT")
 ALREADY_THERE = f"error {int(Error.ACCESSORY_ALREADY_THERE)},"
 
 
@@ -31,6 +32,7 @@ class Move:
         on_the_wire_s: float,
         confirmed: Callable[[], bool],
         before: "Move | None",
+        stops: Callable[[], int],
     ) -> None:
         self._wire = wire
         self._clock = clock
@@ -39,6 +41,7 @@ class Move:
         self._on_the_wire_s = on_the_wire_s
         self._confirmed = confirmed
         self._before = before
+        self._stops, self._since = stops, stops()
         self._lost = False
         self.done = self.aborted = self.confirming = False
         self.due: float = before.due if before is not None else clock.now()
@@ -81,12 +84,22 @@ class Move:
         return self._confirm()
 
     def _begin(self) -> None:
-        self._wire.ready()
+        self._wire.ready()  # which may take a second, where the line is out of step
+        self._heed()
         self._wire.send(self._statement)
+        if self._stops() != self._since:  # from another thread, in the very moment
+            self._wire.send_now(ABORT)
+        self._heed()
         self._begun = self._clock.now()
         self._expected = [self._statement] if self._wire.echoes else []
         self._asked = self._wire.handshake
         self.due = self._begun + self._seconds + self._on_the_wire_s
+
+    def _heed(self) -> None:
+        """Raises Interrupted where there has been a stop since this was started."""
+        if self._stops() != self._since:
+            self.done = True
+            raise Interrupted(NAME, str(self._statement), "a stop has come first")
 
     def _wait_for_the_one_before(self) -> bool:
         before = self._before

@@ -63,6 +63,7 @@ class Rig:
     def start(self, name: str, target_deg: float) -> Pending:
         """Sends an axis to an angle, if no other axis forbids it. Raises LimitError before anything is sent, DeviceError."""
         axis = self.axes[name]
+        stops = self.axes_module.stops  # a stop from now on, whatever is just being asked, forbids the move
         if self.clearance is not None and name in ("beta", "shift"):
             axis.check_limits(axis.settings, target_deg)
             ways = {each: self._way(each) for each in ("beta", "shift")}
@@ -71,7 +72,7 @@ class Rig:
             if reason is not None:
                 raise LimitError(name, f"move to {target_deg:g} deg", reason)
         way = self._moves.pop(name, None)  # until the move is sent nobody knows where the axis ends
-        pending = axis.start(target_deg)
+        pending = axis.start(target_deg, stops)
         started_from = target_deg if way is None else way.target_deg
         self._moves[name] = _Move(started_from, target_deg, pending.arrival)
         return pending
@@ -80,7 +81,10 @@ class Rig:
         """Angles between which an axis may be: on its way, or at its last target, or where it says that it is."""
         move = self._moves.get(name)
         if move is None:
-            here = self.axes[name].position_deg()
+            axis = self.axes[name]
+            if axis.turns():  # over its ramp after a stop, or sent by somebody else: nobody knows yet where it will rest
+                raise LimitError(name, "say where it will be", "it still turns", "start again when it rests")
+            here = axis.position_deg()
             self._moves[name] = _Move(here, here, self.clock.now())
             return (here,)
         return (move.target_deg,) if self.clock.now() >= move.due else (move.from_deg, move.target_deg)
@@ -88,14 +92,16 @@ class Rig:
     def stop(self) -> list[DeviceError]:
         """Has every axis come to rest over its ramp, then the grating, from any thread; returns what could not be told."""
         self._moves.clear()  # where the axes come to rest they have to be asked
-        requests = [axis.stop_requests() for axis in self.axes.values()]
-        failures = self.axes_module.stop([each for axis in requests for each in axis])
-        if self.monochromator.moving:
+        requests = [each for axis in self.axes.values() for each in axis.stop_requests()]
+        failures: list[DeviceError] = []
+
+        def stop_the_rest() -> None:
             try:
-                self.monochromator.abort()
+                self.monochromator.stop()
             except DeviceError as error:
                 failures.append(error)
-        return failures
+
+        return [*self.axes_module.stop(requests, stop_the_rest), *failures]
 
     def _attempt(self, device: str, connect: Callable[[], str]) -> DeviceError | None:
         try:

@@ -19,19 +19,21 @@ hold up the engine. At rest it does nothing, so that an exposure may last for ev
 EEPROM: it is written only where it is not that already.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
-from serial import Serial, SerialException
+from serial import Serial
 
 from drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
-from drivers.tap import TO_DEVICE, Tap, no_tap
-from drivers.tmcl_port import FRAME_S_BITS, SLICE_S, TmclPort
+from drivers.tap import Tap, no_tap
+from drivers.tmcl_port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, TmclPort
 from drivers.tmcl_rules import believed, moves, repeatable
+from drivers.tmcl_rules import explain as explain
 from drivers.turnstile import Turnstile
 from protocols.clock import Clock
-from protocols.tmcl import HOST_ADDRESS, Command, FrameError, Reply, Request, Status
+from protocols.tmcl import HOST_ADDRESS, Command, Reply, Request, Status
 from protocols.tmcl_parameters import USER_BANK, Global
 
 PortOpener = Callable[[int, float], Serial]
@@ -42,6 +44,7 @@ TIMEOUT_S = 0.06
 SLOW_LINE_TIMEOUT_S = 0.5
 HEARTBEAT_S = 2.0
 RESYNCHRONISATIONS = 2
+SAID_KEPT = 100
 CANARY_VARIABLE, MARKER_VARIABLE = 254, 255
 CANARY, FIRST_MARKER = 0x676F_6E69, 0x4D41_0000
 
@@ -51,6 +54,7 @@ class TmclModule:
 
     Exchanges come from the engine's thread and, for Stop, from any other or from an event of the clock in the middle of an
     exchange. A lock keeps them apart, and Stop goes first: an exchange that hangs gives way to it.
+    `said` is what it did of its own accord (opened the port again, found back into step), newest last.
     """
 
     def __init__(
@@ -71,6 +75,7 @@ class TmclModule:
         self._tap = tap
         self.addresses = tuple(sorted(set(addresses)))
         self.heartbeat_s = heartbeat_s
+        self.said: deque[str] = deque(maxlen=SAID_KEPT)
         self._turns = Turnstile()
         self._port: TmclPort | None = None
         self._in_doubt = False
@@ -160,27 +165,32 @@ class TmclModule:
                 "connect again, then home its axes",
             )  # fmt: skip
 
-    def stop(self, targets: Sequence[tuple[str, Request]]) -> list[DeviceError]:
+    def stop(self, targets: Sequence[tuple[str, Request]], then: Callable[[], None] = lambda: None) -> list[DeviceError]:
         """Sends the stop frames of axes, by their names, before anything else; returns what was not confirmed. Any thread.
 
         The last frame is on the wire after one short wait for the exchange under way and one for each frame before it that
-        nobody answers, 20 ms each at 115200 Bd and 40 ms at 9600 Bd; whoever is silent is told once more.
+        nobody answers, 20 ms each at 115200 Bd and 40 ms at 9600 Bd; whoever is silent is told once more, after `then`.
         """
         targets = sorted(targets, key=lambda target: target[1].command != Command.MST)
         with self._turns.stop():
             port = self._port
             if port is None:
+                then()
                 return [NoAnswer(name, "stop", "the port is not open") for name, _ in targets]
-            try:
-                silent = port.tell_all(targets, self._patience_s, self._timeout_s)
-                if silent:
-                    self._in_doubt = True
-                    silent = port.tell_all(silent, self._patience_s, self._timeout_s)
-            except (SerialException, OSError) as error:
+            silent, broken = list(targets), ""
+            for first in (True, False):
+                try:
+                    silent, broken = port.tell_all(silent, self._patience_s, self._timeout_s), ""
+                except PORT_FAULTS as error:
+                    broken = str(error)  # it is opened again
+                if first:
+                    then()
+                if not silent:
+                    break
                 self._in_doubt = True
-                return [NoAnswer(name, "stop", f"the port failed: {error}", "cut the motors' power") for name, _ in targets]
-            finally:
-                self._last = (Command.MST, 0, self._clock.now())
+            self._last = (Command.MST, 0, self._clock.now())
+            if broken:
+                return [NoAnswer(name, "stop", f"the port failed: {broken}", "cut the motors' power") for name, _ in silent]
             return [
                 NoAnswer(name, "stop", "the module has not confirmed it", "cut the motors' power if the axis still turns")
                 for name, _ in silent
@@ -198,9 +208,10 @@ class TmclModule:
     def _open(self) -> None:
         self.close()
         try:
-            port = self._open_port(self._baudrate, SLICE_S)
-            opened = TmclPort(port, self._clock, self._tap, self._timeout_s)
-        except (SerialException, OSError, ValueError) as error:
+            opened = TmclPort(
+                lambda: self._open_port(self._baudrate, SLICE_S), self._clock, self._tap, self._timeout_s, self.said
+            )
+        except (*PORT_FAULTS, ValueError) as error:
             raise DeviceError("axes", "open the port", str(error), "check the port in the rig file") from None
         with self._turns.turn():
             self._port = opened
@@ -250,7 +261,7 @@ class TmclModule:
                 if reply is not None:
                     self._last = (request.command, request.value, self._clock.now())
                     return reply.value
-        except (SerialException, OSError) as error:
+        except PORT_FAULTS as error:
             raise NoAnswer("axes", self._words(request), f"the port failed: {error}", "check cable and power") from None
 
     def _gives_way(self, done: int, started: float) -> bool:
@@ -271,11 +282,12 @@ class TmclModule:
                 echo = Reply(HOST_ADDRESS, request.address, Status.OK, Command.SGP, self._marker).encode()
                 if port.await_bytes(echo, started + self._timeout_s, partial(self._gives_way, done, started)):
                     self._in_doubt = False
+                    self.said.append("the line is in step again")
                     self._last = (Command.SGP, self._marker, self._clock.now())
                     return
                 if self._turns.stop_waits:
                     break
-        except (SerialException, OSError) as error:
+        except PORT_FAULTS as error:
             raise NoAnswer("axes", self._words(request), f"the port failed: {error}", "check cable and power") from None
         raise NoAnswer("axes", self._words(request), "no answer, not even to a marker", "check cable and power")
 
@@ -286,11 +298,3 @@ class TmclModule:
 
     def _words(self, request: Request) -> str:
         return str(request) if len(self.addresses) == 1 else f"{request} of module {request.address}"
-
-
-def explain(direction: str, data: bytes) -> str:
-    """A frame in words, for transcripts."""
-    try:
-        return str(Request.decode(data) if direction == TO_DEVICE else Reply.decode(data))
-    except FrameError as error:
-        return str(error)

@@ -1,8 +1,13 @@
-"""The bytes of a TMCL line: frames out, frames in, never waiting longer than told, and never deaf for longer than a slice."""
+"""The bytes of a TMCL line: frames out, frames in, never waiting longer than told, and never deaf for longer than a slice.
 
+A port that has failed (its plug was pulled) is given back at once, and opened again when next something is to be sent.
+"""
+
+import contextlib
+from collections import deque
 from collections.abc import Callable, Sequence
 
-from serial import Serial
+from serial import Serial, SerialException
 
 from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from protocols.clock import Clock
@@ -11,31 +16,40 @@ from protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, FrameError, Reply, Request
 SLICE_S = 0.01
 FRAME_S_BITS = FRAME_BYTES * 10.0
 MOST_STALE = 4096
+PORT_FAULTS = (SerialException, OSError)
 GiveUp = Callable[[], bool]
 Targets = Sequence[tuple[str, Request]]
 
 
 class TmclPort:
-    """An open port whose reads last a slice, so that whoever has to go first need not wait for a timeout."""
+    """A port whose reads last a slice, so that whoever has to go first need not wait for a timeout.
 
-    def __init__(self, port: Serial, clock: Clock, tap: Tap, timeout_s: float) -> None:
-        self._port = port
+    It is opened at once. Raises SerialException, OSError or ValueError where that cannot be. That it has been opened again
+    is added to `said`.
+    """
+
+    def __init__(self, open_port: Callable[[], Serial], clock: Clock, tap: Tap, timeout_s: float, said: deque[str]) -> None:
+        self._open_port = open_port
         self._clock = clock
         self._tap = tap
         self._rest = b""
         self._timeout_s = timeout_s
-        port.write_timeout = timeout_s
+        self._said = said
+        self._port: Serial | None = self._open_port()
+        self._port.write_timeout = timeout_s
         self._forget_stale()
 
     def close(self) -> None:
         """Gives it back."""
-        self._port.close()
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(*PORT_FAULTS):
+                port.close()
 
     def send(self, frame: bytes) -> None:
         """Throws away what has come unasked, and writes. Raises SerialException or OSError."""
         self._forget_stale()
-        self._tap(TO_DEVICE, frame)
-        self._port.write(frame)
+        self._write(frame)
 
     def frame(self, deadline: float, give_up: GiveUp) -> bytes | None:
         """The next nine bytes; None where they have not come by the deadline, or somebody has to go first."""
@@ -62,9 +76,7 @@ class TmclPort:
         self._forget_stale()
         missing: list[tuple[str, Request]] = []
         for name, request in targets:
-            frame = request.encode()
-            self._tap(TO_DEVICE, frame)
-            self._port.write(frame)
+            self._write(request.encode())
             if not self._await_reply(request, self._clock.now() + patience_s):
                 missing.append((name, request))
         deadline = self._clock.now() + timeout_s
@@ -90,7 +102,7 @@ class TmclPort:
         """Puts what comes within a slice to the rest; False where it is time to give up."""
         if self._clock.now() >= deadline - 1e-9 or give_up():
             return False
-        data = self._port.read(size)
+        data = self._read(size)
         if give_up() and not data:
             return False
         if data:
@@ -100,11 +112,38 @@ class TmclPort:
 
     def _forget_stale(self) -> None:
         self._rest = b""
-        for _ in range(MOST_STALE):
-            waiting = self._port.in_waiting
-            if not waiting:
-                return
-            self._tap(FROM_DEVICE, self._port.read(waiting))
+        try:
+            port = self._ready()
+            for _ in range(MOST_STALE):
+                waiting = port.in_waiting
+                if not waiting:
+                    return
+                self._tap(FROM_DEVICE, port.read(waiting))
+        except PORT_FAULTS:
+            self.close()
+            raise
+
+    def _read(self, size: int) -> bytes:
+        try:
+            return bytes(self._ready().read(size))
+        except PORT_FAULTS:
+            self.close()
+            raise
+
+    def _write(self, frame: bytes) -> None:
+        self._tap(TO_DEVICE, frame)
+        try:
+            self._ready().write(frame)
+        except PORT_FAULTS:
+            self.close()
+            raise
+
+    def _ready(self) -> Serial:
+        if self._port is None:
+            self._port = self._open_port()
+            self._port.write_timeout = self._timeout_s
+            self._said.append("the port has been opened again")
+        return self._port
 
 
 def _answers(frame: bytes, request: Request) -> bool:
@@ -115,5 +154,3 @@ def _answers(frame: bytes, request: Request) -> bool:
     return (reply.host, reply.address, reply.command) == (HOST_ADDRESS, request.address, request.command) and (
         reply.status == Status.OK
     )
-
-

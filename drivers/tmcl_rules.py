@@ -1,6 +1,7 @@
-"""What may be said twice on a TMCL line, what sets a motor in motion, and which reply is believed."""
+"""What may be said twice on a TMCL line, what sets a motor in motion, which reply is believed, and frames in words."""
 
 from drivers.errors import BadAnswer, Refused
+from drivers.tap import TO_DEVICE
 from protocols.tmcl import HOST_ADDRESS, Axis, Command, FrameError, MoveType, Reply, Request, Status
 from protocols.tmcl_parameters import Search
 
@@ -48,3 +49,11 @@ def believed(request: Request, frame: bytes, words: str) -> Reply | None:
         raise Refused("axes", words, f"the module answers: {reply}")
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
+
+
+def explain(direction: str, data: bytes) -> str:
+    """A frame in words, for transcripts."""
+    try:
+        return str(Request.decode(data) if direction == TO_DEVICE else Reply.decode(data))
+    except FrameError as error:
+        return str(error)

@@ -35,25 +35,22 @@ class Fault(StrEnum):
     NAK = "USB NAK"
 
 
-ON_A_SERIAL_LINE = (
+_ANY_STREAM = (
     Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.MERGED, Fault.CORRUPTED, Fault.GARBLED, Fault.REPEATED,
-    Fault.FOREIGN, Fault.NOISE, Fault.HANG, Fault.RESET,
+    Fault.NOISE, Fault.HANG, Fault.UNPLUGGED, Fault.RESET,
 )  # fmt: skip
-ON_MODBUS = (
-    Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.MERGED, Fault.CORRUPTED, Fault.REPEATED, Fault.FOREIGN,
-    Fault.NOISE, Fault.HANG, Fault.UNPLUGGED, Fault.RESET, Fault.EXCEPTION,
-)  # fmt: skip
+ON_A_TEXT_LINE = _ANY_STREAM
+"""A line of ASCII to one device: there are no addresses."""
+ON_A_SERIAL_LINE = (*_ANY_STREAM, Fault.FOREIGN)
+"""A line of frames with addresses."""
+ON_MODBUS_RTU = (*ON_A_SERIAL_LINE, Fault.EXCEPTION)
+ON_MODBUS = tuple(each for each in ON_MODBUS_RTU if each is not Fault.GARBLED)
+"""Modbus TCP. A changed request is a right request for something else: see docs/faults.md."""
 ON_USB = (
-    Fault.LATE,
-    Fault.LOST,
-    Fault.UNHEARD,
-    Fault.TRUNCATED,
-    Fault.CORRUPTED,
-    Fault.HANG,
-    Fault.UNPLUGGED,
-    Fault.STALL,
-    Fault.NAK,
-)
+    Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.CORRUPTED, Fault.HANG, Fault.UNPLUGGED, Fault.RESET,
+    Fault.STALL, Fault.NAK,
+)  # fmt: skip
+"""The bus itself sees to addresses, order, checksums and repetition, so that nothing is merged, repeated or garbled."""
 
 
 @dataclass
@@ -101,10 +98,10 @@ class Misfortune:
 
 
 class Script(Misfortune):
-    """Given faults, one an exchange, in order; then none."""
+    """Given faults, one an exchange, in order; then none. The seed says which byte is changed, where a reply is cut."""
 
-    def __init__(self, faults: Iterable[Fault]) -> None:
-        super().__init__(0, ())
+    def __init__(self, faults: Iterable[Fault], seed: int = 0) -> None:
+        super().__init__(seed, ())
         self._script = list(faults)
 
     def next(self) -> Fault:
@@ -117,11 +114,12 @@ class Script(Misfortune):
 
 
 def corrupted(data: bytes, misfortune: Misfortune) -> bytes:
-    """One byte of them changed."""
+    """One byte of them changed: in one bit, which leaves a digit a digit more often, or in any."""
     if not data:
         return data
     place = misfortune.draw(misfortune.exchanges + (1 << 33), len(data))
-    change = 1 + misfortune.draw(misfortune.exchanges + (1 << 34), 255)
+    kind = misfortune.draw(misfortune.exchanges + (1 << 34), 16)
+    change = 1 << kind if kind < 8 else 1 + misfortune.draw(misfortune.exchanges + (1 << 40), 255)
     return data[:place] + bytes((data[place] ^ change,)) + data[place + 1 :]
 
 

@@ -1,29 +1,57 @@
-"""A serial line that fails: it stands in for the device at the door or at the endpoint."""
+"""A serial line or a Modbus connection that fails: it stands in for the device at the door or at the endpoint.
+
+    line = FaultyLine(rig.serial["axes"], Misfortune(seed, ON_A_SERIAL_LINE), foreign=foreign_tmcl)
+    plug_in(line, rig.clock, lambda end: rig.serial.update(axes=end))             # in this process
+    rig.modbus_wires["adc-0"] = lambda station: End(FaultyLine(station, ...))     # a connection each
+
+On a real endpoint the line stands for the device itself, and `unplug` is what closes the endpoint's connections.
+"""
 
 from collections import deque
 from collections.abc import Callable
 
+from pymodbus.framer import FramerRTU
+from serial import SerialException
+
 from mocks.faults import Fault, Misfortune, corrupted, noise, truncated
+from protocols import adam
+from protocols.clock import Clock
+from protocols.tmcl import checksum
 from twin.devices.line import SerialDevice
 
 Foreign = Callable[[bytes], bytes]
+"""Makes of a reply one of another address, with a checksum that is right."""
+Refusal = Callable[[bytes, int], bytes]
+"""The exception response of a code to a request."""
+MBAP = 7
+CODES = (adam.ILLEGAL_FUNCTION, adam.ILLEGAL_ADDRESS, adam.ILLEGAL_VALUE, adam.DEVICE_FAILURE, adam.BUSY)
 
 
 class FaultyLine:
     """`device` behind a bad wire. `late_s` is how much too late a late reply is.
 
-    `foreign` makes of a reply one of another address, with a checksum that is right; a wire without addresses has none.
+    A wire without addresses has no `foreign` replies, one that is not Modbus no `refusal`. `unplug` is called when the plug
+    is pulled. `plugs` counts how often it was.
     """
 
     def __init__(
-        self, device: SerialDevice, misfortune: Misfortune, late_s: float = 0.1, foreign: Foreign | None = None
+        self,
+        device: SerialDevice,
+        misfortune: Misfortune,
+        late_s: float = 0.1,
+        foreign: Foreign | None = None,
+        refusal: Refusal | None = None,
+        unplug: Callable[[], object] = lambda: None,
     ) -> None:
         self.device = device
         self.misfortune = misfortune
         self.baudrate = device.baudrate
         self.outbox: deque[tuple[float, bytes]] = device.outbox
+        self.unplug = unplug
+        self.plugs = 0
         self._late_s = late_s
         self._foreign = foreign
+        self._refusal = refusal
         self._held: list[bytes] = []
 
     def receive(self, data: bytes, t: float) -> None:
@@ -31,13 +59,28 @@ class FaultyLine:
         fault = self.misfortune.next()
         if fault in (Fault.UNHEARD, Fault.HANG):
             return
+        if fault is Fault.EXCEPTION and self._refusal is not None:
+            code = CODES[self.misfortune.draw(self.misfortune.exchanges + (1 << 38), len(CODES))]
+            self.outbox.append((t, self._refusal(data, code)))
+            return
         if fault is Fault.RESET:
             self.device.reset(t)
         there = len(self.outbox)
-        self.device.receive(corrupted(data, self.misfortune) if fault is Fault.GARBLED else data, t)
+        if fault is not Fault.UNPLUGGED or self.misfortune.draw(self.misfortune.exchanges + (1 << 39), 2):
+            self.device.receive(corrupted(data, self.misfortune) if fault is Fault.GARBLED else data, t)
+        if fault is Fault.UNPLUGGED:
+            self.pull()
+            return
         replies = [self.outbox.pop() for _ in range(len(self.outbox) - there)][::-1]
         for ready, reply in replies:
             self.outbox.extend(self._failed(fault, ready, reply))
+
+    def pull(self) -> None:
+        """Pulls the plug. What the device was about to say is said to nobody."""
+        self.plugs += 1
+        self.outbox.clear()
+        self._held = []
+        self.unplug()
 
     def reset(self, t: float) -> None:
         """Of the device behind it."""
@@ -64,3 +107,79 @@ class FaultyLine:
             case Fault.NOISE:
                 return [(ready, noise(self.misfortune) + held + reply)]
         return [(ready, held + reply)]
+
+
+class End:
+    """What a port in this process has open of a faulty line: once the plug has been out it is dead for good.
+
+    Everything then raises SerialException, as a real port does.
+    """
+
+    def __init__(self, line: FaultyLine) -> None:
+        self._line = line
+        self._plugs = line.plugs
+        self.baudrate = line.baudrate
+
+    @property
+    def outbox(self) -> deque[tuple[float, bytes]]:
+        """The line's."""
+        self._check()
+        return self._line.outbox
+
+    @outbox.setter
+    def outbox(self, _: deque[tuple[float, bytes]]) -> None:
+        raise AttributeError("the outbox is the device's own")
+
+    def receive(self, data: bytes, t: float) -> None:
+        """Brings the bytes to the line."""
+        self._check()
+        self._line.receive(data, t)
+
+    def reset(self, t: float) -> None:
+        """Of the device behind it all."""
+        self._line.reset(t)
+
+    def _check(self) -> None:
+        if self._line.plugs != self._plugs:
+            raise SerialException("the port is gone: its plug has been pulled")
+
+
+def plug_in(line: FaultyLine, clock: Clock, put: Callable[[SerialDevice], object], away_s: float = 0.3) -> None:
+    """Has `put` an end of a line where ports look for a device, and another one `away_s` after its plug has been pulled."""
+
+    def again() -> None:
+        line.outbox.clear()
+        put(End(line))
+
+    line.unplug = lambda: clock.at(clock.now() + away_s, again)
+    put(End(line))
+
+
+def foreign_tmcl(reply: bytes) -> bytes:
+    """The same reply, of the module with the address after the next."""
+    body = bytes((reply[0], (reply[1] + 2) & 0xFF, *reply[2:8]))
+    return body + bytes((checksum(body),))
+
+
+def foreign_tcp(reply: bytes) -> bytes:
+    """The same reply, of the next unit."""
+    return reply[: MBAP - 1] + bytes((reply[MBAP - 1] + 1,)) + reply[MBAP:]
+
+
+def foreign_rtu(reply: bytes) -> bytes:
+    """The same reply, of the next unit."""
+    return _with_crc(bytes((reply[0] + 1,)) + reply[1:-2])
+
+
+def refusal_tcp(request: bytes, code: int) -> bytes:
+    """An exception response over TCP."""
+    return request[:4] + b"\0\3" + bytes((request[MBAP - 1], request[MBAP] | 0x80, code))
+
+
+def refusal_rtu(request: bytes, code: int) -> bytes:
+    """An exception response on a serial line."""
+    return _with_crc(bytes((request[0], request[1] | 0x80, code)))
+
+
+def _with_crc(body: bytes) -> bytes:
+    return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")

@@ -10,6 +10,7 @@ The modules' limits of eight connections and of idle time (to be confirmed on ha
 import asyncio
 import threading
 from collections.abc import Callable
+from functools import partial
 
 from pymodbus.framer import FramerType
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
@@ -41,6 +42,7 @@ class ModbusEndpoints:
         self._servers: dict[str, ModbusBaseServer] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
+        self._unplugged: set[str] = set()
         self.ports: dict[str, int] = {}
 
     @property
@@ -87,15 +89,23 @@ class ModbusEndpoints:
         self.ports = {}
 
     def unplug(self, name: str) -> None:
-        """Closes the connections to a module on TCP; others may be made at once. Raises KeyError."""
+        """Pulls the plug of a module on TCP: connections are closed, and new ones as soon as they are made. Raises KeyError."""
         server = self._servers[name]
         assert self._loop is not None
+        self._unplugged.add(name)
 
         async def cut() -> None:
             for connection in list(server.active_connections.values()):
                 connection.close()
 
-        asyncio.run_coroutine_threadsafe(cut(), self._loop).result()
+        done = asyncio.run_coroutine_threadsafe(cut(), self._loop)
+        if threading.current_thread() is not self._thread:
+            done.result()
+
+    def replug(self, name: str) -> None:
+        """Puts it in again. Raises KeyError."""
+        self._known(name)
+        self._unplugged.discard(name)
 
     def __enter__(self) -> "ModbusEndpoints":
         self.start()
@@ -110,7 +120,9 @@ class ModbusEndpoints:
 
     async def _listen(self) -> None:
         for name, port in self._tcp.items():
-            self._servers[name] = tcp = _TcpServer(self._rig, self._station(name), port)
+            self._servers[name] = tcp = _TcpServer(
+                self._rig, self._station(name), port, partial(self._unplugged.__contains__, name)
+            )
             await _serve(tcp, f"{LOOPBACK}:{port}")
             transport: asyncio.Server = tcp.transport  # type: ignore[assignment]
             self.ports[name] = int(transport.sockets[0].getsockname()[1])
@@ -147,8 +159,9 @@ class ModbusEndpoints:
 class _Handler(ServerRequestHandler):
     """One connection: pymodbus brings the bytes, a station answers them."""
 
-    def __init__(self, owner: ModbusBaseServer, rig: VirtualRig, station: SerialDevice) -> None:
+    def __init__(self, owner: ModbusBaseServer, rig: VirtualRig, station: SerialDevice, *, refused: bool = False) -> None:
         super().__init__(owner, None, None, None)  # type: ignore[no-untyped-call]
+        self._refused = refused
         self._rig = rig
         self._station = station
         self._clock: Clock = rig.clock
@@ -156,6 +169,9 @@ class _Handler(ServerRequestHandler):
 
     def data_received(self, data: bytes) -> None:
         """Any piece of a request, or several."""
+        if self._refused:
+            self.close()
+            return
         with self._rig.lock:
             self._station.receive(data, self._clock.now())
         self._flush()
@@ -174,13 +190,16 @@ class _Handler(ServerRequestHandler):
 
 
 class _TcpServer(ModbusTcpServer):
-    def __init__(self, rig: VirtualRig, station: Station, port: int) -> None:
+    def __init__(self, rig: VirtualRig, station: Station, port: int, unplugged: Callable[[], bool]) -> None:
         super().__init__(NOBODY, address=(LOOPBACK, port))
-        self._rig, self._station = rig, station
+        self._rig, self._station, self._unplugged = rig, station, unplugged
 
     def callback_new_connection(self) -> _Handler:
-        """A connection has a station of its own."""
-        return _Handler(self, self._rig, self._station())
+        """A connection has a station of its own; nobody answers behind a plug that has been pulled."""
+        handler = _Handler(self, self._rig, self._station(), refused=self._unplugged())
+        if self._unplugged():
+            self.loop.call_soon(handler.close)
+        return handler
 
 
 class _RtuServer(ModbusSerialServer):

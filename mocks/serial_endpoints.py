@@ -10,6 +10,9 @@ import selectors
 import socket
 import sys
 import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +33,8 @@ class Line:
     name: str
     device: SerialDevice
     ends: list["End"] = field(default_factory=list)
+    links: list[Path] = field(default_factory=list)
+    plugged: bool = True
 
 
 @dataclass
@@ -43,7 +48,11 @@ class End:
     unsent: bytearray = field(default_factory=bytearray)
 
     def write(self, data: bytes) -> None:
-        """As much as goes without waiting; the rest is kept. Raises OSError where the other side is gone."""
+        """As much as goes without waiting; the rest is kept. Raises OSError where the other side is gone.
+
+        A pseudo-terminal keeps no rest: what its client does not read is lost, as at a serial port, and whoever opens it
+        after a time of silence is not told what was said to others.
+        """
         self.unsent += data
         if len(self.unsent) > UNSENT_LIMIT:
             del self.unsent[: len(self.unsent) - UNSENT_LIMIT]
@@ -51,6 +60,8 @@ class End:
             try:
                 sent = os.write(self.descriptor, self.unsent) if self.connection is None else self.connection.send(self.unsent)
             except BlockingIOError:
+                if self.connection is None:
+                    self.unsent.clear()
                 return
             del self.unsent[:sent]
 
@@ -75,23 +86,15 @@ class SerialEndpoints:
         self._wake_out, self._wake_in = socket.socketpair()
         self._wake_out.setblocking(False)
         self._selector.register(self._wake_out, selectors.EVENT_READ, None)
-        self._links: list[Path] = []
+        self._todo: deque[tuple[Callable[[], None], Future[None]]] = deque()
         self._ending = False
         self._thread = threading.Thread(target=self._serve, name="serial endpoints", daemon=True)
 
     def add_pty(self, name: str, device: SerialDevice, link: Path) -> Path:
         """A pseudo-terminal, found under the stable name `link`, which replaces a stale one. Raises OSError."""
-        import tty
-
-        master, slave = os.openpty()
-        tty.setraw(slave)
-        os.set_blocking(master, False)
-        link.parent.mkdir(parents=True, exist_ok=True)
-        if link.is_symlink():
-            link.unlink()
-        link.symlink_to(os.ttyname(slave))
-        self._links.append(link)
-        self._attach(End(self._line(name, device), master, slave=slave))
+        line = self._line(name, device)
+        line.links.append(link)
+        self._plug_in(line, link)
         return link
 
     def add_tcp(self, name: str, device: SerialDevice, port: int = 0) -> int:
@@ -119,18 +122,65 @@ class SerialEndpoints:
                 key.fileobj.close()
         self._wake_in.close()
         self._selector.close()
-        for link in self._links:
-            link.unlink(missing_ok=True)
+        for line in self._lines.values():
+            for link in line.links:
+                link.unlink(missing_ok=True)
 
     def changed(self) -> None:
         """A device may have something to send that no byte has asked for."""
         self._wake()
 
     def unplug(self, name: str) -> None:
-        """Everybody on a line loses it: sockets are closed. A pseudo-terminal stays, and is silent in both directions."""
-        for end in list(self._lines[name].ends):
-            if end.connection is not None:
+        """Pulls a line's plug: sockets are closed, new ones too; a pseudo-terminal is gone with its name. Raises KeyError."""
+        line = self._lines[name]
+
+        def act() -> None:
+            line.plugged = False
+            for end in list(line.ends):
                 self._detach(end)
+            for link in line.links:
+                link.unlink(missing_ok=True)
+            with self._lock:
+                line.device.outbox.clear()
+
+        self._in_turn(act)
+
+    def replug(self, name: str) -> None:
+        """Puts it in again: another pseudo-terminal under the same name. Raises KeyError, OSError."""
+        line = self._lines[name]
+
+        def act() -> None:
+            if not line.plugged:
+                line.plugged = True
+                for link in line.links:
+                    self._plug_in(line, link)
+
+        self._in_turn(act)
+
+    def _in_turn(self, act: Callable[[], None]) -> None:
+        """In the thread that serves, soon where this is it. Raises what `act` raises."""
+        if self._ending:
+            return
+        if not self._thread.is_alive():
+            act()
+            return
+        done: Future[None] = Future()
+        self._todo.append((act, done))
+        if threading.current_thread() is not self._thread:
+            self._wake()
+            done.result()
+
+    def _plug_in(self, line: Line, link: Path) -> None:
+        import tty
+
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        if link.is_symlink():
+            link.unlink()
+        link.symlink_to(os.ttyname(slave))
+        self._attach(End(line, master, slave=slave))
 
     def _line(self, name: str, device: SerialDevice) -> Line:
         return self._lines.setdefault(name, Line(name, device))
@@ -150,6 +200,18 @@ class SerialEndpoints:
                 else:
                     self._hear(key.data)
             self._send_due()
+            self._do_ordered()
+        self._do_ordered()
+
+    def _do_ordered(self) -> None:
+        while self._todo:
+            act, done = self._todo.popleft()
+            try:
+                act()
+            except OSError as error:
+                done.set_exception(error)
+            else:
+                done.set_result(None)
 
     def _wait_s(self) -> float:
         """Until the first device wants to send."""
@@ -162,7 +224,13 @@ class SerialEndpoints:
 
     def _accept(self, listener: object, line: Line) -> None:
         assert isinstance(listener, socket.socket)
-        connection, _ = listener.accept()
+        try:
+            connection, _ = listener.accept()
+        except OSError:  # it has gone again already, or no descriptor is left: the others are served all the same
+            return
+        if not line.plugged:
+            connection.close()
+            return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._attach(End(line, connection.fileno(), connection))

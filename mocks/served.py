@@ -2,29 +2,40 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from mocks.bad_wires import BadWires
 from mocks.control import BackDoor, ControlServer
-from mocks.modbus_endpoints import ModbusEndpoints
+from mocks.modbus_endpoints import GAP_S, ModbusEndpoints
 from mocks.serial_endpoints import LOOPBACK, SerialEndpoints, ptys_exist
+from mocks.usb_endpoints import UsbEndpoints
 from protocols.clock import RealClock
 from twin import TwinModel, VirtualRig
+from twin.devices import RtuStation
+from twin.devices.line import SerialDevice
 from twin.rig import CONVERTER_LINE
 
-KINDS = {"axes": "tmcl", "mono": "cornerstone", "adcs": "adam-4117"}
+KINDS = {"axes": "tmcl", "mono": "cornerstone"}
+CONTROL = "control"
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Where a device can be reached: a path for a pseudo-terminal, host and port for TCP, and the unit for Modbus."""
+    """Where a device can be reached: a path and the baud rate for a pseudo-terminal, host and port for TCP.
+
+    With the unit for Modbus. A USB device has its bus id on the USB/IP server that host and port name.
+    """
 
     device: str
     kind: str
     path: str | None = None
+    baudrate: int | None = None
     host: str | None = None
     port: int | None = None
     unit: int | None = None
+    bus_id: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """What it has, and nothing else."""
@@ -32,48 +43,76 @@ class Endpoint:
 
 
 class ServedRig:
-    """Serial lines on pseudo-terminals and TCP, Modbus modules on TCP, the back door beside them."""
+    """Serial lines on pseudo-terminals and TCP, Modbus modules on TCP, the monitor over USB/IP, the back door beside them."""
 
-    def __init__(self, model: TwinModel, speed: float, folder: Path) -> None:
+    def __init__(self, model: TwinModel, speed: float, folder: Path, *, control: bool = True) -> None:
         self.clock = RealClock(speed)
         self.rig = VirtualRig.build(model, self.clock)
         self._folder = folder
+        self._wires = BadWires(self.rig, self.clock)
         self._lines = SerialEndpoints(self.clock, self.rig.lock)
         self._modules = ModbusEndpoints(self.rig)
-        self._control = ControlServer(BackDoor(self.rig))
+        self._usb = UsbEndpoints(self.rig)
+        self._control = ControlServer(BackDoor(self.rig, self._wires.orders)) if control else None
         self._endpoints: list[Endpoint] = []
 
     @property
     def endpoints(self) -> list[Endpoint]:
-        """All of them, once started."""
+        """All of them, once started; the back door, where there is one, is the last."""
         return list(self._endpoints)
 
     def start(self) -> None:
         """Opens everything. Raises OSError."""
-        self._endpoints = [*self._serial(), *self._modbus()]
+        self._endpoints = [*self._serial(), *self._modbus(), *self._on_usb()]
         self._lines.start()
-        self._control.start()
-        self._endpoints.append(Endpoint("control", "back door", host=LOOPBACK, port=self._control.port))
+        if self._control is not None:
+            self._control.start()
+            self._endpoints.append(Endpoint(CONTROL, "back door", host=LOOPBACK, port=self._control.port))
 
     def stop(self) -> None:
         """Closes everything; ports and names are free again."""
-        self._control.stop()
+        if self._control is not None:
+            self._control.stop()
+        self._usb.stop()
         self._modules.stop()
         self._lines.stop()
 
     def _serial(self) -> Iterator[Endpoint]:
         for name, device in self.rig.serial.items():
-            kind = KINDS.get(name, name)
+            line = self._wires.line(
+                name, self._heard(name, device), partial(self._lines.unplug, name), partial(self._lines.replug, name)
+            )
+            places: list[dict[str, Any]] = []
             if ptys_exist():
-                path = self._lines.add_pty(name, device, self._folder / name)
-                yield Endpoint(name, kind, path=str(path))
-            yield Endpoint(name, kind, host=LOOPBACK, port=self._lines.add_tcp(name, device))
+                path = self._lines.add_pty(name, line, self._folder / name)
+                places.append({"path": str(path), "baudrate": device.baudrate})
+            places.append({"host": LOOPBACK, "port": self._lines.add_tcp(name, line)})
+            for place in places:
+                if name == CONVERTER_LINE:
+                    for module, each in self.rig.modbus.items():
+                        yield Endpoint(module, "adam-4117", **place, unit=each.unit)
+                else:
+                    yield Endpoint(name, KINDS.get(name, name), **place)
+
+    def _heard(self, name: str, device: SerialDevice) -> SerialDevice:
+        """On an endpoint bytes come when the system brings them, so that a frame's end is a longer pause."""
+        if name != CONVERTER_LINE:
+            return device
+        return RtuStation([*self.rig.modbus.values()], device.baudrate, GAP_S * self.clock.speed)
 
     def _modbus(self) -> Iterator[Endpoint]:
         """Modules with an Ethernet port; those on a serial line are behind that line."""
         names = [name for name in self.rig.modbus if CONVERTER_LINE not in self.rig.serial]
         for name in names:
+            self._wires.connections(name, partial(self._modules.unplug, name), partial(self._modules.replug, name))
             self._modules.add_tcp(name)
         self._modules.start()
         for name in names:
             yield Endpoint(name, "adam-6017", host=LOOPBACK, port=self._modules.ports[name], unit=self.rig.modbus[name].unit)
+
+    def _on_usb(self) -> Iterator[Endpoint]:
+        for name in list(self.rig.usb):
+            self._wires.usb(name, partial(self._usb.unplug, name), partial(self._usb.replug, name))
+        self._usb.start()
+        for name, bus_id in self._usb.bus_ids.items():
+            yield Endpoint(name, "pm100d", host=LOOPBACK, port=self._usb.port, bus_id=bus_id)

@@ -1,11 +1,14 @@
-"""Transcripts read back: what passed over a wire, when, in which direction."""
+"""Transcripts read back: what passed over a wire, when, in which direction; and what was said to what."""
 
+import heapq
 import re
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 TO_DEVICE, FROM_DEVICE = ">", "<"
-_LINE = re.compile(r"\s*(?P<t>-?\d+(\.\d+)?) (?P<direction>[<>]) (?P<bytes>([0-9a-fA-F]{2} ?)+?)\s*(\|.*)?")
+LATEST_S = 1.0e9
+_LINE = re.compile(r"\s*(?P<t>-?[0-9]+(\.[0-9]+)?) (?P<direction>[<>]) (?P<bytes>([0-9a-fA-F]{2} ?)+?)\s*(\|.*)?")
 
 
 class TranscriptError(ValueError):
@@ -14,26 +17,75 @@ class TranscriptError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Passed:
-    """Bytes that passed at a time, s; `line` is where they stand in the file."""
+    """Bytes that passed at a time, s; `line` of `file` is where they stand."""
 
     t: float
     direction: str
     data: bytes
     line: int
+    file: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """What the device was told, and what it said until it was told the next thing; before the first it was told nothing."""
+
+    told: Passed | None
+    answers: list[Passed] = field(default_factory=list)
+
+    @property
+    def said(self) -> bytes:
+        """All of it in one piece."""
+        return b"".join(answer.data for answer in self.answers)
 
 
 def read_transcript(path: Path) -> list[Passed]:
     """All that passed, in order. Raises TranscriptError."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise TranscriptError(f"{path}: cannot be read: {error}") from None
+    *lines, last = text.split("\n")
+    if last.strip() and "|" not in last:
+        raise TranscriptError(
+            f"{path}, line {len(lines) + 1}: the file ends within it: end the line if it is whole, else remove it"
+        )
     found = []
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate((*lines, last), 1):
         if not line.strip() or line.startswith("#"):
             continue
         match = _LINE.fullmatch(line)
         if match is None:
             raise TranscriptError(f"{path}, line {number}: is no line of a transcript: {line[:60]!a}")
-        found.append(Passed(float(match["t"]), match["direction"], bytes.fromhex(match["bytes"]), number))
+        if abs(t := float(match["t"])) > LATEST_S:
+            raise TranscriptError(f"{path}, line {number}: {match['t'][:60]} s is no time")
+        found.append(Passed(t, match["direction"], bytes.fromhex(match["bytes"]), number, path.name))
+    return found
+
+
+def merged(transcripts: Iterable[list[Passed]]) -> list[Passed]:
+    """The transcripts of several units on one line, as the line saw them: in order of time, each in its own order.
+
+    Where times are equal an answer comes first: nobody asks before it is there.
+    """
+    return list(heapq.merge(*transcripts, key=lambda passed: (passed.t, passed.direction == TO_DEVICE)))
+
+
+def exchanges(transcript: list[Passed], byte_s: float = 0.0) -> list[Exchange]:
+    """What was told, each with what the device said until the next thing.
+
+    Where a byte takes `byte_s`, what must have begun to come before the first byte of a question was there does not
+    answer it, and is left to the exchange before: drivers may write down a line only when they have all of it.
+    """
+    found: list[Exchange] = []
+    for passed in transcript:
+        if passed.direction == TO_DEVICE:
+            found.append(Exchange(passed))
+            continue
+        if not found:
+            found.append(Exchange(None))
+        last = found[-1]
+        begun = passed.t - byte_s * len(passed.data)
+        too_soon = byte_s > 0.0 and last.told is not None and begun < last.told.t + 0.5 * byte_s
+        (found[-2] if too_soon and not last.answers and len(found) > 1 else last).answers.append(passed)
     return found

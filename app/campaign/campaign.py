@@ -52,7 +52,9 @@ def run_campaign(
             engine = Engine(opened.rig, plan, journal, operator, listeners)
             state = engine.run()
             rows, of = journal.counted()
-            return Outcome(state, rows, of, journal.seconds, tuple(engine.faults))
+            trouble = opened.transcript_trouble
+            faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
+            return Outcome(state, rows, of, journal.seconds, faults)
 
 
 def operator_for(opened: OpenRig, rig: RigFile, ask: Callable[[str], None] | None) -> Operator:

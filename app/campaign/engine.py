@@ -181,7 +181,9 @@ class Engine:
                 self._commanded[name] = target
                 settling = max(settling, axis.settings.settling_s)
         if row.wavelength_nm != self._wavelength_nm:
-            moves.append(self._rig.monochromator.start_wavelength(row.wavelength_nm))
+            with self._motion:
+                self._heed()
+                moves.append(self._rig.monochromator.start_wavelength(row.wavelength_nm))
             self._wavelength_nm = row.wavelength_nm
         self._wait(*moves)
         self._shutter(opened=True)
@@ -220,7 +222,10 @@ class Engine:
 
     def _shutter(self, *, opened: bool) -> None:
         if self._shutter_open is not opened:
-            self._wait(self._rig.monochromator.start_shutter(opened=opened))
+            with self._motion:
+                self._heed()
+                started = self._rig.monochromator.start_shutter(opened=opened)
+            self._wait(started)
             self._shutter_open = opened
 
     def _close_shutter_at_the_end(self) -> None:
@@ -230,6 +235,7 @@ class Engine:
 
     def _wait(self, *started: Pending) -> None:
         wait(self._clock, started, self._between)
+        self._heed()  # a stop may have come with the last answer
 
     def _between(self) -> None:
         self._heed()

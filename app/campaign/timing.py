@@ -67,7 +67,7 @@ class Timing:
                 seconds += settings.gain_seconds
                 self._gain = gain
             last = (row.readings - 1) * settings.period_s
-            fetching = max(settings.fetching_seconds, ANSWER_MARGIN_S + 2 * USB_LATENCY_S)
+            fetching = max(settings.fetching_seconds, ANSWER_MARGIN_S + 4 * USB_LATENCY_S)
             seconds += settings.wait_s + last + fetching
         return seconds
 

@@ -20,12 +20,14 @@ from drivers import tmcl as tmcl_driver
 from drivers import usbtmc as usbtmc_driver
 from drivers.tap import Explain, Tap, as_text, no_tap
 from drivers.tmcl import PortOpener
+from drivers.usbip import find_usbip
 from drivers.usbtmc import UsbOpener
+from protocols import usbip
 from protocols.clock import Clock
 from twin import TwinModel, VirtualRig
 from twin.doors import TwinUsbBackend, register, unregister
 
-TWIN = "twin://"
+TWIN, USBIP = "twin://", "usbip:"
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,11 @@ class OpenRig:
         if self._lock is not None:
             self._lock.release()
             self._lock = None
+
+    @property
+    def transcript_trouble(self) -> str | None:
+        """Why transcripts are not written to their end; None where they are, or are not wanted."""
+        return self._transcript.trouble if self._transcript is not None else None
 
     def lock(self, addresses: list[str], doing: str) -> None:
         """Keeps other programs from real devices until `close`. Raises UserError that says who has one."""
@@ -192,7 +199,10 @@ def _serial(address: str) -> PortOpener:
 
 
 def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
-    """`VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL`, the numbers in hexadecimal. Raises UserError for what is neither."""
+    """`VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL`, the numbers in hexadecimal, or `usbip:HOST:PORT/BUSID`.
+
+    Raises UserError for what is none of these.
+    """
     if address.startswith(TWIN):
         wanted = address.rsplit("/", 1)[1]
 
@@ -202,11 +212,16 @@ def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
             return usb.core.find(backend=TwinUsbBackend(virtual), serial_number=virtual.usb[wanted].serial_number)
 
         return twin_opener
+    if address.startswith(USBIP):
+        host, port, bus_id = usbip_address(address)
+        return lambda: find_usbip(host, port, bus_id)
     parts = address.split(":")
     try:
         vendor, product = int(parts[0], 16), int(parts[1], 16)
     except (ValueError, IndexError):
-        raise UserError(f"monitor.usb: {address!r} is not VENDOR:PRODUCT:SERIAL; mend it in the rig file") from None
+        raise UserError(
+            f"monitor.usb: {address!r} is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID; mend it in the rig file"
+        ) from None
     serial_number = {"serial_number": parts[2]} if len(parts) > 2 else {}
 
     def opener() -> Any:
@@ -215,3 +230,14 @@ def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
         return usb.core.find(backend=libusb_package.get_libusb1_backend(), idVendor=vendor, idProduct=product, **serial_number)
 
     return opener
+
+
+def usbip_address(address: str) -> tuple[str, int, str]:
+    """Host, port and bus id of `usbip:HOST:PORT/BUSID`; the port is 3240 where not given. Raises UserError."""
+    place, _, bus_id = address.removeprefix(USBIP).partition("/")
+    host, separator, number = place.rpartition(":") if not place.endswith("]") else (place, "", "")
+    if not separator:
+        host, number = place, str(usbip.PORT)
+    if not host or not bus_id or not (number.isascii() and number.isdecimal() and 0 < int(number) < 65536):
+        raise UserError(f"monitor.usb: {address!r} is not usbip:HOST:PORT/BUSID, such as usbip:127.0.0.1:3240/1-1; mend it")
+    return host.strip("[]"), int(number), bus_id

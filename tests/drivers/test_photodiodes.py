@@ -1,54 +1,15 @@
-"""The array of converter modules: gain, settling, missing readings, resets noticed, settings restored, faults survived."""
-
-from collections.abc import Callable
+"""The array of converter modules: gain, settling, missing readings, resets noticed, settings restored."""
 
 import numpy as np
 import pytest
 
-from app.rig import OpenRig
-from drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, Pending, PhotodiodeArray, PhotodiodeSettings, Refused, wait
-from mocks.faults import ON_A_SERIAL_LINE, ON_MODBUS, Fault, Misfortune, Script
-from mocks.faulty_line import FaultyLine
+from drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, PhotodiodeSettings, Refused, wait
 from protocols import adam
-from protocols.clock import Clock, VirtualClock
-from tests.conftest import Change, RigOpener
+from tests.drivers.photodiode_bench import Bench, bench, read
 
-QUIET: Change = ("noise = true", "noise = false")
-NARROW: Change = ("gain_uncertainty", f"range_code = {0x0142}\ngain_uncertainty")  # not what a module has after power-on
-SERIAL: tuple[Change, ...] = (
-    ('kind = "adam-6017"', 'kind = "adam-4117"'),
-    ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e11]"),
-    ("[twin.light]", '[twin.electronics]\nmodule = "adam-4117"\ngains_v_per_a = [1e11]\n\n[twin.light]'),
-)
+__all__ = ["bench"]
+
 TIMEOUT_S = 1.0
-Bench = Callable[[bool], OpenRig]
-
-
-@pytest.fixture
-def bench(opened: RigOpener) -> Bench:
-    return lambda serial: opened(QUIET, NARROW, *(SERIAL if serial else ()), clock=VirtualClock(10.0))
-
-
-def read(array: PhotodiodeArray, clock: Clock, gain: int = 0, readings: int = 1) -> np.ndarray:
-    wait(clock, [array.start_gain(gain)])
-    taken = array.start_readings(readings)
-    wait(clock, [taken])
-    assert len(taken.counts) == readings
-    return taken.counts.astype(int)
-
-
-def break_wires(rig: OpenRig, misfortune: Misfortune, late_s: float = 0.1) -> None:
-    """From the next connection on."""
-    virtual = rig.virtual
-    assert virtual is not None
-    rig.rig.photodiodes.close()
-    if "adcs" in virtual.serial:
-        virtual.serial["adcs"] = FaultyLine(virtual.serial["adcs"], misfortune, late_s)
-    for name in virtual.modbus:
-        virtual.modbus_wires[name] = lambda device: FaultyLine(device, misfortune, late_s)
-    misfortune.until, until = 0, misfortune.until
-    rig.rig.photodiodes.connect()
-    misfortune.until = until
 
 
 @pytest.mark.parametrize("serial", [False, True])
@@ -196,99 +157,3 @@ def test_what_passes_is_tried_again_once(bench: Bench, code: int) -> None:
     rig.virtual.modbus["adc-0"].refusals.extend([code, code])
     with pytest.raises(Refused, match=f"exception {code}"):
         read(array, clock)
-
-
-@pytest.mark.parametrize("serial", [False, True])
-@pytest.mark.parametrize("fault", [Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.REPEATED, Fault.TRUNCATED, Fault.MERGED])
-def test_one_fault_is_survived_without_a_wrong_value(bench: Bench, serial: bool, fault: Fault) -> None:
-    rig = bench(serial)
-    array, clock = rig.rig.photodiodes, rig.rig.clock
-    gain = 0 if serial else 3
-    read(array, clock, gain)
-    expected = read(array, clock, gain)
-    script = Script([])
-    break_wires(rig, script, late_s=1.0 + 0.02)
-    read(array, clock, gain)
-    script._script = [Fault.NONE, fault]
-    np.testing.assert_allclose(read(array, clock, gain, 2), np.repeat(expected, 2, axis=0), atol=1)
-    assert script.met == [fault]
-
-
-class Timed:
-    """Something under way whose polls are timed."""
-
-    def __init__(self, pending: Pending, clock: Clock, polls: list[float]) -> None:
-        self._pending, self._clock, self._polls = pending, clock, polls
-        self.due = pending.due
-
-    def poll(self) -> bool:
-        begun = self._clock.now()
-        try:
-            return self._pending.poll()
-        finally:
-            self.due = self._pending.due
-            self._polls.append(self._clock.now() - begun)
-
-
-def campaign(rig: OpenRig, serial: bool, misfortune: Misfortune, late_s: float) -> tuple[int, int, float]:
-    """Groups of readings until the faults are over: how many were good, how many failed, the longest poll, s."""
-    array, clock = rig.rig.photodiodes, rig.rig.clock
-    gains = (0,) if serial else (3, 0, 2)
-    expected = {gain: read(array, clock, gain, 2)[1] for gain in gains}
-    break_wires(rig, misfortune, late_s)
-    good = failed = 0
-    longest, polls = 0.0, [0.0]
-    while misfortune.exchanges < misfortune.until + 20:
-        gain = gains[(good + failed) % len(gains)]
-        polls[:] = [0.0]
-        try:
-            wait(clock, [Timed(array.start_gain(gain), clock, polls)])
-            readings = array.start_readings(2)
-            wait(clock, [Timed(readings, clock, polls)])
-            np.testing.assert_allclose(readings.counts, [expected[gain]] * 2, atol=1)
-            good += 1
-        except DeviceError:
-            failed += 1
-            for _ in range(20):
-                try:
-                    array.reconnect()
-                    break
-                except DeviceError:
-                    continue
-        longest = max(longest, *polls)
-    for gain in gains:
-        np.testing.assert_allclose(read(array, clock, gain), [expected[gain]], atol=1)
-    return good, failed, longest
-
-
-UNDETECTED_OVER_TCP = (Fault.CORRUPTED, Fault.NOISE)
-
-
-@pytest.mark.parametrize("serial", [False, True])
-@pytest.mark.parametrize("seed", range(25))
-def test_no_wrong_value_comes_over_a_failing_wire(bench: Bench, serial: bool, seed: int) -> None:
-    kinds = ON_A_SERIAL_LINE if serial else tuple(each for each in ON_MODBUS if each not in UNDETECTED_OVER_TCP)
-    good, failed, longest = campaign(bench(serial), serial, Misfortune(seed, kinds, 0.02, until=200), (0.05, 1.05)[seed % 2])
-    assert good + failed >= 3
-    assert longest < 5 * TIMEOUT_S
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("serial", [False, True])
-@pytest.mark.parametrize("hundred", range(10))
-def test_no_wrong_value_comes_in_a_thousand_campaigns(bench: Bench, serial: bool, hundred: int) -> None:
-    for seed in range(1000 + 100 * hundred, 1100 + 100 * hundred):
-        test_no_wrong_value_comes_over_a_failing_wire(bench, serial, seed)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_changed_bytes_over_tcp_end_in_device_errors_at_worst(bench: Bench, seed: int) -> None:
-    """Modbus TCP has no checksum: a changed count passes. Nothing else but an error of ours may come of it."""
-    rig = bench(False)
-    array, clock = rig.rig.photodiodes, rig.rig.clock
-    break_wires(rig, Misfortune(seed, UNDETECTED_OVER_TCP, 0.5, until=100))
-    for _ in range(10):
-        try:
-            read(array, clock, 3)
-        except DeviceError:
-            continue

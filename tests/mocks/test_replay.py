@@ -1,6 +1,6 @@
-"""Transcripts: recorded, read back, replayed."""
+"""Transcripts of serial lines, replayed: against twin devices, and in their place against drivers."""
 
-import contextlib
+from collections import deque
 from pathlib import Path
 
 import pytest
@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from drivers import TmclModule
 from drivers.errors import DeviceError
 from mocks.replay import RecordedDevice, replay_to_device
-from mocks.transcript import TranscriptError, read_transcript
+from mocks.transcript import Passed, read_transcript
 from protocols.clock import VirtualClock
 from protocols.tmcl import Axis, Command, Request
 from tests.conftest import RigOpener
+from tests.mocks.replay_bench import QUIET, RigMaker, transcripts, virtual
+from tests.mocks.replay_bench import rig_of as rig_of
 from twin.devices import TmclLine
 from twin.doors import protocol_twin
-
-QUIET = ("noise = true", "noise = false")
 
 
 @pytest.fixture
@@ -82,13 +82,110 @@ def test_drivers_that_say_something_else_are_found_out(recorded: Path) -> None:
     assert device.differences[0].direction == ">"
 
 
+def test_the_monochromator_connects_to_what_was_recorded(rig_of: RigMaker, tmp_path: Path) -> None:
+    first, again = rig_of(QUIET, transcript=tmp_path), rig_of(QUIET)
+    identity = first.rig.monochromator.connect()
+    first.close()
+    (transcript,) = transcripts(tmp_path, "monochromator")
+    assert replay_to_device(virtual(rig_of(QUIET)).serial["mono"], transcript) == []
+    device = virtual(again).serial["mono"] = RecordedDevice(transcript, 9600)
+    assert again.rig.monochromator.connect() == identity
+    assert device.finished
+
+
 def _port(device: RecordedDevice, clock: VirtualClock) -> serial.Serial:
     return Port(device, clock)  # type: ignore[return-value]
 
 
-@given(st.text(max_size=80))
-def test_any_other_text_is_a_transcript_error(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
-    path = tmp_path_factory.mktemp("t") / "other.txt"
-    path.write_text(text, encoding="utf-8")
-    with contextlib.suppress(TranscriptError):
-        assert isinstance(read_transcript(path), list)
+def passed(*exchanges: tuple[bytes, bytes]) -> list[Passed]:
+    """Told and recorded, a second each."""
+    found = []
+    for k, (told, answer) in enumerate(exchanges):
+        found.append(Passed(float(k), ">", told, 2 * k + 1))
+        found += [Passed(k + 0.5, "<", answer, 2 * k + 2)] if answer else []
+    return found
+
+
+class Says:
+    """A device that answers what it is asked with what is listed, at once."""
+
+    baudrate = 0
+
+    def __init__(self, *answers: bytes) -> None:
+        self.outbox: deque[tuple[float, bytes]] = deque()
+        self._answers = deque(answers)
+
+    def receive(self, data: bytes, t: float) -> None:
+        self.outbox.append((t, self._answers.popleft()))
+
+    def reset(self, t: float) -> None:
+        pass
+
+
+def told(transcript: list[Passed], *answers: bytes) -> list[tuple[int, bytes, bytes]]:
+    """Lines of the differences, what was recorded, what is said now."""
+    differences = replay_to_device(Says(*answers), transcript)
+    return [(each.line, each.recorded, each.replayed) for each in differences]
+
+
+def test_what_was_read_one_exchange_later_is_no_difference() -> None:
+    late = passed((b"move", b"move"), (b"where?", b"00where?12"), (b"again?", b"again?12"))
+    assert told(late, b"move00", b"where?12", b"again?12") == []
+    early = passed((b"move", b"move00"), (b"where?", b"where?12"))
+    assert told(early, b"move", b"00where?12") == []
+
+
+def test_a_wrong_byte_does_not_make_what_follows_wrong() -> None:
+    late = passed((b"a?", b"a?550"), (b"b?", b"00b?12"), (b"c?", b"00c?34"))
+    assert told(late, b"a?55100", b"b?1300", b"c?34") == [(2, b"a?550", b"a?551"), (4, b"00b?12", b"00b?13")]
+
+
+def test_an_answer_of_another_length_is_one_difference() -> None:
+    recorded = passed((b"a?", b"550.0"), (b"b?", b"12"))
+    assert told(recorded, b"550.000", b"12") == [(1, b"", b"00")]
+    assert told(recorded, b"55", b"12") == [(2, b"0.0", b"")]
+
+
+def test_an_answer_that_is_missing_or_new_is_a_difference_of_its_own_line() -> None:
+    recorded = passed((b"a?", b"1"), (b"b?", b""), (b"c?", b"3"), (b"d?", b"4"))
+    assert told(recorded, b"", b"", b"3", b"4") == [(2, b"1", b"")]
+    assert told(recorded, b"1", b"2", b"3", b"4") == [(3, b"", b"2")]
+    assert told(recorded, b"", b"", b"", b"") == [(2, b"1", b""), (6, b"3", b""), (8, b"4", b"")]
+
+
+def test_what_comes_after_the_recording_has_ended_is_no_difference() -> None:
+    assert told(passed((b"a?", b"1")), b"12") == []
+
+
+@given(st.lists(st.tuples(st.binary(min_size=1, max_size=4), st.binary(max_size=6)), max_size=8))
+def test_a_device_that_says_the_same_never_differs(exchanges: list[tuple[bytes, bytes]]) -> None:
+    transcript = passed(*exchanges)
+    assert told(transcript, *(answer for _, answer in exchanges)) == []
+
+
+@given(
+    st.lists(st.tuples(st.binary(min_size=1, max_size=4), st.binary(min_size=1, max_size=6)), min_size=1, max_size=8), st.data()
+)
+def test_one_changed_byte_is_one_difference(exchanges: list[tuple[bytes, bytes]], data: st.DataObject) -> None:
+    number = data.draw(st.integers(0, len(exchanges) - 1))
+    answers = [answer for _, answer in exchanges]
+    at = data.draw(st.integers(0, len(answers[number]) - 1))
+    changed = bytearray(answers[number])
+    changed[at] ^= data.draw(st.integers(1, 255))
+    said = [*answers[:number], bytes(changed), *answers[number + 1 :]]
+    (difference,) = replay_to_device(Says(*said), passed(*exchanges))
+    assert difference.places == [(at, answers[number][at], changed[at])]
+    assert (difference.line, difference.asked) == (2 * number + 2, exchanges[number][0])
+
+
+@given(
+    st.lists(st.tuples(st.binary(min_size=1, max_size=4), st.binary(max_size=6)), max_size=8),
+    st.lists(st.binary(max_size=6), min_size=8, max_size=8),
+)
+def test_whatever_is_said_no_recorded_byte_is_told_of_twice(exchanges: list[tuple[bytes, bytes]], said: list[bytes]) -> None:
+    transcript = passed(*exchanges)
+    differences = replay_to_device(Says(*said), transcript)
+    recorded = b"".join(each.data for each in transcript if each.direction == "<")
+    assert sum(len(each.recorded) for each in differences) <= len(recorded)
+    assert sum(len(each.replayed) for each in differences) <= sum(map(len, said))
+    assert all(each.places for each in differences)

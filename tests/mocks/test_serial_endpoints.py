@@ -99,6 +99,20 @@ def test_a_client_that_does_not_read_holds_up_nobody(served: Served) -> None:
     lazy.close()
 
 
+@pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
+def test_whoever_opens_a_pty_is_not_told_what_was_said_to_others_before(served: Served) -> None:
+    other = serial.serial_for_url(f"socket://127.0.0.1:{served.port}", timeout=5.0)
+    for _ in range(1000):  # 9 kB, more than the system keeps for a reader
+        other.write(ASK)
+        other.read(9)
+    other.close()
+    port = serial.Serial(str(served.pty), 115200, timeout=5.0)
+    port.write(Request(1, Command.GGP, 1, 2).encode())
+    assert Reply.decode(port.read(9)).command == Command.GGP
+    assert port.in_waiting == 0
+    port.close()
+
+
 def test_after_the_end_ports_and_names_are_free(opened: RigOpener, tmp_path: Path) -> None:
     clock = RealClock()
     rig = opened(clock=clock).virtual

@@ -5,11 +5,19 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from protocols import cornerstone, scpi, tmcl, usbtmc
+from protocols import cornerstone, scpi, tmcl, usb_descriptors, usbip, usbtmc
 
 pytestmark = pytest.mark.long
 INPUTS = 1_000_000
 LONGEST = 40
+
+
+def _taker(take: Callable[[bytearray], object], zeros: int | None = None) -> Callable[[bytes], object]:
+    """A decoder that takes from a buffer; with `zeros` so many before the input and 24 behind it, so that headers are whole."""
+    if zeros is None:
+        return lambda data: take(bytearray(data))
+    return lambda data: take(bytearray(bytes(zeros) + data + bytes(24)))
+
 
 # Bytes that mean something to a decoder are drawn as often as all others together, so that it gets far.
 DECODERS: dict[str, tuple[Callable[[bytes], object], type[ValueError], bytes]] = {
@@ -22,6 +30,14 @@ DECODERS: dict[str, tuple[Callable[[bytes], object], type[ValueError], bytes]] =
     "SCPI program": (scpi.parse, scpi.ScpiError, b"SENSe:CURR*?;, '\"0123.E-\n"),
     "SCPI number": (scpi.decode_number, scpi.ScpiError, b"0123456789.eE+-\n"),
     "SCPI error": (scpi.decode_error, scpi.ScpiError, b'+-0123,"No error"'),
+    "USB device": (usb_descriptors.decode_device, usb_descriptors.DescriptorError, bytes((1, 2, 4, 5, 9, 18))),
+    "USB configuration": (usb_descriptors.decode_configuration, usb_descriptors.DescriptorError, bytes((2, 4, 5, 7, 9, 32))),
+    "USB string": (usb_descriptors.decode_string, usb_descriptors.DescriptorError, bytes((2, 3, 4, 40))),
+    "USB/IP operation": (_taker(usbip.take_request), usbip.UsbIpError, bytes((0, 1, 0x11, 3, 5, 0x80))),
+    "USB/IP list": (_taker(usbip.take_list), usbip.UsbIpError, bytes((0, 1, 0x11, 3, 5))),
+    "USB/IP import": (_taker(usbip.take_import), usbip.UsbIpError, bytes((0, 1, 0x11, 3))),
+    "USB/IP command": (_taker(usbip.take_command, 0), usbip.UsbIpError, bytes((0, 1, 2, 0xFF))),
+    "USB/IP result": (_taker(lambda buffer: usbip.take_result(buffer, {0}), 2), usbip.UsbIpError, bytes((0, 3, 4))),
     "USBTMC header": (usbtmc.Header.decode, usbtmc.HeaderError, bytes((0, 1, 2, 0xFE, 0xFD))),
 }
 

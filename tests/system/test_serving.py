@@ -4,11 +4,7 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import serial
@@ -17,29 +13,13 @@ from pymodbus.client import ModbusTcpClient
 from mocks.control import Control, Refused
 from protocols.tmcl import Axis, Command, Reply, Request
 from tests.conftest import RIG
+from tests.system.conftest import Serve, Served, at
 from tests.system.test_command import goniotwin
-
-MAIN = [sys.executable, "-c", "from app.cli import main; main()"]
-Served = tuple[subprocess.Popen[str], list[dict[str, Any]]]
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[Served]:
-    process = subprocess.Popen(
-        [*MAIN, "serve", "--rig", str(RIG), "--speed", "20", "--ptys", str(tmp_path / "ptys")],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert process.stdout is not None
-    lines: list[dict[str, Any]] = []
-    while not lines or lines[-1]["device"] != "control":
-        lines.append(json.loads(process.stdout.readline()))
-    yield process, lines
-    process.kill()
-    process.communicate()
-
-
-def at(lines: list[dict[str, Any]], device: str, key: str) -> dict[str, Any]:
-    return next(line for line in lines if line["device"] == device and key in line)
+def served(serve: Serve) -> Served:
+    return serve(RIG, "--speed", 20)
 
 
 def test_all_devices_share_one_plant(served: Served) -> None:

@@ -6,17 +6,15 @@ answer that is not ready yet when its transfer is aborted comes afterwards, as i
 
 import struct
 
+from protocols.usb_descriptors import CONFIGURATION, DEVICE, STRING
 from protocols.usbtmc import HEADER_BYTES, PROTOCOL_USB488, Request, Status, capabilities
 from twin.devices.usb_standard import (
     BULK_IN,
     BULK_OUT,
-    CONFIGURATION,
-    DEVICE,
     ENDPOINTS,
     HALT_FEATURE,
     INTERRUPT_IN,
     MAX_PACKET,
-    STRING,
     configuration_descriptor,
     device_descriptor,
     string_descriptor,

@@ -7,32 +7,19 @@ USBError(-9, 32), a packet too large USBError(-8, 75), a device that is gone USB
 
 from array import array
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import usb.core
 from usb.backend import IBackend
 
 from protocols.clock import VirtualClock
-from protocols.usbtmc import INTERFACE_CLASS
-from twin.devices.usb_standard import ENDPOINTS, INTERRUPT_IN, INTERVAL_MS, MAX_POWER_2_MA, packet_bytes
-from twin.devices.usbtmc import PROTOCOL, Overflow, Stall, UsbTmcDevice
+from protocols.usb_descriptors import decode_configuration, decode_device
+from protocols.usbip import FULL_SPEED
+from twin.devices.usb_standard import INTERRUPT_IN, configuration_descriptor, device_descriptor
+from twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
 from twin.rig import VirtualRig
 
-FULL_SPEED = 2
 POLL_S = 0.002
-
-
-@dataclass
-class Descriptor:
-    """Any descriptor: the fields that pyusb reads, by their names in the USB specification."""
-
-    fields: dict[str, object] = field(default_factory=dict)
-
-    def __getattr__(self, name: str) -> object:
-        try:
-            return self.__dict__["fields"][name]
-        except KeyError:
-            raise AttributeError(name) from None
 
 
 class Handle:
@@ -58,6 +45,7 @@ class TwinUsbBackend(IBackend):
         self._rig = rig
         self._clock = rig.clock
         self._lock = rig.lock
+        self._configurations = [decode_configuration(configuration_descriptor())]
 
     def unplug(self, name: str) -> None:
         """Pulls a device's cable. Raises KeyError for one that the rig does not have."""
@@ -78,49 +66,22 @@ class TwinUsbBackend(IBackend):
     def get_parent(self, dev: UsbTmcDevice) -> None:
         del dev
 
-    def get_device_descriptor(self, dev: UsbTmcDevice) -> Descriptor:
-        instrument = dev.instrument
-        return Descriptor(
-            dict(
-                bLength=18, bDescriptorType=1, bcdUSB=0x0200, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
-                bMaxPacketSize0=64, idVendor=instrument.vendor_id, idProduct=instrument.product_id, bcdDevice=0x0100,
-                iManufacturer=1, iProduct=2, iSerialNumber=3, bNumConfigurations=1,
-                address=list(self._rig.usb.values()).index(dev) + 1, bus=1, port_number=1, port_numbers=(1,), speed=FULL_SPEED,
-            )
-        )  # fmt: skip
+    def get_device_descriptor(self, dev: UsbTmcDevice) -> SimpleNamespace:
+        address = list(self._rig.usb.values()).index(dev) + 1
+        data = device_descriptor(dev.instrument.vendor_id, dev.instrument.product_id)
+        return decode_device(data, address=address, bus=1, port_number=address, port_numbers=(address,), speed=FULL_SPEED)
 
-    def get_configuration_descriptor(self, dev: UsbTmcDevice, config: int) -> Descriptor:
+    def get_configuration_descriptor(self, dev: UsbTmcDevice, config: int) -> SimpleNamespace:
         del dev
-        _only_first(config)
-        return Descriptor(
-            dict(
-                bLength=9, bDescriptorType=2, wTotalLength=18 + 7 * len(ENDPOINTS), bNumInterfaces=1, bConfigurationValue=1,
-                iConfiguration=0, bmAttributes=0xC0, bMaxPower=MAX_POWER_2_MA, extra_descriptors=[],
-            )
-        )  # fmt: skip
+        return self._configurations[config].fields
 
-    def get_interface_descriptor(self, dev: UsbTmcDevice, intf: int, alt: int, config: int) -> Descriptor:
+    def get_interface_descriptor(self, dev: UsbTmcDevice, intf: int, alt: int, config: int) -> SimpleNamespace:
         del dev
-        _only_first(intf, alt, config)
-        device_class, subclass = INTERFACE_CLASS
-        return Descriptor(
-            dict(
-                bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=len(ENDPOINTS),
-                bInterfaceClass=device_class, bInterfaceSubClass=subclass, bInterfaceProtocol=PROTOCOL, iInterface=0,
-                extra_descriptors=[],
-            )
-        )  # fmt: skip
+        return self._configurations[config].setting(intf, alt).fields
 
-    def get_endpoint_descriptor(self, dev: UsbTmcDevice, ep: int, intf: int, alt: int, config: int) -> Descriptor:
+    def get_endpoint_descriptor(self, dev: UsbTmcDevice, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
         del dev
-        _only_first(intf, alt, config)
-        address, kind = ENDPOINTS[ep]
-        return Descriptor(
-            dict(
-                bLength=7, bDescriptorType=5, bEndpointAddress=address, bmAttributes=kind, wMaxPacketSize=packet_bytes(address),
-                bInterval=INTERVAL_MS if kind == 3 else 0, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
-            )
-        )  # fmt: skip
+        return self._configurations[config].setting(intf, alt).endpoints[ep]
 
     def open_device(self, dev: UsbTmcDevice) -> Handle:
         return Handle(dev)

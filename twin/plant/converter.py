@@ -11,6 +11,9 @@ from twin.plant.noise import normal, wandering
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
+SETTLED = 12.0
+"""Time constants after which an amplifier is at rest: its tail, a fifth of a count at full scale, ends there, so that what
+is read afterwards does not depend on when."""
 Floats = npt.NDArray[np.float64]
 Keys = npt.NDArray[np.uint64]
 
@@ -50,8 +53,9 @@ def converted(
         current = signal_a[c] * lamp_level(t, lamp, lamp_keys) + dark
         new = current * gain[c] * (1.0 + deviation[c])
         v = new
-        if since_change[c] < 40.0 * settling:
-            v += (current * old_gain[c] * (1.0 + old_deviation[c]) - new) * math.exp(-since_change[c] / settling)
+        if since_change[c] < SETTLED * settling:
+            left = math.exp(-since_change[c] / settling) - math.exp(-SETTLED)
+            v += (current * old_gain[c] * (1.0 + old_deviation[c]) - new) * left
         if noisy > 0.0:
             shot = 2.0 * ELEMENTARY_CHARGE_C * abs(current) * bandwidth
             johnson = 4.0 * BOLTZMANN_J_PER_K * temperature * bandwidth / gain[c]

@@ -9,7 +9,7 @@ from app.campaign.plan import make_plan
 from app.campaign.schedule import read_schedule
 from app.rig import read_rig
 from tests.conftest import Writer
-from tests.drivers.test_photodiodes import SERIAL
+from tests.drivers.photodiode_bench import SERIAL
 
 
 def test_its_duration_is_foretold_too(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

@@ -1,0 +1,68 @@
+"""The rig file with which another process measures on a virtual rig that this one serves."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import tomlkit
+from tomlkit.items import Table
+
+from app.errors import UserError
+from app.rig.opening import RigDescription
+from mocks.served import CONTROL, Endpoint
+
+FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start. SIMULATED."
+
+
+def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed: float) -> str:
+    """What the operator believes of a rig, as its file says it, at the endpoints' addresses, and that it is simulated.
+
+    Of its own mechanics and optics nothing is in it but the model's hash.
+    """
+    addresses: dict[str, str] = {}
+    control: int | None = None
+    for endpoint in endpoints:
+        if endpoint.device == CONTROL:
+            control = endpoint.port
+        else:
+            addresses.setdefault(endpoint.device, address_of(endpoint))  # a pseudo-terminal comes before its TCP port
+    document = tomlkit.parse(description.text)
+    document.remove("twin")
+    _table(document, "axes")["port"] = addresses["axes"]
+    _table(document, "monochromator")["port"] = addresses["mono"]
+    units = _table(document, "photodiodes")["units"]
+    _table(document, "photodiodes")["units"] = [addresses[f"adc-{k}"] for k in range(len(units))]
+    _table(document, "monitor")["usb"] = addresses["monitor"]
+    simulated = tomlkit.table()
+    simulated.update({"seed": description.seed, "model": description.model_hash(), "speed": speed})
+    if control is not None:
+        simulated["control_port"] = control
+    document["simulated"] = simulated
+    return f"{FIRST_LINE}\n{tomlkit.dumps(document)}"
+
+
+def address_of(endpoint: Endpoint) -> str:
+    """As a rig file writes it."""
+    if endpoint.bus_id is not None:
+        return f"usbip:{endpoint.host}:{endpoint.port}/{endpoint.bus_id}"
+    if endpoint.kind == "adam-6017":
+        return f"{endpoint.host}:{endpoint.port}"
+    port = endpoint.path if endpoint.path is not None else f"socket://{endpoint.host}:{endpoint.port}"
+    if endpoint.kind == "adam-4117":
+        return f"rtu:{port}?unit={endpoint.unit}&baudrate={endpoint.baudrate}"
+    return port
+
+
+def write_served_rig(path: Path, text: str) -> None:
+    """Raises UserError, and leaves alone what `goniotwin serve` has not written."""
+    try:
+        if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(FIRST_LINE):
+            raise UserError(f"{path}: is there, and goniotwin serve has not written it; choose another name")
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror}; choose another name") from None
+
+
+def _table(document: tomlkit.TOMLDocument, name: str) -> Table:
+    table = document[name]
+    assert isinstance(table, Table)  # the file has been read, and checked, before
+    return table

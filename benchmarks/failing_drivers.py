@@ -1,0 +1,227 @@
+"""Each driver of a virtual rig on a wire that can be made to fail, with a piece of work whose result is known."""
+
+from abc import ABC, abstractmethod
+from functools import cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from app.rig import OpenRig, RigDescription, open_rig, parse_rig
+from drivers import wait
+from mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
+from mocks.faulty_line import End, FaultyLine, foreign_rtu, foreign_tcp, foreign_tmcl, plug_in, refusal_rtu, refusal_tcp
+from mocks.faulty_usb import FaultyUsb
+from protocols.clock import VirtualClock
+from twin.devices.line import SerialDevice
+
+RIG = Path(__file__).resolve().parents[1] / "examples" / "rigs" / "virtual.toml"
+RANGE = ("gain_uncertainty", "range_code = 0x0142\ngain_uncertainty")
+"""Not the range that a module has after power-on, so that a reset changes something."""
+QUIET = (("noise = true", "noise = false"), RANGE)
+ON_RTU = (
+    ('kind = "adam-6017"', 'kind = "adam-4117"'),
+    ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e11]"),
+    ("[twin.light]", '[twin.electronics]\nmodule = "adam-4117"\ngains_v_per_a = [1e11]\n\n[twin.light]'),
+)
+
+
+class WrongValueError(Exception):
+    """A driver has returned what is not so."""
+
+
+class Bench(ABC):
+    """One driver of a virtual rig, and its wire. `undetectable` are faults that the wire does not let one detect."""
+
+    name: ClassVar[str]
+    devices: ClassVar[tuple[str, ...]]
+    faults: ClassVar[tuple[Fault, ...]]
+    undetectable: ClassVar[tuple[Fault, ...]] = ()
+    changes: ClassVar[tuple[tuple[str, str], ...]] = ()
+
+    def __init__(self) -> None:
+        self.opened: OpenRig = open_rig(_description(QUIET + self.changes), VirtualClock(1.0))
+        self.opened.connect()
+        assert self.opened.virtual is not None
+        self.rig, self.virtual = self.opened.rig, self.opened.virtual
+        self.clock = self.virtual.clock
+        self.break_wire()
+        self.work()
+
+    @abstractmethod
+    def break_wire(self) -> None:
+        """Puts the wire that may fail between driver and device, and connects again."""
+
+    @abstractmethod
+    def suffer(self, misfortune: Misfortune) -> None:
+        """From now on this happens to the wire."""
+
+    @abstractmethod
+    def work(self) -> None:
+        """A piece of work. Raises DeviceError, WrongValueError."""
+
+    def mend(self) -> None:
+        """What an engine or a person does after an error; a driver that mends itself needs nothing. Raises DeviceError."""
+        return
+
+    def noticed(self) -> bool:
+        """Whether the driver says that its device has reset, though no call has raised Forgotten."""
+        return False
+
+
+class Axes(Bench):
+    """TMCL over USB or RS485: a move of one axis, its counter, its encoder."""
+
+    name, devices = "axes (TMCL)", ("axes", "sigma")
+    faults = ON_A_SERIAL_LINE
+
+    def break_wire(self) -> None:
+        self._target = 10.0
+        self._line = FaultyLine(self.virtual.serial["axes"], Script(()), 0.1, foreign_tmcl)
+        plug_in(self._line, self.clock, lambda end: self.virtual.serial.update(axes=end))
+        self.rig.reconnect_axes()
+
+    def suffer(self, misfortune: Misfortune) -> None:
+        self._line.misfortune = misfortune
+
+    def work(self) -> None:
+        self._target = 30.0 - self._target
+        axis = self.rig.axes["sigma"]
+        wait(self.clock, [axis.start(self._target)])
+        truth = self._truth("sigma")
+        _compare([truth, axis.position_deg(), axis.encoder_deg() or 0.0], self._target, 2e-3)
+
+    def mend(self) -> None:
+        self.rig.reconnect_axes()
+        for name, axis in self.rig.axes.items():
+            axis.assume_referenced(self._truth(name))
+
+    def noticed(self) -> bool:
+        return any("reset" in axis.doubt for axis in self.rig.axes.values())
+
+    def _truth(self, name: str) -> float:
+        return self.virtual.plant.angle_deg(name, self.clock.now())
+
+
+class Monochromator(Bench):
+    """Cornerstone: a slew, the shutter, and the wavelength asked for."""
+
+    name, devices = "monochromator (ASCII)", ("monochromator",)
+    faults = ON_A_TEXT_LINE
+
+    def break_wire(self) -> None:
+        self._target = 600.0
+        self._line = FaultyLine(self.virtual.serial["mono"], Script(()), 1.5)
+        plug_in(self._line, self.clock, lambda end: self.virtual.serial.update(mono=end))
+        self.rig.monochromator.connect()
+
+    def suffer(self, misfortune: Misfortune) -> None:
+        self._line.misfortune = misfortune
+
+    def work(self) -> None:
+        self._target = 1233.1 - self._target
+        driver, plant = self.rig.monochromator, self.virtual.plant
+        wait(self.clock, [driver.start_wavelength(self._target)])
+        _compare([plant.wavelength_nm.at(self.clock.now()), driver.wavelength_nm()], self._target, 0.011)
+        opened = self._target > 620.0
+        wait(self.clock, [driver.start_shutter(opened=opened)])
+        _compare([plant.shutter_open.at(self.clock.now())], opened, 0)
+
+
+class PhotodiodesTcp(Bench):
+    """ADAM-6017: a gain, two readings of all channels, the canary."""
+
+    name, devices = "photodiodes (Modbus TCP)", ("photodiodes",)
+    faults = (*ON_MODBUS, Fault.GARBLED)
+    undetectable: ClassVar[tuple[Fault, ...]] = (Fault.CORRUPTED, Fault.GARBLED, Fault.NOISE)
+
+    def break_wire(self) -> None:
+        self.rig.photodiodes.close()
+        self._gain = 0
+        self._expected: dict[int, npt.NDArray[np.int64]] = {}
+        self._misfortune: Misfortune = Script(())
+        self._lines: list[FaultyLine] = []
+        self._connect()
+        self.rig.photodiodes.connect()
+        for _ in self.rig.photodiodes.settings.gains_v_per_a[:2]:
+            self.work()
+
+    def _connect(self) -> None:
+        def connection(station: SerialDevice) -> SerialDevice:
+            self._lines.append(FaultyLine(station, self._misfortune, 1.05, foreign_tcp, refusal_tcp))
+            return End(self._lines[-1])
+
+        self.virtual.modbus_wires = dict.fromkeys(self.virtual.modbus, connection)
+
+    def suffer(self, misfortune: Misfortune) -> None:
+        self._misfortune = misfortune
+        for line in self._lines:
+            line.misfortune = misfortune
+
+    def work(self) -> None:
+        array = self.rig.photodiodes
+        self._gain = (self._gain + 1) % min(2, len(array.settings.gains_v_per_a))
+        wait(self.clock, [array.start_gain(self._gain)])
+        taken = array.start_readings(2)
+        wait(self.clock, [taken])
+        expected = self._expected.setdefault(self._gain, taken.counts[1].astype(int))
+        _compare(taken.counts.astype(int), expected, 1)
+
+    def mend(self) -> None:
+        self.rig.photodiodes.reconnect()
+
+
+class PhotodiodesRtu(PhotodiodesTcp):
+    """ADAM-4117 on one serial line."""
+
+    name = "photodiodes (Modbus RTU)"
+    faults = ON_MODBUS_RTU
+    undetectable = ()
+    changes = ON_RTU
+
+    def _connect(self) -> None:
+        self._lines = [FaultyLine(self.virtual.serial["adcs"], self._misfortune, 1.05, foreign_rtu, refusal_rtu)]
+        plug_in(self._lines[0], self.clock, lambda end: self.virtual.serial.update(adcs=end))
+
+
+class Monitor(Bench):
+    """USBTMC: a mean."""
+
+    name, devices = "monitor (USBTMC)", ("monitor",)
+    faults = ON_USB
+
+    def break_wire(self) -> None:
+        self.virtual.plant.shutter_open.set(0.0, True)
+        self.rig.monitor.close()
+        self._wire = FaultyUsb(self.virtual.usb["monitor"], Script(()), self.clock)
+        self.virtual.usb["monitor"] = self._wire
+        self.rig.monitor.connect()
+        self._expected: float | None = None
+
+    def suffer(self, misfortune: Misfortune) -> None:
+        self._wire.misfortune = misfortune
+
+    def work(self) -> None:
+        mean = self.rig.monitor.start_mean(0.1)
+        wait(self.clock, [mean])
+        self._expected = self._expected or mean.current_a
+        _compare([mean.current_a], self._expected, 2e-3 * self._expected)  # the lamp drifts by 2 % an hour
+
+
+BENCHES: tuple[type[Bench], ...] = (Axes, Monochromator, PhotodiodesTcp, PhotodiodesRtu, Monitor)
+
+
+@cache
+def _description(changes: tuple[tuple[str, str], ...]) -> RigDescription:
+    text = RIG.read_text(encoding="utf-8")
+    for old, new in changes:
+        if old not in text:
+            raise LookupError(f"{old!r} is not in {RIG} any more")
+        text = text.replace(old, new)
+    return parse_rig(text, RIG.parent, str(RIG))
+
+
+def _compare(values: object, truth: object, tolerance: float) -> None:
+    if not np.allclose(np.asarray(values, float), np.asarray(truth, float), rtol=0.0, atol=tolerance):
+        raise WrongValueError(f"{values} instead of {truth}")

@@ -1,0 +1,134 @@
+"""Differences between what a device said when it was recorded and what another says now, byte by byte."""
+
+from dataclasses import dataclass, replace
+from itertools import takewhile, zip_longest
+
+from mocks.transcript import FROM_DEVICE, TO_DEVICE, Exchange, Passed
+
+SHOWN = 48
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Bytes that are not those of the transcript, from its line `line` on; `asked` is what was told before."""
+
+    line: int
+    direction: str
+    recorded: bytes
+    replayed: bytes
+    asked: bytes = b""
+    file: str = ""
+
+    @property
+    def places(self) -> list[tuple[int, int | None, int | None]]:
+        """Each byte that differs: where it is, what was recorded, what came now; None where there was nothing."""
+        pairs = enumerate(zip_longest(self.recorded, self.replayed))
+        return [(k, one, other) for k, (one, other) in pairs if one != other]
+
+    def __str__(self) -> str:
+        places = [f"byte {k}: {_hex(one)} recorded, {_hex(other)} now" for k, one, other in self.places]
+        who = "to the device" if self.direction == TO_DEVICE else "from the device"
+        more = f", and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
+        file = f"{self.file}, " if self.file else ""
+        return f"{file}line {self.line}, {who}: " + "; ".join(places[:SHOWN]) + more
+
+
+def told_otherwise(recorded: Passed | None, now: bytes, end: Passed | None) -> Difference:
+    """What a driver says instead of what it said; without `recorded`, after the `end` of the transcript."""
+    at = recorded or end
+    line, file = (at.line, at.file) if at is not None else (0, "")
+    return Difference(line, TO_DEVICE, recorded.data if recorded is not None else b"", now, file=file)
+
+
+def compared(recorded: list[Exchange], said: list[bytes]) -> list[Difference]:
+    """Exchange by exchange. Bytes may come one exchange sooner or later: drivers read them when they please.
+
+    What the device says after the last recorded byte is no difference: the recording had ended.
+    """
+    found: list[Difference] = []
+    late: list[Passed] = []  # recorded, and not said yet
+    early = b""  # said, and not recorded yet
+    before = None
+    for number, (exchange, new) in enumerate(zip(recorded, said, strict=True)):
+        then, now = [*late, *exchange.answers], early + new
+        if not _agree(_joined(then), now) and _agree(exchange.said, new):
+            found += _differing(late, early, before)
+            then, now = exchange.answers, new
+        if _agree(_joined(then), now):
+            late, early = _from(then, len(now)), now[len(_joined(then)) :]
+            # What has waited since the exchange before will not come any more.
+            overdue, stale = max(0, len(_joined(late)) - len(exchange.said)), max(0, len(early) - len(new))
+            found += _differing(_up_to(late, overdue), early[:stale], before)
+            late, early = _from(late, overdue), early[stale:]
+        else:
+            following = (recorded[number + 1].said, said[number + 1]) if number + 1 < len(said) else (b"", b"")
+            late, early = _surplus(then, now, *following)
+            end = len(_joined(then)) - len(_joined(late))
+            found += _differing(_up_to(then, end), now[: len(now) - len(early)], exchange.told)
+        before = exchange.told
+    return found + _differing(late, b"", before)
+
+
+def _joined(pieces: list[Passed]) -> bytes:
+    return b"".join(piece.data for piece in pieces)
+
+
+def _from(pieces: list[Passed], start: int) -> list[Passed]:
+    """What is left of recorded bytes after the first `start`."""
+    left = []
+    for piece in pieces:
+        if start < len(piece.data):
+            left.append(replace(piece, data=piece.data[start:]))
+        start = max(0, start - len(piece.data))
+    return left
+
+
+def _up_to(pieces: list[Passed], size: int) -> list[Passed]:
+    first = []
+    for piece in pieces:
+        if size > 0:
+            first.append(replace(piece, data=piece.data[:size]))
+        size -= len(piece.data)
+    return first
+
+
+def _agree(one: bytes, other: bytes) -> bool:
+    """As far as both go."""
+    return one.startswith(other) or other.startswith(one)
+
+
+def _surplus(then: list[Passed], now: bytes, next_recorded: bytes, next_said: bytes) -> tuple[list[Passed], bytes]:
+    """Of an exchange that differs: what belongs to the next, on one of the sides, because that fits there."""
+    late, early = _from(then, len(now)), now[len(_joined(then)) :]
+    fits = _alike(_joined(late) + next_recorded, early + next_said) > _alike(next_recorded, next_said)
+    return (late, early) if fits else ([], b"")
+
+
+def _alike(one: bytes, other: bytes) -> int:
+    """How many bytes are the same from the start on."""
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
+
+
+def _differing(recorded: list[Passed], now: bytes, asked: Passed | None) -> list[Difference]:
+    """Line by line of the transcript as long as lengths agree; one difference for all from where they do not."""
+    question = asked.data if asked is not None else b""
+    if not recorded:
+        line, file = (asked.line, asked.file) if asked is not None else (0, "")
+        return [Difference(line, FROM_DEVICE, b"", now, question, file)] if now else []
+    found: list[Difference] = []
+    same_size = len(_joined(recorded)) == len(now)
+    for number, piece in enumerate(recorded):
+        part = now[: len(piece.data)]
+        if part != piece.data and not same_size:
+            rest = _joined(recorded[number:])
+            return [*found, Difference(piece.line, FROM_DEVICE, rest, now, question, piece.file)]
+        if part != piece.data:
+            found.append(Difference(piece.line, FROM_DEVICE, piece.data, part, question, piece.file))
+        now = now[len(piece.data) :]
+    if now:
+        found.append(Difference(recorded[-1].line, FROM_DEVICE, b"", now, question, recorded[-1].file))
+    return found
+
+
+def _hex(byte: int | None) -> str:
+    return "nothing" if byte is None else f"{byte:02x}"

@@ -1,0 +1,185 @@
+"""Replay of a USBTMC instrument's transcript: against the twin's, or, in the instrument's place, against drivers.
+
+What was told is a control request where it has the eight bytes of a setup packet (CLEAR_FEATURE among them), else a bulk
+message, whose header alone has twelve. Of what came then, the first after a control request is its answer; what follows
+READ_STATUS_BYTE's are notices of the interrupt endpoint; all else is bulk IN. What failed (a stall, a timeout) is in no
+transcript: it shows as the answer that is not there.
+"""
+
+import contextlib
+import struct
+from collections import deque
+
+from mocks.replay import ROUNDING_S, replay_all
+from mocks.replay_difference import Difference, told_otherwise
+from mocks.transcript import FROM_DEVICE, Exchange, Passed, exchanges
+from protocols.usbtmc import Request
+from twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
+
+SETUP = struct.Struct("<BBHHH")
+CLEAR_HALT = (0x02, 1)
+NOBODY = float("inf")
+
+
+class UsbReplay:
+    """What an instrument was told, told to a twin device."""
+
+    def __init__(self, device: UsbTmcDevice, transcript: list[Passed]) -> None:
+        self._device = device
+        self._left = deque(exchanges(transcript))
+        self._found: list[Difference] = []
+        self._now = float("-inf")
+
+    @property
+    def due(self) -> float:
+        """When the next thing was told, s; infinity after the last."""
+        if not self._left:
+            return NOBODY
+        told = self._left[0].told
+        return told.t if told is not None else float("-inf")
+
+    def step(self) -> None:
+        """Tells it, and reads from the device what was read then."""
+        exchange = self._left.popleft()
+        told, answers = exchange.told, deque(exchange.answers)
+        read = self._read
+        if told is not None:
+            self._now = max(self._now, told.t)
+            if _is_setup(told.data):
+                self._compare(told, answers.popleft() if answers else None, self._control(told.data))
+                read = self._notice if _asks_for_status(told.data) else read
+            else:
+                self._write(told.data)
+                if not answers and self._left:
+                    self._compare(told, None, self._read(self.due))
+        for answer in answers:
+            self._compare(told, answer, read(NOBODY))
+
+    def differences(self) -> list[Difference]:
+        """Between what was recorded and what the device has said."""
+        return self._found
+
+    def _compare(self, told: Passed | None, answer: Passed | None, now: bytes) -> None:
+        recorded = answer.data if answer is not None else b""
+        at = answer if answer is not None else told
+        if now != recorded and at is not None:
+            asked = told.data if told is not None else b""
+            self._found.append(Difference(at.line, FROM_DEVICE, recorded, now, asked, at.file))
+
+    def _control(self, setup: bytes) -> bytes:
+        kind, request, value, index, length = SETUP.unpack(setup)
+        try:
+            return self._device.control(kind, request, value, index, length, self._now + self._device.latency_s)
+        except Stall:
+            return b""
+
+    def _write(self, data: bytes) -> None:
+        # A stall shows as the answer that does not come.
+        with contextlib.suppress(Stall):
+            self._device.bulk_out(data, self._now + 0.5 * self._device.latency_s)
+
+    def _read(self, until: float) -> bytes:
+        """What bulk IN has for a host that waits as long."""
+        try:
+            ready = self._device.bulk_in_ready()
+            return self._device.bulk_in() if ready is not None and ready <= until else b""
+        except Stall:
+            return b""
+
+    def _notice(self, until: float) -> bytes:
+        try:
+            ready = self._device.interrupt_in_ready()
+            return self._device.interrupt_in(max(self._now, ready)) if ready is not None and ready <= until else b""
+        except Stall:
+            return b""
+
+
+def replay_to_usb(device: UsbTmcDevice, transcript: list[Passed]) -> list[Difference]:
+    """Tells the device what it was told, at the same times, and compares what it says."""
+    told = UsbReplay(device, transcript)
+    replay_all([told])
+    return told.differences()
+
+
+class RecordedUsb(UsbTmcDevice):
+    """An instrument that says what it said: drivers that tell it something else than was recorded are found out.
+
+        rig.usb["monitor"] = RecordedUsb(rig.usb["monitor"], transcript)
+
+    It answers as fast as it did. From the first difference on it stalls what it is asked on endpoint 0, and says nothing on
+    the others. No transcript has the descriptors: they are those of `device`.
+    """
+
+    def __init__(self, device: UsbTmcDevice, transcript: list[Passed]) -> None:
+        super().__init__(device.instrument, device.latency_s)
+        self.differences: list[Difference] = []
+        self._recorded = deque(exchanges(transcript))
+        self._end = transcript[-1] if transcript else None
+        self._bulk: deque[tuple[float, bytes]] = deque()
+        self._interrupts: deque[tuple[float, bytes]] = deque()
+
+    @property
+    def finished(self) -> bool:
+        """Whether everything that was recorded has happened again."""
+        return not (self._recorded or self._bulk or self._interrupts or self.differences)
+
+    def control(self, kind: int, request: int, value: int, index: int, length: int, t: float) -> bytes:
+        """As recorded; standard requests, but for CLEAR_FEATURE, as `device`. Raises Stall where no answer was recorded."""
+        if kind & 0x60 == 0 and (kind, request) != CLEAR_HALT:
+            return super().control(kind, request, value, index, length, t)
+        if (kind, request) == CLEAR_HALT:
+            self.clear_halt(index)
+            return b""
+        setup = SETUP.pack(kind, request, value, index, length)
+        answers = self._told(setup, t - self.latency_s)
+        if not answers:
+            raise Stall
+        (self._interrupts if _asks_for_status(setup) else self._bulk).extend(answers[1:])
+        return answers[0][1]
+
+    def clear_halt(self, endpoint: int) -> None:
+        """CLEAR_FEATURE(ENDPOINT_HALT)."""
+        self._told(SETUP.pack(*CLEAR_HALT, 0, endpoint, 0), float("-inf"))
+
+    def bulk_out(self, data: bytes, t: float) -> None:
+        """What the host writes."""
+        self._bulk.extend(self._told(data, t - 0.5 * self.latency_s))
+
+    def bulk_in_ready(self) -> float | None:
+        """When it comes that came next."""
+        return self._bulk[0][0] if self._bulk else None
+
+    def bulk_in(self, size: int | None = None) -> bytes:
+        """As recorded. Raises Overflow where the host has no room for it."""
+        data = self._bulk.popleft()[1]
+        if size is not None and len(data) > size:
+            raise Overflow
+        return data
+
+    def interrupt_in_ready(self) -> float | None:
+        """When the notice comes that came next."""
+        return self._interrupts[0][0] if self._interrupts else None
+
+    def interrupt_in(self, t: float) -> bytes:
+        """As recorded."""
+        del t
+        return self._interrupts.popleft()[1]
+
+    def _told(self, data: bytes, t: float) -> list[tuple[float, bytes]]:
+        """What came then, each with the time at which the device has it ready; nothing once something was different."""
+        if self.differences:
+            return []
+        expected = self._recorded.popleft() if self._recorded else Exchange(None)
+        told = expected.told
+        if told is None or told.data != data:
+            self.differences.append(told_otherwise(told, data, self._end))
+            return []
+        return [(t + each.t - told.t - 0.5 * self.latency_s - ROUNDING_S, each.data) for each in expected.answers]
+
+
+def _is_setup(data: bytes) -> bool:
+    return len(data) == SETUP.size
+
+
+def _asks_for_status(data: bytes) -> bool:
+    return _is_setup(data) and data[1] == Request.READ_STATUS_BYTE

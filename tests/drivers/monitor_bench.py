@@ -1,0 +1,51 @@
+"""A monitor on a virtual rig, and what can be done to its wire."""
+
+from collections.abc import Callable
+
+import pytest
+import usb.core
+
+from drivers import Monitor, MonitorSettings, wait
+from protocols.clock import VirtualClock
+from tests.conftest import RigOpener
+from twin import VirtualRig
+from twin.doors import TwinUsbBackend
+
+TRUTH_A = 1.4e-7
+
+
+class Bench:
+    """With the shutter open."""
+
+    def __init__(self, rig: VirtualRig, settings: MonitorSettings | None = None) -> None:
+        self.rig = rig
+        self.clock = rig.clock
+        self.backend = TwinUsbBackend(rig)
+        self.monitor = Monitor(lambda: usb.core.find(backend=self.backend), settings or MonitorSettings(), rig.clock)
+        self.device = rig.usb["monitor"]
+        rig.plant.shutter_open.set(0.0, True)
+
+    def mean(self, seconds: float = 0.1) -> float:
+        mean = self.monitor.start_mean(seconds)
+        wait(self.clock, [mean])
+        return mean.current_a
+
+    def fail_once(self, name: str, fault: Callable[[bytes], bytes]) -> None:
+        """The next answer over bulk IN becomes another one."""
+        real = self.device.bulk_in
+
+        def broken(size: int | None = None) -> bytes:
+            self.device.bulk_in = real  # type: ignore[method-assign]
+            return fault(real(size))
+
+        self.device.bulk_in = broken  # type: ignore[method-assign]
+
+
+@pytest.fixture
+def bench(opened: RigOpener) -> Bench:
+    opened_rig = opened(clock=VirtualClock(1.0))
+    assert opened_rig.virtual is not None
+    opened_rig.rig.monitor.close()
+    bench = Bench(opened_rig.virtual)
+    bench.monitor.connect()
+    return bench

@@ -1,0 +1,55 @@
+"""The array of converter modules on either wire, and how its wires are broken."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from app.rig import OpenRig
+from drivers import PhotodiodeArray, wait
+from mocks.faults import Misfortune
+from mocks.faulty_line import End, FaultyLine, foreign_rtu, foreign_tcp, plug_in, refusal_rtu, refusal_tcp
+from protocols.clock import Clock, VirtualClock
+from tests.conftest import Change, RigOpener
+from twin.devices.line import SerialDevice
+
+QUIET: Change = ("noise = true", "noise = false")
+NARROW: Change = ("gain_uncertainty", f"range_code = {0x0142}\ngain_uncertainty")  # not what a module has after power-on
+SERIAL: tuple[Change, ...] = (
+    ('kind = "adam-6017"', 'kind = "adam-4117"'),
+    ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e11]"),
+    ("[twin.light]", '[twin.electronics]\nmodule = "adam-4117"\ngains_v_per_a = [1e11]\n\n[twin.light]'),
+)
+Bench = Callable[[bool], OpenRig]
+"""Opens a rig whose converters are on a serial line, or over TCP."""
+
+
+@pytest.fixture
+def bench(opened: RigOpener) -> Bench:
+    return lambda serial: opened(QUIET, NARROW, *(SERIAL if serial else ()), clock=VirtualClock(10.0))
+
+
+def read(array: PhotodiodeArray, clock: Clock, gain: int = 0, readings: int = 1) -> np.ndarray:
+    wait(clock, [array.start_gain(gain)])
+    taken = array.start_readings(readings)
+    wait(clock, [taken])
+    assert len(taken.counts) == readings
+    return taken.counts.astype(int)
+
+
+def break_wires(rig: OpenRig, misfortune: Misfortune, late_s: float = 0.1) -> None:
+    """From the next connection on."""
+    virtual = rig.virtual
+    assert virtual is not None
+    rig.rig.photodiodes.close()
+    if "adcs" in virtual.serial:
+        line = FaultyLine(virtual.serial["adcs"], misfortune, late_s, foreign_rtu, refusal_rtu)
+        plug_in(line, virtual.clock, lambda end: virtual.serial.update(adcs=end))
+
+    def connection(station: SerialDevice) -> SerialDevice:
+        return End(FaultyLine(station, misfortune, late_s, foreign_tcp, refusal_tcp))
+
+    virtual.modbus_wires = dict.fromkeys(virtual.modbus, connection)
+    misfortune.until, until = 0, misfortune.until
+    rig.rig.photodiodes.connect()
+    misfortune.until = until

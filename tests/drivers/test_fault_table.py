@@ -1,0 +1,37 @@
+"""Every fault on every wire, one at a time: the table that `python -m benchmarks.fault_table` prints."""
+
+import pytest
+
+from benchmarks.failing_drivers import BENCHES, Bench
+from benchmarks.fault_table import AGAIN, ERROR, NOTICED, RIGHT, STUCK, WRONG, Cell, as_markdown, case, failures, main
+from mocks.faults import Fault
+
+
+@pytest.mark.parametrize("kind", BENCHES)
+def test_no_single_fault_gives_a_wrong_value_or_a_stuck_driver(kind: type[Bench]) -> None:
+    for number, fault in enumerate(kind.faults):
+        assert case(kind, fault, number, Cell()) in (RIGHT, AGAIN, ERROR, NOTICED)
+
+
+@pytest.mark.parametrize("kind", BENCHES)
+def test_a_reset_is_noticed(kind: type[Bench]) -> None:
+    assert case(kind, Fault.RESET, 1, Cell()) == NOTICED
+
+
+def test_a_wrong_value_and_a_stuck_driver_are_told() -> None:
+    axes, _, over_tcp, *_ = BENCHES
+    rows = {fault: {kind: Cell() for kind in (axes, over_tcp)} for fault in (Fault.LOST, Fault.CORRUPTED)}
+    assert failures(rows) == []
+    rows[Fault.CORRUPTED][over_tcp].outcomes[WRONG] = 1  # nothing on this wire can show it
+    assert failures(rows) == []
+    rows[Fault.CORRUPTED][axes].outcomes[WRONG] = 2
+    rows[Fault.LOST][over_tcp].outcomes[STUCK] = 3
+    assert failures(rows) == ["photodiodes (Modbus TCP), reply lost: STUCK 3", "axes (TMCL), corrupted reply: WRONG 2"]
+    assert "| corrupted reply | WRONG 2 | WRONG 1 † |" in as_markdown(rows)
+
+
+@pytest.mark.long
+def test_a_hundred_cases_of_each_fault_on_each_wire(capsys: pytest.CaptureFixture[str]) -> None:
+    with capsys.disabled():
+        print()
+        assert main(["--cases", "100"]) == 0

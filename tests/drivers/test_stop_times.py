@@ -1,0 +1,149 @@
+"""Stop in the middle of a campaign, as an event of the virtual clock: how long until its frames are out, and until rest."""
+
+import contextlib
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from drivers import DeviceError, LimitError, wait
+from drivers.errors import Interrupted
+from drivers.tmcl import HEARTBEAT_S
+from protocols.clock import VirtualClock
+from tests.conftest import RigOpener
+from tests.drivers.busy_rig import RESOLUTION_S, BusyRig, Stop, Watched
+
+MOST_S = 0.2
+"""DESIGN: from any thread, the stop frames of all axes are on their wires within 200 ms."""
+LONGEST_RAMP_S = 1.0
+"""Of the example rig's axes: sigma from 10 deg/s with 10 deg/s^2, beta from 30 with 30."""
+SILENT = ("nobody", "the monochromator", "a converter module", "deaf axes", "mute axes")
+Work = Callable[[str], BusyRig]
+
+
+@pytest.fixture
+def work(opened: RigOpener) -> Work:
+    def begin(silent: str) -> BusyRig:
+        rig = opened(clock=VirtualClock())
+        assert rig.virtual is not None
+        busy = BusyRig(rig.rig, rig.virtual, SILENT.index(silent))
+        rig.rig.close()
+        rig.connect()
+        return busy
+
+    return begin
+
+
+def stopped_once(busy: BusyRig, silent: str) -> Stop:
+    """At a request drawn by lot somebody falls silent; the stop comes from then to when the driver has long given up.
+
+    Where nobody does it comes in the midst of an exchange, or anywhere within 2 s. It is checked here that the axes rest
+    in time, and that nothing moves from then on.
+    """
+    clock, lots = busy.clock, busy.random
+    wires = [busy.axes, busy.mono, busy.module]
+    falls = {"the monochromator": busy.mono, "a converter module": busy.module, "deaf axes": busy.axes, "mute axes": busy.axes}
+    wire: Watched = falls[silent] if silent in falls else wires[int(lots.integers(len(wires)))]
+    delay = float(lots.uniform(0.0, 1.3 if silent in falls else (0.003, 2.0)[int(lots.integers(2))]))
+
+    def fall(t: float) -> None:
+        wire.mute = silent == "mute axes"
+        wire.deaf = silent in falls and not wire.mute
+        clock.at(t + delay, busy.stop)
+
+    wire.call_at(int(lots.integers(1, 120 if wire is busy.axes else 25)), fall)
+    busy.work()
+    stop = busy.outcome()
+    angles = busy.angles_deg()
+    clock.sleep_until(clock.now() + 30.0)
+    assert busy.angles_deg() == angles
+    if silent != "the monochromator":
+        soon, late = busy.wavelengths_since_nm()
+        assert soon == late
+    assert stop.last_frame_s < MOST_S
+    if silent == "deaf axes":
+        assert stop.rest_s <= HEARTBEAT_S + LONGEST_RAMP_S
+    else:
+        # Until the frame is heard an axis may get faster, which takes it as long again on the ramp.
+        assert stop.rest_s <= stop.ramp_s + 2.0 * stop.last_frame_s + 2.0 * RESOLUTION_S
+    named = list(busy.rig.axes) if wire is busy.axes and silent in falls else []
+    assert [failure.device for failure in stop.failures] == named
+    busy.recover()
+    return stop
+
+
+@pytest.mark.parametrize("silent", SILENT)
+def test_whatever_the_rig_is_at_and_whoever_is_silent_all_axes_are_told_in_time_and_rest(work: Work, silent: str) -> None:
+    busy = work(silent)
+    for _ in range(100 if silent == "nobody" else 15):
+        stopped_once(busy, silent)
+
+
+@pytest.mark.parametrize("where", range(40))
+def test_a_stop_while_a_start_still_asks_where_the_others_are_forbids_the_move(opened: RigOpener, where: int) -> None:
+    """Before the arc is sent it is asked where it is and how far it is shifted: some 20 ms, of which this tries each half."""
+    opened_rig = opened(clock=VirtualClock())
+    rig, clock = opened_rig.rig, opened_rig.rig.clock
+    clock.at(clock.now() + 0.0005 * where, rig.stop)
+    with contextlib.suppress(DeviceError):
+        rig.start("beta", 90.0)
+    clock.sleep_until(clock.now() + 30.0)
+    assert opened_rig.virtual is not None
+    assert opened_rig.virtual.plant.angle_deg("beta", clock.now()) < 0.1
+
+
+@pytest.mark.parametrize("after_s", [0.01, 0.2, 0.4, 0.6])
+def test_a_stop_while_the_monochromators_line_is_brought_into_step_forbids_its_move(opened: RigOpener, after_s: float) -> None:
+    rig = opened().rig
+    rig.monochromator._wire.in_step = False
+    before = rig.monochromator.wavelength_nm()
+    rig.monochromator._wire.in_step = False
+    rig.clock.at(rig.clock.now() + after_s, rig.stop)
+    with pytest.raises(Interrupted, match="a stop has come first"):
+        rig.monochromator.start_wavelength(before + 50.0)
+    rig.clock.sleep_until(rig.clock.now() + 5.0)
+    assert rig.monochromator.wavelength_nm() == pytest.approx(before, abs=0.01)
+
+
+def test_while_an_axis_brakes_after_a_stop_nothing_starts_that_depends_on_where_it_will_rest(opened: RigOpener) -> None:
+    """The arc is stopped short of the incoming beam and rests in it: its shift, which is free before, is not any more."""
+    opened_rig = opened(clock=VirtualClock())
+    rig, clock, virtual = opened_rig.rig, opened_rig.rig.clock, opened_rig.virtual
+    assert virtual is not None
+    wait(clock, [rig.start("beta", 200.0)])
+    sweep = rig.start("beta", 340.0)
+    while virtual.plant.angle_deg("beta", clock.now()) < 258.0:
+        clock.sleep_until(clock.now() + 0.01)
+        if clock.now() >= sweep.due:
+            sweep.poll()
+    assert rig.stop() == []
+    with pytest.raises(LimitError, match="it still turns"):
+        rig.start("shift", 5.0)
+    clock.sleep_until(clock.now() + 2.0)
+    assert 264.0 < virtual.plant.angle_deg("beta", clock.now()) < 276.0
+    with pytest.raises(LimitError, match="incoming beam"):
+        rig.start("shift", 5.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("silent", SILENT)
+def test_of_a_thousand_stops_none_is_late(work: Work, silent: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A thousand with nobody silent, a thousand with somebody."""
+    busy = work(silent)
+    busy.random = np.random.default_rng(1000 + SILENT.index(silent))
+    stops = [stopped_once(busy, silent) for _ in range(1000 if silent == "nobody" else 250)]
+    with capsys.disabled():
+        print(f"\nstop on the virtual clock, {in_words(silent, stops)}")
+
+
+def in_words(silent: str, stops: list[Stop]) -> str:
+    """Worst and median of many."""
+    frames = 1e3 * np.array([stop.last_frame_s for stop in stops])
+    rests = np.array([stop.rest_s for stop in stops])
+    returned = 1e3 * max(stop.returned_s for stop in stops)
+    turned = sum(stop.ramp_s > 0.0 for stop in stops)
+    return (
+        f"{silent} silent: worst of {len(stops)} ({turned} of them while axes turned): last stop frame after "
+        f"{frames.max():.1f} ms (median {np.median(frames):.1f}), return after {returned:.0f} ms, at rest after "
+        f"{rests.max():.3f} s (longest ramp {max(stop.ramp_s for stop in stops):.3f})"
+    )

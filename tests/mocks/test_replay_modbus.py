@@ -1,0 +1,168 @@
+"""Modbus wires, replayed: to the twin's modules, and in their place to our driver. RTU: a file for each unit."""
+
+from pathlib import Path
+
+import pytest
+
+from drivers import DeviceError, wait
+from mocks.replay import LineReplay, RecordedDevice, replay_all, replay_to_device
+from mocks.transcript import Passed, merged
+from tests.conftest import Change
+from tests.drivers.photodiode_bench import NARROW
+from tests.mocks.replay_bench import (
+    BOTH,
+    QUIET,
+    RTU,
+    TCP,
+    UNITS,
+    RigMaker,
+    read_photodiodes,
+    same,
+    transcripts,
+    virtual,
+)  # fmt: skip
+from tests.mocks.replay_bench import rig_of as rig_of
+from twin import VirtualRig
+from twin.devices.line import SerialDevice
+from twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
+
+
+def record(rig_of: RigMaker, folder: Path, *changes: Change) -> tuple[list[list[Passed]], list[list[int]]]:
+    """What passed when the photodiodes were connected and read; a transcript for each unit, and the counts."""
+    rig = rig_of(*changes, transcript=folder)
+    rig.rig.photodiodes.connect()
+    counts = read_photodiodes(rig.rig)
+    rig.close()
+    found = transcripts(folder, "photodiodes")
+    assert len(found) == UNITS
+    return found, counts
+
+
+def end(rig: VirtualRig, index: int) -> tuple[SerialDevice, float]:
+    """Where a unit's wire ends, and how long the way there is."""
+    module = rig.modbus[f"adc-{index}"]
+    return (rig.serial["adcs"], 0.0) if module.model.serial else (TcpStation(module), 0.5 * module.latency_s)
+
+
+def put_in_place(rig: VirtualRig, recorded: list[list[Passed]]) -> list[RecordedDevice]:
+    """Recorded devices instead of the twin's modules."""
+    line = rig.serial.get("adcs")
+    if line is not None:
+        gap_s = GAP_CHARACTERS * BITS_A_BYTE / line.baudrate  # after which an answer is known to be over
+        rig.serial["adcs"] = device = RecordedDevice(merged(recorded), line.baudrate, gap_s)
+        return [device]
+    devices = [RecordedDevice(each, way_s=0.5 * rig.modbus["adc-0"].latency_s) for each in recorded]
+    for index, each in enumerate(devices):
+        rig.modbus_wires[f"adc-{index}"] = lambda station, each=each: each  # type: ignore[misc]
+    return devices
+
+
+@BOTH
+def test_the_same_modules_say_the_same_again(rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]) -> None:
+    recorded, _ = record(rig_of, tmp_path, *changes)
+    rig = virtual(rig_of(*changes))
+    for index, transcript in enumerate(recorded):
+        device, way_s = end(rig, index)
+        assert replay_to_device(device, transcript, way_s) == []
+
+
+def test_noise_is_the_same_again_where_the_times_are(rig_of: RigMaker, tmp_path: Path) -> None:
+    recorded, counts = record(rig_of, tmp_path)
+    assert len({tuple(row) for row in counts}) > 1
+    device, way_s = end(virtual(rig_of()), 0)
+    assert replay_to_device(device, recorded[0], way_s) == []
+
+
+@BOTH
+def test_a_module_with_other_settings_is_found_out_byte_by_byte(
+    rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]
+) -> None:
+    recorded, _ = record(rig_of, tmp_path, *changes)
+    rig = virtual(rig_of(*changes))
+    rig.modbus["adc-2"].write_registers(200, [0x0142], 0.0)
+    device, way_s = end(rig, 2)
+    first = replay_to_device(device, recorded[2], way_s)[0]
+    header = 3 if "adcs" in rig.serial else 9
+    assert str(first).startswith(
+        f"photodiodes-2.txt, line {first.line}, from the device: byte {header + 1}: 43 recorded, 42 now"
+    )
+    assert first.asked[-5 if "adcs" in rig.serial else -3] == 200
+    rest = {index: replay_to_device(end(rig, index)[0], recorded[index], way_s) for index in (0, 1, 3, 4)}
+    assert rest == {0: [], 1: [], 3: [], 4: []}
+
+
+def test_a_module_that_is_not_there_says_nothing(rig_of: RigMaker, tmp_path: Path) -> None:
+    recorded, _ = record(rig_of, tmp_path, *RTU)
+    rig = virtual(rig_of(*RTU))
+    rig.modbus["adc-1"].silent = True
+    differences = replay_to_device(rig.serial["adcs"], recorded[1])
+    answers = [each for each in recorded[1] if each.direction == "<"]
+    assert [(each.line, each.recorded, each.replayed) for each in differences] == [
+        (each.line, each.data, b"") for each in answers
+    ]
+    assert "byte 0: 02 recorded, nothing now" in str(differences[0])
+
+
+def test_the_files_of_one_line_are_told_as_the_line_saw_them(rig_of: RigMaker, tmp_path: Path) -> None:
+    recorded, _ = record(rig_of, tmp_path, *RTU)
+    line = merged(recorded)
+    assert [each.direction for each in line] == [">", "<"] * (len(line) // 2)  # one talks at a time
+    assert sorted(line, key=lambda each: each.t) == line
+    assert all(told.data[0] == answer.data[0] for told, answer in zip(line[::2], line[1::2], strict=True))
+    rig = virtual(rig_of(*RTU))
+    assert replay_to_device(rig.serial["adcs"], line) == []
+    rig = virtual(rig_of(*RTU))
+    rig.modbus["adc-4"].write_registers(220, [0x7F], 0.0)
+    assert {each.file for each in replay_to_device(rig.serial["adcs"], line)} == {"photodiodes-4.txt"}
+
+
+@BOTH
+def test_the_driver_gets_the_same_from_recorded_modules(rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]) -> None:
+    recorded, counts = record(rig_of, tmp_path / "first", *changes)
+    again = rig_of(*changes, transcript=tmp_path / "again")
+    devices = put_in_place(virtual(again), recorded)
+    again.rig.photodiodes.connect()
+    assert read_photodiodes(again.rig) == counts
+    again.close()
+    assert all(device.finished for device in devices)
+    late = 0.1 if changes == RTU else 0.0  # an RTU client knows only some time later that an answer is over
+    for one, other in zip(recorded, transcripts(tmp_path / "again", "photodiodes"), strict=True):
+        assert same(one, other, late)
+
+
+@BOTH
+def test_a_driver_that_says_something_else_is_found_out(rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]) -> None:
+    recorded, _ = record(rig_of, tmp_path, *changes)
+    other = rig_of(*changes, NARROW)  # it writes another range
+    devices = put_in_place(virtual(other), recorded)
+    with pytest.raises(DeviceError, match="photodiodes module 0"):
+        other.rig.photodiodes.connect()
+    (difference,) = devices[0].differences
+    assert difference.direction == ">"
+    assert difference.places
+    assert str(difference).startswith("photodiodes-0.txt, line ")
+    assert not devices[0].finished
+
+
+def test_wires_of_one_rig_are_told_in_the_order_of_their_times(rig_of: RigMaker, tmp_path: Path) -> None:
+    rig = rig_of(*TCP, transcript=tmp_path)
+    virtual(rig).mount("gaussian-5")
+    rig.rig.connect()
+    wait(rig.rig.clock, [rig.rig.monochromator.start_shutter(opened=True)])
+    bright = read_photodiodes(rig.rig, gain=2)
+    assert max(bright[0]) > 33000
+    rig.close()
+    (light,), (counted, *_) = transcripts(tmp_path, "monochromator"), transcripts(tmp_path, "photodiodes")
+
+    def replayed(*, with_light: bool) -> int:
+        fresh = virtual(rig_of(QUIET))
+        fresh.mount("gaussian-5")
+        device, way_s = end(fresh, 0)
+        replays = [LineReplay(device, counted, way_s)]
+        if with_light:
+            replays.append(LineReplay(fresh.serial["mono"], light))
+        replay_all(replays)
+        return sum(len(each.differences()) for each in replays)
+
+    assert replayed(with_light=True) == 0
+    assert replayed(with_light=False) == 2  # two readings, in the dark

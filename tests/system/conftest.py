@@ -1,0 +1,42 @@
+"""A rig that another process serves."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+MAIN = [sys.executable, "-c", "from app.cli import main; main()"]
+Served = tuple[subprocess.Popen[str], list[dict[str, Any]]]
+Serve = Callable[..., Served]
+"""Serves a rig file, with further options; its process, and the lines in which it says where everything is."""
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Serve]:
+    processes: list[subprocess.Popen[str]] = []
+
+    def start(rig: Path, *options: object) -> Served:
+        process = subprocess.Popen(
+            [*MAIN, "serve", "--rig", str(rig), "--ptys", str(tmp_path / "ptys"), *map(str, options)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        processes.append(process)
+        assert process.stdout is not None
+        lines: list[dict[str, Any]] = []
+        while not lines or lines[-1]["device"] != "control":
+            lines.append(json.loads(process.stdout.readline()))
+        return process, lines
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def at(lines: list[dict[str, Any]], device: str, key: str) -> dict[str, Any]:
+    """The line of a device that has `key`."""
+    return next(line for line in lines if line["device"] == device and key in line)

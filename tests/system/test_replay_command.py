@@ -1,0 +1,147 @@
+"""`goniotwin replay`: an integrator has recorded a rig, and asks where the twin answers otherwise."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from pymodbus.framer import FramerRTU
+
+from app.errors import UserError
+from app.replaying import Replayed, replay_transcripts
+from app.rig import read_rig
+from mocks.transcript import read_transcript
+from tests.conftest import Change, Writer
+from tests.mocks.replay_bench import RTU, TCP, RigMaker, session, virtual
+from tests.mocks.replay_bench import rig_of as rig_of
+from tests.system.test_command import goniotwin
+
+# Units 20 to 24, where the twin's are 1 to 5.
+REAL_LINE: tuple[Change, ...] = tuple((f'"twin://virtual/adc-{k}"', f'"rtu:COM7?unit={k + 20}"') for k in range(5))
+
+
+@pytest.fixture
+def recorded(rig_of: RigMaker, tmp_path: Path) -> Path:
+    """The transcripts of a session with a sample mounted."""
+    rig = rig_of(*TCP, transcript=tmp_path / "wires")
+    virtual(rig).mount("gaussian-5")
+    session(rig.rig)
+    rig.close()
+    return tmp_path / "wires"
+
+
+def replayed(write_rig: Writer, folder: Path, *changes: Change, stem: str = "*", mount: str | None = "gaussian-5") -> Replayed:
+    return replay_transcripts(sorted(folder.glob(f"{stem}.txt")), read_rig(write_rig(*changes)), None, mount)
+
+
+def test_a_twin_of_the_same_rig_has_no_difference(recorded: Path, write_rig: Writer) -> None:
+    rig = write_rig(*TCP)
+    done = goniotwin("replay", *sorted(recorded.iterdir()), "--rig", rig, "--mount", "gaussian-5")
+    assert (done.returncode, done.stderr) == (0, "")
+    (line,) = done.stdout.splitlines()
+    assert line.startswith("no difference; told ")
+    assert line.endswith(": axes.txt, monitor.txt, monochromator.txt, " + ", ".join(f"photodiodes-{k}.txt" for k in range(5)))
+
+
+def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, write_rig: Writer) -> None:
+    done = goniotwin("replay", recorded / "monitor.txt", "--rig", write_rig(*TCP))  # it has seen light, and now it is dark
+    assert (done.returncode, done.stderr) == (1, "")
+    first, asked, was, now, last = done.stdout.splitlines()
+    byte = r"byte \d+: [0-9a-f]{2} recorded, [0-9a-f]{2} now"
+    assert re.fullmatch(rf"monitor.txt, line \d+, from the device: {byte}(; {byte})*", first)
+    assert re.fullmatch(r" +asked +02 .* 00  \| transfer \d+: up to 4096 bytes, please", asked)
+    assert re.fullmatch(r" +recorded +02 .*  \| transfer \d+: '1\.\d{8}E-07\\n'", was)
+    assert re.fullmatch(r" +now +02 .*  \| transfer \d+: '1\.\d{8}E-11\\n'", now)
+    assert re.fullmatch(r"1 difference; told \d+ times: monitor.txt", last)
+
+
+def test_programs_get_one_object(recorded: Path, write_rig: Writer) -> None:
+    elsewhere = recorded.parent / "what the device said.txt"
+    shutil.copy(recorded / "axes.txt", elsewhere)
+    done = goniotwin("replay", elsewhere, "--device", "axes", "--rig", write_rig(*TCP), "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads(done.stdout)
+    assert result["transcripts"] == {"what the device said.txt": "axes"}
+    assert result["told"] > 50
+    assert result["differences"] == []
+
+
+def test_bytes_that_differ_are_numbered_for_programs(recorded: Path, write_rig: Writer) -> None:
+    result = replayed(write_rig, recorded, *TCP, stem="photodiodes-0").as_dict()
+    first = result["differences"][0]  # a reading, in the dark: the shutter's transcript is not there
+    assert first["file"] == "photodiodes-0.txt"
+    was, now = (bytes.fromhex(first[key]) for key in ("recorded", "now"))
+    assert first["bytes"] == [{"at": at, "recorded": was[at], "now": now[at]} for at in range(len(was)) if was[at] != now[at]]
+
+
+def test_wires_that_are_told_together_see_each_other(recorded: Path, write_rig: Writer) -> None:
+    assert not replayed(write_rig, recorded, *TCP).differences
+    assert replayed(write_rig, recorded, *TCP, stem="photodiodes-0").differences
+    assert replayed(write_rig, recorded, *TCP, mount=None).differences
+
+
+def test_units_of_a_real_line_are_found_by_their_numbers(rig_of: RigMaker, write_rig: Writer, tmp_path: Path) -> None:
+    rig = rig_of(*RTU, transcript=tmp_path)
+    rig.rig.photodiodes.connect()
+    rig.close()
+    assert not replayed(write_rig, tmp_path, *RTU, stem="photodiodes-*").differences
+    silent = replayed(write_rig, tmp_path, *RTU, *REAL_LINE, stem="photodiodes-*")
+    assert {each.replayed for each, _ in silent.differences} == {b""}
+    for path in tmp_path.glob("photodiodes-*.txt"):
+        readdress(path, 19)
+    assert not replayed(write_rig, tmp_path, *RTU, *REAL_LINE, stem="photodiodes-*").differences
+
+
+def readdress(path: Path, more: int) -> None:
+    """Rewrites a transcript of RTU frames for units with numbers so much higher."""
+    lines = []
+    for each in read_transcript(path):
+        body = bytes((each.data[0] + more,)) + each.data[1:-2]
+        frame = body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
+        lines.append(f"{each.t:.6f} {each.direction} {frame.hex(' ')}  | \n")
+    path.write_text("".join(lines), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "device", "why"),
+    [
+        ("axes.txt", "no transcript", None, "axes.txt, line 1: "),
+        ("axes.txt", "# nothing\n", None, "axes.txt: nothing passed in it"),
+        (
+            "notes.txt",
+            " 1.0 > 01  | \n",
+            None,
+            "notes.txt: its name tells no device of .*: axes, monochromator, photodiodes-0, ",
+        ),
+        ("photodiodes-5.txt", " 1.0 > 01  | \n", None, "photodiodes-5.txt: its name tells no device"),
+        ("axes.txt", " 1.0 > 01  | \n", "arm", "has no device 'arm'; it has axes, "),
+    ],
+)
+def test_what_cannot_be_replayed_is_told(
+    write_rig: Writer, tmp_path: Path, name: str, text: str, device: str | None, why: str
+) -> None:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=why):
+        replay_transcripts([path], read_rig(write_rig()), device, None)
+
+
+def test_other_bad_input_is_told(recorded: Path, write_rig: Writer) -> None:
+    rig, axes = read_rig(write_rig()), recorded / "axes.txt"
+    with pytest.raises(UserError, match="no sample 'gold'; it has: etalon, gaussian-5"):
+        replay_transcripts([axes], rig, None, "gold")
+    with pytest.raises(UserError, match="another transcript is of axes already"):
+        replay_transcripts([axes, axes], rig, None, None)
+    with pytest.raises(UserError, match="--device names the device of one transcript, and there are 2"):
+        replay_transcripts([axes, recorded / "monitor.txt"], rig, "axes", None)
+    with pytest.raises(UserError, match="cannot be read"):
+        replay_transcripts([recorded / "none" / "axes.txt"], rig, None, None)
+
+
+def test_bad_input_is_one_line_with_status_2(recorded: Path, write_rig: Writer) -> None:
+    done = goniotwin("replay", write_rig(name="axes.txt"), "--rig", write_rig())
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("goniotwin: ")
+    assert "axes.txt, line 2: is no line of a transcript" in line
