@@ -2,7 +2,6 @@
 
 import json
 import logging
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,12 +11,13 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
+from app.axes_cli import RigOption, add_axes_commands, errors
+from app.ending import heed_requests_to_end
 from app.errors import UserError
 from app.progress import RowProgress
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-EXAMPLE_RIG = EXAMPLES / "rigs" / "virtual.toml"
-EXAMPLE_SCHEDULE = EXAMPLES / "schedules" / "quick.toml"
+EXAMPLE_RIG, EXAMPLE_SCHEDULE = EXAMPLES / "rigs" / "virtual.toml", EXAMPLES / "schedules" / "quick.toml"
 
 app = typer.Typer(
     name="goniotwin",
@@ -30,10 +30,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="What is to be measured.", show_default=False)]
-RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Where the devices are.", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
 TranscriptOption = Annotated[
     Path | None,
@@ -89,9 +87,8 @@ def run(
     """
     from app.campaign.campaign import run_campaign
     from app.campaign.events import State
-    from app.campaign.plan import make_plan
 
-    plan = make_plan(*_read(schedule, rig))
+    plan = _plan(schedule, rig)
     with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress:
         outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_person)
     result = {
@@ -119,9 +116,8 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     Nothing is opened and nothing moves. What the rig cannot do is refused with status 2.
     """
     from app.campaign.check import checked_plan, in_words
-    from app.campaign.plan import make_plan
 
-    plan = make_plan(*_read(schedule, rig))
+    plan = _plan(schedule, rig)
     plan.rig.model()  # samples' files that cannot be read are found now, not at the start
     result = checked_plan(plan)
     _answer(as_json, result, lambda: print(in_words(plan, result)))
@@ -219,6 +215,9 @@ def usb(
     run_with_usb(read_rig(rig), program, context.args)
 
 
+add_axes_commands(app)
+
+
 @app.command()
 def devices(
     rig: Annotated[
@@ -229,11 +228,13 @@ def devices(
     """List ports and who answers on them: of this computer, or of a rig file.
 
     Devices are asked who they are, and for nothing else. A port that another program holds is left alone.
+    The status is 1 when a device of a rig file does not answer, else 0.
     """
-    from app.devices import found_devices, in_words
+    from app.devices import exit_status, found_devices, in_words
 
     found = found_devices(rig)
     _answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(in_words(found)))
+    raise typer.Exit(exit_status(found))
 
 
 @app.command()
@@ -259,11 +260,12 @@ def replay(
     raise typer.Exit(1 if result.differences else 0)
 
 
-def _read(schedule: Path, rig: Path) -> tuple[Any, Any]:
+def _plan(schedule: Path, rig: Path) -> Any:
+    from app.campaign.plan import make_plan
     from app.campaign.schedule import read_schedule
     from app.rig import read_rig
 
-    return read_schedule(schedule), read_rig(rig)
+    return make_plan(read_schedule(schedule), read_rig(rig))
 
 
 def _ask_person(text: str) -> None:
@@ -282,8 +284,7 @@ def _answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> 
 def main() -> None:
     """The entry point: what a person can mend is one line on standard error, and status 2."""
     logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors come to us as exceptions
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs inherit it ignored
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a request to end is a stop: axes at rest, journal whole
+    heed_requests_to_end()  # a request to end is a stop: axes at rest, journal whole
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort):

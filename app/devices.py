@@ -17,6 +17,7 @@ from protocols.clock import Clock, RealClock, VirtualClock
 from protocols.usbtmc import INTERFACE_CLASS
 
 AXES_BAUDRATES = (115200, 9600)
+OF_A_RIG = "rig"
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,17 @@ def in_words(found: list[Found]) -> str:
     return "\n".join(f"{each.bus:7}{each.address or '-':24}{each.answers or f'no answer ({each.tried})'}" for each in found)
 
 
+def exit_status(found: list[Found]) -> int:
+    """1 when a device of a rig file does not answer. That nobody answers on some port of this computer is no fault."""
+    return int(any(each.bus == OF_A_RIG and each.tried for each in found))
+
+
 def of_rig(rig: RigDescription, clock: Clock) -> list[Found]:
     """The devices of a rig file. Raises UserError where another program has the rig."""
     with open_rig(rig, clock) as opened:
         outcome = opened.rig.connect()
         return [
-            Found("rig", device, opened.rig.identities.get(device), "" if error is None else str(error))
+            Found(OF_A_RIG, device, opened.rig.identities.get(device), "" if error is None else str(error))
             for device, error in outcome.items()
         ]
 

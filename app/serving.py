@@ -10,7 +10,7 @@ from pathlib import Path
 
 from app.errors import UserError
 from app.rig import RigDescription
-from app.rig.served_file import served_rig, write_served_rig
+from app.rig.served_file import check_served_rig, served_rig, write_served_rig
 from mocks import installed
 from mocks.served import ServedRig
 from protocols.clock import RealClock
@@ -23,6 +23,8 @@ def serve_until_interrupted(
 ) -> None:
     """Prints where the devices are, and serves until SIGINT or SIGTERM. Raises UserError."""
     folder = ptys if ptys is not None else Path(tempfile.gettempdir()) / f"goniotwin-{getpass.getuser()}" / rig.file.name
+    if write_rig is not None:
+        check_served_rig(write_rig)
     served = ServedRig(_model(rig), speed, folder.absolute(), control=control)
     try:
         served.start()
@@ -32,7 +34,8 @@ def serve_until_interrupted(
             print(json.dumps(endpoint.as_dict()), flush=True)
         threading.Event().wait()
     except OSError as error:
-        raise UserError(f"{rig.name}: cannot be served: {error}; see that the names and ports are free") from None
+        advice = "; see that the names and ports are free" if error.errno is not None else ""
+        raise UserError(f"{rig.name}: cannot be served: {error}{advice}") from None
     except KeyboardInterrupt:
         print("goniotwin: no longer served", file=sys.stderr)
     finally:

@@ -8,6 +8,7 @@ from drivers.errors import DeviceError, Forgotten, Interrupted, LimitError, NoAn
 from drivers.homing import HomingSearch
 from drivers.moving import ARRIVED_AFTER_S as ARRIVED_AFTER_S
 from drivers.moving import Move, Switches
+from drivers.reference import REMEDY, Reference
 from drivers.tmcl import TmclModule
 from protocols.clock import Clock
 from protocols.tmcl import Axis as Parameter
@@ -31,19 +32,17 @@ class Axis:
         self.name = settings.name
         self.errors = ErrorFlag(0)
         self.last_reference_deg: float | None = None
-        self._doubt = "it has not been homed since it was connected" if settings.homing_required else ""
-        self._resets = 0
+        self._reference = Reference(module, settings)
         self._taken_up = False
         self._searching = False
+        self.alive_s = module.alive_s
 
     # ---- whether it knows where it is ----
 
     @property
     def doubt(self) -> str:
         """Why it is not known where the axis is; empty where it is."""
-        if self._module.resets(self.settings.module) != self._resets:
-            return self._doubt or "its module has reset, and its counter with it"
-        return self._doubt
+        return self._reference.doubt
 
     @property
     def referenced(self) -> bool:
@@ -52,7 +51,7 @@ class Axis:
 
     def put_in_doubt(self, reason: str) -> None:
         """From now on it is not known where the axis is."""
-        self._doubt = self._doubt or reason
+        self._reference.put_in_doubt(reason)
 
     def assume_referenced(self, angle_deg: float | None = None) -> None:
         """Somebody has looked: the axis rests at this angle, or (None) where its counter says. Raises DeviceError."""
@@ -60,8 +59,7 @@ class Axis:
             self._check_finite(angle_deg, "assume that it is at")
             self.count_from(self.settings.microsteps(angle_deg))
         self._module.check_canary(self.settings.module)
-        self._resets = self._module.resets(self.settings.module)
-        self._doubt = ""
+        self._reference.settle()
         self._taken_up = False
 
     def count_from(self, microsteps: int) -> None:
@@ -109,11 +107,14 @@ class Axis:
         for parameter, value in written:
             self.ask(Command.SAP, parameter, value)
         try:
-            self.ask(Command.GAP, Parameter.ERROR_FLAGS)  # reading clears what was before
+            before = self.ask(Command.GAP, Parameter.ERROR_FLAGS)  # reading clears what was before
         except (Refused, Interrupted):
             raise
         except DeviceError:
-            self.ask(Command.GAP, Parameter.ERROR_FLAGS)
+            before = self.ask(Command.GAP, Parameter.ERROR_FLAGS)
+        self._reference.connected(ErrorFlag(before & 3))
+        if self.settings.encoder and not self.doubt and not self.turns():
+            self._compared()
         self.errors = ErrorFlag(0)
         self._taken_up = False
 
@@ -126,7 +127,7 @@ class Axis:
         """
         self.check_limits(self.settings, target_deg)
         if self.doubt:
-            raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.doubt, "home it, or say where it is")
+            raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.doubt, REMEDY)
         stops = self._module.stops if since is None else since
         here = self.ask(Command.GAP, Parameter.ACTUAL_POSITION)
         self._module.check_canary(self.settings.module)
@@ -165,10 +166,9 @@ class Axis:
     def homed(self, reference_deg: float) -> None:
         """A search has ended well; by its old counter the reference was at `reference_deg`."""
         self._searching = False
-        self._resets = self._module.resets(self.settings.module)
+        self._reference.settle()
         self.last_reference_deg = reference_deg
         self.errors = ErrorFlag(0)
-        self._doubt = ""
         self._taken_up = False
 
     def arrived(self) -> None:
@@ -236,6 +236,22 @@ class Axis:
         encoder = self.encoder_deg()
         return None if encoder is None else encoder - self.position_deg()
 
+    def read_back(self) -> tuple[float, float | None]:
+        """Counter and encoder of an axis at rest, of which nobody doubts where it is. Raises DeviceError.
+
+        Where they disagree, asked twice, it is unreferenced from then on."""
+        here, encoder = self._compared()
+        if self.doubt:
+            raise Unreferenced(self.name, f"believe that it is at {here:.3f} deg", self.doubt, REMEDY)
+        return here, encoder
+
+    def _compared(self) -> tuple[float, float | None]:
+        here, encoder = self.position_deg(), self.encoder_deg()
+        if self._reference.apart(here, encoder):
+            here, encoder = self.position_deg(), self.encoder_deg()
+            self._reference.compare(here, encoder)
+        return here, encoder
+
     def switches(self) -> Switches:
         """The limit switches and the home switch, as the module sees them."""
         right, left, home = (
@@ -263,18 +279,13 @@ class Axis:
         self._module.check_canary(self.settings.module)
 
     def set_currents(self, run: int, standby: int) -> None:
-        """Of 255: while it turns, and when it has rested for a while. Until the next connection."""
+        """Of 255: turning, and at rest. Until the next connection."""
         self.ask(Command.SAP, Parameter.RUN_CURRENT, run)
         self.ask(Command.SAP, Parameter.STANDBY_CURRENT, standby)
 
     def ask(self, command: Command, number: int, value: int = 0) -> int:
         """One exchange about this axis."""
         return self._module.exchange(Request(self.settings.module, command, number, self.settings.motor, value))
-
-    @property
-    def alive_s(self) -> float:
-        """How often it has to be asked something while it moves."""
-        return self._module.alive_s
 
     def move_request(self, kind: MoveType, value: int) -> Request:
         """MVP."""

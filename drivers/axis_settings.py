@@ -8,6 +8,8 @@ from drivers.ramp import move_seconds
 OVERSHOOT = 2.0
 """By how many times the believed backlash a move goes too far, to come back from the side that it has to arrive from."""
 
+ENCODER_TOLERANCE_DEG = 0.05
+
 ENCODER_MICROSTEPS = 256
 """Microsteps of a full step in which a module gives the encoder's position (*)."""
 
@@ -35,7 +37,9 @@ class AxisSettings:
     `approach_from`, if need be after going too far. `switches` has the limit switches stop the motor, `max_deviation_deg`
     an encoder that says something else than the counter (0: never), `stall_speed` (deg/s) a stall above it (0: never).
     `encoder_counts` a turn of the motor are told to the module where they are given (*).
-    `homing_required`: after connecting the axis has to be homed before it moves to an angle.
+    After a power-up of its module the axis goes to no angle before it has been homed, or somebody has said where it is;
+    but with `power_up_at_reference` it is parked where its microsteps are 0 whenever that is switched on, unless
+    `homing_required`. `encoder_tolerance_deg`: how far counter and encoder of an axis at rest may be apart (0: any way).
     """
 
     name: str
@@ -67,6 +71,8 @@ class AxisSettings:
     approach_from: Literal["below", "above"] = "below"
     homing: Homing | None = None
     homing_required: bool = False
+    power_up_at_reference: bool = False
+    encoder_tolerance_deg: float | None = None
 
     @property
     def microsteps_per_deg(self) -> float:
@@ -92,6 +98,12 @@ class AxisSettings:
     def pps(self, speed: float) -> int:
         """Microsteps a second (or a second squared) of deg/s; at least 1 where it is not 0."""
         return 0 if speed == 0.0 else max(1, round(speed * abs(self.microsteps_per_deg)))
+
+    @property
+    def tolerance_deg(self) -> float:
+        """Between counter and encoder, at rest; where nobody has said it 0.05 deg and the backlash."""
+        given = self.encoder_tolerance_deg
+        return ENCODER_TOLERANCE_DEG + self.backlash_deg if given is None else given
 
     @property
     def overshoot_deg(self) -> float:

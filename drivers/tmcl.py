@@ -14,11 +14,11 @@ row; soft limits keep targets, limit switches and the encoder's deviation the mo
 
 `connect` puts a value into a user variable that is lost with the power (the canary). Where it is gone, the module has
 reset and forgotten its settings. The heartbeat has the module stop its motors when nothing is said to it for 2 s: four
-times the pause between two questions to a moving axis, and longer than the 1 s for which an exchange on another bus may
-hold up the engine. At rest it does nothing, so that an exposure may last for ever. (*) Firmware keeps the heartbeat in
-EEPROM: it is written only where it is not that already.
+times the pause between two questions to a moving axis, longer than the 1 s for which another bus may hold up the engine.
+(*) Firmware keeps the heartbeat in EEPROM: it is written only where it is not that already.
 """
 
+import contextlib
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -29,7 +29,7 @@ from serial import Serial
 from drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
 from drivers.tap import Tap, no_tap
 from drivers.tmcl_port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, TmclPort
-from drivers.tmcl_rules import believed, moves, repeatable
+from drivers.tmcl_rules import CANARY, CANARY_VARIABLE, FIRST_MARKER, MARKER_VARIABLE, believed, doubts, moves, repeatable
 from drivers.tmcl_rules import explain as explain
 from drivers.turnstile import Turnstile
 from protocols.clock import Clock
@@ -45,8 +45,6 @@ SLOW_LINE_TIMEOUT_S = 0.5
 HEARTBEAT_S = 2.0
 RESYNCHRONISATIONS = 2
 SAID_KEPT = 100
-CANARY_VARIABLE, MARKER_VARIABLE = 254, 255
-CANARY, FIRST_MARKER = 0x676F_6E69, 0x4D41_0000
 
 
 class TmclModule:
@@ -54,7 +52,7 @@ class TmclModule:
 
     Exchanges come from the engine's thread and, for Stop, from any other or from an event of the clock in the middle of an
     exchange. A lock keeps them apart, and Stop goes first: an exchange that hangs gives way to it.
-    `said` is what it did of its own accord (opened the port again, found back into step), newest last.
+    `said` is what it did of its own accord, newest last.
     """
 
     def __init__(
@@ -78,11 +76,9 @@ class TmclModule:
         self.said: deque[str] = deque(maxlen=SAID_KEPT)
         self._turns = Turnstile()
         self._port: TmclPort | None = None
-        self._in_doubt = False
-        self._marker = FIRST_MARKER
+        self._in_doubt, self._marker = False, FIRST_MARKER
         self._last: tuple[int, int, float] = (0, 0, float("-inf"))
-        self._greeted: set[int] = set()
-        self._gone: set[int] = set()
+        self._greeted, self._gone = set[int](), set[int]()
         self._resets = dict.fromkeys(self.addresses, 0)
 
     @property
@@ -162,7 +158,7 @@ class TmclModule:
             self._notice_reset(address)
             raise Forgotten(
                 "axes", f"look for the canary in module {address}", "the module has reset and forgotten its settings",
-                "connect again, then home its axes",
+                "connect again, then home its axes, or say where they are (goniotwin home, goniotwin here)",
             )  # fmt: skip
 
     def stop(self, targets: Sequence[tuple[str, Request]], then: Callable[[], None] = lambda: None) -> list[DeviceError]:
@@ -191,10 +187,8 @@ class TmclModule:
             self._last = (Command.MST, 0, self._clock.now())
             if broken:
                 return [NoAnswer(name, "stop", f"the port failed: {broken}", "cut the motors' power") for name, _ in silent]
-            return [
-                NoAnswer(name, "stop", "the module has not confirmed it", "cut the motors' power if the axis still turns")
-                for name, _ in silent
-            ]
+            told, remedy = "the module has not confirmed it", "cut the motors' power if the axis still turns"
+            return [NoAnswer(name, "stop", told, remedy) for name, _ in silent]
 
     def _check_before_repeating(self, move: Request) -> None:
         """Who has reset meanwhile counts from elsewhere."""
@@ -237,9 +231,13 @@ class TmclModule:
         return number
 
     def _notice_reset(self, address: int) -> None:
+        """The next program has to hear of it too, so that the marks say it, as far as the line allows."""
         if address not in self._gone:
             self._gone.add(address)
             self._resets[address] += 1
+            with contextlib.suppress(DeviceError):
+                for each in doubts(address):
+                    self.exchange(each)
 
     def _once(self, request: Request) -> int:
         port = self._opened(request)

@@ -1,12 +1,33 @@
-"""What may be said twice on a TMCL line, what sets a motor in motion, which reply is believed, and frames in words."""
+"""What may be said twice on a TMCL line, what sets a motor in motion, which reply is believed, and frames in words.
+
+The user variables of which the driver makes use are lost with the power: the canary, the marker, and for each motor a mark
+whether somebody knows where its axis is.
+"""
 
 from drivers.errors import BadAnswer, Refused
 from drivers.tap import TO_DEVICE
 from protocols.tmcl import HOST_ADDRESS, Axis, Command, FrameError, MoveType, Reply, Request, Status
-from protocols.tmcl_parameters import Search
+from protocols.tmcl_parameters import USER_BANK, Search
 
 ECHOING = frozenset({Command.SAP, Command.SGP, Command.ROR, Command.ROL, Command.MST})
 REPEATABLE = frozenset({Command.GAP, Command.GGP, Command.SAP, Command.SGP, Command.MST, Command.FIRMWARE_VERSION})
+
+FIRST_MARK_VARIABLE, CANARY_VARIABLE, MARKER_VARIABLE = 248, 254, 255
+MOTORS = 6
+CANARY, FIRST_MARKER = 0x676F_6E69, 0x4D41_0000
+KNOWN, DOUBTED = 0x6B6E_6F77, 0x646F_7562
+"""What a mark may be; after a power-up it is neither."""
+
+
+def mark(address: int, motor: int, value: int | None = None) -> Request:
+    """Asks for the mark of a motor, or sets it."""
+    command = Command.GGP if value is None else Command.SGP
+    return Request(address, command, FIRST_MARK_VARIABLE + motor, USER_BANK, value or 0)
+
+
+def doubts(address: int) -> list[Request]:
+    """Sets the marks of all motors of a module to in doubt."""
+    return [mark(address, motor, DOUBTED) for motor in range(MOTORS)]
 
 
 def repeatable(request: Request) -> bool:

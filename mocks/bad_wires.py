@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from mocks.control import Order, Refused, number
+from mocks.control import Order, Refused, number, yes_or_no
 from mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
 from mocks.faulty_line import FaultyLine, Foreign, Refusal, foreign_rtu, foreign_tcp, foreign_tmcl, refusal_rtu, refusal_tcp
 from mocks.faulty_usb import FaultyUsb
@@ -111,7 +111,7 @@ class BadWires:
         self._wire(order).unplug()
 
     def _replug(self, order: Order) -> None:
-        self._wire(order).replug(bool(order.get("reset", False)))
+        self._wire(order).replug(yes_or_no(order, "reset", default=False))
 
     def _wire(self, order: Order) -> Wire:
         wire = self._wires.get(str(order.get("device")))

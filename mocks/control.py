@@ -9,6 +9,7 @@ Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`.
 
 import contextlib
 import json
+import reprlib
 import socket
 import socketserver
 import threading
@@ -20,6 +21,8 @@ from twin import VirtualRig
 
 LOOPBACK = "127.0.0.1"
 LONGEST_LINE = 65_536
+WAITING_CLIENTS = 64
+STEEPEST_TILT_DEG = 10.0
 AXES = ("gamma", "sigma", "beta", "shift")
 
 
@@ -49,21 +52,22 @@ class BackDoor:
     def obey(self, line: bytes) -> dict[str, Any]:
         """The answer to one line; what goes wrong is in it."""
         try:
-            order = json.loads(line)
-            if not isinstance(order, dict) or order.get("do") not in self._actions:
+            order = read(line)
+            what = order.get("do")
+            if not isinstance(what, str) or what not in self._actions:
                 raise Refused(f'an order is {{"do": ...}} with one of: {", ".join(sorted(self._actions))}')
             # the others' orders wait for threads that need the rig themselves
-            with self._rig.lock if order["do"] in self._own else contextlib.nullcontext():
-                return {"ok": True, **(self._actions[order["do"]](order) or {})}
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
-            return {"ok": False, "error": f"not JSON: {error}"}
+            with self._rig.lock if what in self._own else contextlib.nullcontext():
+                return {"ok": True, **(self._actions[what](order) or {})}
         except OSError as error:
-            return {"ok": False, "error": str(error)}
+            return refusal(str(error))
         except (Refused, KeyError) as error:
-            return {"ok": False, "error": str(error.args[0] if error.args else error)}
+            return refusal(str(error.args[0] if error.args else error))
 
     def _mount(self, order: Order) -> None:
-        sample = order.get("sample")
+        if "sample" not in order:
+            raise Refused("sample is missing: give a name, or null to take it out")
+        sample = order["sample"]
         if sample is not None and not isinstance(sample, str):
             raise Refused("sample is a name, or null for none")
         self._rig.mount(sample)
@@ -71,16 +75,21 @@ class BackDoor:
     def _lamp(self, order: Order) -> None:
         drift = number(order, "drift_per_hour") if "drift_per_hour" in order else None
         level = number(order, "level") if "level" in order else None
+        if level is not None and level < 0.0:
+            raise Refused(f"level is 0 or more, 1 for the nominal one, not {level:g}")
         self._rig.plant.set_lamp(self._clock.now(), drift_per_hour=drift, level=level)
 
     def _tilt(self, order: Order) -> None:
-        self._rig.plant.tilt_sample(number(order, "deg"), self._clock.now())
+        deg = number(order, "deg")
+        if abs(deg) > STEEPEST_TILT_DEG:
+            raise Refused(f"deg is from -{STEEPEST_TILT_DEG:g} to {STEEPEST_TILT_DEG:g}, not {deg:g}")
+        self._rig.plant.tilt_sample(deg, self._clock.now())
 
     def _jam(self, order: Order) -> None:
         axis = order.get("axis")
-        if axis not in self._rig.plant.shafts:
+        if not isinstance(axis, str) or axis not in self._rig.plant.shafts:
             raise Refused(f"axis is one of: {', '.join(self._rig.plant.shafts)}")
-        self._rig.plant.shafts[axis].jam(self._clock.now(), bool(order.get("jammed", True)))
+        self._rig.plant.shafts[axis].jam(self._clock.now(), yes_or_no(order, "jammed", default=True))
 
     def _state(self, order: Order) -> dict[str, Any]:
         del order
@@ -99,8 +108,32 @@ def number(order: Order, key: str) -> float:
     """A finite number of an order. Raises Refused."""
     value = order.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not -1e9 < value < 1e9:
-        raise Refused(f"{key} is a number, not {value!r}")
+        raise Refused(f"{key} is a number, not {reprlib.repr(value)}")
     return float(value)
+
+
+def yes_or_no(order: Order, key: str, *, default: bool) -> bool:
+    """True or false of an order. Raises Refused."""
+    value = order.get(key, default)
+    if not isinstance(value, bool):
+        raise Refused(f"{key} is true or false, not {reprlib.repr(value)}")
+    return value
+
+
+def read(line: bytes) -> Order:
+    """The order of a line, whatever stands in it. Raises Refused."""
+    try:
+        order = json.loads(line)
+    except RecursionError:
+        raise Refused("not JSON: nested too deeply") from None
+    except ValueError as error:  # of JSON, of UTF-8, or of a number with thousands of digits
+        raise Refused(f"not JSON: {error}") from None
+    return order if isinstance(order, dict) else {}
+
+
+def refusal(error: str) -> dict[str, Any]:
+    """The answer that says why not."""
+    return {"ok": False, "error": error}
 
 
 class ControlServer:
@@ -111,11 +144,20 @@ class ControlServer:
             def handle(self) -> None:
                 with contextlib.suppress(OSError):
                     while line := self.rfile.readline(LONGEST_LINE):
-                        self.wfile.write(json.dumps(door.obey(line)).encode() + b"\n")
+                        answer = door.obey(line) if self._ends(line) else refusal("the line is too long")
+                        self.wfile.write(json.dumps(answer).encode() + b"\n")
+
+            def _ends(self, line: bytes) -> bool:
+                """Whether that is the whole line; reads on to its end."""
+                whole = len(line) < LONGEST_LINE or line.endswith(b"\n")
+                while len(line) == LONGEST_LINE and not line.endswith(b"\n"):
+                    line = self.rfile.readline(LONGEST_LINE)
+                return whole
 
         class Server(socketserver.ThreadingTCPServer):
             daemon_threads = True
             allow_reuse_address = True
+            request_queue_size = WAITING_CLIENTS
 
         self._server = Server((LOOPBACK, port), Handler)
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="control", daemon=True)

@@ -18,6 +18,7 @@ from pymodbus.server.base import ModbusBaseServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from mocks.serial_ends import HEARD_AT_ONCE, OWED_AT_MOST, owed
 from protocols import adam
 from protocols.clock import Clock
 from twin import VirtualRig
@@ -28,6 +29,9 @@ from twin.rig import CONVERTER_LINE
 LOOPBACK = "127.0.0.1"
 GAP_S = 0.02
 """What ends a frame on an endpoint: its bytes come when the system brings them, not when the baud rate would."""
+UNHEARD_AT_MOST = 4096
+"""What has arrived and waits to be heard; on a serial line, which cannot be told to wait, more is lost."""
+FULL_WAIT_S = 0.02
 NOBODY = SimDevice(id=0, simdata=[SimData(0, values=0, datatype=DataType.REGISTERS)])
 Station = Callable[[], SerialDevice]
 
@@ -150,7 +154,8 @@ class ModbusEndpoints:
     def _line(self, names: list[str], baudrate: int) -> Station:
         def station() -> SerialDevice:
             between = self._rig.modbus_wires.get(CONVERTER_LINE)
-            end = RtuStation([self._rig.modbus[name] for name in names], baudrate, GAP_S)
+            gap_s = GAP_S * float(getattr(self._rig.clock, "speed", 1.0))
+            end = RtuStation([self._rig.modbus[name] for name in names], baudrate, gap_s)
             return between(end) if between is not None else end
 
         return station
@@ -164,29 +169,60 @@ class _Handler(ServerRequestHandler):
         self._refused = refused
         self._rig = rig
         self._station = station
+        self._unheard = b""
+        self._next: asyncio.TimerHandle | None = None
         self._clock: Clock = rig.clock
         self._speed = float(getattr(rig.clock, "speed", 1.0))
 
     def data_received(self, data: bytes) -> None:
-        """Any piece of a request, or several."""
+        """Any piece of a request, or several. Over TCP nothing more is taken in than can be heard at once."""
         if self._refused:
             self.close()
             return
-        with self._rig.lock:
-            self._station.receive(data, self._clock.now())
-        self._flush()
+        crowded = bool(self._unheard)
+        if len(self._unheard) < UNHEARD_AT_MOST:
+            self._unheard += data
+        if not crowded:
+            self._take_turn()
 
-    def _flush(self) -> None:
-        """Sends what is due, in order, and comes back for the rest."""
+    def callback_disconnected(self, exc: Exception | None) -> None:
+        """What was asked by one who has gone is neither heard nor answered."""
+        super().callback_disconnected(exc)
+        self._forget()
+
+    def _take_turn(self) -> None:
+        """Hears a little, sends what is due, in order, and comes back for the rest after the other connections."""
+        if self._next is not None:
+            self._next.cancel()
+            self._next = None
+        transport: asyncio.Transport | None = self.transport  # type: ignore[assignment]
+        if transport is None or transport.is_closing():
+            self._forget()
+            return
         outbox = self._station.outbox
-        while outbox:
-            wait_s = (outbox[0][0] - self._clock.now()) / self._speed
-            if wait_s > 0.0:
-                self.loop.call_later(wait_s, self._flush)
-                return
-            _, data = outbox.popleft()
-            if self.transport is not None:
-                self.transport.write(data)  # type: ignore[attr-defined]
+        heard = bool(self._unheard) and owed(self._station) + transport.get_write_buffer_size() < OWED_AT_MOST
+        if heard:
+            piece, self._unheard = self._unheard[:HEARD_AT_ONCE], self._unheard[HEARD_AT_ONCE:]
+            with self._rig.lock:
+                self._station.receive(piece, self._clock.now())
+        while outbox and outbox[0][0] <= self._clock.now() and not transport.is_closing():
+            transport.write(outbox.popleft()[1])
+        if self._unheard:
+            transport.pause_reading()
+        else:
+            transport.resume_reading()
+        waits = [max(0.0, outbox[0][0] - self._clock.now()) / self._speed] if outbox else []
+        if self._unheard:
+            waits.append(0.0 if heard else FULL_WAIT_S)
+        if waits:
+            self._next = self.loop.call_later(min(waits), self._take_turn)
+
+    def _forget(self) -> None:
+        self._unheard = b""
+        self._station.outbox.clear()
+        if self._next is not None:
+            self._next.cancel()
+            self._next = None
 
 
 class _TcpServer(ModbusTcpServer):

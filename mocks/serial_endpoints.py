@@ -13,66 +13,17 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass, field
 from pathlib import Path
 
+from mocks.pty_names import PtyNames, baudrate
+from mocks.serial_ends import OWED_AT_MOST, End, Line, owed
 from protocols.clock import RealClock
 from twin.devices.line import SerialDevice
+from twin.devices.tmcm6214 import Unasked
 
 LOOPBACK = "127.0.0.1"
 CHUNK = 4096
 LONGEST_WAIT_S = 0.5
-UNSENT_LIMIT = 65_536
-"""What a client that does not read may leave unread; then the oldest is lost, as on a line without handshake."""
-
-
-@dataclass
-class Line:
-    """A device and those who listen to it. Whatever the device sends goes to every open end."""
-
-    name: str
-    device: SerialDevice
-    ends: list["End"] = field(default_factory=list)
-    links: list[Path] = field(default_factory=list)
-    plugged: bool = True
-
-
-@dataclass
-class End:
-    """One open end of a line: a file descriptor, the bytes that could not be written yet."""
-
-    line: Line
-    descriptor: int
-    connection: socket.socket | None = None
-    slave: int | None = None
-    unsent: bytearray = field(default_factory=bytearray)
-
-    def write(self, data: bytes) -> None:
-        """As much as goes without waiting; the rest is kept. Raises OSError where the other side is gone.
-
-        A pseudo-terminal keeps no rest: what its client does not read is lost, as at a serial port, and whoever opens it
-        after a time of silence is not told what was said to others.
-        """
-        self.unsent += data
-        if len(self.unsent) > UNSENT_LIMIT:
-            del self.unsent[: len(self.unsent) - UNSENT_LIMIT]
-        while self.unsent:
-            try:
-                sent = os.write(self.descriptor, self.unsent) if self.connection is None else self.connection.send(self.unsent)
-            except BlockingIOError:
-                if self.connection is None:
-                    self.unsent.clear()
-                return
-            del self.unsent[:sent]
-
-    def read(self) -> bytes:
-        """What has arrived. Raises OSError where the other side is gone; no bytes from a socket mean the same."""
-        if self.connection is None:
-            return os.read(self.descriptor, CHUNK)
-        data = self.connection.recv(CHUNK)
-        if not data:
-            raise ConnectionResetError
-        return data
 
 
 class SerialEndpoints:
@@ -82,6 +33,7 @@ class SerialEndpoints:
         self._clock = clock
         self._lock = lock
         self._lines: dict[str, Line] = {}
+        self._names = PtyNames()
         self._selector = selectors.DefaultSelector()
         self._wake_out, self._wake_in = socket.socketpair()
         self._wake_out.setblocking(False)
@@ -93,8 +45,8 @@ class SerialEndpoints:
     def add_pty(self, name: str, device: SerialDevice, link: Path) -> Path:
         """A pseudo-terminal, found under the stable name `link`, which replaces a stale one. Raises OSError."""
         line = self._line(name, device)
-        line.links.append(link)
         self._plug_in(line, link)
+        line.links.append(link)
         return link
 
     def add_tcp(self, name: str, device: SerialDevice, port: int = 0) -> int:
@@ -114,6 +66,7 @@ class SerialEndpoints:
         self._wake()
         if self._thread.is_alive():
             self._thread.join()
+        self._names.close()
         for key in list(self._selector.get_map().values()):
             self._selector.unregister(key.fileobj)
             if isinstance(key.data, End):
@@ -122,9 +75,6 @@ class SerialEndpoints:
                 key.fileobj.close()
         self._wake_in.close()
         self._selector.close()
-        for line in self._lines.values():
-            for link in line.links:
-                link.unlink(missing_ok=True)
 
     def changed(self) -> None:
         """A device may have something to send that no byte has asked for."""
@@ -136,10 +86,10 @@ class SerialEndpoints:
 
         def act() -> None:
             line.plugged = False
+            for link in line.links:
+                self._names.take(link)
             for end in list(line.ends):
                 self._detach(end)
-            for link in line.links:
-                link.unlink(missing_ok=True)
             with self._lock:
                 line.device.outbox.clear()
 
@@ -151,9 +101,9 @@ class SerialEndpoints:
 
         def act() -> None:
             if not line.plugged:
-                line.plugged = True
                 for link in line.links:
                     self._plug_in(line, link)
+                line.plugged = True
 
         self._in_turn(act)
 
@@ -174,12 +124,14 @@ class SerialEndpoints:
         import tty
 
         master, slave = os.openpty()
-        tty.setraw(slave)
-        os.set_blocking(master, False)
-        link.parent.mkdir(parents=True, exist_ok=True)
-        if link.is_symlink():
-            link.unlink()
-        link.symlink_to(os.ttyname(slave))
+        try:
+            tty.setraw(slave)
+            os.set_blocking(master, False)
+            self._names.put(link, os.ttyname(slave))
+        except OSError:
+            os.close(master)
+            os.close(slave)
+            raise
         self._attach(End(line, master, slave=slave))
 
     def _line(self, name: str, device: SerialDevice) -> Line:
@@ -243,10 +195,13 @@ class SerialEndpoints:
         except OSError:
             self._detach(end)
             return
-        if end.slave is not None and _baudrate(end.slave) not in (None, end.line.device.baudrate):
+        device = end.line.device
+        if end.slave is not None and baudrate(end.slave) not in (None, device.baudrate):
             return  # at another baud rate the device hears nothing that it understands
         with self._lock:
-            end.line.device.receive(data, self._clock.now())
+            if owed(device) < OWED_AT_MOST:
+                device.receive(data, self._clock.now())
+                end.line.pty_asked |= end.slave is not None
 
     def _send_due(self) -> None:
         for line in self._lines.values():
@@ -255,6 +210,7 @@ class SerialEndpoints:
                 outbox = line.device.outbox
                 while outbox and outbox[0][0] <= self._clock.now():
                     due += outbox.popleft()[1]
+                line.pty_asked &= bool(outbox)
             for end in list(line.ends):
                 try:
                     end.write(bytes(due))
@@ -270,6 +226,15 @@ class SerialEndpoints:
             end.line.ends.remove(end)
             self._selector.unregister(end.connection if end.connection is not None else end.descriptor)
             self._close(end)
+            self._forgive(end.line)
+
+    def _forgive(self, line: Line) -> None:
+        """What has been asked by those who have gone is told to nobody, if nobody else is there."""
+        if not line.pty_asked and all(end.connection is None for end in line.ends):
+            with self._lock:
+                unasked = [each for each in line.device.outbox if isinstance(each[1], Unasked)]
+                line.device.outbox.clear()
+                line.device.outbox.extend(unasked)
 
     @staticmethod
     def _close(end: End) -> None:
@@ -284,12 +249,3 @@ class SerialEndpoints:
 def ptys_exist() -> bool:
     """Whether this system has pseudo-terminals."""
     return sys.platform != "win32"
-
-
-def _baudrate(slave: int) -> int | None:
-    """What the client has set on its side, None where that is not to be known."""
-    import termios
-
-    speed = termios.tcgetattr(slave)[5]
-    names = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200) if hasattr(termios, f"B{rate}")}
-    return names.get(speed)

@@ -13,8 +13,9 @@ from mocks.serial_endpoints import LOOPBACK, SerialEndpoints, ptys_exist
 from mocks.usb_endpoints import UsbEndpoints
 from protocols.clock import RealClock
 from twin import TwinModel, VirtualRig
-from twin.devices import RtuStation
+from twin.devices import RtuStation, TmclLine
 from twin.devices.line import SerialDevice
+from twin.devices.tmcl_line import IDLE_GAP_S
 from twin.rig import CONVERTER_LINE
 
 KINDS = {"axes": "tmcl", "mono": "cornerstone"}
@@ -96,6 +97,8 @@ class ServedRig:
 
     def _heard(self, name: str, device: SerialDevice) -> SerialDevice:
         """On an endpoint bytes come when the system brings them, so that a frame's end is a longer pause."""
+        if isinstance(device, TmclLine):
+            device.idle_gap_s = IDLE_GAP_S * self.clock.speed
         if name != CONVERTER_LINE:
             return device
         return RtuStation([*self.rig.modbus.values()], device.baudrate, GAP_S * self.clock.speed)

@@ -56,6 +56,7 @@ class UsbEndpoints:
         class Server(socketserver.ThreadingTCPServer):
             daemon_threads = True
             allow_reuse_address = True
+            request_queue_size = 64
 
         self._server = Server((LOOPBACK, port), Handler)
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="USB endpoints", daemon=True)

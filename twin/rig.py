@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from protocols.clock import Clock
+from protocols.clock import Clock, RealClock
 from twin.devices import Adam4117, Adam6017, AdamModule, Cornerstone260, Pm100d, RtuStation, TmclLine, UsbTmcDevice
 from twin.devices.line import SerialDevice
 from twin.plant import Plant, TwinModel
@@ -30,8 +30,13 @@ class VirtualRig:
 
     @classmethod
     def build(cls, model: TwinModel, clock: Clock) -> "VirtualRig":
-        """The rig of a model: `axes`, `mono`, `adc-0` and so on, `monitor`; with an RTU line of converters also `adcs`."""
+        """The rig of a model: `axes`, `mono`, `adc-0` and so on, `monitor`; with an RTU line of converters also `adcs`.
+
+        On a real clock its first answers are as fast as all others: what has to be compiled is compiled here.
+        """
         plant = Plant(model)
+        if isinstance(clock, RealClock):
+            plant.warm_up()
         rig = cls(plant, clock)
         rig.serial[AXES] = TmclLine(plant)
         rig.serial[MONOCHROMATOR] = Cornerstone260(plant)

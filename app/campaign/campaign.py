@@ -28,7 +28,11 @@ class Outcome:
 
 def clock_for(plan: Plan) -> Clock:
     """A virtual clock for a virtual rig in this process, real time for any other, at the speed of one that is served."""
-    file = plan.rig.file
+    return clock_of(plan.rig.file)
+
+
+def clock_of(file: RigFile) -> Clock:
+    """The same of a rig file."""
     if file.twin is not None and all(address.startswith("twin://") for address in file.addresses):
         return VirtualClock()
     return RealClock(file.simulated.speed if file.simulated is not None else 1.0)
@@ -48,6 +52,7 @@ def run_campaign(
             Journal.create(journal_path, plan, {})  # says why not
         operator = operator_for(opened, plan.rig.file, ask)
         opened.connect()
+        refuse_lost_axes(opened, plan.rig.name)
         with Journal.create(journal_path, plan, versions()) as journal:
             engine = Engine(opened.rig, plan, journal, operator, listeners)
             state = engine.run()
@@ -55,6 +60,17 @@ def run_campaign(
             trouble = opened.transcript_trouble
             faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
             return Outcome(state, rows, of, journal.seconds, faults)
+
+
+def refuse_lost_axes(opened: OpenRig, rig_name: str) -> None:
+    """Raises UserError where it is in doubt where an axis of a connected rig is."""
+    doubts = {name: axis.doubt for name, axis in opened.rig.axes.items() if axis.doubt}
+    if doubts:
+        told = "; ".join(f"{name}: {doubt}" for name, doubt in doubts.items())
+        raise UserError(
+            f"{told}. Home what has a [homing] table: goniotwin home --rig {rig_name}; or say where an axis is: "
+            f"goniotwin here --rig {rig_name} {next(iter(doubts))} DEG"
+        )
 
 
 def operator_for(opened: OpenRig, rig: RigFile, ask: Callable[[str], None] | None) -> Operator:

@@ -11,7 +11,8 @@ from app.rig import AXES, photodiode_settings
 
 
 def checked_plan(plan: Plan) -> dict[str, Any]:
-    """rows, duration_s, rows by kind, the range of each axis, how many of the directions of the front side are hidden."""
+    """rows, duration_s, rows by kind, the range of each axis, how many directions of the front side are hidden, and which
+    axes have to be referenced after a power-up."""
     poses = [row.pose for row in plan.rows if row.pose is not None]
     columns = np.array(poses)
     hidden, directions = _hidden(plan)
@@ -23,6 +24,7 @@ def checked_plan(plan: Plan) -> dict[str, Any]:
         "directions": directions,
         "shadowed": hidden,
         "mountings": [row.sample for row in plan.rows if row.kind == "mount"],
+        "unreferenced": _to_be_referenced(plan),
         "simulated": plan.rig.simulated,
     }
 
@@ -38,7 +40,18 @@ def in_words(plan: Plan, result: dict[str, Any]) -> str:
         f"  axes        {ranges} deg",
         f"  hidden      {result['shadowed']} of {result['directions']} directions of reflection, by the mirror unit",
     ]
+    if result["unreferenced"]:
+        lines.append(
+            f"  reference   {', '.join(result['unreferenced'])}: after each power-up of the controller to be homed, or to be "
+            "told where they are: goniotwin home, goniotwin here"
+        )
     return "\n".join(lines)
+
+
+def _to_be_referenced(plan: Plan) -> list[str]:
+    """Axes that go to no angle after a power-up of their controller, until somebody has referenced them."""
+    tables = {name: getattr(plan.rig.file.axes, name) for name in AXES}
+    return [name for name, table in tables.items() if table.homing_required or not table.power_up_at_reference]
 
 
 def _hidden(plan: Plan) -> tuple[int, int]:

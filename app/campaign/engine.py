@@ -210,12 +210,12 @@ class Engine:
         return tuple(taken)
 
     def _read_back(self) -> dict[str, float | None]:
-        """Counters and encoders of all axes, in degrees."""
+        """Counters and encoders of all axes, in degrees. Raises DeviceError where one is lost: there is no row of it then."""
         found: dict[str, float | None] = {}
         for name, axis in self._rig.axes.items():
-            found[name] = axis.position_deg()
+            found[name], encoder = axis.read_back()
             if axis.settings.encoder:
-                found[f"{name}_encoder"] = axis.encoder_deg()
+                found[f"{name}_encoder"] = encoder
         if self._positions_every_s:
             self._tell(Positions({name: value for name in AXES if (value := found[name]) is not None}))
         return found

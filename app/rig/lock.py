@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from app.errors import UserError
+from app.rig.place import place_of
 from protocols.clock import calendar_stamp
 
 FOLDER = "goniotwin-locks"
@@ -26,8 +27,8 @@ class RigLock:
         self._files: list[IO[str]] = []
         note = f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {doing}"
         try:
-            for address in sorted(set(addresses)):
-                self._take(address, note)
+            for place, address in sorted({place_of(address): address for address in addresses}.items()):
+                self._take(place, address, note)
         except UserError:
             self.release()
             raise
@@ -38,8 +39,8 @@ class RigLock:
             file.close()
         self._files = []
 
-    def _take(self, address: str, note: str) -> None:
-        path = self._folder / f"{hashlib.sha256(address.encode()).hexdigest()[:20]}.lock"
+    def _take(self, place: str, address: str, note: str) -> None:
+        path = self._folder / f"{hashlib.sha256(place.encode()).hexdigest()[:20]}.lock"
         try:
             self._folder.mkdir(mode=0o777, parents=True, exist_ok=True)
             with contextlib.suppress(OSError):

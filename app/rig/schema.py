@@ -52,7 +52,11 @@ class AxisTable(Table):
     """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
 
     Against backlash every move arrives from one side. `switches` has the limit switches stop the motor, `max_deviation_deg`
-    the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off.
+    the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off. `encoder_tolerance_deg` is how far counter and
+    encoder may be apart at rest (0 is off; 0.05 deg and the backlash where it is not given).
+
+    `power_up_at_reference`: whenever the controller is switched on or resets, the axis stands where its microsteps are 0,
+    as a parking position or a brake sees to. Without it the axis then goes nowhere until it is homed or told its place.
     """
 
     motor: Annotated[int, Field(ge=0, le=5)]
@@ -83,11 +87,19 @@ class AxisTable(Table):
     approach_from: Literal["below", "above"] = "below"
     homing: HomingTable | None = None
     homing_required: bool = False
+    power_up_at_reference: bool = False
+    encoder_tolerance_deg: Annotated[float, Field(ge=0.0)] | None = None
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> "AxisTable":
         if not self.lower_deg < self.upper_deg:
             raise ValueError(f"lower_deg {self.lower_deg:g} is not below upper_deg {self.upper_deg:g}; exchange them")
+        return self
+
+    @model_validator(mode="after")
+    def _one_way_to_the_reference(self) -> "AxisTable":
+        if self.homing_required and self.power_up_at_reference:
+            raise ValueError("homing_required and power_up_at_reference contradict each other; remove one")
         return self
 
 

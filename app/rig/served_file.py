@@ -52,14 +52,31 @@ def address_of(endpoint: Endpoint) -> str:
     return port
 
 
+def check_served_rig(path: Path) -> None:
+    """Whether it may be written and can be. Raises UserError, and leaves everything as it was."""
+    try:
+        there = path.exists() or path.is_symlink()
+        if there and not (path.is_file() and path.read_text(encoding="utf-8", errors="replace").startswith(FIRST_LINE)):
+            raise UserError(f"{path}: is there, and goniotwin serve has not written it; choose another name")
+        with path.open("a", encoding="utf-8"):
+            pass
+        if not there:
+            path.unlink()
+    except OSError as error:
+        raise _unwritable(path, error) from None
+
+
 def write_served_rig(path: Path, text: str) -> None:
     """Raises UserError, and leaves alone what `goniotwin serve` has not written."""
+    check_served_rig(path)
     try:
-        if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(FIRST_LINE):
-            raise UserError(f"{path}: is there, and goniotwin serve has not written it; choose another name")
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}; choose another name") from None
+        raise _unwritable(path, error) from None
+
+
+def _unwritable(path: Path, error: OSError) -> UserError:
+    return UserError(f"{path}: cannot be written: {error.strerror}; choose another name")
 
 
 def _table(document: tomlkit.TOMLDocument, name: str) -> Table:

@@ -11,7 +11,7 @@ from twin.devices.line import SerialDevice
 from twin.doors.protocol_twin import Serial
 from twin.plant import AxisController, Mechanics, Plant, TwinModel
 
-SIGMA = AxisSettings("sigma", 4, 36.0, -20.0, 190.0, 10.0, 20.0)
+SIGMA = AxisSettings("sigma", 4, 36.0, -20.0, 190.0, 10.0, 20.0, power_up_at_reference=True)
 NAMES = ("sigma", "beta", "gamma", "shift")
 
 
@@ -54,6 +54,16 @@ class DriverBench:
         for axis in self.axes.values():
             axis.connect()
         return self
+
+    def next_process(self, **settings: Any) -> "DriverBench":
+        """As a program begins that knows nothing of the one before; connected. The settings are changed."""
+        self.module.close()
+        self.module = TmclModule(self._open, self.clock, heartbeat_s=self.module.heartbeat_s)
+        self.axes = {
+            name: Axis(self.module, replace(axis.settings, **settings), self.clock) for name, axis in self.axes.items()
+        }
+        self.axis = self.axes["sigma"]
+        return self.connect()
 
     def move(self, angle_deg: float) -> None:
         """The axis to an angle."""

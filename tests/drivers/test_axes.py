@@ -6,7 +6,7 @@ import pytest
 import serial
 
 from drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
-from drivers.tmcl import CANARY, MARKER_VARIABLE
+from drivers.tmcl_rules import CANARY, MARKER_VARIABLE
 from protocols.clock import Clock, VirtualClock
 from protocols.tmcl import Axis, Command, Reply, Request, Status
 from tests.conftest import RigOpener

@@ -120,6 +120,28 @@ def test_pipelined_and_split_requests_are_answered_each(tcp: ModbusEndpoints) ->
     assert [int.from_bytes(answers[at : at + 2], "big") for at in range(0, len(answers), 11)] == list(range(1, 40))
 
 
+def test_a_client_that_floods_and_does_not_read_holds_up_nobody(tcp: ModbusEndpoints) -> None:
+    request = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 8)
+    with socket.create_connection(("127.0.0.1", tcp.ports["adc-0"])) as lazy:
+        lazy.setblocking(False)
+        sent = 0
+        while select.select([], [lazy], [], 0.5)[1] and sent < 8_000_000:
+            sent += lazy.send(request * 5000)
+        assert sent < 8_000_000  # it is told to wait
+        with socket.create_connection(("127.0.0.1", tcp.ports["adc-1"]), timeout=2.0) as other:
+            other.sendall(request)
+            assert other.recv(PUMPED)
+
+
+def test_one_who_has_gone_is_answered_no_more(tcp: ModbusEndpoints, caplog: pytest.LogCaptureFixture) -> None:
+    with socket.create_connection(("127.0.0.1", tcp.ports["adc-0"])) as connection:
+        connection.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, adam.MODULE_NAME, 1) * 3000)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    clock = RealClock()
+    clock.sleep_until(clock.now() + 0.5)
+    assert "socket.send() raised exception" not in caplog.text
+
+
 def drive(rig: OpenRig, settings: PhotodiodeSettings, addresses: list[str], gain: int) -> np.ndarray:
     """Dark counts over real wires with our driver, and that they are those of the same rig in process."""
     units = ModbusUnits(None)

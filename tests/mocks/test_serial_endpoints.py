@@ -1,7 +1,7 @@
 """Twin devices on pseudo-terminals and TCP, and client programs written by others."""
 
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +11,15 @@ from pytrinamic.connections import ConnectionManager
 from pytrinamic.modules import TMCM6214
 
 from mocks.serial_endpoints import SerialEndpoints, ptys_exist
+from mocks.serial_ends import OWED_AT_MOST, owed
+from mocks.served import ServedRig
 from protocols.clock import RealClock
 from protocols.tmcl import Axis, Command, Reply, Request
 from tests.conftest import RigOpener
 from twin import VirtualRig
+from twin.devices.cornerstone260 import IDENTITY
 
+WALL = RealClock()
 ASK = Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4).encode()
 
 
@@ -25,6 +29,7 @@ class Served:
     port: int
     mono_port: int
     pty: Path | None
+    mono_pty: Path | None
     rig: VirtualRig
 
 
@@ -37,9 +42,17 @@ def served(opened: RigOpener, tmp_path: Path) -> Iterator[Served]:
     port = endpoints.add_tcp("axes", rig.serial["axes"])
     mono_port = endpoints.add_tcp("mono", rig.serial["mono"])
     pty = endpoints.add_pty("axes", rig.serial["axes"], tmp_path / "axes") if ptys_exist() else None
+    mono_pty = endpoints.add_pty("mono", rig.serial["mono"], tmp_path / "mono") if ptys_exist() else None
     endpoints.start()
-    yield Served(endpoints, port, mono_port, pty, rig)
+    yield Served(endpoints, port, mono_port, pty, mono_pty, rig)
     endpoints.stop()
+
+
+def _until(happened: Callable[[], bool]) -> None:
+    end = WALL.now() + 5.0
+    while not happened():
+        assert WALL.now() < end
+        WALL.sleep_until(WALL.now() + 0.005)
 
 
 def _drive(module: TMCM6214) -> None:
@@ -129,3 +142,55 @@ def test_after_the_end_ports_and_names_are_free(opened: RigOpener, tmp_path: Pat
         assert link.is_symlink()
         again.stop()
         assert not link.is_symlink()
+
+
+def test_a_client_that_floods_leaves_the_device_with_little_to_say(served: Served) -> None:
+    device = served.rig.serial["mono"]
+    client = socket.create_connection(("127.0.0.1", served.mono_port))
+    client.sendall(b"GOWAVE 900\n" + b"INFO?\n" * 3000)  # it moves first, and answers afterwards
+    most, end = 0, WALL.now() + 0.5
+    while WALL.now() < end:
+        with served.rig.lock:
+            most = max(most, owed(device))
+        WALL.sleep_until(WALL.now() + 0.005)
+    assert 0 < most < 2 * OWED_AT_MOST
+    client.close()
+
+
+def test_what_was_asked_by_one_who_has_gone_is_not_told_to_the_next(served: Served) -> None:
+    client = socket.create_connection(("127.0.0.1", served.mono_port))
+    client.sendall(b"GOWAVE 900\n" + b"INFO?\n" * 20)
+    _until(lambda: bool(served.rig.serial["mono"].outbox))
+    client.close()
+    following = serial.serial_for_url(f"socket://127.0.0.1:{served.mono_port}", timeout=5.0)
+    following.write(b"WAVE?\n")
+    assert following.read_until(b"\n") == b"WAVE?\r\n"
+    following.close()
+
+
+@pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
+def test_whoever_hangs_up_takes_nothing_from_one_who_waits_at_the_pty(served: Served) -> None:
+    port = serial.Serial(str(served.mono_pty), served.rig.serial["mono"].baudrate, timeout=5.0)
+    port.write(b"GOWAVE 900\nINFO?\n")
+    _until(lambda: bool(served.rig.serial["mono"].outbox))
+    socket.create_connection(("127.0.0.1", served.mono_port)).close()
+    assert port.read_until(IDENTITY.encode()).endswith(IDENTITY.encode())
+    port.close()
+
+
+def test_a_frame_may_come_in_pieces_however_fast_the_rig_lives(opened: RigOpener, tmp_path: Path) -> None:
+    rig = opened().virtual
+    assert rig is not None
+    server = ServedRig(rig.plant.model, 100.0, tmp_path / "ptys")
+    server.start()
+    try:
+        port = next(each.port for each in server.endpoints if each.device == "axes" and each.port is not None)
+        with socket.create_connection(("127.0.0.1", port), timeout=5.0) as client:
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            for _ in range(10):
+                for at in range(0, len(ASK), 3):
+                    client.sendall(ASK[at : at + 3])
+                    WALL.sleep_until(WALL.now() + 0.002)
+                assert len(client.recv(9, socket.MSG_WAITALL)) == 9
+    finally:
+        server.stop()

@@ -176,3 +176,15 @@ def test_it_ends_and_its_port_is_free(rig: VirtualRig) -> None:
 )
 def test_addresses(address: str, place: tuple[str, int, str]) -> None:
     assert usbip_address(address) == place
+
+
+def test_many_clients_may_come_at_once(rig: VirtualRig) -> None:
+    endpoints = UsbEndpoints(rig)
+    waiting = [socket.create_connection((HOST, endpoints.port), timeout=0.5) for _ in range(40)]
+    endpoints.start()
+    for client in waiting:
+        client.sendall(struct.pack(">HHI", 0x0111, 0x8005, 0))
+        client.settimeout(5.0)
+        assert client.recv(8)[:4] == struct.pack(">HH", 0x0111, 0x0005)
+        client.close()
+    endpoints.stop()

@@ -146,7 +146,7 @@ def test_bad_input_is_one_line_and_leaves_no_journal(
     assert list(tmp_path.glob("a.journal*")) == []
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["check"], ["export"], ["demo"], ["desktop"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["check"], ["export"], ["demo"], ["desktop"], ["home"], ["here"]])
 def test_help_is_worth_reading(command: list[str]) -> None:
     done = goniotwin(*command, "--help")
     assert done.returncode == 0

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from protocols.cornerstone import (
     ERROR_SINCE_LAST_READ,
     FROM_DEVICE,
+    MAX_LINE,
     NO_ERROR,
     Error,
     Statement,
     StatementError,
     encode_status,
-    take_lines,
 )
 from twin.devices.cornerstone_state import GratingData, State
 from twin.devices.cornerstone_statements import IDENTITY, Refused, Statements
@@ -29,6 +29,7 @@ __all__ = ["IDENTITY", "Cornerstone260"]
 
 LATENCY_S = 2.0e-3
 WAITING_AT_MOST = 64
+LINE_FEED = b"\n"
 
 
 @dataclass(frozen=True)
@@ -60,13 +61,18 @@ class Cornerstone260:
         """Bytes of which the last has arrived at `t`."""
         for piece in _pieces(data):
             self._unechoed += piece
-            lines, self._pending = take_lines(self._pending, piece)
+            # Of an endless line as much is kept as `decode` needs to see that it is too long.
+            self._pending = (self._pending + piece.removesuffix(LINE_FEED))[: MAX_LINE + 2]
             self._echo(max(t, self._busy_until))
-            for line in lines:
-                if line.strip().upper() == b"ABORT" and t < self._busy_until:
-                    self._abort(line, t)
-                elif line.strip():
-                    self._take_turn(line, t)
+            if piece.endswith(LINE_FEED):
+                line, self._pending = self._pending.removesuffix(b"\r"), b""
+                self._hear(line, t)
+
+    def _hear(self, line: bytes, t: float) -> None:
+        if line.strip().upper() == b"ABORT" and t < self._busy_until:
+            self._abort(line, t)
+        elif line.strip():
+            self._take_turn(line, t)
 
     def reset(self, t: float) -> None:
         """The power went away and came back: everything rests, volatile settings are forgotten, the shutter is closed."""
@@ -137,5 +143,5 @@ class Cornerstone260:
 
 
 def _pieces(data: bytes) -> list[bytes]:
-    """Cut after each line's end."""
-    return re.findall(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", data)
+    """Cut after each line's end: LF, or CR LF. CR alone ends none."""
+    return re.findall(rb"[^\n]*\n|[^\n]+", data)

@@ -7,6 +7,7 @@ low-pass filter is a setting that changes nothing here.
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 
 from protocols.scpi import NOT_A_NUMBER, OVERRANGE, ScpiError, Unit, encode_number, suffixes
@@ -82,18 +83,18 @@ class Pm100d(ScpiInstrument):
     def commands(self) -> Iterator[Command]:
         """Measuring, and everything under SENSe and INPut."""
         for quantity, pattern in ((CURRENT, "CURRent[:DC]"), (POWER, "POWer")):
-            yield f"CONFigure[:SCALar]:{pattern}", False, lambda _, q=quantity: self._configure(q)  # type: ignore[misc]
-            yield f"MEASure[:SCALar]:{pattern}", True, lambda _, q=quantity: self._measure(q)  # type: ignore[misc]
-        yield "CONFigure[:SCALar]:VOLTage[:DC]", False, lambda _: _no_hardware()
-        yield "MEASure[:SCALar]:VOLTage[:DC]", True, lambda _: _no_hardware()
-        yield "CONFigure", True, lambda unit: bare(unit, self._quantity)
-        yield "INITiate[:IMMediate]", False, lambda _: self._initiate()
-        yield "FETCh", True, lambda _: self._fetch()
-        yield "READ", True, lambda _: self._read()
-        yield "ABORt", False, lambda _: self.abort()
-        yield "SYSTem:SENSor:IDN", True, lambda _: b"S120VC,TWIN,virtual photodiode,1,1,33"
+            yield f"CONFigure[:SCALar]:{pattern}", False, bare(partial(self._configure, quantity))
+            yield f"MEASure[:SCALar]:{pattern}", True, bare(partial(self._measure, quantity))
+        yield "CONFigure[:SCALar]:VOLTage[:DC]", False, bare(_no_hardware)
+        yield "MEASure[:SCALar]:VOLTage[:DC]", True, bare(_no_hardware)
+        yield "CONFigure", True, bare(lambda: self._quantity.encode("ascii"))
+        yield "INITiate[:IMMediate]", False, bare(self._initiate)
+        yield "FETCh", True, bare(self._fetch)
+        yield "READ", True, bare(self._read)
+        yield "ABORt", False, bare(self.abort)
+        yield "SYSTem:SENSor:IDN", True, bare(lambda: b"S120VC,TWIN,virtual photodiode,1,1,33")
         yield "INPut[:PDIode]:FILTer[:LPASs][:STATe]", False, self._set_low_pass
-        yield "INPut[:PDIode]:FILTer[:LPASs][:STATe]", True, lambda _: b"%d" % self._low_pass
+        yield "INPut[:PDIode]:FILTer[:LPASs][:STATe]", True, bare(lambda: b"%d" % self._low_pass)
         yield from self._sensing()
         yield from self._correcting()
 
@@ -110,19 +111,19 @@ class Pm100d(ScpiInstrument):
         )
         for quantity in ("CURRent[:DC]", "POWer[:DC]"):
             yield f"[SENSe]:{quantity}:RANGe:AUTO", False, self._set_auto
-            yield f"[SENSe]:{quantity}:RANGe:AUTO", True, lambda _: b"%d" % self._auto
+            yield f"[SENSe]:{quantity}:RANGe:AUTO", True, bare(lambda: b"%d" % self._auto)
         yield "[SENSe]:POWer[:DC]:UNIT", False, self._set_unit
-        yield "[SENSe]:POWer[:DC]:UNIT", True, lambda _: b"DBM" if self._dbm else b"W"
+        yield "[SENSe]:POWer[:DC]:UNIT", True, bare(lambda: b"DBM" if self._dbm else b"W")
 
     def _correcting(self) -> Iterator[Command]:
         correction = "[SENSe]:CORRection"
         ends = (*WAVELENGTHS_NM, 635.0)
         yield f"{correction}:WAVelength", False, self._set_wavelength
         yield f"{correction}:WAVelength", True, lambda u: encode_number(limit(u, *ends, self._wavelength_nm))
-        yield f"{correction}:COLLect:ZERO[:INITiate]", False, lambda _: self._start_zero()
-        yield f"{correction}:COLLect:ZERO:ABORt", False, lambda _: self._abort_zero()
-        yield f"{correction}:COLLect:ZERO:STATe", True, lambda _: b"%d" % (self._zeroing is not None)
-        yield f"{correction}:COLLect:ZERO:MAGNitude", True, lambda _: encode_number(self._zero_a)
+        yield f"{correction}:COLLect:ZERO[:INITiate]", False, bare(self._start_zero)
+        yield f"{correction}:COLLect:ZERO:ABORt", False, bare(self._abort_zero)
+        yield f"{correction}:COLLect:ZERO:STATe", True, bare(lambda: b"%d" % (self._zeroing is not None))
+        yield f"{correction}:COLLect:ZERO:MAGNitude", True, bare(lambda: encode_number(self._zero_a))
         responsivity = f"{correction}:POWer[:PDIode][:RESPonse]"
         yield responsivity, False, self._set_responsivity
         yield responsivity, True, self._ask_responsivity

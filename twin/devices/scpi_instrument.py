@@ -159,31 +159,34 @@ class ScpiInstrument:
     # ---- common commands and status ----
 
     def _common(self) -> Iterator[Command]:
-        yield "*IDN", True, lambda unit: bare(unit, f"{self.manufacturer},{self.product},{self.serial_number},{self.firmware}")
-        yield "*RST", False, lambda _: self._restart()
-        yield "*CLS", False, lambda _: self._clear_status()
-        yield "*OPC", False, lambda _: self._when_complete()
-        yield "*OPC", True, lambda _: self._complete()
-        yield "*WAI", False, lambda _: self._wait()
-        yield "*TST", True, lambda _: b"0"
-        yield "*TRG", False, lambda _: self.trigger()
-        yield "*ESR", True, lambda _: self._read_events()
-        yield "*STB", True, lambda _: b"%d" % self.status_byte()
+        yield "*IDN", True, bare(self._identity)
+        yield "*RST", False, bare(self._restart)
+        yield "*CLS", False, bare(self._clear_status)
+        yield "*OPC", False, bare(self._when_complete)
+        yield "*OPC", True, bare(self._complete)
+        yield "*WAI", False, bare(self._wait)
+        yield "*TST", True, bare(lambda: b"0")
+        yield "*TRG", False, bare(self.trigger)
+        yield "*ESR", True, bare(self._read_events)
+        yield "*STB", True, bare(lambda: b"%d" % self.status_byte())
         yield "*ESE", False, self._enable_events
-        yield "*ESE", True, lambda _: b"%d" % self._event_enable
+        yield "*ESE", True, bare(lambda: b"%d" % self._event_enable)
         yield "*SRE", False, self._enable_service
-        yield "*SRE", True, lambda _: b"%d" % self.service_enable
-        yield "SYSTem:ERRor[:NEXT]", True, lambda _: self._next_error()
-        yield "SYSTem:ERRor:COUNt", True, lambda _: b"%d" % len(self._errors)
-        yield "SYSTem:VERSion", True, lambda _: self.version.encode()
+        yield "*SRE", True, bare(lambda: b"%d" % self.service_enable)
+        yield "SYSTem:ERRor[:NEXT]", True, bare(self._next_error)
+        yield "SYSTem:ERRor:COUNt", True, bare(lambda: b"%d" % len(self._errors))
+        yield "SYSTem:VERSion", True, bare(lambda: self.version.encode())
+
+    def _identity(self) -> bytes:
+        return f"{self.manufacturer},{self.product},{self.serial_number},{self.firmware}".encode("ascii")
 
     def _status(self) -> Iterator[Command]:
-        yield "STATus:PRESet", False, lambda _: self._preset_status()
+        yield "STATus:PRESet", False, bare(self._preset_status)
         for name, group in self.groups.items():
-            yield f"STATus:{name}[:EVENt]", True, partial(_read_group, group)
-            yield f"STATus:{name}:CONDition", True, partial(_read_register, group, "condition")
+            yield f"STATus:{name}[:EVENt]", True, bare(partial(_read_group, group))
+            yield f"STATus:{name}:CONDition", True, bare(partial(_read_register, group, "condition"))
             for node, register in REGISTERS.items():
-                yield f"STATus:{name}:{node}", True, partial(_read_register, group, register)
+                yield f"STATus:{name}:{node}", True, bare(partial(_read_register, group, register))
                 yield f"STATus:{name}:{node}", False, partial(_set_register, group, register)
 
     def _preset_status(self) -> None:
@@ -222,11 +225,11 @@ class ScpiInstrument:
         return encode_error(*(self._errors.popleft() if self._errors else (0, "No error")))
 
 
-def _read_group(group: StatusGroup, _: Unit) -> bytes:
+def _read_group(group: StatusGroup) -> bytes:
     return b"%d" % group.read()
 
 
-def _read_register(group: StatusGroup, register: str, _: Unit) -> bytes:
+def _read_register(group: StatusGroup, register: str) -> bytes:
     return b"%d" % getattr(group, register)
 
 
@@ -234,11 +237,15 @@ def _set_register(group: StatusGroup, register: str, unit: Unit) -> None:
     setattr(group, register, mask(unit, 0x7FFF))
 
 
-def bare(unit: Unit, answer: str) -> bytes:
-    """An answer to a query that takes no parameter. Raises ScpiError -108."""
-    if unit.parameters:
-        raise ScpiError(-108, "Parameter not allowed")
-    return answer.encode("ascii")
+def bare(action: Callable[[], bytes | None]) -> Action:
+    """A command that takes no parameter: one that has some is refused with -108, and nothing is done."""
+
+    def act(unit: Unit) -> bytes | None:
+        if unit.parameters:
+            raise ScpiError(-108, "Parameter not allowed")
+        return action()
+
+    return act
 
 
 def single(unit: Unit) -> str:

@@ -15,11 +15,15 @@ class TmclLine:
 
     Over USB a module answers whatever address it is called by; on RS485 it is silent where another's is called, and all
     answer to 0 at once, so that of several nobody can be understood.
+
+    `idle_gap_s` is the pause after which a frame that has been begun is forgotten; on an endpoint, whose bytes come when
+    the system brings them, it has to be as much longer as the clock is faster.
     """
 
     def __init__(self, plant: Plant) -> None:
         controller = plant.model.controller
         self.baudrate = controller.baudrate
+        self.idle_gap_s = IDLE_GAP_S
         self.outbox: deque[tuple[float, bytes]] = deque()
         self._latency_s = controller.latency_s
         self._rest = b""
@@ -33,7 +37,7 @@ class TmclLine:
 
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`; a frame begun before a pause is forgotten."""
-        if t - self._last_byte > IDLE_GAP_S:
+        if t - self._last_byte > self.idle_gap_s:
             self._rest = b""
         self._last_byte = t
         frames, self._rest = split(self._rest + data)

@@ -83,6 +83,7 @@ class MotionModule:
         self._outputs = [0] * OUTPUTS
         self._event: Unasked | None = None
         self._event_mask = 0
+        self._event_due = math.inf
         wired = {shaft.mechanics.motor: name for name, shaft in plant.shafts.items() if shaft.mechanics.module == address}
         for motor, name in wired.items():
             if motor >= kind.motors:
@@ -110,6 +111,8 @@ class MotionModule:
         if t < self._dead_until or (self._strict and frame[0] not in (0, address)):
             return []
         self._mind_heartbeat(t)
+        if self._event is not None and self._event_due <= t:  # it has been sent, and one is all that was asked for
+            self._event, self._event_mask, self._event_due = None, 0, math.inf
         reply = self._reply(frame, t, host & 0xFF, address & 0xFF)
         self._plan_event(t, host & 0xFF, address & 0xFF)
         if reply is None or self.globals.get(0, Global.SUPPRESS_REPLY, t):
@@ -263,16 +266,17 @@ class MotionModule:
         return self._outputs[number] if bank == 2 else 0
 
     def _plan_event(self, t: float, host: int, address: int) -> None:
-        """The frame that says that all motors of the mask are where they were sent, when they will be."""
+        """The one frame that says that all motors of the mask are where they were sent, when they will be."""
         if not self._event_mask and self._event is None:
             return
+        planned, self._event_due = self._event_due, math.inf
         if self._event is not None:
             self._withdraw(self._event)
             self._event = None
         arrivals = [motor.arrival() for number, motor in enumerate(self.motors) if self._event_mask >> number & 1]
         if not arrivals or any(arrival is None for arrival in arrivals):
             return
-        due = max(t + EVENT_AFTER_S, *(arrival for arrival in arrivals if arrival is not None))
+        self._event_due = max(min(planned, t + EVENT_AFTER_S), *(arrival for arrival in arrivals if arrival is not None))
         told = Reply(host, address, Status.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, self._event_mask)
         self._event = Unasked(told.encode())
-        self._post(due, self._event)
+        self._post(self._event_due, self._event)

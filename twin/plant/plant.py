@@ -113,7 +113,12 @@ class Plant:
         if known is not None:
             self._poses.move_to_end(key)
             return known
-        sigma, gamma, beta, shift = pose
+        result = self._poses[key] = self._seen_m2sr(sample, tilt, *pose)
+        if len(self._poses) > POSES_KEPT:
+            self._poses.popitem(last=False)
+        return result
+
+    def _seen_m2sr(self, sample: str, tilt: float, sigma: float, gamma: float, beta: float, shift: float) -> Floats:
         directions = arc_direction(self._polar_deg + shift, np.full(self._polar_deg.size, beta))
         directions[self._lower, 2] *= -1.0
         if tilt:
@@ -123,11 +128,18 @@ class Plant:
             directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
             sigma -= tilt
         model = self.model
-        result = throughput(model.instrument, sigma, directions, model.samples[sample], rays=model.rays, gamma_deg=gamma)
-        self._poses[key] = result
-        if len(self._poses) > POSES_KEPT:
-            self._poses.popitem(last=False)
-        return result
+        return throughput(model.instrument, sigma, directions, model.samples[sample], rays=model.rays, gamma_deg=gamma)
+
+    def warm_up(self) -> None:
+        """Computes everything once, for the kernels compile when they are first used, and a device must not wait for that.
+
+        Nothing is changed by it, and no number is drawn.
+        """
+        for sample in self.model.samples:
+            self._seen_m2sr(sample, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for module in range(self.modules):
+            self.volts(module, 0.0)
+        lamp_mean(0.0, self.conversion_period_s, *self._lamp)
 
     def pupil_radiance(self, t: float) -> float:
         """Of the exit pupil for a lamp of level 1, W m^-2 sr^-1; 0 behind the closed shutter."""

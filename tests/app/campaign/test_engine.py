@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.campaign.campaign import operator_for, run_campaign
+from app.campaign.check import checked_plan, in_words
 from app.campaign.engine import Engine
 from app.campaign.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
 from app.campaign.journal import Journal
@@ -132,6 +133,38 @@ def test_a_lost_device_ends_the_run_and_yields_no_row(bench: MakeBench) -> None:
     assert made.engine.run() is State.FAILED
     assert made.journal.counted()[0] == 4
     assert "photodiodes module 2" in made.journal.faults()[0]
+
+
+def test_a_slipped_axis_ends_the_run_and_yields_no_row(bench: MakeBench) -> None:
+    holder: list[Bench] = []
+
+    def jam(event: Event) -> None:
+        if isinstance(event, RowStarted) and event.row.number == 0:
+            rig = holder[0].opened.virtual
+            assert rig is not None
+            rig.plant.shafts["sigma"].jam(holder[0].opened.rig.clock.now())
+
+    holder.append(bench(VirtualClock(), [jam]))
+    made = holder[0]
+    assert made.engine.run() is State.FAILED
+    first = next(row.number for row in made.plan.rows if row.pose is not None and row.pose[1] != 0.0)
+    assert made.journal.counted()[0] == first
+    fault = made.journal.faults()[0]
+    assert fault.startswith("sigma: ")
+    assert all(part in fault for part in ("counter says 30.000 deg", "encoder", "goniotwin home", "goniotwin here"))
+
+
+def test_a_rig_with_a_lost_axis_is_refused_and_leaves_no_journal(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    rig = write_rig(("settling_s = 0.2\npower_up_at_reference = true", "settling_s = 0.2"))
+    lost = make_plan(read_schedule(write_schedule()), read_rig(rig))
+    with pytest.raises(UserError, match=rf"sigma: .*beta: .*goniotwin here --rig {rig} sigma DEG"):
+        run_campaign(lost, tmp_path / "lost.journal")
+    assert not (tmp_path / "lost.journal").exists()
+    result = checked_plan(lost)
+    assert result["unreferenced"] == ["sigma", "beta"]
+    assert "sigma, beta: after each power-up" in in_words(lost, result)
 
 
 def test_a_pause_takes_effect_at_the_next_row_and_repeats_none(bench: MakeBench) -> None:

@@ -111,7 +111,7 @@ def test_in_handshake_mode_an_aborted_statement_ends_with_its_status(device: Cor
 def test_a_statement_byte_by_byte_is_the_same_statement(device: Cornerstone260) -> None:
     for k, byte in enumerate(b"UNITS?\r\n"):
         device.receive(bytes((byte,)), 200.0 + 1e-3 * k)
-    assert b"".join(text for _, text in device.outbox) == b"UNITS?\rNM\r\n\n"
+    assert b"".join(text for _, text in device.outbox) == b"UNITS?\r\nNM\r\n"
 
 
 @pytest.mark.parametrize(
@@ -184,3 +184,19 @@ def test_a_reset_forgets_what_is_volatile(rig: VirtualRig, device: Cornerstone26
     assert lines(device, b"UNITS?\n", 211.0) == [b"NM"]
     assert lines(device, b"GRAT1LABEL?\n", 212.0) == [b"red"]
     assert not rig.plant.shutter_open.at(212.0)
+
+
+def test_a_line_ends_with_lf_and_cr_alone_ends_none(device: Cornerstone260) -> None:
+    assert [text for _, text in say(device, b"UNITS?\r", 200.0)] == [b"UNITS?\r"]  # the echo
+    assert lines(device, b"\n", 201.0) == [b"NM"]
+    assert lines(device, b"UNITS?\rWAVE?\n", 202.0) == []
+    assert lines(device, b"ERROR?\r\n", 203.0) == [b"1"]
+
+
+@pytest.mark.parametrize(("length", "error"), [(256, b"2"), (257, b"1"), (258, b"1"), (700, b"1")])
+def test_the_longest_line_is_the_same_in_one_piece_and_byte_by_byte(device: Cornerstone260, length: int, error: bytes) -> None:
+    line = b"GOWAVE " + b"x" * (length - 7)
+    for pieces in ([line + b"\r\n"], [bytes((byte,)) for byte in line + b"\r\n"]):
+        for piece in pieces:
+            say(device, piece, 200.0)
+        assert lines(device, b"ERROR?\n", 201.0) == [error]

@@ -177,6 +177,7 @@ def test_every_command_in_its_spellings(instrument: Pm100d, command: bytes, quer
         (b"CURR:RANG:AUTO maybe", -224),
         (b"CURR:RANG? 7", -224), (b"*IDN? 1", -108), (b"ABORTNOWPLEASEDO", -112), (b"AVER 1,,2", -103), (b"AVER '1", -151),
         (b"AVER 1" + b"0" * 5000, -223),
+        (b"FETC? 5", -108), (b"INIT 1", -108), (b"*RST 1", -108), (b"CONF:VOLT 5", -108), (b"STAT:OPER? 1", -108),
     ],
 )  # fmt: skip
 def test_each_mistake_has_its_number(instrument: Pm100d, program: bytes, code: int) -> None:

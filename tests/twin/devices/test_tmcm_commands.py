@@ -183,3 +183,13 @@ def test_a_1240_has_a_search_too() -> None:
     bench.search(Search.START, 1.0)
     assert bench.search(Search.STATUS, 1000.0) == 0
     assert bench.angle(1000.0) == pytest.approx(1.0, abs=2.0 / PER_DEG)
+
+
+def test_the_standby_current_comes_after_the_power_down_delay() -> None:
+    bench = Bench()
+    bench.set(Axis.RUN_CURRENT, 200, 0.0)
+    bench.set(Axis.STANDBY_CURRENT, 20, 0.0)
+    bench.set(Axis.POWER_DOWN_DELAY, 100, 0.0)
+    bench.go(20_000, 1.0)  # three seconds
+    motor = bench.line.modules[1].motors[4]
+    assert [motor.current(t) for t in (2.0, 4.5, 5.1)] == [200, 200, 20]

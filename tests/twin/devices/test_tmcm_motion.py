@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocols.tmcl import Axis, Command, Reply, Request, Status
+from protocols.tmcl import Axis, Command
 from protocols.tmcl_parameters import ErrorFlag, Search, SearchMode
 from tests.twin.devices.tmcl_bench import PER_DEG, Bench
 
@@ -291,27 +291,3 @@ def test_a_relative_move_is_from_the_target_or_from_where_it_is(reference: int, 
     bench.go(20_000, 1.0)
     bench.ask(Command.MST, 0, t=1.0 + 0.5**0.5)  # 2500 up, 2500 down
     assert bench.ask(Command.MVP, 1, 1_000, 10.0) == pytest.approx(target, abs=1)
-
-
-def test_the_standby_current_comes_after_the_power_down_delay() -> None:
-    bench = Bench()
-    bench.set(Axis.RUN_CURRENT, 200, 0.0)
-    bench.set(Axis.STANDBY_CURRENT, 20, 0.0)
-    bench.set(Axis.POWER_DOWN_DELAY, 100, 0.0)
-    bench.go(20_000, 1.0)  # three seconds
-    motor = bench.line.modules[1].motors[4]
-    assert [motor.current(t) for t in (2.0, 4.5, 5.1)] == [200, 200, 20]
-
-
-def test_arrival_is_told_to_who_has_asked_for_it() -> None:
-    bench = Bench()
-    request = Request(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4)
-    first, second = (Reply.decode(data) for data in bench.frames(request, 0.5))
-    assert (first.status, second.status) == (Status.OK, Status.TARGET_REACHED)  # it is at its target
-    bench.line.receive(bytes.fromhex("01 04 00 04 00 00 4e 20 77"), 1.0)  # MVP ABS 20000: three seconds
-    (_, reply), (when, event) = bench.line.outbox
-    assert Reply.decode(reply) == Reply(2, 1, Status.OK, Command.MVP, 20_000)
-    assert when == pytest.approx(4.0)
-    assert Reply.decode(event) == Reply(2, 1, Status.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, 1 << 4)
-    bench.line.receive(bytes.fromhex("01 03 00 04 00 00 00 00 08"), 2.0)  # stopped, it will not arrive
-    assert [Reply.decode(data).command for _, data in bench.line.outbox] == [Command.MVP, Command.MST]

@@ -1,0 +1,80 @@
+"""Stable names of pseudo-terminals: symbolic links in a folder that is one server's alone for as long as it serves.
+
+A folder is claimed by a lock on the folder itself, which the system lifts when its holder ends, however it ends. So a link
+to a pseudo-terminal that is found in a folder just claimed has been left by somebody who is gone, and may be replaced.
+Nothing else is: neither a file, nor a folder, nor a link to something else. What is removed is what was put.
+"""
+
+import contextlib
+import os
+from pathlib import Path
+
+
+class PtyNames:
+    """The links of one server."""
+
+    def __init__(self) -> None:
+        self._claimed: dict[Path, int] = {}
+        self._put: dict[Path, str] = {}
+
+    def put(self, link: Path, terminal: str) -> None:
+        """`link` names the pseudo-terminal from now on. Raises OSError in words where the name is somebody else's."""
+        self._claim(link.parent)
+        if link.is_symlink():
+            target = str(link.readlink())
+            if _series(target) != _series(terminal):
+                raise OSError(f"{link}: is a link to {target}, which is not this server's; remove it or choose another folder")
+            link.unlink()
+        elif link.exists():
+            raise OSError(f"{link}: is there, and is not this server's; remove it or choose another folder")
+        link.symlink_to(terminal)
+        self._put[link] = terminal
+
+    def take(self, link: Path) -> None:
+        """Removes it, if it is still the one that was put."""
+        terminal = self._put.pop(link, None)
+        with contextlib.suppress(OSError):
+            if terminal is not None and str(link.readlink()) == terminal:
+                link.unlink()
+
+    def close(self) -> None:
+        """Removes all, and lets go of the folders."""
+        for link in list(self._put):
+            self.take(link)
+        for descriptor in self._claimed.values():
+            os.close(descriptor)
+        self._claimed.clear()
+
+    def _claim(self, folder: Path) -> None:
+        import fcntl
+
+        if folder in self._claimed:
+            return
+        descriptor = None
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(folder, os.O_RDONLY)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if descriptor is not None:
+                os.close(descriptor)
+            if isinstance(error, BlockingIOError):
+                raise OSError(f"{folder}: another server has its names there; end it or choose another folder") from None
+            if isinstance(error, FileExistsError | NotADirectoryError):
+                raise OSError(f"{folder}: is not a folder; choose another") from None
+            raise OSError(f"{folder}: cannot be used: {error.strerror}; choose another folder") from None
+        self._claimed[folder] = descriptor
+
+
+def baudrate(slave: int) -> int | None:
+    """What the client has set on its side of a pseudo-terminal, None where that is not to be known."""
+    import termios
+
+    speed = termios.tcgetattr(slave)[5]
+    names = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200) if hasattr(termios, f"B{rate}")}
+    return names.get(speed)
+
+
+def _series(terminal: str) -> str:
+    """A terminal's name without its number."""
+    return terminal.rstrip("0123456789")

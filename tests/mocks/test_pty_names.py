@@ -1,0 +1,63 @@
+"""Names of pseudo-terminals: whose they are, and who may take them away."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mocks.pty_names import PtyNames
+from mocks.serial_endpoints import ptys_exist
+
+pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    descriptors = os.openpty()
+    yield os.ttyname(descriptors[1])
+    for descriptor in descriptors:
+        os.close(descriptor)
+
+
+def test_a_folder_is_one_servers(tmp_path: Path, terminal: str) -> None:
+    first, second = PtyNames(), PtyNames()
+    first.put(tmp_path / "axes", terminal)
+    with pytest.raises(OSError, match="another server has its names there; end it"):
+        second.put(tmp_path / "axes", terminal + "0")
+    second.close()
+    assert str((tmp_path / "axes").readlink()) == terminal
+    first.close()
+    assert not (tmp_path / "axes").is_symlink()
+    second.put(tmp_path / "axes", terminal)
+    second.close()
+
+
+def test_what_a_killed_server_has_left_is_replaced(tmp_path: Path, terminal: str) -> None:
+    (tmp_path / "axes").symlink_to(terminal + "0")
+    names = PtyNames()
+    names.put(tmp_path / "axes", terminal)
+    assert str((tmp_path / "axes").readlink()) == terminal
+    names.close()
+
+
+def test_what_has_taken_the_place_of_a_name_is_left_alone(tmp_path: Path, terminal: str) -> None:
+    names = PtyNames()
+    names.put(tmp_path / "axes", terminal)
+    names.put(tmp_path / "mono", terminal)
+    (tmp_path / "axes").unlink()
+    (tmp_path / "axes").write_text("mine", encoding="utf-8")
+    (tmp_path / "mono").unlink()
+    (tmp_path / "mono").symlink_to("/dev/null")
+    names.close()
+    assert (tmp_path / "axes").read_text(encoding="utf-8") == "mine"
+    assert (tmp_path / "mono").is_symlink()
+
+
+def test_a_link_to_something_else_is_refused(tmp_path: Path, terminal: str) -> None:
+    (tmp_path / "axes").symlink_to("/dev/ttyUSB0")
+    names = PtyNames()
+    with pytest.raises(OSError, match="is a link to /dev/ttyUSB0, which is not this server's"):
+        names.put(tmp_path / "axes", terminal)
+    names.close()
+    assert (tmp_path / "axes").is_symlink()

@@ -1,0 +1,45 @@
+"""What one process has found out of the axes, the next one heeds."""
+
+from pathlib import Path
+
+import pytest
+
+from app.rig import AXES
+from mocks.control import Control
+from tests.conftest import RIG, Writer
+from tests.system.conftest import Serve, at
+from tests.system.test_command import goniotwin
+
+
+def test_after_a_reset_between_two_runs_nothing_is_measured_until_somebody_has_looked(
+    serve: Serve, write_schedule: Writer, tmp_path: Path
+) -> None:
+    anywhere = tmp_path / "anywhere.toml"
+    lines = RIG.read_text(encoding="utf-8").splitlines()
+    anywhere.write_text("\n".join(line for line in lines if not line.startswith("power_up_at_reference")), encoding="utf-8")
+    rig, schedule = tmp_path / "served.toml", write_schedule()
+    _, told = serve(anywhere, "--speed", 20, "--write-rig", rig)
+    control = Control(at(told, "control", "port")["port"])
+
+    def refused(name: str) -> None:
+        done = goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name)
+        assert done.returncode == 2
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert f"goniotwin here --rig {rig}" in done.stderr
+        assert not (tmp_path / name).exists()
+
+    refused("0.journal")
+    for axis in AXES:
+        assert goniotwin("here", "--rig", rig, axis, 0).returncode == 0
+    assert goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "1.journal").returncode == 0
+    angle = control.do("state")["angles_deg"]["sigma"]
+    assert angle == pytest.approx(30.0, abs=0.01)
+    control.do("unplug", device="axes")
+    control.do("replug", device="axes", reset=True)
+    refused("2.journal")
+    refused("3.journal")
+    for axis, angle in control.do("state")["angles_deg"].items():
+        assert goniotwin("here", "--rig", rig, axis, angle).returncode == 0
+    assert goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "4.journal").returncode == 0
+    assert control.do("state")["angles_deg"]["sigma"] == pytest.approx(30.0, abs=0.01)
+    control.close()

@@ -1,0 +1,78 @@
+"""A virtual rig's first light: what is compiled for it is compiled before, and nothing else is done."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.rig import read_rig
+from protocols.clock import RealClock, VirtualClock
+from tests.conftest import REPOSITORY, RIG
+from twin import TwinModel, VirtualRig
+from twin.optics import throughput
+from twin.plant import Plant
+
+FIRST_LIGHT = """
+import sys
+from pathlib import Path
+from app.rig import read_rig
+from protocols.clock import RealClock
+from twin import VirtualRig
+
+rig = VirtualRig.build(read_rig(Path(sys.argv[1])).model(), RealClock())
+stopwatch = RealClock()
+rig.mount("etalon")
+rig.plant.shutter_open.set(rig.clock.now(), True)
+rig.plant.volts(0, rig.clock.now() + 1.0)
+rig.plant.monitor_a(rig.clock.now(), rig.clock.now() + 0.1)
+print(stopwatch.now())
+"""
+
+
+@pytest.fixture
+def model() -> TwinModel:
+    found = read_rig(RIG).model()
+    assert found is not None
+    return found
+
+
+def test_on_a_real_clock_the_light_of_each_sample_has_been_computed(model: TwinModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def recorded(instrument: object, sigma: object, directions: object, scatterer: object, **how: object) -> object:
+        seen.append(scatterer)
+        return throughput(instrument, sigma, directions, scatterer, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("twin.plant.plant.throughput", recorded)
+    VirtualRig.build(model, VirtualClock())
+    assert seen == []
+    VirtualRig.build(model, RealClock())
+    assert seen == list(model.samples.values())
+
+
+def test_nothing_is_changed_by_it(model: TwinModel) -> None:
+    plants = Plant(model), Plant(model)
+    plants[0].warm_up()
+    for plant in plants:
+        plant.mount("gaussian-5", 1.0)
+        plant.shutter_open.set(1.0, True)
+    for module in range(plants[0].modules):
+        np.testing.assert_array_equal(plants[0].volts(module, 2.0), plants[1].volts(module, 2.0))
+        np.testing.assert_array_equal(plants[0].volts(module, 0.5), plants[1].volts(module, 0.5))
+    assert plants[0].monitor_a(2.0, 2.1) == plants[1].monitor_a(2.0, 2.1)
+
+
+def test_with_an_empty_cache_of_kernels_the_first_light_is_there_at_once(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST_LIGHT, str(RIG)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300.0,
+    )
+    assert float(done.stdout) < 0.1  # compiling takes seconds
