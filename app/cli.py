@@ -15,10 +15,10 @@ from app.axes_cli import RigOption, add_axes_commands, errors
 from app.ending import heed_requests_to_end
 from app.errors import UserError
 from app.progress import RowProgress
+from app.simulation import command as simulation
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 EXAMPLE_RIG, EXAMPLE_SCHEDULE = EXAMPLES / "rigs" / "virtual.toml", EXAMPLES / "schedules" / "quick.toml"
-
 app = typer.Typer(
     name="goniotwin",
     help=(
@@ -30,6 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.add_typer(simulation.app, name="simulate")
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="What is to be measured.", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from app.campaign.reduction import BsdfPoints
 from app.errors import UserError
 from app.rig import RigDescription
-from app.rig.twin_table import GaussianTable
+from app.rig.sample_table import GaussianTable
 from twin.optics import Scatterer, arc_direction, evaluate, light_direction
 
 Floats = npt.NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Files of the field, read and written: BSDF tables (Lumicept .ddr, Zemax .bsdf) and scattered points (CSV).
+"""Files of the field, read and written: BSDF tables (Lumicept .ddr, Zemax .bsdf), scattered points (CSV), raysets (HDF5).
 
 Whatever is wrong with a file is a `FormatError` of one line. Files appear whole or not at all. The rest of the program
 gets arrays: BSDF in 1/sr, angles in degrees, in specular coordinates (radial = theta, azimuth = phi).
@@ -7,6 +7,7 @@ gets arrays: BSDF in 1/sr, angles in degrees, in specular coordinates (radial = 
 from app.formats.ddr import DdrTable, bsdf, read_ddr, write_ddr
 from app.formats.errors import FormatError
 from app.formats.points import Points, read_points_csv, write_points_csv
+from app.formats.rayset import read_rayset, write_rayset
 from app.formats.zemax import ZemaxBsdf, read_zemax, write_zemax
 
 __all__ = [
@@ -17,8 +18,10 @@ __all__ = [
     "bsdf",
     "read_ddr",
     "read_points_csv",
+    "read_rayset",
     "read_zemax",
     "write_ddr",
     "write_points_csv",
+    "write_rayset",
     "write_zemax",
 ]

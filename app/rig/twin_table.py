@@ -10,11 +10,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from app.errors import UserError
-from app.formats.errors import FormatError
-from app.formats.zemax import ZemaxBsdf, read_zemax
+from app.rig.optics_table import DeviationTable, OpticsTable, built
+from app.rig.sample_table import SampleTable, scatterer
 from app.tables import Table
-from twin.optics import Instrument, Scatterer, gaussian, lambertian, tabulated
 from twin.plant import (
     AxisController,
     Electronics,
@@ -77,30 +75,6 @@ class AxesMechanicsTable(Table):
         return self
 
 
-class OpticsTable(Table):
-    """Dimensions of the instrument; `obstruction` off lets light pass through the mirror unit."""
-
-    pupil_radius_mm: PositiveFloat = 5.0
-    mirror_distance_mm: PositiveFloat = 200.0
-    mirror_side_mm: PositiveFloat = 20.0
-    mirror_reflectance: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
-    spot_side_mm: PositiveFloat = 5.0
-    arc_radius_mm: PositiveFloat = 300.0
-    detector_diameter_mm: PositiveFloat = 5.0
-    field_deg: PositiveFloat = 0.5
-    obstruction: bool = True
-    rays: Annotated[int, Field(ge=16, le=1 << 20, multiple_of=4)] = 1024
-
-    @model_validator(mode="after")
-    def _can_be_built(self) -> "OpticsTable":
-        self.instrument()
-        return self
-
-    def instrument(self) -> Instrument:
-        """The instrument. Raises ValueError for dimensions that make none."""
-        return Instrument(**self.model_dump(exclude={"rays"}))
-
-
 class LightTable(Table):
     """The lamp: its radiance, what of it arrives, and how steady it is."""
 
@@ -147,43 +121,6 @@ class DriveTable(Table):
     grating_s: NotNegative = 8.0
 
 
-class LambertianTable(Table):
-    """A perfect diffuser of some reflectance."""
-
-    model: Literal["lambertian"]
-    reflectance: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-
-
-class GaussianTable(Table):
-    """A Gaussian lobe round the specular direction (the paper's formula 6)."""
-
-    model: Literal["gaussian"]
-    width_deg: float
-    form: Literal["one_over_e", "half_width"] = "one_over_e"
-    quantity: Literal["luminance", "intensity"] = "luminance"
-    peak: float | None = None
-    reflectance: float | None = None
-
-    @model_validator(mode="after")
-    def _makes_a_lobe(self) -> "GaussianTable":
-        self.scatterer()
-        return self
-
-    def scatterer(self) -> Scatterer:
-        """The lobe. Raises ValueError for a width or a height that is none."""
-        return gaussian(self.width_deg, self.form, self.quantity, self.peak, self.reflectance)
-
-
-class MeasuredTable(Table):
-    """A table of a Zemax `.bsdf` file, named from where the rig file is."""
-
-    model: Literal["zemax"]
-    file: str
-
-
-SampleTable = Annotated[LambertianTable | GaussianTable | MeasuredTable, Field(discriminator="model")]
-
-
 class TwinTable(Table):
     """The virtual rig. `noise` off silences every random process and leaves the quantisation."""
 
@@ -191,11 +128,17 @@ class TwinTable(Table):
     samples: dict[str, SampleTable]
     noise: bool = True
     optics: OpticsTable = OpticsTable()
+    deviations: dict[str, DeviationTable] = {}
     light: LightTable = LightTable()
     photodiodes: DiodesTable = DiodesTable()
     electronics: ElectronicsTable = ElectronicsTable()
     monochromator: DriveTable = DriveTable()
     controller: ControllerTable = ControllerTable()
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> "TwinTable":
+        built(self.optics, self.deviations)
+        return self
 
     @model_validator(mode="after")
     def _motors_are_there(self) -> "TwinTable":
@@ -209,12 +152,11 @@ class TwinTable(Table):
 
 def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinModel:
     """The model; sample files are looked for from `folder`. Raises UserError naming `name`, the sample and its file."""
-    rays = table.optics.rays
     return TwinModel(
         seed=seed,
         axes={axis: Mechanics(**mechanics) for axis, mechanics in table.axes.model_dump().items()},
-        samples={key: _scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
-        instrument=table.optics.instrument(),
+        samples={key: scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
+        instrument=built(table.optics, table.deviations),
         light=Light(**table.light.model_dump()),
         photodiodes=Photodiodes(**_tuples(table.photodiodes)),
         electronics=Electronics(**_tuples(table.electronics)),
@@ -222,7 +164,7 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
         monochromator=MonochromatorDrive(**table.monochromator.model_dump()),
         controller=AxisController(**table.controller.model_dump()),
         noise=table.noise,
-        rays=rays,
+        estimator=table.optics.chosen(),
     )
 
 
@@ -231,33 +173,17 @@ def model_hash(model: TwinModel) -> str:
     digest = hashlib.sha256()
     for part in (model.axes, model.instrument, model.light, model.photodiodes, model.electronics, model.monitor):
         digest.update(repr(part).encode())
-    digest.update(repr((model.monochromator, model.controller, model.noise, model.rays)).encode())
+    digest.update(repr((model.monochromator, model.controller, model.noise, model.estimator)).encode())
     for key, sample in sorted(model.samples.items()):
-        digest.update(f"{key} {sample.kind}".encode())
-        for values in (sample.params, sample.sigma_deg, sample.phi_deg, sample.theta_deg, sample.values):
-            digest.update(np.ascontiguousarray(values).tobytes())
+        digest.update(f"{key} {len(sample.lobes)} {sample.spectrum is None}".encode())
+        if sample.spectrum is not None:
+            digest.update(sample.spectrum.wavelengths_nm.tobytes() + sample.spectrum.weights.tobytes())
+        for lobe in sample.lobes:
+            digest.update(f"{lobe.kind} {lobe.incident} {lobe.transmits} {lobe.values.shape}".encode())
+            for values in (lobe.params, lobe.sigma_deg, lobe.phi_deg, lobe.theta_deg, lobe.psi_deg, lobe.values):
+                digest.update(np.ascontiguousarray(values).tobytes())
     return digest.hexdigest()[:16]
 
 
 def _tuples(table: Table) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.model_dump().items()}
-
-
-def _scatterer(sample: LambertianTable | GaussianTable | MeasuredTable, folder: Path, place: str) -> Scatterer:
-    if isinstance(sample, LambertianTable):
-        return lambertian(sample.reflectance)
-    if isinstance(sample, GaussianTable):
-        return sample.scatterer()
-    try:
-        return _from_zemax(read_zemax(folder / sample.file))
-    except (FormatError, ValueError) as error:
-        raise UserError(f"{place}: {error}") from None
-
-
-def _from_zemax(table: ZemaxBsdf) -> Scatterer:
-    """An isotropic reflecting sample from a Zemax table. Raises ValueError for one that is not."""
-    if table.scatter_type.upper() != "BRDF":
-        raise ValueError(f"its ScatterType is {table.scatter_type}; a sample here needs a BRDF")
-    if len(table.sample_rotation_deg) != 1:
-        raise ValueError(f"it has {len(table.sample_rotation_deg)} sample rotations; a sample here needs exactly one")
-    return tabulated(table.incidence_deg, table.azimuth_deg, table.radial_deg, table.values[0])

@@ -1,15 +1,19 @@
-"""The scattering models as kernels: value, sampling and density, each for one pair of directions.
+"""The scattering models as kernels: the value of one lobe for one pair of directions.
 
-A model is a code, four parameters and a table (arrays of one element where there is none), so that every sample has the
+A lobe is a code, eight parameters and a table (arrays of one element where there is none), so that every lobe has the
 same types and each kernel is compiled once. Vectors are unit vectors from the sample: l towards the light, d towards
-the observer, z the sample's normal. Both must be in front (z > 0); otherwise the value is zero.
+the observer, z the sample's normal. The models know one pair of sides only: light in front, observer in front.
+`canonical` makes that of any other pair. Where a direction still is not in front (z <= 0) the value is zero.
 
 - LAMBERTIAN: params[0] is the value in 1/sr.
 - GAUSSIAN: params[0] is the peak in 1/sr, params[1] the factor of theta^2 in the exponent (1/rad^2), params[2] is 1
   where the Gaussian is the intensity, so that its value is divided by the cosine of d, params[3] the share of a lobe
-  cut at 180 deg.
-- TABLE: table[0, sigma, phi, theta] in 1/sr, table[1] its slopes over sigma in 1/(sr deg). phi runs over 180 deg (mirrored
-  in the plane of incidence) or 360 deg.
+  cut at 180 deg, params[4] the ratio of refractive indices that bends the lobe's axis (1: it does not).
+- TABLE: see twin.optics.tables.
+- ANISOTROPIC: a table with psi, the light's azimuth in the sample's own frame; params[0] is the period of psi in deg,
+  params[1] is 1 where psi is mirrored within it.
+- REGULAR: a mirror's or a clear sheet's share of the light, params[0], or over sigma table[0, sigma, 0, 0] with slopes
+  as in TABLE. It is no function of direction: its value here is zero, and `regular_share` has what it reflects.
 """
 
 import math
@@ -18,67 +22,68 @@ import numpy as np
 from numba import njit
 
 from twin.optics.frames import Floats
+from twin.optics.tables import anisotropic, hermite, place, tabular
+
+__all__ = [
+    "ANISOTROPIC",
+    "GAUSSIAN",
+    "LAMBERTIAN",
+    "REGULAR",
+    "TABLE",
+    "analytic",
+    "anisotropic",
+    "bent",
+    "bsdf",
+    "canonical",
+    "evaluate_all",
+    "from_canonical",
+    "regular_share",
+    "tabular",
+]
 
 LAMBERTIAN = 0
 GAUSSIAN = 1
 TABLE = 2
-
-# Of a Gaussian's samples. The others are drawn by the cosine law, so that directions far off the lobe get theirs too.
-LOBE_SHARE = 0.75
-
-
-@njit(cache=True, error_model="numpy")
-def _place(axis: Floats, x: float) -> tuple[int, float]:
-    """Interval of an ascending axis that holds x, and the share of the way through it; held at both ends."""
-    last = axis.size - 1
-    if last == 0 or x <= axis[0]:
-        return 0, 0.0
-    if x >= axis[last]:
-        return last - 1, 1.0
-    low, high = 0, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if axis[middle] <= x:
-            low = middle
-        else:
-            high = middle
-    return low, (x - axis[low]) / (axis[low + 1] - axis[low])
+ANISOTROPIC = 3
+REGULAR = 4
 
 
-@njit(cache=True, error_model="numpy")
-def tabular(
-    sig: Floats, ph: Floats, th: Floats, table: Floats,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
-    """`bsdf` of a table: cubic in sigma, linear in phi and theta; the first and last of each list hold outside of it."""
-    if lz <= 0.0 or dz <= 0.0:
-        return 0.0
-    sine = math.sqrt(lx * lx + ly * ly)
-    # At normal incidence the plane of incidence is the rig's, as for any other sigma.
-    ux, uy = (lx / sine, ly / sine) if sine > 0.0 else (1.0, 0.0)
-    radial = ux * dx + uy * dy
-    inward, across, along = lz * radial + sine * dz, ux * dy - uy * dx, lz * dz - sine * radial
-    theta = math.degrees(math.atan2(math.sqrt(inward * inward + across * across), along))
-    phi = math.degrees(math.atan2(across, inward))
-    if ph[ph.size - 1] <= 180.0:
-        phi = abs(phi)
-    elif phi < 0.0:
-        phi += 360.0
-    i, a = _place(sig, math.degrees(math.atan2(sine, lz)))
-    j, b = _place(ph, phi)
-    k, c = _place(th, theta)
-    i1, j1, k1 = min(i + 1, sig.size - 1), min(j + 1, ph.size - 1), min(k + 1, th.size - 1)
-    # Hermite's basis: value and slope at both ends of the interval.
-    step = sig[i1] - sig[i]
-    rest = 1.0 - a
-    weights = (rest * rest * (1.0 + 2.0 * a), a * a * (3.0 - 2.0 * a), step * a * rest * rest, -step * a * a * rest)
-    total = 0.0
-    for term in range(4):
-        part, m = term // 2, i if term % 2 == 0 else i1
-        near = (1.0 - c) * table[part, m, j, k] + c * table[part, m, j, k1]
-        far = (1.0 - c) * table[part, m, j1, k] + c * table[part, m, j1, k1]
-        total += weights[term] * ((1.0 - b) * near + b * far)
-    return total
+@njit(cache=True, error_model="numpy", forceinline=True)
+def canonical(
+    incident: int, transmits: bool, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
+) -> tuple[float, float, float, float, float, float]:
+    """Directions in the sample's own frame as the models take them, for light from the front (1) or the back (-1).
+
+    A sample lit from the back is turned about x, so azimuths change their sign; a transmitted direction is mirrored in
+    the sample's plane, so that straight through becomes specular. Both are in front if they are where the lobe acts.
+    """
+    if incident < 0:
+        ly, lz, dy, dz = -ly, -lz, -dy, -dz
+    if transmits:
+        dz = -dz
+    return lx, ly, lz, dx, dy, dz
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
+    """The observer's direction in the sample's own frame of a canonical one: what `canonical` did, undone."""
+    if transmits:
+        dz = -dz
+    if incident < 0:
+        dy, dz = -dy, -dz
+    return dx, dy, dz
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def bent(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, float]:
+    """The light whose specular direction is the axis of a lobe bent by Snell's law: sin(theta_t) = sin(theta_i) / ratio.
+
+    `analytic` takes it in place of the light. Beyond total reflection its z is 0: there is no lobe, and the value is 0.
+    """
+    if ratio == 1.0 or lz <= 0.0:
+        return lx, ly, lz
+    x, y = lx / ratio, ly / ratio
+    return x, y, math.sqrt(max(0.0, 1.0 - x * x - y * y))
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -86,7 +91,7 @@ def analytic(
     kind: int, peak: float, exponent: float, intensity: float,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """`bsdf` of the models without a table, their parameters one by one.
+    """`bsdf` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; for a ratio other than 1, l is from `bent`.
 
     Loops call this themselves: handing arrays to a function costs numba's reference counts, ten times what the model
     does.
@@ -101,55 +106,45 @@ def analytic(
 
 
 @njit(cache=True, error_model="numpy")
+def regular_share(params: Floats, sig: Floats, table: Floats, lx: float, ly: float, lz: float) -> float:
+    """Share of the light from l that a REGULAR lobe sends on in its one direction; 0 for light that is not in front."""
+    if lz <= 0.0:
+        return 0.0
+    if sig.size == 1:
+        return params[0]  # type: ignore[no-any-return]
+    i, a = place(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
+    w = hermite(a, sig[i + 1] - sig[i])
+    values = w[0] * table[0, i, 0, 0] + w[1] * table[0, i + 1, 0, 0]
+    return values + w[2] * table[1, i, 0, 0] + w[3] * table[1, i + 1, 0, 0]  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
 def bsdf(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, table: Floats,
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """Value in 1/sr for light from l and an observer at d."""
+    """Value in 1/sr of a lobe for canonical light l and observer d; 0 of a REGULAR one."""
+    if kind == REGULAR:
+        return 0.0
     if kind == TABLE:
         return tabular(sig, ph, th, table, lx, ly, lz, dx, dy, dz)
+    if kind == ANISOTROPIC:
+        return anisotropic(sig, ph, th, psi, params[0], params[1], table, lx, ly, lz, dx, dy, dz)
+    if kind == GAUSSIAN:
+        lx, ly, lz = bent(params[4], lx, ly, lz)
     return analytic(kind, params[0], params[1], params[2], lx, ly, lz, dx, dy, dz)
 
 
 @njit(cache=True, error_model="numpy")
-def density(kind: int, params: Floats, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float) -> float:
-    """Of the directions that `sample` draws, in 1/sr."""
-    cosine = max(dz, 0.0) / math.pi
-    if kind != GAUSSIAN:
-        return cosine
-    theta = math.acos(min(1.0, max(-1.0, lz * dz - lx * dx - ly * dy)))
-    # The lobe is drawn as a plane Gaussian wrapped onto the sphere: theta / sin(theta) is the stretch.
-    stretch = theta / math.sin(theta) if theta > 1e-9 else 1.0
-    lobe = params[1] / (math.pi * params[3]) * math.exp(-params[1] * theta * theta) * stretch
-    return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine  # type: ignore[no-any-return]
-
-
-@njit(cache=True, error_model="numpy")
-def sample(
-    kind: int, params: Floats, lx: float, ly: float, lz: float, u: float, v: float, choice: float
-) -> tuple[float, float, float]:
-    """A direction for three uniform numbers in [0, 1); it may point below the surface, where nothing is scattered."""
-    turn = 2.0 * math.pi * v
-    if kind != GAUSSIAN or choice >= LOBE_SHARE:
-        radius = math.sqrt(u)
-        return radius * math.cos(turn), radius * math.sin(turn), math.sqrt(1.0 - u)
-    theta = math.sqrt(-math.log(1.0 - u * params[3]) / params[1])
-    sine = math.sqrt(lx * lx + ly * ly)
-    ux, uy = (lx / sine, ly / sine) if sine > 0.0 else (1.0, 0.0)
-    inward, across, along = math.sin(theta) * math.cos(turn), math.sin(theta) * math.sin(turn), math.cos(theta)
-    radial = lz * inward - sine * along
-    return radial * ux - across * uy, radial * uy + across * ux, sine * inward + lz * along
-
-
-@njit(cache=True, error_model="numpy")
 def evaluate_all(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, table: Floats, light: Floats, observer: Floats
-) -> Floats:
-    """`bsdf` of rows (n, 3) of directions."""
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
+    incident: int, transmits: bool, light: Floats, observer: Floats,
+) -> Floats:  # fmt: skip
+    """`bsdf` of rows (n, 3) of directions in the sample's own frame."""
     result = np.empty(light.shape[0])
     for i in range(light.shape[0]):
-        result[i] = bsdf(
-            kind, params, sig, ph, th, table,
-            light[i, 0], light[i, 1], light[i, 2], observer[i, 0], observer[i, 1], observer[i, 2],
-        )  # fmt: skip
+        lx, ly, lz, dx, dy, dz = canonical(
+            incident, transmits, light[i, 0], light[i, 1], light[i, 2], observer[i, 0], observer[i, 1], observer[i, 2]
+        )
+        result[i] = bsdf(kind, params, sig, ph, th, psi, table, lx, ly, lz, dx, dy, dz)
     return result

@@ -6,8 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 
+from twin.optics.aperture import detector_frame
 from twin.optics.frames import Floats
 from twin.optics.instrument import Instrument
+from twin.optics.meeting import distance_to
 
 # Of the sequence, the best of 120 tried when rays were still thrown away at the disc's edge: any other would do.
 SHIFT = (0.42, 0.25, 0.22, 0.65, 0.05, 0.24)
@@ -60,11 +62,6 @@ def detector_sizes(instrument: Instrument) -> Floats:
     return np.array([instrument.arc_radius_mm, radius, sine, half])
 
 
-def bundle_measure_mm2sr(sizes: Floats) -> float:
-    """Etendue, mm^2 sr, that a mean weight of 1 over a whole bundle of `detector_ray` stands for."""
-    return float(4.0 * sizes[3] ** 2 * math.pi * sizes[2] ** 2)
-
-
 def hole_turn(gamma_deg: float) -> Floats:
     """Cosine and sine of the sample unit's turn, which takes the frame's hole with it."""
     return np.array([math.cos(math.radians(gamma_deg)), math.sin(math.radians(gamma_deg))])
@@ -82,21 +79,19 @@ def cone(rays: Floats, sizes: Floats) -> Floats:
 
 
 @njit(cache=True, error_model="numpy")
-def view(dx: float, dy: float, dz: float, turn: Floats, axes: Floats) -> None:
-    """Fills `axes` (5, 3): the detector's away (from the normal), level and along d; the hole's sides seen along those."""
-    sine = math.sqrt(dx * dx + dy * dy)
-    cos, sin = (dx / sine, dy / sine) if sine > 0.0 else (1.0, 0.0)
-    axes[0, 0], axes[0, 1], axes[0, 2] = dz * cos, dz * sin, -sine
-    axes[1, 0], axes[1, 1], axes[1, 2] = -sin, cos, 0.0
-    axes[2, 0], axes[2, 1], axes[2, 2] = dx, dy, dz
-    for c in range(3):
-        axes[3, c] = axes[c, 0] * turn[0] + axes[c, 1] * turn[1]
-        axes[4, c] = axes[c, 1] * turn[0] - axes[c, 0] * turn[1]
+def view(centre: Floats, d: Floats, axes: Floats) -> None:
+    """Fills `axes` (4, 3) of a detector: away (from the normal), level, along d; and its centre along these."""
+    e1x, e1y, e1z, e2x, e2y = detector_frame(d[0], d[1], d[2])
+    axes[0, 0], axes[0, 1], axes[0, 2] = e1x, e1y, e1z
+    axes[1, 0], axes[1, 1], axes[1, 2] = e2x, e2y, 0.0
+    axes[2, 0], axes[2, 1], axes[2, 2] = d[0], d[1], d[2]
+    for k in range(3):
+        axes[3, k] = centre[0] * axes[k, 0] + centre[1] * axes[k, 1] + centre[2] * axes[k, 2]
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def detector_ray(
-    axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats, turn: Floats
+    axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats
 ) -> tuple[float, float, float, float, float, float, float]:
     """Ray j of the bundle of a detector whose axes are given, from where its disc, seen along the ray, meets the hole.
 
@@ -107,10 +102,10 @@ def detector_ray(
     etalon and sample are measured at poses that are not quite the same. Directions are uniform over the cone's projection on
     the disc, so the weight holds the other cosines.
     """
-    radius, half, p, q = sizes[1], sizes[3], slopes[j, 0], slopes[j, 1]
+    radius, half, p, q = sizes[0], sizes[1], slopes[j, 0], slopes[j, 1]
     # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
-    a0, au, av = sizes[0] * p, axes[3, 0] - p * axes[3, 2], axes[4, 0] - p * axes[4, 2]
-    b0, bu, bv = sizes[0] * q, axes[3, 1] - q * axes[3, 2], axes[4, 1] - q * axes[4, 2]
+    a0, au, av = axes[3, 2] * p - axes[3, 0], axes[0, 0] - p * axes[2, 0], axes[0, 1] - p * axes[2, 1]
+    b0, bu, bv = axes[3, 2] * q - axes[3, 1], axes[1, 0] - q * axes[2, 0], axes[1, 1] - q * axes[2, 1]
     square = au * au + bu * bu
     area = au * bv - av * bu
     middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
@@ -132,5 +127,26 @@ def detector_ray(
     # NaN, from within the sample's plane, is no ray; nor is one that comes from the detector's far side of the sample.
     if share_u > 0.0 and share_v > 0.0 and wz * axes[2, 2] > 0.0:
         weight = abs(area) * share_u * share_v / (4.0 * half * half)
-    length = (sizes[0] - u * axes[3, 2] - v * axes[4, 2]) / along
-    return weight, u * turn[0] - v * turn[1], u * turn[1] + v * turn[0], wx, wy, wz, length
+    length = (axes[3, 2] - u * axes[2, 0] - v * axes[2, 1]) / along
+    return weight, u, v, wx, wy, wz, length
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def arrival(
+    px: float, py: float, u: float, v: float, pupil: Floats, images: Floats, half: float, clipped: bool
+) -> tuple[float, float, float, float]:
+    """Direction (x, y, z) to the pupil's point (u, v) from (px, py) on the sample, and its cos(l) cos(pupil) / r^2.
+
+    The latter is 0 for light that comes from behind or would have missed one of the unfolded mirrors.
+    """
+    lx = pupil[0, 0] + u * pupil[1, 0] + v * pupil[2, 0] - px
+    ly = pupil[0, 1] + u * pupil[1, 1] + v * pupil[2, 1] - py
+    lz = pupil[0, 2] + u * pupil[1, 2] + v * pupil[2, 2]
+    shrink = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
+    lx, ly, lz = lx * shrink, ly * shrink, lz * shrink
+    gain = max(lz, 0.0) * (lx * pupil[3, 0] + ly * pupil[3, 1] + lz * pupil[3, 2]) * shrink * shrink
+    if clipped:
+        for m in range(3):
+            if distance_to(images, m, half, px, py, 0.0, lx, ly, lz) == math.inf:
+                gain = 0.0
+    return lx, ly, lz, gain

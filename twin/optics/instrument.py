@@ -1,7 +1,14 @@
 """The instrument's dimensions: from the exit pupil over the mirror unit and the sample's frame to a detector."""
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+
+from twin.optics.deviation import NONE, Deviation, by_name
+from twin.optics.reflectance import Reflectance
+
+ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
 
 
 @dataclass(frozen=True)
@@ -13,31 +20,45 @@ class Instrument:
     0.7 deg (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
 
     `field_deg` is the full width of a detector's acceptance cone. `obstruction` says whether the mirrors hide
-    directions from the detectors. Raises ValueError, naming the field, for a value that no instrument can have.
+    directions from the detectors.
+
+    `deviations` are by element: `pupil` (the illumination unit's end, about its own centre), `mirror_1` to `mirror_3` (each in
+    its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
+    sigma: across, along the axis, towards the light), `sample` (in the frame that turns with gamma), `arc` (the rig's frame)
+    and `sensor` (each detector in its own frame: away from the normal, level, along its view).
+
+    Raises ValueError, naming the field, for a value that no instrument can have.
     """
 
     pupil_radius_mm: float = 5.0
     pupil_to_mirror_mm: float = 200.0
     mirror_distance_mm: float = 200.0
     mirror_side_mm: float = 20.0
-    mirror_reflectance: float = 0.95
+    mirror_reflectance: float | Reflectance = 0.95
     spot_side_mm: float = 5.0
     arc_radius_mm: float = 300.0
     detector_diameter_mm: float = 5.0
     field_deg: float = 0.5
     obstruction: bool = True
+    deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            if entry.name == "obstruction":
-                continue
             value = getattr(self, entry.name)
+            if entry.name in ("obstruction", "deviations") or isinstance(value, Reflectance):
+                continue
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{entry.name} is {value!r}: give a positive, finite number")
-        if self.mirror_reflectance > 1.0:
+        if not isinstance(self.mirror_reflectance, Reflectance) and self.mirror_reflectance > 1.0:
             raise ValueError(f"mirror_reflectance is {self.mirror_reflectance!r}: give a share of at most 1")
         if self.field_deg >= 180.0:
             raise ValueError(f"field_deg is {self.field_deg!r}: give the cone's full width, less than 180 deg")
+        known = by_name(self.deviations, ELEMENTS)
+        object.__setattr__(self, "deviations", MappingProxyType(dict(sorted(known.items()))))
+
+    def deviation(self, element: str) -> Deviation:
+        """Of one element; none where none is given."""
+        return self.deviations.get(element, NONE)
 
     @property
     def pupil_distance_mm(self) -> float:
@@ -48,3 +69,8 @@ class Instrument:
     def divergence_deg(self) -> float:
         """Full angle of the beam at the sample's centre."""
         return 2.0 * math.degrees(math.atan(self.pupil_radius_mm / self.pupil_distance_mm))
+
+    @property
+    def grey(self) -> bool:
+        """Whether its mirrors reflect all wavelengths alike."""
+        return not isinstance(self.mirror_reflectance, Reflectance) or self.mirror_reflectance.wavelength_nm.size == 1

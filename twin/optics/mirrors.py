@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.optics.deviation import Deviation, rotation_and_shift
 from twin.optics.frames import Floats, light_direction
 from twin.optics.instrument import Instrument
 
@@ -54,14 +55,39 @@ def mirrors_at(instrument: Instrument, sigma_deg: float) -> Mirrors:
     centres = distance * np.array([-ALONG_Y, light - ALONG_Y, light])
     # A mirror that turns unit direction a into b has its normal along b - a.
     normals = np.array([light - ALONG_Y, ALONG_Y - light, -light - ALONG_Y]) / math.sqrt(2.0)
-    across = np.cross(light, ALONG_Y)
-    return Mirrors(centres, normals, np.tile(across, (3, 1)), np.cross(normals, across))
+    across = np.array([-light[2], 0.0, light[0]])
+    axes_u = np.array([across, across, across])
+    # normal x across, with the normals as above
+    axes_v = np.array([ALONG_Y + light, -ALONG_Y - light, ALONG_Y - light]) / math.sqrt(2.0)
+    unit = Mirrors(centres, normals, axes_u, axes_v)
+    if any(name.startswith("mirror") for name in instrument.deviations):
+        unit = _deviating(instrument, unit, np.array([-across, ALONG_Y, light]))
+    return unit
+
+
+def _deviating(instrument: Instrument, unit: Mirrors, frame: Floats) -> Mirrors:
+    centres, normals = unit.centres.copy(), unit.normals.copy()
+    axes_u, axes_v = unit.axes_u.copy(), unit.axes_v.copy()
+    for k in range(3):
+        own = np.array([axes_u[k], axes_v[k], normals[k]])
+        turn, shift = _in_rig(instrument.deviation(f"mirror_{k + 1}"), own)
+        centres[k] += shift
+        axes_u[k], axes_v[k], normals[k] = own @ turn.T
+    turn, shift = _in_rig(instrument.deviation("mirror_unit"), frame)
+    return Mirrors(centres @ turn.T + shift, normals @ turn.T, axes_u @ turn.T, axes_v @ turn.T)
+
+
+def _in_rig(deviation: Deviation, axes: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and shift (3,) in the rig's frame of a deviation that is given along `axes`, one a row."""
+    turn, shift = rotation_and_shift(deviation)
+    return axes.T @ turn @ axes, shift @ axes
 
 
 def pupil(instrument: Instrument) -> tuple[Floats, Floats, Floats]:
     """Centre (mm) and two unit axes, (3,) each, of the exit pupil itself, before mirror 1."""
     centre = -(instrument.mirror_distance_mm + instrument.pupil_to_mirror_mm) * ALONG_Y
-    return centre, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    turn, shift = rotation_and_shift(instrument.deviation("pupil"))
+    return centre + shift, turn[:, 0].copy(), turn[:, 2].copy()
 
 
 def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
@@ -70,22 +96,31 @@ def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Float
     Exact: the pupil is reflected in the three planes, one after the other. The axes turn with sigma, as the beam's
     section does.
     """
-    unit = mirrors_at(instrument, sigma_deg)
-    centre, axis_u, axis_v = pupil(instrument)
-    for mirror in range(3):
-        centre = unit.reflect_point(mirror, centre)
-        axis_u, axis_v = reflect(axis_u, unit.normals[mirror]), reflect(axis_v, unit.normals[mirror])
+    centre, axis_u, axis_v = placed(np.array(pupil(instrument)), unfolding(mirrors_at(instrument, sigma_deg))[0])
     return centre, axis_u, axis_v
 
 
-def unfolded(instrument: Instrument, sigma_deg: float) -> Mirrors:
+def unfolding(unit: Mirrors) -> tuple[Floats, Floats]:
+    """Maps (4, 4) of homogeneous columns that unfold the path: of what is before mirror 1, and (3, 4, 4) of each mirror.
+
+    Each mirror is reflected in those that follow it, so that the path from the sample to the pupil's image is straight.
+    """
+    maps = np.zeros((3, 4, 4))
+    maps[:, :3, :3] = np.eye(3) - 2.0 * unit.normals[:, :, None] * unit.normals[:, None, :]
+    maps[:, :3, 3] = 2.0 * np.sum(unit.centres * unit.normals, axis=1)[:, None] * unit.normals
+    maps[:, 3, 3] = 1.0
+    last_two = maps[2] @ maps[1]
+    return last_two @ maps[0], np.array([last_two, maps[2], np.eye(4)])
+
+
+def placed(rows: Floats, maps: Floats) -> Floats:
+    """Rows (..., n, 3), of which the first is a point and the others are vectors, as a map (..., 4, 4) takes them."""
+    turned = rows @ np.swapaxes(maps[..., :3, :3], -1, -2)
+    turned[..., 0, :] += maps[..., :3, 3]
+    return np.ascontiguousarray(turned)
+
+
+def unfolded(unit: Mirrors) -> Mirrors:
     """The mirrors as the sample sees them: each one's image in those that follow, so that the path is straight."""
-    unit = mirrors_at(instrument, sigma_deg)
-    centres, normals = unit.centres.copy(), unit.normals.copy()
-    axes_u, axes_v = unit.axes_u.copy(), unit.axes_v.copy()
-    for mirror in range(2):
-        for follower in range(mirror + 1, 3):
-            centres[mirror] = unit.reflect_point(follower, centres[mirror])
-            for vectors in (normals, axes_u, axes_v):
-                vectors[mirror] = reflect(vectors[mirror], unit.normals[follower])
-    return Mirrors(centres, normals, axes_u, axes_v)
+    seen = placed(unit.packed, unfolding(unit)[1])
+    return Mirrors(seen[:, 0], seen[:, 1], seen[:, 2], seen[:, 3])

@@ -1,72 +1,31 @@
-"""Scattering samples: the ideal diffuser, the paper's Gaussian, and tables.
+"""Samples of a formula: the ideal diffuser, the paper's Gaussian, and the regular (mirror) component.
 
-Values are BSDF in 1/sr; a luminance factor (what formula 1 of the paper calls BSDF) is pi times that.
+Each acts from the side that `side` says: light from the front, from the back, or the same from both.
 """
 
 import math
-from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.bsdf import GAUSSIAN, LAMBERTIAN, TABLE, evaluate_all
-from twin.optics.frames import Floats, from_specular, light_direction
+from twin.optics.bsdf import GAUSSIAN, LAMBERTIAN, REGULAR
+from twin.optics.frames import Floats
+from twin.optics.lobes import Lobe, Quantity, frozen, normal_reflectance, parameters
+from twin.optics.scatterer import Scatterer, on_side
+
+__all__ = ["Form", "Quantity", "Scatterer", "Side", "gaussian", "lambertian", "regular", "sides_of"]
 
 Form = Literal["one_over_e", "half_width"]
-Quantity = Literal["luminance", "intensity"]
-
-GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
-
-
-def _frozen(values: npt.ArrayLike) -> Floats:
-    result = np.array(values, dtype=np.float64, order="C")
-    result.flags.writeable = False
-    return result
+Side = Literal["front", "back", "both"]
+SIDES: dict[Side, tuple[int, ...]] = {"front": (1,), "back": (-1,), "both": (1, -1)}
 
 
-@dataclass(frozen=True, eq=False)
-class Scatterer:
-    """A sample. Made by `lambertian`, `gaussian` or `tabulated`; see twin.optics.bsdf for the parameters of each kind.
-
-    The table has the shape (sigma, phi, theta) in 1/sr, its axes are in degrees; models without a table have one of one
-    zero.
-    """
-
-    name: str
-    kind: int
-    params: Floats
-    sigma_deg: Floats = field(default_factory=lambda: _frozen([0.0]))
-    phi_deg: Floats = field(default_factory=lambda: _frozen([0.0]))
-    theta_deg: Floats = field(default_factory=lambda: _frozen([0.0]))
-    values: Floats = field(default_factory=lambda: _frozen([[[0.0]]]))
-
-    @cached_property
-    def kernel_arguments(self) -> tuple[int, Floats, Floats, Floats, Floats, Floats]:
-        """What the kernels take: kind, params, sigma, phi, theta, and the values with their slopes over sigma."""
-        table = _frozen([self.values, _slopes(self.sigma_deg, self.values)])
-        return self.kind, self.params, self.sigma_deg, self.phi_deg, self.theta_deg, table
-
-
-def _slopes(sigma_deg: Floats, values: Floats) -> Floats:
-    """Slopes over sigma of the monotone cubic through the values (Fritsch, Carlson 1980); none at the held ends.
-
-    A measured table has few incidences. A kink at each, averaged over the beam's divergence, would be no property of
-    the sample but a bias of the twin just where such a table is exact.
-    """
-    slopes = np.zeros_like(values)
-    if sigma_deg.size < 3:
-        return slopes
-    step = np.diff(sigma_deg)[:, None, None]
-    secant = np.diff(values, axis=0) / step
-    before, after = secant[:-1], secant[1:]
-    weight_before, weight_after = 2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]
-    turning = before * after <= 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = (weight_before + weight_after) / (weight_before / before + weight_after / after)
-    slopes[1:-1] = np.where(turning, 0.0, mean)
-    return slopes
+def sides_of(lobe: Lobe, side: Side, transmits: bool) -> tuple[Lobe, ...]:
+    """The lobe for light from the stated side or sides. Raises ValueError for another word."""
+    if side not in SIDES:
+        raise ValueError(f"side is {side!r}: give 'front', 'back' or 'both', where the light comes from")
+    return tuple(on_side(lobe, incident, transmits) for incident in SIDES[side])
 
 
 def _positive(name: str, value: float) -> float:
@@ -81,10 +40,28 @@ def _share(name: str, value: float) -> float:
     return float(value)
 
 
-def lambertian(reflectance: float = 1.0) -> Scatterer:
-    """The ideal diffuser: reflectance / pi in every direction. Raises ValueError unless 0 < reflectance <= 1."""
-    value = _share("reflectance", reflectance) / math.pi
-    return Scatterer(f"lambertian {reflectance:g}", LAMBERTIAN, _frozen([value, 0.0, 0.0, 0.0]))
+def lambertian(reflectance: float = 1.0, transmittance: float = 0.0, side: Side = "front") -> Scatterer:
+    """The ideal diffuser: reflectance / pi in every direction, and transmittance / pi in those behind the sheet.
+
+    The reflectance may be 0 where there is a transmittance. Raises ValueError for a share below 0 or above 1, for both
+    at 0, and for a sum above 1.
+    """
+    if transmittance == 0.0:
+        _share("reflectance", reflectance)
+    elif reflectance != 0.0:
+        _share("reflectance", reflectance)
+        _share("transmittance", transmittance)
+        if reflectance + transmittance > 1.0:
+            total = f"reflectance {reflectance:g} and transmittance {transmittance:g} add up to more than 1"
+            raise ValueError(f"{total}: a sample cannot give back more light than it gets")
+    else:
+        _share("transmittance", transmittance)
+    lobes: tuple[Lobe, ...] = ()
+    for share, transmits in ((reflectance, False), (transmittance, True)):
+        if share > 0.0:
+            lobes += sides_of(Lobe(LAMBERTIAN, parameters(share / math.pi)), side, transmits)
+    passed = f" transmitting {transmittance:g}" if transmittance else ""
+    return Scatterer(f"lambertian {reflectance:g}{passed}", lobes)
 
 
 def gaussian(
@@ -93,16 +70,24 @@ def gaussian(
     quantity: Quantity = "luminance",
     peak: float | None = None,
     reflectance: float | None = None,
+    transmits: bool = False,
+    refraction: float = 1.0,
+    side: Side = "front",
 ) -> Scatterer:
-    """A lobe about the mirror direction of the light: paper, formula 6.
+    """A lobe about the mirror direction of the light, or about the direction in which it goes on: paper, formula 6.
 
-    With theta the angle between the mirror direction and the observer, form "one_over_e" is I0 exp(-(theta / width)^2),
-    the formula; "half_width" is I0 exp(-ln2 (theta / width)^2), the paper's words (half at the width). quantity
-    "luminance" makes that the BSDF; "intensity" divides it by the cosine of the observer's zenith angle.
+    With theta the angle between that direction and the observer, form "one_over_e" is I0 exp(-(theta / width)^2), the
+    formula; "half_width" is I0 exp(-ln2 (theta / width)^2), the paper's words (half at the width). quantity "luminance"
+    makes that the BSDF; "intensity" divides it by the cosine of the observer's zenith angle.
 
-    I0 is `peak` in 1/sr, or follows from `reflectance`, the hemispherical reflectance at normal incidence; 0.9 if
-    neither is given. Raises ValueError, naming the argument, for a width, peak or reflectance that is not positive and
-    finite, an unknown form or quantity, or when both peak and reflectance are given.
+    I0 is `peak` in 1/sr, or follows from `reflectance`, the hemispherical reflectance (or, if it transmits, the
+    transmittance) at normal incidence; 0.9 if neither is given. A transmitted lobe goes straight through, as in a sheet
+    with parallel sides. `refraction` other than 1, the index behind the sample over that in front of it, bends its axis:
+    sin(theta_t) = sin(theta_i) / refraction; beyond total reflection nothing is transmitted.
+
+    Reciprocal is the luminance lobe with a refraction of 1: it depends on the angle between two directions only. Raises
+    ValueError, naming the argument, for a width, peak, reflectance or refraction that is not positive and finite, an
+    unknown form, quantity or side, when both peak and reflectance are given, and for a reflected lobe that is bent.
     """
     width = math.radians(_positive("width_deg", width_deg))
     if form not in ("one_over_e", "half_width"):
@@ -111,113 +96,61 @@ def gaussian(
         raise ValueError(f"quantity is {quantity!r}: give 'luminance' or 'intensity'")
     if peak is not None and reflectance is not None:
         raise ValueError("peak and reflectance are both given: give one of them, the other follows from it")
+    ratio = _positive("refraction", refraction)
+    if ratio != 1.0 and not transmits:
+        raise ValueError(f"refraction is {refraction!r}: only a transmitted lobe is bent; leave it at 1, or set transmits")
     exponent = (1.0 if form == "one_over_e" else math.log(2.0)) / width**2
     if peak is None:
         share = 0.9 if reflectance is None else _share("reflectance", reflectance)
-        peak = share / _normal_reflectance(exponent, quantity)
+        peak = share / normal_reflectance(exponent, quantity)
     cut = -math.expm1(-exponent * math.pi**2)
-    params = [_positive("peak", peak), exponent, float(quantity == "intensity"), cut]
-    return Scatterer(f"gaussian {width_deg:g} deg {form} {quantity}", GAUSSIAN, _frozen(params))
+    params = parameters(_positive("peak", peak), exponent, float(quantity == "intensity"), cut, ratio)
+    way = (" transmitted" if transmits else "") + (f" at {ratio:g}" if ratio != 1.0 else "")
+    return Scatterer(f"gaussian {width_deg:g} deg {form} {quantity}{way}", sides_of(Lobe(GAUSSIAN, params), side, transmits))
 
 
-def _panels(breaks: Floats) -> tuple[Floats, Floats]:
-    """Gauss-Legendre nodes and weights between breaks (..., panels + 1), each of shape (..., panels * 8)."""
-    half = 0.5 * np.diff(breaks, axis=-1)[..., None]
-    nodes = breaks[..., :-1, None] + half * (GAUSS_NODES + 1.0)
-    shape = (*breaks.shape[:-1], -1)
-    return nodes.reshape(shape), (half * GAUSS_WEIGHTS).reshape(shape)
-
-
-def _lobe_breaks(exponent: float) -> Floats:
-    """Angles in rad between which a Gaussian is smooth enough for one panel, out to where it is below 1e-21."""
-    widths = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0])
-    return np.append(np.minimum(widths / math.sqrt(exponent), math.pi), math.pi)
-
-
-def _normal_reflectance(exponent: float, quantity: Quantity) -> float:
-    """Hemispherical reflectance at normal incidence of a Gaussian of peak 1."""
-    theta, weight = _panels(np.minimum(_lobe_breaks(exponent), math.pi / 2))
-    projected = np.cos(theta) if quantity == "luminance" else np.ones_like(theta)
-    return float(2.0 * math.pi * np.sum(weight * np.exp(-exponent * theta**2) * projected * np.sin(theta)))
-
-
-def _axis(name: str, values: npt.ArrayLike, last_deg: float) -> Floats:
-    axis = _frozen(values)
-    if axis.ndim != 1 or axis.size == 0:
-        raise ValueError(f"{name} has the shape {axis.shape}: give a list of at least one angle")
-    if not np.all(np.isfinite(axis)):
-        raise ValueError(f"{name} has a value that is not finite: give every angle in degrees")
-    if np.any(np.diff(axis) <= 0.0):
-        raise ValueError(f"{name} is not ascending: sort it, and give each angle once")
-    if axis[0] < 0.0 or axis[-1] > last_deg:
-        raise ValueError(f"{name} runs from {axis[0]:g} to {axis[-1]:g}: keep it within 0 and {last_deg:g} deg")
-    return axis
-
-
-def tabulated(
-    sigma_deg: npt.ArrayLike,
-    phi_deg: npt.ArrayLike,
-    theta_deg: npt.ArrayLike,
-    values: npt.ArrayLike,
-    name: str = "table",
+def regular(
+    reflectance: npt.ArrayLike = 1.0,
+    transmits: bool = False,
+    side: Side = "front",
+    sigma_deg: npt.ArrayLike | None = None,
 ) -> Scatterer:
-    """An isotropic sample given by values (sigma, phi, theta) in 1/sr over specular coordinates in degrees.
+    """A mirror, or a clear sheet: this share of the light goes on in the mirror direction, or straight through.
 
-    phi_deg runs from 0 to 180 (mirrored in the plane of incidence) or from 0 to 360, or is a single angle. Between the
-    angles the value is linear in phi and theta and a monotone cubic in sigma, so without a kink at an incidence;
-    outside of a list its first or last value holds, which is no extrapolation but no knowledge either. Raises
-    ValueError, naming the argument, for axes that do not ascend or leave their range, for a wrong shape, and for values
-    that are negative, infinite or missing.
+    `reflectance` is one share, or a list of shares over the angles of incidence `sigma_deg` (ascending, 0 to 90),
+    between which it follows a monotone cubic and beyond which it holds. It has no finite BSDF: `evaluate` gives 0, its
+    albedo is the share. Raises ValueError, naming the place, for shares that are not within 0 and 1 or are all 0.
     """
-    sigma, theta = _axis("sigma_deg", sigma_deg, 90.0), _axis("theta_deg", theta_deg, 180.0)
-    phi = _axis("phi_deg", phi_deg, 360.0)
-    if phi.size > 1 and (phi[0] != 0.0 or phi[-1] not in (180.0, 360.0)):
-        runs = f"{phi[0]:g} to {phi[-1]:g}"
-        raise ValueError(f"phi_deg runs from {runs}: give 0 to 180 (symmetric) or 0 to 360, or one angle")
-    table = _frozen(values)
-    shape = (sigma.size, phi.size, theta.size)
-    if table.shape != shape:
-        raise ValueError(f"values has the shape {table.shape}: its axes (sigma, phi, theta) make it {shape}")
-    wrong = np.argwhere(~np.isfinite(table) | (table < 0.0))
-    if wrong.size:
-        i, j, k = (int(index) for index in wrong[0])
-        where = f"sigma {sigma[i]:g}, phi {phi[j]:g}, theta {theta[k]:g}"
-        value = table[i, j, k]
-        raise ValueError(f"values has {value} at {where}: fill the hole or cut the table: values are 1/sr, >= 0")
-    return Scatterer(name, TABLE, _frozen([0.0, 0.0, 0.0, 0.0]), sigma, phi, theta, table)
-
-
-def evaluate(scatterer: Scatterer, light: npt.ArrayLike, observer: npt.ArrayLike) -> Floats:
-    """BSDF (...) in 1/sr for unit vectors towards `light` and `observer`, (..., 3) each, broadcast.
-
-    Zero where the light or the observer is not in front of the sample.
-    """
-    towards_light, towards_observer = np.broadcast_arrays(np.asarray(light, float), np.asarray(observer, float))
-    if towards_light.ndim == 0 or towards_light.shape[-1] != 3:
-        raise ValueError(f"light and observer have the shape {towards_light.shape}: give vectors along the last axis")
-    rows = [np.array(vectors, order="C").reshape(-1, 3) for vectors in (towards_light, towards_observer)]
-    result: Floats = evaluate_all(*scatterer.kernel_arguments, *rows)
-    return result.reshape(towards_light.shape[:-1])
-
-
-def albedo(scatterer: Scatterer, sigma_deg: float) -> float:
-    """Hemispherical reflectance for light at `sigma_deg` (0 to < 90), by quadrature in specular coordinates.
-
-    Gauss-Legendre over theta between the breaks of the model and up to the horizon of each phi, the mean over phi.
-    """
-    if not 0.0 <= sigma_deg < 90.0:
-        raise ValueError(f"sigma_deg is {sigma_deg!r}: give an angle of incidence of 0 to less than 90 deg")
-    phi = (np.arange(720) + 0.5) * (2.0 * math.pi / 720)
-    sigma = math.radians(sigma_deg)
-    horizon = np.arctan2(math.cos(sigma), -math.sin(sigma) * np.cos(phi))
-    if scatterer.kind == GAUSSIAN:
-        inner = _lobe_breaks(scatterer.params[1])
-    elif scatterer.kind == TABLE:
-        inner = np.unique(np.concatenate([[0.0], np.radians(scatterer.theta_deg), [math.pi]]))
+    shares = np.asarray(reflectance, dtype=np.float64)
+    sigma: Floats = frozen([0.0])
+    if sigma_deg is None:
+        if shares.ndim:
+            raise ValueError(f"reflectance has the shape {shares.shape}: give one number, or sigma_deg for a list")
+        shares = shares.reshape(1)
     else:
-        inner = np.array([0.0, 0.25 * math.pi, 0.5 * math.pi, 0.75 * math.pi, math.pi])
-    theta, weight = _panels(np.minimum(inner, horizon[:, None]))
-    observer = from_specular(sigma_deg, np.degrees(theta), np.degrees(phi)[:, None])
-    value = evaluate(scatterer, light_direction(sigma_deg), observer)
-    total = np.sum(value * observer[..., 2] * np.sin(theta) * weight)
-    return float(total * 2.0 * math.pi / phi.size)
+        sigma = axis("sigma_deg", sigma_deg, 90.0)
+        if shares.shape != sigma.shape:
+            raise ValueError(f"reflectance has the shape {shares.shape}: sigma_deg makes it {sigma.shape}")
+    wrong = np.flatnonzero(~((shares >= 0.0) & (shares <= 1.0)))
+    if wrong.size:
+        where = f" at sigma {sigma[wrong[0]]:g}" if sigma_deg is not None else ""
+        raise ValueError(f"reflectance is {shares[wrong[0]]}{where}: give a share of the light, 0 to 1")
+    if not np.any(shares > 0.0):
+        raise ValueError("reflectance is 0: give a share above 0, or leave the component out")
+    lobe = Lobe(REGULAR, parameters(shares[0]), sigma, values=frozen(shares.reshape(1, -1, 1, 1)))
+    share = f"{shares[0]:g}" if shares.size == 1 else f"over {shares.size} incidences"
+    return Scatterer(f"regular {share}{' transmitted' if transmits else ''}", sides_of(lobe, side, transmits))
+
+
+def axis(name: str, values: npt.ArrayLike, last_deg: float) -> Floats:
+    """A list of angles, checked: ascending, finite, within 0 and `last_deg`. Raises ValueError that names it."""
+    result = frozen(values)
+    if result.ndim != 1 or result.size == 0:
+        raise ValueError(f"{name} has the shape {result.shape}: give a list of at least one angle")
+    if not np.all(np.isfinite(result)):
+        raise ValueError(f"{name} has a value that is not finite: give every angle in degrees")
+    if np.any(np.diff(result) <= 0.0):
+        raise ValueError(f"{name} is not ascending: sort it, and give each angle once")
+    if result[0] < 0.0 or result[-1] > last_deg:
+        raise ValueError(f"{name} runs from {result[0]:g} to {result[-1]:g}: keep it within 0 and {last_deg:g} deg")
+    return result

@@ -3,6 +3,7 @@
 from twin.plant.model import (
     AxisController,
     Electronics,
+    Estimator,
     Light,
     Mechanics,
     Monitor,
@@ -15,6 +16,7 @@ from twin.plant.plant import Plant
 __all__ = [
     "AxisController",
     "Electronics",
+    "Estimator",
     "Light",
     "Mechanics",
     "Monitor",

@@ -161,6 +161,16 @@ class AxisController:
 
 
 @dataclass(frozen=True)
+class Estimator:
+    """What computes the photodiodes' light: the fast estimator, with its own few rays or with `rays` of them, or the forward
+    one until half of the photodiodes that get light are known to `relative_error`."""
+
+    kind: Literal["fast", "forward"] = "fast"
+    rays: int | None = None
+    relative_error: float = 3.0e-3
+
+
+@dataclass(frozen=True)
 class TwinModel:
     """A whole virtual rig. `samples` are what its back door can mount; `noise` switches every random process."""
 
@@ -175,4 +185,4 @@ class TwinModel:
     monochromator: MonochromatorDrive = field(default_factory=MonochromatorDrive)
     controller: AxisController = field(default_factory=AxisController)
     noise: bool = True
-    rays: int = 1024
+    estimator: Estimator = field(default_factory=Estimator)

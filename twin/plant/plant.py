@@ -6,7 +6,8 @@ from collections import OrderedDict
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics import arc_direction, throughput
+from twin.optics import Scatterer, arc_direction, forward, throughput
+from twin.optics.reflectance import nominal
 from twin.plant.converter import converted
 from twin.plant.lamp import lamp_constants, lamp_mean
 from twin.plant.model import TwinModel
@@ -108,17 +109,21 @@ class Plant:
             return np.zeros(self._polar_deg.size)
         pose = tuple(self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
         tilt = self.tilt_deg.at(t)
-        key = (sample, tilt, *pose)
+        grey = self.model.samples[sample].spectrum is None and self.model.instrument.grey
+        wavelength = None if grey else self.wavelength_nm.at(t)
+        key = (sample, tilt, wavelength, *pose)
         known = self._poses.get(key)
         if known is not None:
             self._poses.move_to_end(key)
             return known
-        result = self._poses[key] = self._seen_m2sr(sample, tilt, *pose)
+        result = self._poses[key] = self._seen_m2sr(sample, wavelength, tilt, *pose)
         if len(self._poses) > POSES_KEPT:
             self._poses.popitem(last=False)
         return result
 
-    def _seen_m2sr(self, sample: str, tilt: float, sigma: float, gamma: float, beta: float, shift: float) -> Floats:
+    def _seen_m2sr(
+        self, sample: str, wavelength: float | None, tilt: float, sigma: float, gamma: float, beta: float, shift: float
+    ) -> Floats:
         directions = arc_direction(self._polar_deg + shift, np.full(self._polar_deg.size, beta))
         directions[self._lower, 2] *= -1.0
         if tilt:
@@ -127,8 +132,7 @@ class Plant:
             x, z = directions[:, 0].copy(), directions[:, 2].copy()
             directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
             sigma -= tilt
-        model = self.model
-        return throughput(model.instrument, sigma, directions, model.samples[sample], rays=model.rays, gamma_deg=gamma)
+        return self._light(self.model.samples[sample], sigma, directions, gamma, wavelength)
 
     def warm_up(self) -> None:
         """Computes everything once, for the kernels compile when they are first used, and a device must not wait for that.
@@ -136,17 +140,29 @@ class Plant:
         Nothing is changed by it, and no number is drawn.
         """
         for sample in self.model.samples:
-            self._seen_m2sr(sample, 0.0, 0.0, 0.0, 0.0, 0.0)
+            self._seen_m2sr(sample, self.wavelength_nm.at(0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
         for module in range(self.modules):
             self.volts(module, 0.0)
         lamp_mean(0.0, self.conversion_period_s, *self._lamp)
+
+    def _light(self, sample: Scatterer, sigma: float, directions: Floats, gamma: float, wavelength: float | None) -> Floats:
+        model = self.model
+        chosen = model.estimator
+        if chosen.kind == "fast":
+            return throughput(
+                model.instrument, sigma, directions, sample, rays=chosen.rays, gamma_deg=gamma, wavelength_nm=wavelength
+            )
+        return forward(
+            model.instrument, sigma, directions, sample, seed=model.seed, gamma_deg=gamma, wavelength_nm=wavelength,
+            relative_error=chosen.relative_error,
+        ).throughput_m2sr  # fmt: skip
 
     def pupil_radiance(self, t: float) -> float:
         """Of the exit pupil for a lamp of level 1, W m^-2 sr^-1; 0 behind the closed shutter."""
         if not self.shutter_open.at(t):
             return 0.0
         light, instrument = self.model.light, self.model.instrument
-        mirrors = instrument.mirror_reflectance**3  # the optics count them, and `throughput` has them too
+        mirrors = nominal(instrument.mirror_reflectance) ** 3  # the optics count them, and `throughput` has them too
         return light.radiance * light.band_nm * light.throughput / mirrors * self._spectrum(t)
 
     def photocurrents_a(self, t: float) -> Floats:

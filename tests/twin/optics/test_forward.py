@@ -1,123 +1,198 @@
-"""The two estimators of one integral, which share no ray, hold each other."""
+"""The forward estimator: its absolute value, its stated error, and that it always says the same."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
 
+from tests.twin.optics.models import MODELS, named
 from twin.optics import (
     Instrument,
+    Reflectance,
     Scatterer,
+    albedo,
+    arc_direction,
     forward,
     from_specular,
     gaussian,
     lambertian,
-    tabulated,
-    throughput,
-    visible_fraction,
+    light_direction,
+    regular,
+    spectral,
+    summed,
 )
-from twin.optics.forward import CHUNK
+from twin.optics.chunks import CHUNK
+from twin.optics.frames import Floats
+from twin.optics.paths import BLOCK
 
-# Wider detectors than the instrument's, so that few paths make many hits; mirrors and beam are the instrument's own.
-WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)
-TABLE = tabulated(
-    np.arange(0.0, 91.0, 30.0), [0.0, 90.0, 180.0], np.arange(0.0, 91.0, 15.0),
-    0.1 + 0.1 * np.cos(np.arange(4))[:, None, None] ** 2 + 0.05 * np.arange(3)[:, None] + 0.3 / (1.0 + np.arange(7.0)),
-)  # fmt: skip
-
-
-def rings(sigma_deg: float, step_deg: float, count: int) -> Any:
-    """The specular direction and rings round it, in and out of the plane: so far apart that no path meets two."""
-    theta = np.concatenate([[0.0], *(np.full(6 * k, step_deg * k) for k in range(1, count + 1))])
-    phi = np.concatenate([[0.0], *(np.arange(6 * k) * 60.0 / k for k in range(1, count + 1))])
-    directions = from_specular(sigma_deg, theta, phi)
-    return directions[directions[:, 2] > math.cos(math.radians(85.0))]
+REFLECTED = 0.95**3
+PUPIL_SINE2 = math.sin(math.atan(5.0 / 800.0)) ** 2
+OPEN = Instrument(obstruction=False)
+WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
+# One detector that takes all that leaves to its side, up to 0.05 deg from the horizon.
+ALL = replace(OPEN, detector_diameter_mm=1e7, field_deg=179.9)
+UP, DOWN = [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
 
 
-def hold_each_other(
-    instrument: Instrument, sigma_deg: float, directions: Any, scatterer: Scatterer, paths: int, gamma_deg: float = 0.0
-) -> None:
-    """Chi-square of difference over error within its quantiles of 0.0005 and 0.9995, the largest below 5.5."""
-    estimate = forward(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
-    expected = throughput(instrument, sigma_deg, directions, scatterer, rays=1 << 18, gamma_deg=gamma_deg)
-    shown = np.ones(len(directions))
-    if instrument.obstruction:
-        shown = visible_fraction(instrument, sigma_deg, directions, rays=1 << 12, gamma_deg=gamma_deg)
-    # What is hidden is hidden for both; slivers of a detector have too few hits for an error that is known.
-    assert not np.any(estimate.throughput_m2sr[shown == 0.0])
-    assert not np.any(expected[shown == 0.0])
-    seen = shown > 0.1
-    assert np.count_nonzero(seen) >= 25
-    deviation = (estimate.throughput_m2sr - expected)[seen] / estimate.standard_error[seen]
-    freedom = deviation.size
-    # The normal approximation of Wilson and Hilferty.
-    chi = (np.sum(deviation**2) / freedom) ** (1 / 3)
-    assert abs(chi - 1.0 + 2.0 / (9 * freedom)) < 3.29 * math.sqrt(2.0 / (9 * freedom))
-    assert np.max(np.abs(deviation)) < 5.5
-    total = estimate.throughput_m2sr[seen].sum(), float(np.sqrt(np.sum(estimate.standard_error[seen] ** 2)))
-    assert total[0] == pytest.approx(expected[seen].sum(), abs=4.0 * total[1])
+def spread_out(count: int) -> Floats:
+    """Directions about evenly over the upper hemisphere, none below 80 deg (a spiral)."""
+    height = 1.0 - (np.arange(count) + 0.5) / count * (1.0 - math.cos(math.radians(80.0)))
+    return arc_direction(np.degrees(np.arccos(height)), (np.arange(count) * 137.50776405003785) % 360.0)
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 30.0, 60.0])
-@pytest.mark.parametrize(
-    ("scatterer", "step_deg"),
-    [(lambertian(), 13.0), (gaussian(5.0), 4.0), (TABLE, 13.0)],
-    ids=["lambertian", "gaussian", "table"],
-)
-def test_fast_and_forward_agree_in_and_out_of_plane(sigma_deg: float, scatterer: Scatterer, step_deg: float) -> None:
-    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, step_deg, 4), scatterer, paths=4_000_000)
+def test_detectors_that_look_into_a_wide_spot_get_their_own_etendue(sigma_deg: float) -> None:
+    wide = Instrument(spot_side_mm=24.0, mirror_side_mm=200.0, obstruction=False, detector_diameter_mm=10.0, field_deg=2.0)
+    directions = spread_out(200)
+    directions = directions[directions[:, 2] > math.cos(math.radians(45.0))]
+    found = forward(wide, sigma_deg, directions, lambertian(0.6), 20_000_000, seed=1)
+    # Irradiance pi L sin^2 cos of a round pupil on the axis, f = 0.6 / pi, the disc's area times its projected cone.
+    etendue_m2sr = math.pi * 0.005**2 * math.pi * math.sin(math.radians(1.0)) ** 2
+    closed = REFLECTED * 0.6 * PUPIL_SINE2 * math.cos(math.radians(sigma_deg)) * etendue_m2sr
+    deviation = (found.single_m2sr - closed) / found.single_error
+    assert np.max(np.abs(deviation)) < 5.0
+    # The detectors overlap a little; off its centre the spot is lit less, by 1e-4.
+    assert found.single_m2sr.mean() == pytest.approx(closed, rel=2e-3)
 
 
-def test_they_agree_for_the_instruments_own_detectors() -> None:
-    theta = np.arange(-10.0, 10.1, 0.6)
-    in_plane = from_specular(30.0, np.abs(theta), np.where(theta < 0.0, 180.0, 0.0))
-    hold_each_other(Instrument(), 30.0, in_plane, gaussian(5.0), paths=6_000_000)
+def test_the_open_beam_fills_a_small_detector_with_the_pupils_radiance() -> None:
+    small = replace(OPEN, detector_diameter_mm=4.0, field_deg=0.1)
+    found = forward(small, 30.0, [-light_direction(30.0), light_direction(30.0)], None, 4_000_000, seed=2)
+    closed = REFLECTED * math.pi * 0.002**2 * math.pi * math.sin(math.radians(0.05)) ** 2
+    assert found.throughput_m2sr[0] == pytest.approx(closed, abs=4.0 * found.standard_error[0])
+    assert found.standard_error[0] < 0.01 * closed
+    assert found.throughput_m2sr[1] == 0.0
 
 
-def test_they_agree_for_a_turned_hole() -> None:
-    hold_each_other(WIDE, 60.0, rings(60.0, 13.0, 4), lambertian(), paths=3_000_000, gamma_deg=30.0)
+@pytest.mark.parametrize("scatterer", MODELS, ids=named)
+@pytest.mark.parametrize("sigma_deg", [25.0, 140.0])
+def test_all_that_leaves_a_sample_is_its_albedo_of_all_that_arrives(scatterer: Scatterer, sigma_deg: float) -> None:
+    arriving = forward(ALL, sigma_deg, [UP, DOWN], None, 300_000, seed=4).single_m2sr.sum()
+    found = forward(ALL, sigma_deg, [UP, DOWN], scatterer, 400_000, seed=4, gamma_deg=35.0)
+    back = sigma_deg > 90.0
+    for k, transmitted in ((0, back), (1, not back)):
+        share = albedo(scatterer, sigma_deg, transmitted, gamma_deg=35.0)
+        error = found.single_error[k] / arriving
+        # What is within 0.05 deg of the horizon is not seen; the beam is 0.7 deg wide.
+        assert found.single_m2sr[k] / arriving == pytest.approx(share, abs=5.0 * error + 2e-3 * share + 1e-9)
 
 
-def test_they_agree_where_the_mirrors_are_too_small_for_the_beam() -> None:
-    small = Instrument(detector_diameter_mm=12.0, field_deg=3.0, mirror_side_mm=7.0, obstruction=False)
-    hold_each_other(small, 30.0, rings(30.0, 13.0, 4), lambertian(), paths=3_000_000)
+def test_a_spectral_sample_is_what_it_is_at_the_wavelength() -> None:
+    coloured = summed(spectral([400.0, 700.0], [0.2, 0.8], lambertian()), spectral([400.0, 700.0], [1.0, 0.0], gaussian(20.0)))
+    arriving = forward(ALL, 30.0, [UP, DOWN], None, 300_000, seed=4).single_m2sr.sum()
+    for wavelength in (400.0, 500.0, 700.0):
+        found = forward(ALL, 30.0, [UP], coloured, 300_000, seed=5, wavelength_nm=wavelength)
+        share = albedo(coloured, 30.0, wavelength_nm=wavelength)
+        assert found.single_m2sr[0] / arriving == pytest.approx(share, rel=1e-2)
+    with pytest.raises(ValueError, match="wavelength_nm is missing"):
+        forward(ALL, 30.0, [UP], coloured, 300_000)
 
 
-def test_they_agree_where_the_detector_is_smaller_than_the_spot() -> None:
-    # Here the fast estimator's rays start in a small part of the hole.
-    small = Instrument(spot_side_mm=8.0, detector_diameter_mm=4.0, field_deg=4.0)
-    hold_each_other(small, 30.0, rings(30.0, 13.0, 4), lambertian(), paths=6_000_000)
+def test_the_mirrors_on_the_way_and_one_that_scattered_light_meets_reflect_their_share() -> None:
+    # A mirror in place of the sample, at normal incidence, sends everything back over the mirrors.
+    seen = forward(Instrument(), 0.0, [UP], regular(), 100_000, seed=1)
+    assert seen.throughput_m2sr[0] == 0.0
+    dull, bright = (replace(OPEN, mirror_reflectance=share) for share in (0.5, 1.0))
+    directions = spread_out(10)
+    halves = forward(dull, 30.0, directions, lambertian(), 1_000_000, seed=1).single_m2sr
+    wholes = forward(bright, 30.0, directions, lambertian(), 1_000_000, seed=1).single_m2sr
+    assert halves == pytest.approx(wholes / 8.0, rel=1e-5)
+
+
+def test_mirrors_of_a_table_reflect_what_it_says_for_the_wavelength_and_their_angle() -> None:
+    table = Reflectance(
+        np.array([400.0, 600.0]), np.array([40.0, 45.0, 50.0]), np.array([[0.5, 0.6, 0.7], [0.8, 0.85, 0.9]])
+    )  # fmt: skip
+    instrument = replace(OPEN, detector_diameter_mm=30.0, field_deg=6.0, mirror_reflectance=table)
+    perfect = replace(instrument, mirror_reflectance=1.0)
+    directions = spread_out(10)
+    for wavelength, expected in ((400.0, 0.6), (500.0, 0.725), (600.0, 0.85)):
+        found = forward(instrument, 30.0, directions, lambertian(), 500_000, seed=1, wavelength_nm=wavelength).single_m2sr
+        whole = forward(perfect, 30.0, directions, lambertian(), 500_000, seed=1).single_m2sr
+        # The beam's 0.7 deg are even about 45 deg, and the table is straight there.
+        assert found.sum() / whole.sum() == pytest.approx(expected**3, rel=1e-3)
 
 
 def test_the_standard_error_is_that_of_repeated_runs() -> None:
-    directions = rings(30.0, 13.0, 3)
-    runs = [forward(WIDE, 30.0, directions, lambertian(), 60_000, seed) for seed in range(40)]
-    scatter = np.std([run.throughput_m2sr for run in runs], axis=0, ddof=1)
-    stated = np.sqrt(np.mean([run.standard_error**2 for run in runs], axis=0))
-    # 40 runs tell a standard deviation to 11 %, and the mean over more than 30 detectors to 2 %.
-    assert np.mean(scatter / stated) == pytest.approx(1.0, abs=0.08)
+    directions, sample = spread_out(40), summed(lambertian(0.5), gaussian(30.0, reflectance=0.4))
+    runs = [forward(WIDE, 30.0, directions, sample, 60_000, seed) for seed in range(60)]
+    scatter = np.var([run.throughput_m2sr for run in runs], axis=0, ddof=1)
+    stated = np.mean([run.standard_error**2 for run in runs], axis=0)
+    # 60 runs tell a variance to 18 %, and the mean over about 40 detectors to 3 %.
+    lit = stated > 0.0
+    assert np.mean(scatter[lit] / stated[lit]) == pytest.approx(1.0, abs=0.12)
 
 
-def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads() -> None:
-    directions, paths = rings(30.0, 13.0, 1), 2 * CHUNK + 77
-    threads = numba.get_num_threads()
+def test_an_error_can_be_asked_for() -> None:
+    directions = spread_out(30)
+    found = forward(WIDE, 30.0, directions, lambertian(), relative_error=0.01, seed=1)
+    lit = found.throughput_m2sr > 0.0
+    assert np.median(found.standard_error[lit] / found.throughput_m2sr[lit]) < 0.01
+    again = forward(WIDE, 30.0, directions, lambertian(), paths=found.paths, seed=1)
+    assert np.array_equal(found.throughput_m2sr, again.throughput_m2sr)
+    coarse = forward(WIDE, 30.0, directions, lambertian(), relative_error=0.03, seed=1)
+    assert coarse.paths < found.paths
+    with pytest.raises(ValueError, match="of no light"):
+        forward(WIDE, 150.0, directions, lambertian(), relative_error=0.01)
+
+
+def fields(found: Any) -> list[Floats]:
+    return [found.throughput_m2sr, found.standard_error, found.stray_m2sr, found.stray_error]
+
+
+@pytest.mark.parametrize("scatterer", [gaussian(5.0), MODELS[-1]], ids=named)
+def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads(scatterer: Scatterer) -> None:
+    directions, paths = spread_out(100), 4 * CHUNK + 77
+    threads, found = numba.get_num_threads(), []
     try:
-        numba.set_num_threads(1)
-        one = forward(WIDE, 30.0, directions, gaussian(5.0), paths, seed=3)
-        numba.set_num_threads(threads)
-        many = forward(WIDE, 30.0, directions, gaussian(5.0), paths, seed=3)
+        for count in (1, threads, threads):
+            numba.set_num_threads(count)
+            found.append(fields(forward(WIDE, 30.0, directions, scatterer, paths, seed=3)))
     finally:
         numba.set_num_threads(threads)
-    assert np.array_equal(one.throughput_m2sr, many.throughput_m2sr)
-    assert np.array_equal(one.standard_error, many.standard_error)
-    other = forward(WIDE, 30.0, directions, gaussian(5.0), paths, seed=4)
-    assert not np.array_equal(one.throughput_m2sr, other.throughput_m2sr)
+    assert all(np.array_equal(one, other) for run in found[1:] for one, other in zip(found[0], run, strict=True))
+    assert np.any(found[0][2] > 0.0)
+    other_seed = forward(WIDE, 30.0, directions, scatterer, paths, seed=4)
+    assert not np.array_equal(found[0][0], other_seed.throughput_m2sr)
 
 
-def test_what_cannot_be_run_is_refused() -> None:
-    with pytest.raises(ValueError, match="paths"):
-        forward(WIDE, 30.0, [[0.0, 0.0, 1.0]], lambertian(), 1, seed=0)
-    with pytest.raises(ValueError, match="seed"):
-        forward(WIDE, 30.0, [[0.0, 0.0, 1.0]], lambertian(), 100, seed=-1)
+def test_detectors_do_not_depend_on_each_other() -> None:
+    directions = np.concatenate([from_specular(30.0, np.arange(0.0, 20.0, 0.05), 40.0), spread_out(50)])
+    together = forward(WIDE, 30.0, directions, gaussian(10.0), 200_000, seed=1)
+    alone = [forward(WIDE, 30.0, directions[k : k + 1], gaussian(10.0), 200_000, seed=1) for k in (0, 77, 399, 420)]
+    assert [each.throughput_m2sr[0] for each in alone] == together.throughput_m2sr[[0, 77, 399, 420]].tolist()
+
+
+def test_the_number_of_paths_is_rounded_up_to_blocks_and_no_detectors_get_nothing() -> None:
+    assert forward(WIDE, 30.0, [UP], lambertian(), 5, seed=0).paths == BLOCK
+    assert forward(WIDE, 30.0, np.zeros((0, 3)), lambertian(), BLOCK + 1).throughput_m2sr.shape == (0,)
+
+
+def test_a_sample_that_scatters_nothing_of_this_light_gives_nothing() -> None:
+    found = forward(WIDE, 150.0, spread_out(20) * [1.0, 1.0, -1.0], lambertian(), 100_000)
+    assert not np.any(found.single_m2sr)
+
+
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        (dict(paths=1), "paths is 1"),
+        (dict(seed=-1), "seed is -1"),
+        (dict(paths=None), "either paths or relative_error"),
+        (dict(relative_error=0.1), "either paths or relative_error"),
+        (dict(paths=None, relative_error=1.5), "relative_error is 1.5"),
+        (dict(max_interactions=0), "max_interactions is 0"),
+        (dict(directions=[[0.0, 0.0, 0.0]]), "a finite vector with a length"),
+        (dict(directions=[[math.nan, 0.0, 1.0]]), "a finite vector with a length"),
+        (dict(directions=[0.0, 0.0, 1.0]), "one row a detector"),
+        (dict(sigma_deg=math.nan), "sigma_deg is nan"),
+        (dict(gamma_deg=math.inf), "gamma_deg inf"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(change: dict[str, Any], wrong: str) -> None:
+    arguments: dict[str, Any] = dict(sigma_deg=30.0, directions=[UP], scatterer=lambertian(), paths=100, seed=0)
+    with pytest.raises(ValueError, match=wrong):
+        forward(WIDE, **{**arguments, **change})

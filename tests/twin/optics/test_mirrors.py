@@ -41,7 +41,7 @@ def test_the_beams_section_turns_with_the_mirror_unit() -> None:
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 37.0, 120.0])
 def test_unfolded_mirrors_lie_along_the_light(sigma_deg: float) -> None:
-    images = unfolded(Instrument(), sigma_deg)
+    images = unfolded(mirrors_at(Instrument(), sigma_deg))
     light = light_direction(sigma_deg)
     assert images.centres == pytest.approx(np.outer([600.0, 400.0, 200.0], light), abs=1e-9)
     assert abs(images.normals @ light) == pytest.approx(np.sqrt(0.5))

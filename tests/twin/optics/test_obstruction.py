@@ -61,7 +61,7 @@ def test_what_is_hidden_is_missing_from_the_throughput() -> None:
     offsets = np.array([2.6, 2.9, 3.1, 5.0])
     directions = from_specular(SIGMA, 2.0 * SIGMA + offsets, 0.0)
     share = visible_fraction(Instrument(), SIGMA, directions, rays=1024)
-    with_mirrors = throughput(Instrument(), SIGMA, directions, lambertian())
-    without = throughput(Instrument(obstruction=False), SIGMA, directions, lambertian())
+    with_mirrors = throughput(Instrument(), SIGMA, directions, lambertian(), rays=1024)
+    without = throughput(Instrument(obstruction=False), SIGMA, directions, lambertian(), rays=1024)
     # The same rays; what the two differ by is how a beam of 0.7 deg weighs them, at most 1 % of a ray.
     assert with_mirrors / without == pytest.approx(share, abs=3e-3)

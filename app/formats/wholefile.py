@@ -1,0 +1,61 @@
+"""Files read whole, and written so that nobody ever finds half of one."""
+
+import contextlib
+import os
+import threading
+from pathlib import Path
+
+from app.formats.errors import FormatError, StrPath
+
+
+def read_whole(path: StrPath) -> bytes:
+    """The bytes of a file. Raises FormatError if it is absent, not a regular file, or unreadable."""
+    try:
+        file = Path(path)
+        if not file.exists():
+            raise FormatError(path, "there is no such file", "check the name and the folder")
+        if not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "name a file")
+        return file.read_bytes()
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
+
+
+def write_whole(path: StrPath, content: bytes) -> None:
+    """Write a file as a whole: under another name in the same folder, onto the disk, then renamed to `path`.
+
+    Raises FormatError if that is impossible; what stood at `path` before is then untouched.
+    """
+    spare = None
+    try:
+        file = Path(os.path.realpath(path))  # a link stays a link
+        if file.exists() and not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "name a file to write")
+        spare = file.parent / f".{os.getpid()}-{threading.get_ident()}.tmp"
+        with spare.open("wb") as out:
+            out.write(content)
+            out.flush()
+            os.fsync(out.fileno())
+        spare.replace(file)
+        _sync_folder(file.parent)
+    except OSError as error:
+        wrong = f"cannot be written ({error.strerror})"
+        raise FormatError(path, wrong, "check the folder, its permissions and the space on the disk") from error
+    except ValueError as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(path, "is not a possible file name", "check the name") from error
+    finally:
+        if spare is not None:
+            with contextlib.suppress(OSError):  # after the renaming there is nothing left to remove
+                spare.unlink(missing_ok=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    # Windows cannot open a folder, and some network disks cannot sync one; the file itself is on the disk by now.
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,217 @@
+"""The command `goniotwin simulate`: a sample's BSDF by the paper's scheme, and the paper's Table 3."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from app.errors import UserError
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
+SIGMA_END_DEG = 89.0
+
+
+@app.callback(invoke_without_command=True)
+def simulate(
+    context: typer.Context,
+    sample: Annotated[
+        str | None,
+        typer.Option(
+            "--sample",
+            metavar="MODEL",
+            show_default=False,
+            help="gaussian:width_deg=5, lambertian:reflectance=0.9, table:FILE (.bsdf, .ddr), or a sum of these with +.",
+        ),
+    ] = None,
+    sigma: Annotated[
+        str, typer.Option("--sigma", metavar="LIST", help="Angles of incidence, deg: 0,30,60 or 0:85:5.")
+    ] = "0,30,60",
+    out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            show_default=False,
+            help="A .ddr (reflected) or .ddt (transmitted light), or a .csv of all detectors; may be repeated.",
+        ),
+    ] = None,
+    estimator: Annotated[Literal["fast", "forward"], typer.Option("--estimator", help="How light is traced.")] = "fast",
+    rays: Annotated[int | None, typer.Option("--rays", help="Fast: rays a detector, instead of 7.", show_default=False)] = None,
+    paths: Annotated[int | None, typer.Option("--paths", help="Forward: paths at each sigma.", show_default=False)] = None,
+    error: Annotated[
+        float | None,
+        typer.Option("--error", metavar="PERCENT", help="As much effort as the median error takes.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Forward: of the random numbers.")] = 1,
+    wavelength: Annotated[
+        str | None, typer.Option("--wavelength", metavar="LIST", help="Nanometres; a table for each.", show_default=False)
+    ] = None,
+    polar: Annotated[
+        str | None,
+        typer.Option("--polar", metavar="LIST", help="Polar angles of the detectors, deg.", show_default=False),
+    ] = None,
+    azimuth: Annotated[
+        str | None, typer.Option("--azimuth", metavar="LIST", help="Azimuths of the detectors, deg.", show_default=False)
+    ] = None,
+    theta: Annotated[
+        str | None,
+        typer.Option("--theta", metavar="LIST", help="Output grid: from the specular direction.", show_default=False),
+    ] = None,
+    phi: Annotated[
+        str | None, typer.Option("--phi", metavar="LIST", help="Output grid: about the specular direction.", show_default=False)
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="RIG.toml", help="The instrument of this virtual rig.", show_default=False),
+    ] = None,
+    no_obstruction: Annotated[bool, typer.Option("--no-obstruction", help="Let light pass through the mirrors.")] = False,
+    transmitted: Annotated[bool, typer.Option("--transmitted", help="Look at the light behind the sample.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Simulate a sample's BSDF as the instrument measures it: etalon, sample, ratio, output grid, file.
+
+    Lists are numbers with commas between, or start:stop:step. Without a grid the detectors stand 0.5 deg apart near the
+    specular direction and up to 5 deg elsewhere. Directions that the mirrors hide have no value; a .ddr lists them.
+    """
+    if context.invoked_subcommand is not None:
+        if sample is not None or out:
+            raise UserError(
+                f"simulate {context.invoked_subcommand}: takes neither --sample nor a file before its name; leave them out"
+            )
+        return
+    if sample is None or not out:
+        missing = "--sample" if sample is None else "--out"
+        raise UserError(
+            f"simulate: {missing} is missing; write goniotwin simulate --sample gaussian:width_deg=5 --out FILE.ddr"
+        )
+    from rich.console import Console
+
+    from app.simulation.estimate import Effort
+    from app.simulation.files import check_names, summary, write
+    from app.simulation.grid import numbers
+    from app.simulation.progress import ShareProgress
+    from app.simulation.sample import parse_sample, table_files
+    from app.simulation.simulate import Task
+    from app.simulation.simulate import simulate as simulated
+
+    def given(text: str | None, name: str, low: float, high: float) -> Any:
+        return None if text is None else numbers(text, name, low, high)
+
+    task = Task(
+        sample=parse_sample(sample),
+        sigma_deg=numbers(sigma, "--sigma", 0.0, SIGMA_END_DEG),
+        instrument=_instrument(rig, no_obstruction),
+        effort=Effort(estimator, rays, paths, error, seed),
+        wavelengths_nm=given(wavelength, "--wavelength", 200.0, 2500.0),
+        transmitted=check_names(out, table_files(sample), transmitted),
+        polar_deg=given(polar, "--polar", 0.0, 89.5),
+        azimuth_deg=given(azimuth, "--azimuth", 0.0, 360.0),
+        theta_deg=given(theta, "--theta", 0.0, 180.0),
+        phi_deg=given(phi, "--phi", 0.0, 360.0),
+    )
+    with ShareProgress(Console(stderr=True), "simulating") as progress:
+        found = simulated(task, progress)
+    for path in out:
+        write(found, path)
+    result = summary(found, out)
+    if as_json:
+        print(json.dumps(result, indent=2, allow_nan=False))
+        return
+    print(f"SIMULATED, {result['values']} values: {', '.join(result['files'])}")
+    if result["median_relative_standard_error_percent"] is not None:
+        median, most = (result[f"{name}_relative_standard_error_percent"] for name in ("median", "largest"))
+        print(f"relative standard error: median {median:.2g} %, largest {most:.2g} %")
+    for key, words in (("hidden_directions", "hidden by the mirrors"), ("directions_without_hits", "met by no path")):
+        told = ", ".join(f"{count} at sigma {each}" for each, count in result[key].items() if count)
+        if told:
+            print(f"directions {words}: {told}")
+    if not result["obstruction"]:
+        print("obstruction is off: no direction is hidden")
+
+
+@app.command()
+def table3(
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="A folder for figures 12 and 13.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """The paper's Table 3 beside ours: relative RMS against theory, noise-free, tilted, and at the worst corner.
+
+    With the assumptions of each column, and what explains the paper's numbers and what does not.
+    """
+    from rich.console import Console
+
+    from app.simulation.progress import ShareProgress
+    from app.simulation.table3 import STEPS
+    from app.simulation.table3 import table3 as computed
+    from app.simulation.table3_shown import figures, show
+    from app.simulation.table3_words import as_dict
+
+    done = 0
+
+    def step(text: str) -> None:
+        nonlocal done
+        progress(done / STEPS, text)
+        done += 1
+
+    with ShareProgress(Console(stderr=True), "table 3") as progress:
+        found = computed(step)
+        progress(1.0, "done")
+    files = {name: str(path) for name, path in figures(found, out).items()} if out is not None else {}
+    if as_json:
+        print(json.dumps({**as_dict(found), "files": files}, indent=2, allow_nan=False))
+        return
+    show(Console(highlight=False), found)
+    for name, path in files.items():
+        print(f"{name}: {path}")
+
+
+@app.command()
+def shadow(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="A .csv of all directions, or a .png.", show_default=False)
+    ],
+    sigma: Annotated[str, typer.Option("--sigma", metavar="LIST", help="Angles of the mirror unit, deg.")] = "0,30,60",
+    step: Annotated[float, typer.Option("--step", help="Of polar angle and azimuth, deg.")] = 1.0,
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="RIG.toml", help="The instrument of this virtual rig.", show_default=False),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Which directions the mirror unit hides from the photodiodes, on both arcs."""
+    from app.simulation.grid import numbers
+    from app.simulation.shadow import shadows, write_shadows
+
+    maps = shadows(_instrument(rig, False), [float(each) for each in numbers(sigma, "--sigma", 0.0, 180.0)], step)
+    write_shadows(maps, out)
+    hidden = {
+        f"{each.sigma_deg:g} {'lower' if each.lower else 'upper'}": int((each.visible[:, :-1] < 1.0).sum()) for each in maps
+    }
+    result = {
+        "file": str(out), "simulated": True, "obstruction": maps[0].obstruction, "step_deg": step, "hidden_in_part": hidden,
+    }  # fmt: skip
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        told = "; ".join(f"sigma {name}: {count}" for name, count in hidden.items())
+        print(f"SIMULATED, the shadow of the mirror unit: {out}\ndirections hidden in part at least: {told}")
+
+
+def _instrument(rig: Path | None, no_obstruction: bool) -> Any:
+    """The default instrument, or that of a virtual rig. Raises UserError for a rig that is real."""
+    from dataclasses import replace
+
+    from app.rig import read_rig
+    from twin.optics import Instrument
+
+    instrument = Instrument()
+    if rig is not None:
+        model = read_rig(rig).model()
+        if model is None:
+            raise UserError(f"{rig}: is a real rig, whose optics nobody has written down; give a virtual one")
+        instrument = model.instrument
+    return replace(instrument, obstruction=False) if no_obstruction else instrument

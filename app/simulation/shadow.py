@@ -1,0 +1,80 @@
+"""The shadow of the mirror unit as a file: a CSV of every direction, or a picture of both arcs."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from app.errors import UserError
+from app.formats import FormatError, write_points_csv
+from twin.optics import Instrument, ShadowMap, shadow_map
+
+SUFFIXES = (".csv", ".png")
+DOTS_AN_INCH = 130
+
+
+def shadows(instrument: Instrument, sigma_deg: list[float], step_deg: float) -> list[ShadowMap]:
+    """Of the upper and the lower arc at each sigma. Raises UserError for a step that makes no grid."""
+    try:
+        return [shadow_map(instrument, sigma, step_deg, lower=lower) for sigma in sigma_deg for lower in (False, True)]
+    except ValueError as error:
+        raise UserError(f"--step: {error}") from None
+
+
+def write_shadows(maps: list[ShadowMap], path: Path) -> None:
+    """As the name says. Raises UserError."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise UserError(f"{path}: what should be written? give a name that ends with .csv or .png")
+    try:
+        if path.suffix.lower() == ".csv":
+            write_points_csv(path, about(maps), _columns(maps))
+        else:
+            _draw(maps, path)
+    except FormatError as error:
+        raise UserError(str(error)) from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror}; choose another name") from None
+
+
+def about(maps: list[ShadowMap]) -> list[str]:
+    """Lines for the head of a file."""
+    felt = "is felt by the detectors" if maps[0].obstruction else "is switched off: detectors do not feel it"
+    return [
+        "SIMULATED: share of each detector's rays that no mirror cuts (1 is free, 0 is hidden)",
+        f"The shadow {felt}.",
+        "polar and azimuth: where the photodiode looks, arc shift and beta included; sigma: the mirror unit; degrees",
+    ]
+
+
+def _columns(maps: list[ShadowMap]) -> dict[str, np.ndarray]:
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in ("sigma_deg", "arc", "polar_deg", "azimuth_deg", "visible")}
+    for each in maps:
+        polar, azimuth = np.meshgrid(each.polar_deg, each.azimuth_deg, indexing="ij")
+        columns["sigma_deg"].append(np.full(polar.size, each.sigma_deg))
+        columns["arc"].append(np.full(polar.size, "lower" if each.lower else "upper"))
+        columns["polar_deg"].append(polar.ravel())
+        columns["azimuth_deg"].append(azimuth.ravel())
+        columns["visible"].append(each.visible.ravel())
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
+def _draw(maps: list[ShadowMap], path: Path) -> None:
+    count = len(maps) // 2
+    with mpl.rc_context({"font.size": 9}):
+        figure = Figure(figsize=(2.9 * count + 0.8, 6.6), layout="constrained")
+        mesh = None
+        for k, each in enumerate(maps):
+            axes = figure.add_subplot(2, count, 1 + k // 2 + (count if each.lower else 0), projection="polar")
+            shown = each.visible[:-1, :-1]
+            mesh = axes.pcolormesh(
+                np.radians(each.azimuth_deg), each.polar_deg, shown, cmap="gray", vmin=0.0, vmax=1.0, rasterized=True
+            )
+            axes.set_title(f"{'lower' if each.lower else 'upper'} arc, sigma {each.sigma_deg:g} deg", fontsize=9)
+            axes.set_yticks([30.0, 60.0, 90.0], ["30", "60", "90 deg"], fontsize=7, color="#0b5394")
+            axes.grid(alpha=0.25)
+        assert mesh is not None
+        figure.colorbar(mesh, ax=figure.axes, shrink=0.6, label="share of a detector's rays that no mirror cuts")
+        off = "" if maps[0].obstruction else ", switched off"
+        figure.suptitle(f"SIMULATED: the shadow of the mirror unit{off} (azimuth is the arc's beta)", fontsize=10)
+        figure.savefig(path, dpi=DOTS_AN_INCH)

@@ -1,0 +1,118 @@
+"""What the optical twin costs, and how far off it is: `python -m benchmarks.optics [--json]`.
+
+A full grey BSDF is 19 angles of incidence (0 to 85 deg in steps of 5, and 87) with a grid of detectors about the specular
+direction: 0.5 deg apart out to 12 deg, then wider, to 5 deg; sample and etalon, the grid and its look-ups built anew each
+time. Its error is the relative difference of the luminance factor from that of 16,384 rays a detector, over a sample of
+all readings whose zenith angle is below 85 deg and within four widths of the specular direction (beyond, a Gaussian is below
+1e-7 of its peak). Times are the least of several, warm, on all cores; paths are counted on one core.
+"""
+
+import argparse
+import json
+import math
+import resource
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from benchmarks import forward as forward_costs
+from benchmarks import illumination as illumination_costs
+from twin.optics import Instrument, Pose, arc_direction, from_specular, gaussian, luminance_factors, throughput
+from twin.optics.frames import Floats
+
+SIGMA_DEG = (*np.arange(0.0, 86.0, 5.0), 87.0)
+OPEN = Instrument(obstruction=False)
+ROUNDS = 9
+CHECKED = 4000
+"""Readings that are held against many rays."""
+
+
+def detector_grid() -> tuple[Floats, Floats]:
+    """theta and phi (n,) in deg about the specular direction."""
+    theta, rings = 0.0, [(0.0, 1)]
+    while theta < 90.0:
+        step = 0.5 if theta < 12.0 else 1.0 if theta < 25.0 else 2.5 if theta < 50.0 else 5.0
+        theta += step
+        rings.append((theta, max(6, round(2.0 * math.pi * math.degrees(math.sin(math.radians(theta))) / step))))
+    return (
+        np.concatenate([np.full(count, each) for each, count in rings]),
+        np.concatenate([np.arange(count) * 360.0 / count for _, count in rings]),
+    )
+
+
+def poses() -> list[Pose]:
+    """The grid about each specular direction, as far as it is above the horizon."""
+    about_the_normal = from_specular(0.0, *detector_grid())
+    found = []
+    for sigma in SIGMA_DEG:
+        cos, sin = math.cos(math.radians(sigma)), math.sin(math.radians(sigma))
+        turned = about_the_normal @ np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+        found.append(Pose(float(sigma), turned[turned[:, 2] > math.cos(math.radians(89.0))]))
+    return found
+
+
+def least_ms(action: Callable[[], object], rounds: int = ROUNDS) -> float:
+    """Of several rounds, warm."""
+    action()
+    times = []
+    for _ in range(rounds):
+        begun = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - begun)
+    return 1000.0 * min(times)
+
+
+def percentile_95_error(width_deg: float) -> float:
+    """Percent, of a sample of the readings."""
+    sample, random = gaussian(width_deg), np.random.Generator(np.random.Philox(1))
+    few, many = [], []
+    for pose, factors in zip(poses(), luminance_factors(OPEN, poses(), sample), strict=True):
+        directions = np.asarray(pose.directions)
+        specular = from_specular(pose.sigma_deg, 0.0, 0.0)
+        near = directions @ specular > math.cos(math.radians(min(90.0, 4.0 * width_deg)))
+        chosen = np.flatnonzero(near & (directions[:, 2] > math.cos(math.radians(85.0))))
+        if not chosen.size:
+            continue
+        chosen = random.choice(chosen, min(chosen.size, CHECKED // len(SIGMA_DEG)), replace=False)
+        few.append(factors[chosen])
+        many.extend(luminance_factors(OPEN, [Pose(pose.sigma_deg, directions[chosen])], sample, rays=1 << 14))
+    return float(100.0 * np.percentile(np.abs(np.concatenate(few) / np.concatenate(many) - 1.0), 95.0))
+
+
+def measure() -> dict[str, Any]:
+    """Everything, as the JSON has it."""
+    lower = arc_direction(np.arange(0.0, 86.0, 5.0), 120.0, lower=True)
+    photodiodes = np.concatenate([arc_direction(np.arange(0.0, 86.0, 5.0), 120.0), lower])
+    return {
+        "detector_readings": sum(len(np.asarray(pose.directions)) for pose in poses()),
+        "full_bsdf_alpha5_ms": least_ms(lambda: luminance_factors(OPEN, poses(), gaussian(5.0))),
+        "full_bsdf_alpha5_p95_error_percent": percentile_95_error(5.0),
+        "full_bsdf_alpha2_ms": least_ms(lambda: luminance_factors(OPEN, poses(), gaussian(2.0))),
+        "full_bsdf_alpha2_p95_error_percent": percentile_95_error(2.0),
+        "photodiodes_at_pose_ms": least_ms(lambda: throughput(Instrument(), 30.0, photodiodes, gaussian(5.0)), 50),
+        **forward_costs.measure(),
+        **illumination_costs.measure(),
+        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3),
+    }
+
+
+def main() -> None:
+    """Prints a line for each figure, or with --json one object."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    chosen = parser.parse_args()
+    begun = time.perf_counter()
+    luminance_factors(OPEN, [Pose(30.0, [[0.0, 0.0, 1.0]])], gaussian(5.0))
+    result = {"compilation_s": time.perf_counter() - begun, **measure()}
+    if chosen.json:
+        print(json.dumps(result, indent=2))
+    else:
+        for name, value in result.items():
+            print(f"{name:42} {value:12.4g}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""The samples of a virtual rig's file: models, sums of them, measured tables; and the fingerprint that covers them all."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.errors import UserError
+from app.formats.zemax import ZemaxBsdf, write_zemax
+from app.rig import read_rig
+from tests.conftest import Writer
+from twin.optics import Scatterer, albedo, evaluate, light_direction
+from twin.plant import TwinModel
+
+GAUSSIAN = """[twin.samples.gaussian-5]
+model = "gaussian"
+width_deg = 5.0
+form = "one_over_e"
+quantity = "luminance"
+reflectance = 0.9
+"""
+
+
+def model(write_rig: Writer, sample: str) -> TwinModel:
+    found = read_rig(write_rig((GAUSSIAN, f"[twin.samples.it]\n{sample}\n"))).model()
+    assert found is not None
+    return found
+
+
+def sample_of(write_rig: Writer, text: str) -> Scatterer:
+    return model(write_rig, text).samples["it"]
+
+
+def shares(sample: Scatterer) -> list[float]:
+    """Reflected and transmitted, of light from the front and from the back."""
+    return [round(albedo(sample, sigma, through), 6) for sigma in (0.0, 180.0) for through in (False, True)]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('model = "lambertian"\nreflectance = 0.3\ntransmittance = 0.6\nside = "both"', [0.3, 0.6, 0.3, 0.6]),
+        ('model = "gaussian"\nwidth_deg = 5.0\ntransmits = true\nreflectance = 0.5', [0.0, 0.5, 0.0, 0.0]),
+        ('model = "gaussian"\nwidth_deg = 5.0\ntransmits = true\nrefraction = 1.5\nside = "back"', [0.0, 0.0, 0.0, 0.9]),
+        ('model = "regular"\nreflectance = 0.4', [0.4, 0.0, 0.0, 0.0]),
+        ('model = "regular"\nreflectance = [0.04, 1.0]\nsigma_deg = [0.0, 90.0]\nside = "both"', [0.04, 0.0, 0.04, 0.0]),
+    ],
+)
+def test_a_sample_has_the_sides_that_its_file_gives_it(write_rig: Writer, text: str, expected: list[float]) -> None:
+    assert shares(sample_of(write_rig, text)) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_sample_may_be_a_sum_of_models(write_rig: Writer) -> None:
+    text = """model = "sum"
+    lobes = [
+        {model = "lambertian", reflectance = 0.3},
+        {model = "gaussian", width_deg = 8.0, reflectance = 0.2},
+        {model = "regular", reflectance = 0.1, transmits = true},
+    ]"""
+    sample = sample_of(write_rig, text)
+    assert len(sample.lobes) == 3
+    assert shares(sample) == pytest.approx([0.5, 0.1, 0.0, 0.0], abs=1e-5)
+
+
+def zemax(folder: Path, scatter_type: str) -> None:
+    angles = np.array([0.0, 90.0])
+    write_zemax(
+        folder / "measured.bsdf",
+        ZemaxBsdf("Measured", "PlaneSymmetrical", scatter_type, np.array([0.0]), np.array([0.0, 60.0]), np.array([0.0, 180.0]),
+                  angles, np.full((1, 2, 2, 2), 0.2), np.zeros((1, 2))),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("scatter_type", "expected"), [("BRDF", [0.2, 0.0]), ("BTDF", [0.0, 0.2])])
+def test_a_measured_table_reflects_or_transmits_as_its_file_says(
+    write_rig: Writer, tmp_path: Path, scatter_type: str, expected: list[float]
+) -> None:
+    zemax(tmp_path, scatter_type)
+    sample = sample_of(write_rig, 'model = "zemax"\nfile = "measured.bsdf"')
+    light = light_direction(30.0)
+    assert [float(evaluate(sample, light, d)) for d in (light, -light)] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('model = "lambertian"\nreflectance = 1.2', "twin.samples.it: reflectance is 1.2"),
+        ('model = "lambertian"\nreflectance = 0.7\ntransmittance = 0.6', "add up to more than 1"),
+        ('model = "gaussian"\nwidth_deg = -2.0', "twin.samples.it: width_deg is -2.0"),
+        ('model = "gaussian"\nwidth_deg = 2.0\nrefraction = 1.5', "only a transmitted lobe is bent"),
+        ('model = "regular"\nreflectance = [0.1, 0.2]', "or sigma_deg for a list"),
+        ('model = "sum"\nlobes = []', "twin.samples.it.lobes"),
+        ('model = "sum"\nlobes = [{model = "gaussian", width_deg = 0.0}]', r"twin.samples.it.lobes.0: width_deg is 0.0"),
+        ('model = "sum"\nlobes = [{model = "zemax", file = "no.bsdf"}]', r"twin.samples.it.lobes.0: .*no.bsdf"),
+        ('model = "mirror"', "twin.samples.it"),
+    ],
+)
+def test_a_sample_that_cannot_be_is_refused_with_its_place(write_rig: Writer, text: str, says: str) -> None:
+    with pytest.raises(UserError, match=says):
+        model(write_rig, text)
+
+
+def test_the_fingerprint_covers_all_that_a_sample_has(write_rig: Writer) -> None:
+    def found(text: str) -> str:
+        told = read_rig(write_rig((GAUSSIAN, f"[twin.samples.it]\n{text}\n"))).model_hash()
+        assert told is not None
+        return told
+
+    lobes = '{model = "lambertian", reflectance = 0.3}', '{model = "gaussian", width_deg = 8.0, reflectance = 0.2}'
+    texts = [
+        'model = "gaussian"\nwidth_deg = 8.0',
+        'model = "gaussian"\nwidth_deg = 8.0\ntransmits = true',
+        'model = "gaussian"\nwidth_deg = 8.0\ntransmits = true\nrefraction = 1.5',
+        'model = "gaussian"\nwidth_deg = 8.0\nside = "back"',
+        'model = "gaussian"\nwidth_deg = 8.0\nside = "both"',
+        f'model = "sum"\nlobes = [{lobes[0]}]',
+        f'model = "sum"\nlobes = [{lobes[0]}, {lobes[1]}]',
+        f'model = "sum"\nlobes = [{lobes[1]}, {lobes[0]}]',
+        'model = "regular"\nreflectance = [0.1, 0.5]\nsigma_deg = [0.0, 80.0]',
+        'model = "regular"\nreflectance = [0.1, 0.5]\nsigma_deg = [0.0, 81.0]',
+        'model = "regular"\nreflectance = [0.1, 0.6]\nsigma_deg = [0.0, 80.0]',
+    ]
+    assert len({found(text) for text in texts}) == len(texts)
+    assert found(texts[6]) == found(texts[6])
+
+
+def test_the_diffuser_of_a_file_is_the_ideal_one(write_rig: Writer) -> None:
+    sample = sample_of(write_rig, 'model = "lambertian"')
+    assert evaluate(sample, light_direction(20.0), light_direction(-60.0)) == pytest.approx(1.0 / math.pi)

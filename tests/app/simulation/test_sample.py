@@ -1,0 +1,134 @@
+"""Samples in one line: what they make, and that whatever is wrong with them is one line that helps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.errors import UserError
+from app.formats import DdrTable, ZemaxBsdf, write_ddr, write_zemax
+from app.simulation.sample import parse_sample, table_files
+from twin.optics import evaluate, from_specular, gaussian, lambertian, light_direction, summed
+
+SIGMA, PHI, THETA = np.array([0.0, 60.0]), np.array([0.0, 180.0]), np.array([0.0, 20.0, 180.0])
+VALUES = np.array([0.3, 0.2, 0.1]) * np.ones((1, 2, 2, 3))
+LIGHT = light_direction(30.0)
+OBSERVERS = from_specular(30.0, np.array([0.0, 5.0, 20.0]), np.array([0.0, 90.0, 180.0]))
+
+
+def _complaint(text: str) -> str | None:
+    """What is said of a text; None of one that is a sample, whose values are then finite."""
+    try:
+        sample = parse_sample(text)
+    except UserError as error:
+        return str(error)
+    return None if np.all(np.isfinite(evaluate(sample, LIGHT, OBSERVERS))) else "not finite\n"
+
+
+shares = st.floats(0.01, 0.45)
+widths = st.floats(0.5, 40.0)
+
+
+@settings(deadline=None, max_examples=40)
+@given(widths, st.sampled_from(["one_over_e", "half_width"]), st.sampled_from(["luminance", "intensity"]), shares)
+def test_a_gaussian_is_what_its_keys_say(width: float, form: str, quantity: str, share: float) -> None:
+    text = f"gaussian:width_deg={width!r},form={form},quantity={quantity},reflectance={share!r}"
+    made = parse_sample(text)
+    meant = gaussian(width, form, quantity, reflectance=share)  # type: ignore[arg-type]
+    assert made.name == text
+    np.testing.assert_array_equal(evaluate(made, LIGHT, OBSERVERS), evaluate(meant, LIGHT, OBSERVERS))
+
+
+@settings(deadline=None, max_examples=40)
+@given(shares, widths, shares)
+def test_a_sum_is_the_sum_of_its_parts_in_any_order_and_spacing(white: float, width: float, share: float) -> None:
+    parts = [f"lambertian:reflectance={white!r}", f"gaussian:width_deg={width!r},reflectance={share!r}"]
+    meant = evaluate(summed(lambertian(white), gaussian(width, reflectance=share)), LIGHT, OBSERVERS)
+    for text in ("+".join(parts), " + ".join(reversed(parts)), f" {parts[0]} +{parts[1]} "):
+        np.testing.assert_allclose(evaluate(parse_sample(text), LIGHT, OBSERVERS), meant, rtol=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.text(max_size=40))
+def test_any_text_is_a_sample_or_one_line_of_complaint(text: str) -> None:
+    complaint = _complaint(text)
+    assert complaint is None or complaint.isprintable()
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.sampled_from(["gaussian", "lambertian", "phong"]),
+    st.lists(
+        st.tuples(st.sampled_from(["width_deg", "reflectance", "peak", "form", "x"]), st.text("0123456789.-+einfa", max_size=6))
+    ),
+)
+def test_any_keys_and_numbers_make_a_sample_or_one_line_of_complaint(model: str, keys: list[tuple[str, str]]) -> None:
+    complaint = _complaint(f"{model}:" + ",".join(f"{key}={value}" for key, value in keys))
+    assert complaint is None or (complaint.startswith("--sample") and complaint.isprintable())
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("phong:n=3", "no model 'phong'; give gaussian:width_deg=5, lambertian:reflectance=0.9, table:FILE"),
+        ("gaussian:width_deg=5+phong:n=3", "no model 'phong'"),
+        ("gaussian", "width_deg: is missing"),
+        ("gaussian:width=5", "no key 'width'; keys are width_deg, form, quantity, peak, reflectance"),
+        ("gaussian:width_deg=5,side=back", "no key 'side'"),
+        ("gaussian:width_deg=-2", "width_deg is -2"),
+        ("gaussian:width_deg=0", "width_deg is 0"),
+        ("gaussian:width_deg=nan", "width_deg: input should be a finite number"),
+        ("gaussian:width_deg=inf", "width_deg: input should be a finite number"),
+        ("gaussian:width_deg=wide", "width_deg: input should be a valid number, not 'wide'"),
+        ("gaussian:width_deg=5,width_deg=6", "width_deg is given twice"),
+        ("gaussian:width_deg", "is not key=value"),
+        ("gaussian:width_deg=5,form=wide", "'one_over_e' or 'half_width'"),
+        ("lambertian:reflectance=1.2", "at most 1"),
+        ("lambertian:", "keys are reflectance, transmittance"),
+        ("lambertian:reflectance=0.9+gaussian:width_deg=5", "1.8 times the light"),
+        ("gaussian:width_deg=5,peak=100", "times the light"),
+        ("table:", "write table:FILE"),
+        ("table:/absent.bsdf", "/absent.bsdf: there is no such file"),
+        ("table:/absent.ddr", "/absent.ddr: there is no such file"),
+        ("", "no model ''"),
+    ],
+)
+def test_bad_samples_are_refused_by_name(text: str, named: str) -> None:
+    with pytest.raises(UserError, match=r"^--sample") as caught:
+        parse_sample(text)
+    assert named in str(caught.value)
+
+
+def test_measured_tables_are_read_as_they_are(tmp_path: Path) -> None:
+    zemax, ddr = tmp_path / "paint+1.bsdf", tmp_path / "paint.ddr"
+    write_zemax(
+        zemax,
+        ZemaxBsdf("Measured", "PlaneSymmetrical", "BRDF", np.zeros(1), SIGMA, PHI, THETA, VALUES, np.ones((1, 2))),
+    )
+    write_ddr(ddr, DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), SIGMA, PHI, THETA, (None,), np.pi * VALUES[None]))
+    # Linear in theta, the same at every sigma and phi.
+    expected = np.interp([0.0, 5.0, 20.0], THETA, VALUES[0, 0, 0])
+    for path in (zemax, ddr):
+        np.testing.assert_allclose(evaluate(parse_sample(f"table:{path}"), LIGHT, OBSERVERS), expected, rtol=1e-7)
+    both = parse_sample(f"table:{zemax}+lambertian:reflectance=0.1")
+    np.testing.assert_allclose(evaluate(both, LIGHT, OBSERVERS), expected + 0.1 / np.pi, rtol=1e-7)
+    assert table_files(f"table:{zemax}+lambertian:reflectance=0.1") == [zemax]
+
+
+def test_a_spectral_table_keeps_its_wavelengths(tmp_path: Path) -> None:
+    path = tmp_path / "colour.ddr"
+    values = np.array([0.5, 1.0])[:, None, None, None, None] * VALUES
+    write_ddr(path, DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), SIGMA, PHI, THETA, (450.0, 650.0), values))
+    sample = parse_sample(f"table:{path}")
+    ratio = evaluate(sample, LIGHT, OBSERVERS, 550.0) / evaluate(sample, LIGHT, OBSERVERS, 650.0)
+    np.testing.assert_allclose(ratio, 0.75, rtol=1e-9)
+
+
+def test_a_table_with_a_hole_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "hole.ddr"
+    write_ddr(path, DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), SIGMA, PHI, THETA, (None,), VALUES[None]))
+    path.write_text(path.read_text(encoding="utf-8").replace("0.3", "nan", 1), encoding="utf-8")
+    with pytest.raises(UserError, match=r"hole.ddr"):
+        parse_sample(f"table:{path}")

@@ -1,0 +1,231 @@
+"""The scheme of figure 7 in one call: both estimators, hidden directions, files."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.errors import UserError
+from app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
+from app.simulation.estimate import Effort
+from app.simulation.files import check_names, ddr_table, summary, write
+from app.simulation.sample import parse_sample
+from app.simulation.simulate import Simulation, Task, simulate
+from tests.twin.optics.agreement import agree
+from twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
+
+# Wider detectors than the instrument's, so that few paths make many hits.
+WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)
+OPEN = Instrument(obstruction=False)
+BROAD = "gaussian:width_deg=25,reflectance=0.4+lambertian:reflectance=0.3"
+
+
+def task(sample: str = "gaussian:width_deg=5", sigmas: tuple[float, ...] = (30.0,), **settings: Any) -> Task:
+    return Task(parse_sample(sample), np.array(sigmas), **settings)
+
+
+def small(sample: str, **settings: Any) -> Task:
+    """A few detectors so far apart that no path meets two."""
+    grid = {"polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0])}
+    return task(sample, **{**grid, "instrument": WIDE, **settings})
+
+
+@pytest.fixture(scope="module")
+def three() -> Simulation:
+    return simulate(task(sigmas=(0.0, 30.0, 60.0)))
+
+
+def test_the_table_is_what_detectors_at_its_nodes_would_see(three: Simulation) -> None:
+    for k, sigma in enumerate((0.0, 30.0, 60.0)):
+        nodes = from_specular(sigma, three.theta_deg[None, :], three.phi_deg[:, None])
+        near = three.known[0, k] & (three.theta_deg[None, :] <= 10.0)
+        assert near.sum() > 220
+        expected = luminance_factor(OPEN, sigma, nodes[near], three.task.sample, rays=1024)
+        # The regridding; a linear one would be off by 0.8 % rms for steps of 0.5 deg.
+        relative = three.table[0, k][near] / expected - 1.0
+        assert np.sqrt(np.mean(relative**2)) < 0.002
+        assert np.max(np.abs(relative)) < 0.01
+
+
+def test_hidden_directions_have_no_value_and_are_told(three: Simulation) -> None:
+    result = summary(three, [Path("a.ddr")])
+    assert result["hidden_directions"]["0"] > 200  # mirror 3 stands in the specular direction
+    assert result["obstruction"] is True
+    at = three.at[0]
+    assert np.all(np.isnan(at.ratio.factor[0, at.hidden]))
+    assert not three.known[0, 0, :, 0].any()
+    assert three.known[0, 1, :, 0].all()
+    text = "\n".join(ddr_table(three).comments)
+    assert "SIMULATED" in text
+    assert "sigma 0, phi 0: theta 0 to 3.5" in text  # the zone of mirror 3 (its 20 mm seen at 200 mm, and the aperture)
+    free = simulate(task(sigmas=(0.0,), instrument=OPEN))
+    assert free.known[0, 0, :, 0].all()
+    told = summary(free, [Path("a.ddr")])
+    assert told["hidden_directions"] == {"0": 0}
+    assert told["obstruction"] is False
+    assert any(words.startswith("obstruction: off") for words in told["assumptions"])
+
+
+def test_a_ddr_can_be_read_back_and_holds_the_values(three: Simulation, tmp_path: Path) -> None:
+    path = tmp_path / "a.ddr"
+    write(three, path)
+    table = read_ddr(path)
+    assert table.source == "Generated"
+    assert table.symmetry == "PlaneSymmetrical"
+    assert table.sigma_deg.tolist() == [0.0, 30.0, 60.0, 90.0]
+    assert (table.phi_deg[0], table.phi_deg[-1], table.theta_deg[0], table.theta_deg[-1]) == (0.0, 180.0, 0.0, 180.0)
+    assert table.channels == (None,)
+    np.testing.assert_allclose(table.values[0, 0, :3], three.table[0], rtol=1e-8, atol=1e-300)
+    np.testing.assert_array_equal(table.values[0, 0, 3], table.values[0, 0, 2])
+    # And it can be simulated in turn.
+    again = simulate(task(f"table:{path}"))
+    assert again.table[0, 0, 0, 0] == pytest.approx(three.table[0, 1, 0, 0], rel=0.03)
+
+
+def test_the_csv_has_every_detector_with_its_error(three: Simulation, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write(three, path)
+    points = read_points_csv(path)
+    columns = points.columns
+    assert any("SIMULATED" in line for line in points.comments)
+    assert columns["sigma_deg"].size == sum(at.hidden.size for at in three.at)
+    seen = np.isfinite(columns["luminance_factor"])
+    assert seen.sum() == summary(three, [path])["values"]
+    ratio = columns["sample_m2sr"][seen] / columns["etalon_m2sr"][seen]
+    np.testing.assert_allclose(ratio, columns["luminance_factor"][seen], rtol=1e-7)
+    assert np.all(columns["flags"][~seen] == "hidden")
+    bright = seen & (columns["luminance_factor"] > 1.0)
+    assert np.all(columns["standard_error"][bright] < 2e-3 * columns["luminance_factor"][bright])
+
+
+def test_all_wavelengths_come_from_one_set_of_rays(tmp_path: Path) -> None:
+    found = simulate(task("lambertian:reflectance=0.5", wavelengths_nm=np.array([450.0, 650.0])))
+    np.testing.assert_allclose(found.table[:, 0][:, found.known[0, 0]], 0.5, rtol=1e-9)
+    write(found, tmp_path / "colour.ddr")
+    assert read_ddr(tmp_path / "colour.ddr").channels == (450.0, 650.0)
+    # A sample with a spectrum brings its own list.
+    spectral = simulate(task(f"table:{tmp_path / 'colour.ddr'}"))
+    assert spectral.wavelengths_nm is not None
+    assert spectral.wavelengths_nm.tolist() == [450.0, 650.0]
+
+
+def test_forward_goes_wavelength_by_wavelength_where_the_sample_does(tmp_path: Path) -> None:
+    values = np.array([0.25, 0.5])[:, None, None, None, None] * np.ones((1, 2, 2, 2))
+    ends = np.array([0.0, 90.0]), np.array([0.0, 180.0]), np.array([0.0, 180.0])
+    write_ddr(tmp_path / "a.ddr", DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), *ends, (450.0, 650.0), values))
+    found = simulate(small(f"table:{tmp_path / 'a.ddr'}", effort=Effort("forward", paths=1_500_000))).at[0]
+    many = found.ratio.standard_error[0] < 0.15 * found.ratio.factor[0]
+    assert np.count_nonzero(many) >= 15
+    for row, expected in enumerate((0.25, 0.5)):
+        value, error = found.ratio.factor[row, many], found.ratio.standard_error[row, many]
+        agree(value, error, np.full(value.shape, expected), 0.0)
+
+
+def test_transmitted_light_has_a_table_of_its_own(tmp_path: Path) -> None:
+    found = simulate(task("gaussian:width_deg=5,transmits=true", (0.0, 30.0), transmitted=True, instrument=OPEN))
+    # The lobe goes straight through: theta = 0, as in reflection.
+    mirrored = simulate(task("gaussian:width_deg=5", (0.0, 30.0), instrument=OPEN))
+    near = found.theta_deg <= 10.0
+    np.testing.assert_allclose(found.table[..., near], mirrored.table[..., near], rtol=1e-6)
+    write(found, tmp_path / "a.ddt")
+    assert read_ddr(tmp_path / "a.ddt").values.max() == pytest.approx(found.table.max())
+
+
+# The tracer of the two that is slow has few paths here; its long tests are with the optics.
+@pytest.mark.parametrize("sample", ["lambertian:reflectance=0.8", "gaussian:width_deg=25"])
+@pytest.mark.parametrize("sigma_deg", [0.0, 50.0])
+def test_both_estimators_agree_within_their_errors(sample: str, sigma_deg: float) -> None:
+    fast = simulate(small(sample, sigmas=(sigma_deg,))).at[0]
+    forward = simulate(small(sample, sigmas=(sigma_deg,), effort=Effort("forward", paths=1_500_000, seed=3))).at[0]
+    assert np.array_equal(fast.hidden, forward.hidden)
+    # Few hits make an error that is hardly known.
+    many = (forward.ratio.standard_error < 0.15 * forward.ratio.factor)[0]
+    assert np.count_nonzero(many) >= 15
+    agree(forward.ratio.factor[0, many], forward.ratio.standard_error[0, many], fast.ratio.factor[0, many], 0.0)
+
+
+def test_the_same_seed_gives_the_same_bits() -> None:
+    def numbers(seed: int) -> bytes:
+        found = simulate(small("lambertian", effort=Effort("forward", paths=20_000, seed=seed)))
+        return found.table.tobytes() + found.at[0].ratio.standard_error.tobytes()
+
+    assert numbers(1) == numbers(1)
+    assert numbers(1) != numbers(2)
+    first, second = (simulate(small(BROAD)) for _ in range(2))
+    assert first.table.tobytes() == second.table.tobytes()
+
+
+def test_either_estimator_can_be_asked_for_an_error() -> None:
+    coarse = simulate(small("lambertian", effort=Effort("forward", error_percent=8.0)))
+    assert coarse.at[0].ratio.median_percent <= 8.0
+    result = summary(coarse, [Path("a.ddr")])
+    assert result["paths"] >= 2 << 20
+    assert result["median_relative_standard_error_percent"] <= 8.0 <= 100.0
+    fine = simulate(small("gaussian:width_deg=25", effort=Effort(error_percent=0.002)))
+    assert fine.at[0].ratio.median_percent <= 0.002
+    assert summary(fine, [Path("a.ddr")])["rays"] > 7
+    with pytest.raises(UserError, match=r"--error"):
+        simulate(small("gaussian:width_deg=25", effort=Effort(error_percent=1e-9)))
+
+
+def test_what_no_path_met_is_told_and_is_no_number() -> None:
+    found = simulate(task(sigmas=(60.0,), instrument=OPEN, effort=Effort("forward", paths=20_000)))
+    at = found.at[0]
+    assert at.unmet.sum() > 100
+    assert not at.hidden.any()
+    assert summary(found, [Path("a.ddr")])["directions_without_hits"]["60"] == at.unmet.sum()
+    assert np.all(np.isnan(at.ratio.standard_error[0, at.unmet]))
+
+
+def test_progress_is_told_from_nothing_to_all() -> None:
+    told: list[float] = []
+    simulate(small("lambertian", sigmas=(0.0, 30.0)), lambda share, text: told.append(share))
+    assert told[0] == 0.0
+    assert told[-1] == 1.0
+    assert told == sorted(told)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"polar_deg": np.array([1.0, 2.0])}, "--azimuth: give both"),
+        ({"polar_deg": np.array([1.0]), "azimuth_deg": np.array([0.0, 1.0])}, "at least two"),
+        ({"polar_deg": np.array([1.0, 2.0]), "azimuth_deg": np.array([0.0, 270.0])}, "--azimuth"),
+        ({"transmitted": True}, "transmits nothing"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(change: dict[str, Any], named: str) -> None:
+    with pytest.raises(UserError, match=named):
+        simulate(dataclasses.replace(task(), **change))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"paths": 1000}, {"kind": "forward", "rays": 8}, {"rays": 9}, {"rays": 0}, {"kind": "forward", "paths": 1},
+        {"rays": 8, "error_percent": 1.0}, {"error_percent": 0.0}, {"error_percent": float("nan")}, {"seed": -1},
+    ],
+)  # fmt: skip
+def test_what_an_estimator_does_not_have_is_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(UserError, match=r"^--"):
+        Effort(**settings)
+
+
+def test_names_that_will_not_do_are_refused(tmp_path: Path) -> None:
+    own = tmp_path / "a.ddr"
+    for names in (["a.txt"], ["absent/a.ddr"], ["a.ddr", "a.ddr"], ["a.ddr", "a.ddt"], ["a.ddr"]):
+        with pytest.raises(UserError):
+            check_names([tmp_path / name for name in names], [own], False)
+    assert check_names([tmp_path / "b.csv"], [own], False) is False
+    assert check_names([tmp_path / "b.ddt"], [own], False) is True
+
+
+def test_a_broad_sample_reads_as_its_own_bsdf() -> None:
+    # Where a lobe is much wider than the aperture the instrument's ratio is pi times the BSDF.
+    found = simulate(task(BROAD, instrument=OPEN))
+    nodes = from_specular(30.0, found.theta_deg[None, :], found.phi_deg[:, None])
+    known = found.known[0, 0] & (found.theta_deg[None, :] <= 30.0)
+    expected = np.pi * evaluate(found.task.sample, light_direction(30.0), nodes[known])
+    np.testing.assert_allclose(found.table[0, 0][known], expected, rtol=5e-3)

@@ -1,0 +1,163 @@
+"""The paper's Table 3 beside ours: against an independent prototype, and each argument of the explanation on its own."""
+
+import io
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from app.simulation.corner import Component, deviating, tilts, worst_corner
+from app.simulation.cut import cuts, in_plane_theta, theory
+from app.simulation.explained import (
+    PAPER,
+    SIGMAS_DEG,
+    WIDTHS_DEG,
+    counting_variance,
+    exponents,
+    interpolation_error,
+    rms_table,
+    tilted,
+)
+from app.simulation.table3 import STEPS, Table3, table3
+from app.simulation.table3_shown import figures, show
+from app.simulation.table3_words import as_dict, assumptions
+from twin.optics import Instrument
+
+OPEN = Instrument(obstruction=False)
+# Percent, sigma 0, 30, 60 by widths of 2, 5, 15, 30 deg: from an independent prototype that shared no code with this one.
+PROTOTYPE = np.array([[4.32, 0.66, 0.07, 0.02], [4.05, 0.62, 0.07, 0.02], [3.47, 0.53, 0.06, 0.01]])
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "table3.md"
+TOPICS = {"spot", "form", "range of i", "divergence", "field", "deviations", "noise", "obstruction"}
+
+
+@pytest.fixture(scope="module")
+def found() -> Table3:
+    told: list[str] = []
+    result = table3(told.append)
+    assert len(told) == STEPS
+    return result
+
+
+@pytest.mark.parametrize("rays", [None, 1024, 4096])
+def test_the_noise_free_numbers_are_those_of_an_independent_prototype(rays: int | None) -> None:
+    np.testing.assert_allclose(rms_table(OPEN, rays=rays), PROTOTYPE, atol=0.1)
+
+
+@pytest.mark.long
+def test_they_are_so_with_very_many_rays() -> None:
+    np.testing.assert_allclose(rms_table(OPEN, rays=1 << 15), PROTOTYPE, atol=0.1)
+
+
+def test_the_range_of_i_is_as_stated() -> None:
+    assert in_plane_theta(30.0, 5.0).tolist() == np.arange(-10.0, 10.1, 0.5).tolist()
+    grazing = in_plane_theta(60.0, 15.0)  # the zenith angle is 60 - theta
+    assert (grazing[0], grazing[-1]) == (-24.5, 30.0)
+    normal = in_plane_theta(30.0, 30.0)
+    assert (normal[0], normal[-1]) == (-54.5, 60.0)
+
+
+def test_theory_falls_to_what_its_form_says() -> None:
+    assert theory(np.array([5.0]), 5.0, "one_over_e")[0] == pytest.approx(math.exp(-1.0))
+    assert theory(np.array([5.0]), 5.0, "half_width")[0] == pytest.approx(0.5)
+    # A prototype's noise-free numbers at width 5, by the range of theta.
+    for widths, percent in ((1.0, 0.36), (2.0, 0.66), (3.0, 1.7), (4.0, 3.3)):
+        (cut,) = cuts(OPEN, [0.0], 5.0, widths=widths)
+        assert cut.relative_rms_percent == pytest.approx(percent, abs=0.1)
+
+
+def test_blur_shift_and_noise_fall_with_the_powers_that_the_explanation_needs(found: Table3) -> None:
+    assert exponents(found.noise_free)[:, :2] == pytest.approx(2.0, abs=0.06)
+    shift = np.sqrt(found.tilted**2 - found.noise_free**2)
+    assert exponents(shift) == pytest.approx(1.0, abs=0.1)
+    assert np.all(exponents(np.sqrt(counting_variance(OPEN))) <= 0.0)
+    # So the logarithm of their sum is convex over that of the width, but for large shifts, whose powers are not quite 1; the
+    # paper's is not. At sigma 60 the horizon cuts the range of i.
+    for total in (found.noise_free, found.tilted, found.worst, found.floor, found.closest.table):
+        falls = exponents(total)
+        assert np.all(falls[:2, 0] >= falls[:2, 1] - 0.02)
+    assert np.all(exponents(PAPER)[:2, 0] < exponents(PAPER)[:2, 1] - 0.2)
+
+
+def test_the_etalons_counting_noise_is_that_of_the_cosines() -> None:
+    # At 60 deg a hole of half the height takes half the rays, and half of that goes to the specular direction.
+    alone = counting_variance(OPEN, etalon_alone=True)
+    assert math.sqrt(alone[2, 0] / alone[0, 0]) == pytest.approx(2.0, rel=0.12)
+
+
+def test_half_way_between_detectors_a_line_is_off_as_the_second_derivative_says() -> None:
+    # h^2 / 8 times f'' / f, in the root mean square over theta.
+    theta = in_plane_theta(0.0, 15.0)
+    curvature = 4.0 * theta**2 / 15.0**4 - 2.0 / 15.0**2
+    expected = 100.0 * math.sqrt(np.mean((0.5**2 / 8.0 * curvature) ** 2))
+    assert interpolation_error(0.5)[0, 2] == pytest.approx(expected, rel=0.02)
+
+
+def test_a_tilted_sample_alone_is_the_papers_limit() -> None:
+    # An independent prototype found 4.75 % at sigma 30, width 5.
+    assert rms_table(tilted(OPEN, 0.05))[1, 1] == pytest.approx(4.75, abs=0.1)
+
+
+def test_the_worst_corner_is_the_worst_of_all_4096(found: Table3) -> None:
+    components = tilts(OPEN)
+    corner = found.corner(30.0, 5.0)
+    every = [
+        cuts(deviating(OPEN, components, signs), [30.0], 5.0)[0].relative_rms_percent
+        for signs in itertools.product((-1, 1), repeat=12)
+    ]
+    assert corner.relative_rms_percent == max(every)
+    assert corner.linear_percent == pytest.approx(corner.relative_rms_percent, rel=0.02)
+    # Specular direction, deg for a degree of each: sample 2, arc 1, beam cos and sin of sigma, mirrors 1.41 times the share
+    # of the way from the pupil that lies before them. 0.05 deg of the sample alone make 4.72 % besides the blur.
+    sum_of_all = 2.0 + 1.0 + math.cos(math.radians(30.0)) + 0.5 + math.sqrt(2.0) * (0.25 + 0.5 + 0.75)
+    assert corner.relative_rms_percent == pytest.approx(math.hypot(4.72 * sum_of_all / 2.0, 0.6), rel=0.02)
+
+
+def test_with_a_collimated_beam_it_is_that_of_an_independent_prototype(found: Table3) -> None:
+    assert found.collimated.relative_rms_percent == pytest.approx(20.2, abs=0.1)
+
+
+def test_a_corner_of_one_component_is_its_worse_side() -> None:
+    one = (Component("sample", "ry_deg", 0.05, "sample ry"),)
+    corner = worst_corner(OPEN, 30.0, 5.0, one)
+    sides = [cuts(deviating(OPEN, one, [sign]), [30.0], 5.0)[0].relative_rms_percent for sign in (-1, 1)]
+    assert corner.relative_rms_percent == max(sides)
+    assert corner.in_words() == ("-sample ry" if sides[0] > sides[1] else "+sample ry")
+
+
+def test_each_column_states_its_assumptions(found: Table3) -> None:
+    told = assumptions(found)
+    assert set(told) == {"paper", "noise_free", "tilted", "worst"}
+    assert all(set(topics) == TOPICS for topics in told.values())
+    result = as_dict(found)
+    for name in told:
+        assert set(result[name]) == {"0", "30", "60"}
+        assert all(len(row) == 4 for row in result[name].values())
+    assert result["paper"]["60"] == [3.85, 1.83, 0.74, 0.63]
+    assert result["simulated"] is True
+    assert np.all(found.worst > found.tilted)
+    assert np.all(found.tilted > found.noise_free)
+
+
+def test_the_document_has_what_the_command_prints(found: Table3) -> None:
+    printed = io.StringIO()
+    show(Console(width=100, file=printed, highlight=False, color_system=None), found)
+    document = DOCUMENT.read_text(encoding="utf-8")
+    assert "goniotwin simulate table3" in document
+    for line in printed.getvalue().splitlines():
+        assert line.rstrip() in document
+
+
+def test_the_figures_are_written_whole(found: Table3, tmp_path: Path) -> None:
+    written = figures(found, tmp_path / "new")
+    assert set(written) == {"figure12", "figure13"}
+    for path in written.values():
+        assert path.read_bytes().startswith(b"\x89PNG")
+        assert path.stat().st_size > 20_000
+
+
+def test_the_widths_and_sigmas_are_the_papers() -> None:
+    assert SIGMAS_DEG == (0.0, 30.0, 60.0)
+    assert WIDTHS_DEG == (2.0, 5.0, 15.0, 30.0)

@@ -1,0 +1,115 @@
+"""`goniotwin simulate`, as people and programs call it, in a process of its own."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.formats import read_ddr
+from tests.conftest import RIG
+
+
+def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs it."""
+    return subprocess.run(
+        [sys.executable, "-c", "from app.cli import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        timeout=300,
+        check=False,
+    )
+
+
+def answer(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    """The one JSON object of standard output."""
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_simulate_says_what_it_wrote_and_how_good_it_is(tmp_path: Path) -> None:
+    out = tmp_path / "a.ddr"
+    done = goniotwin("simulate", "--sample", "gaussian:width_deg=5", "--sigma", "0,30,60", "--out", out, "--json")
+    result = answer(done)
+    assert result["file"] == str(out)
+    assert result["sigma"] == [0.0, 30.0, 60.0]
+    assert (result["estimator"], result["rays"]) == ("fast", 7)
+    assert result["values"] > 8000
+    assert 0.0 < result["median_relative_standard_error_percent"] <= result["largest_relative_standard_error_percent"] < 0.5
+    assert result["hidden_directions"]["0"] > 0
+    assert result["simulated"] is True
+    assert len(result["assumptions"]) >= 8
+    assert "simulating" in done.stderr  # progress
+    assert read_ddr(out).values.max() > 1.0
+    again = goniotwin("simulate", "--sample", "gaussian:width_deg=5", "--out", out, "--json", NUMBA_NUM_THREADS="1")
+    assert again.stdout == done.stdout
+
+
+def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(tmp_path: Path) -> None:
+    out = tmp_path / "a.csv"
+    grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--rig", RIG, "--no-obstruction"]
+    paths = ["--estimator", "forward", "--paths", 200_000, "--seed", 4]
+    result = answer(goniotwin("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json"))
+    assert (result["estimator"], result["seed"]) == ("forward", 4)
+    assert 200_000 <= result["paths"] < 210_000  # whole blocks of them
+    assert result["obstruction"] is False
+    assert result["hidden_directions"] == {"30": 0}
+    assert result["detectors"] == {"30": 20}
+    text = goniotwin("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths)
+    assert text.stdout.startswith("SIMULATED")
+    assert "obstruction is off" in text.stdout
+
+
+def test_table3_is_the_papers_beside_ours(tmp_path: Path) -> None:
+    result = answer(goniotwin("simulate", "table3", "--out", tmp_path, "--json"))
+    for name in ("paper", "noise_free", "tilted", "worst"):
+        assert set(result[name]) == {"0", "30", "60"}
+        assert all(len(row) == 4 for row in result[name].values())
+        assert result["assumptions"][name]
+    assert result["noise_free"]["0"] == pytest.approx([4.32, 0.66, 0.07, 0.02], abs=0.1)
+    for file in result["files"].values():
+        assert Path(file).stat().st_size > 20_000
+    text = goniotwin("simulate", "table3")
+    assert text.returncode == 0
+    assert "SIMULATED" in text.stdout
+    assert "what explains the paper's numbers" in text.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ([], "--sample is missing"),
+        (["--sample", "gaussian:width_deg=5"], "--out is missing"),
+        (["--sample", "gaussian:width_deg=-5", "--out", "a.ddr"], "width_deg is -5"),
+        (["--sample", "gaussian:width_deg=nan", "--out", "a.ddr"], "width_deg"),
+        (["--sample", "gaussian:wide=5", "--out", "a.ddr"], "no key 'wide'"),
+        (["--sample", "gaussian:width_deg=5", "--sigma", "95", "--out", "a.ddr"], "--sigma: 95 is out of range"),
+        (["--sample", "gaussian:width_deg=5", "--sigma", "30,nan", "--out", "a.ddr"], "--sigma: nan"),
+        (["--sample", "gaussian:width_deg=5", "--theta", "0,200", "--out", "a.ddr"], "--theta: 200"),
+        (["--sample", "gaussian:width_deg=5", "--paths", "10000", "--out", "a.ddr"], "--paths"),
+        (["--sample", "gaussian:width_deg=5", "--out", "a.xyz"], "a.xyz"),
+        (["--sample", "table:absent.bsdf", "--out", "a.ddr"], "absent.bsdf"),
+        (["--sample", "gaussian:width_deg=5", "table3"], "table3"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_no_file(arguments: list[str], named: str, tmp_path: Path) -> None:
+    given = [str(tmp_path / each) if each.startswith("a.") else each for each in arguments]
+    done = goniotwin("simulate", *given, "--json")
+    assert done.returncode == 2
+    assert named in done.stderr
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", [["simulate"], ["simulate", "table3"]])
+def test_help_is_worth_reading(command: list[str]) -> None:
+    done = goniotwin(*command, "--help")
+    assert done.returncode == 0
+    assert "Usage" in done.stdout
+    assert len(done.stdout.splitlines()) > 8

@@ -1,0 +1,65 @@
+"""Samples of every kind, for the tests that hold for all of them."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.optics import Scatterer, gaussian, lambertian, regular, scattered, sided, summed, tabulated
+
+Floats = npt.NDArray[np.float64]
+
+SIGMA_AXIS, PHI_AXIS, THETA_AXIS = [0.0, 30.0, 60.0], [0.0, 90.0, 180.0], [0.0, 10.0, 30.0, 90.0]
+TABLE = tabulated(
+    SIGMA_AXIS, PHI_AXIS, THETA_AXIS,
+    0.05 + 0.1 * np.arange(3)[:, None, None] + 0.03 * np.arange(3)[:, None] + 0.2 * np.exp(-np.arange(4.0)),
+)  # fmt: skip
+PSI_AXIS = [20.0, 100.0, 200.0, 300.0]
+TURN_AXIS = [0.0, 60.0, 150.0, 240.0, 360.0]
+UNEVEN = np.random.default_rng(1).random((4, 3, 5, 4)) * np.array([8.0, 4.0, 0.3, 0.1])
+UNEVEN[..., 0] = UNEVEN[..., :1, 0]
+UNEVEN[..., -1, :] = UNEVEN[..., 0, :]
+ANISOTROPIC = tabulated(SIGMA_AXIS, TURN_AXIS, THETA_AXIS, UNEVEN, "anisotropic", psi_deg=PSI_AXIS)
+BRUSHED = tabulated(
+    [10.0, 50.0], TURN_AXIS, [2.0, 15.0, 40.0], UNEVEN[:3, :2, :, :3], "brushed", psi_deg=[0.0, 40.0, 90.0],
+    symmetry="orthotropic",
+)  # fmt: skip
+
+
+def points(incidences: list[float], step_deg: float = 4.0) -> Floats:
+    """sigma, zenith, azimuth, deg (n, 3), of about evenly spread directions of the hemisphere (a spiral)."""
+    count = round(2.0 * math.pi / math.radians(step_deg) ** 2)
+    zenith = np.degrees(np.arccos(1.0 - (np.arange(count) + 0.5) / count))
+    azimuth = (np.arange(count) * 137.50776405003785) % 360.0
+    return np.concatenate([np.stack([np.full(count, sigma), zenith, azimuth], axis=1) for sigma in incidences])
+
+
+SPREAD = points([0.0, 30.0, 60.0])
+SPREAD_VALUES = 0.1 + 0.2 * np.cos(np.radians(SPREAD[:, 1])) + 1e-3 * SPREAD[:, 0]
+POINTS = scattered(SPREAD[:, 0], SPREAD[:, 1], SPREAD[:, 2], SPREAD_VALUES, "points", spherical=True)
+
+SINGLE = [
+    lambertian(0.8), gaussian(5.0), gaussian(25.0), gaussian(60.0),
+    gaussian(8.0, "half_width", "intensity", peak=2.0), TABLE, ANISOTROPIC, BRUSHED, POINTS,
+]  # fmt: skip
+COMBINED = [
+    lambertian(0.5, 0.4, side="both"),
+    gaussian(10.0, transmits=True),
+    gaussian(10.0, transmits=True, refraction=1.5, side="back"),
+    gaussian(20.0, transmits=True, refraction=0.7),
+    summed(gaussian(3.0, reflectance=0.3), gaussian(30.0, reflectance=0.3), lambertian(0.2), name="three"),
+    summed(lambertian(0.5), regular(0.3), regular(0.1, transmits=True, side="both"), name="with regular"),
+    sided(gaussian(5.0), lambertian(0.1), ANISOTROPIC, gaussian(12.0), name="four ways"),
+]
+MODELS = [*SINGLE, *COMBINED]
+
+
+def named(scatterer: Scatterer) -> str:
+    """A model's name, for pytest."""
+    return scatterer.name
+
+
+def flipped(vectors: Floats, incident: int, transmits: bool) -> Floats:
+    """Observers' directions as a lobe lit from the front that reflects would have them (optics.md, section 2)."""
+    turned = vectors * [1.0, incident, incident]
+    return turned * [1.0, 1.0, -1.0] if transmits else turned

@@ -1,0 +1,27 @@
+"""The beam splitter shares the light between monitor and mirrors."""
+
+import math
+
+import pytest
+
+from twin.optics.correction import CorrectionUnit
+
+
+def test_the_monitor_gets_its_share_and_the_rest_goes_on_less_what_is_absorbed() -> None:
+    split = CorrectionUnit().split(2.0)
+    assert split.monitor == pytest.approx(0.16)
+    assert split.onwards == pytest.approx(1.82)
+    lossless = CorrectionUnit(absorptance=0.0).split(2.0)
+    assert lossless.monitor + lossless.onwards == pytest.approx(2.0)
+
+
+def test_shares_and_fluxes_that_are_none_are_refused() -> None:
+    with pytest.raises(ValueError, match="monitor_share is"):
+        CorrectionUnit(monitor_share=-0.1)
+    with pytest.raises(ValueError, match="absorptance is nan"):
+        CorrectionUnit(absorptance=math.nan)
+    with pytest.raises(ValueError, match="together: at most 1"):
+        CorrectionUnit(0.6, 0.6)
+    for flux in (-1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="leaving_flux"):
+            CorrectionUnit().split(flux)

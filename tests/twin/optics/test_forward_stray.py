@@ -1,0 +1,156 @@
+"""Stray light: what frames and mirrors send on, against closed forms, and as a map for the fast estimator."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twin.optics import (
+    Instrument,
+    Scatterer,
+    arc_direction,
+    forward,
+    gaussian,
+    lambertian,
+    light_direction,
+    regular,
+    throughput,
+)
+from twin.optics.holder import SampleFrames
+from twin.optics.stray import PATHS, stray, stray_throughput
+
+OPEN = Instrument(obstruction=False)
+# One detector that takes all that leaves upwards.
+ALL = replace(OPEN, detector_diameter_mm=1e7, field_deg=179.9)
+WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)
+UP = [0.0, 0.0, 1.0]
+BLACK = SampleFrames(reflectance=0.0)
+
+
+@pytest.mark.parametrize("sigma_deg", [0.0, 60.0])
+def test_a_lit_frame_scatters_its_share_of_the_light_round_the_hole(sigma_deg: float) -> None:
+    frames = SampleFrames(reflectance=0.3, lit=1.5)
+    found = forward(ALL, sigma_deg, [UP], lambertian(0.6), 400_000, seed=1, sample_frames=frames)
+    # The beam lights the larger square as it lights the hole: to 1e-3 over 7.5 mm at 800 mm, and at 60 deg to 1 %.
+    expected = 0.3 * (1.5**2 - 1.0) / 0.6 * found.single_m2sr[0]
+    assert found.stray_m2sr[0] == pytest.approx(expected, abs=5.0 * found.stray_error[0] + 1e-3 * expected)
+    assert found.stray_error[0] < 5e-3 * expected
+
+
+def test_without_frames_mirrors_and_a_second_scattering_there_is_no_stray_light() -> None:
+    found = forward(ALL, 30.0, [UP], lambertian(), 100_000, seed=1, sample_frames=BLACK)
+    assert found.stray_m2sr[0] == 0.0
+    assert found.stray_error[0] == 0.0
+    assert np.array_equal(found.throughput_m2sr, found.single_m2sr)
+
+
+def chains(share: float) -> float:
+    """Of a small spot between two parallel Lambertian planes, light that leaves by a small hole above it: what has come back
+    to the sample, over what has not. `share` is the product of both reflectances.
+
+    Each passage from plane to plane is a convolution with g^2 / (pi (r^2 + g^2)^2), of which the Fourier transform is x K1(x),
+    with x the wave number times the gap g.
+    """
+    x = np.linspace(1e-4, 30.0, 3000)
+    # K1(x) = integral over t of exp(-x cosh t) cosh t, from 0
+    t = np.linspace(0.0, 16.0, 4001)
+    k1 = np.array([np.trapezoid(np.exp(-each * np.cosh(t)) * np.cosh(t), t) for each in x])
+    passage = x * k1
+    once = np.trapezoid(passage * x, x)
+    again = np.trapezoid(passage * x * share * passage**2 / (1.0 - share * passage**2), x)
+    return float(again / once)
+
+
+def test_light_between_sample_and_frame_comes_and_goes_as_between_two_parallel_planes() -> None:
+    # A hole of a tenth of the gap: what the frame lacks there is about 1 % of what comes back. Frames that wide let 1e-6 of
+    # the light escape beside them, of 3e-3 by the hole.
+    narrow = replace(ALL, spot_side_mm=0.1, pupil_radius_mm=2.0)
+    frames = SampleFrames(gap_mm=1.0, side_mm=4000.0, reflectance=0.8, lit=1.0)
+    found = forward(narrow, 0.0, [UP], lambertian(0.9), 2_500_000, seed=1, sample_frames=frames, max_interactions=200)
+    expected = chains(0.8 * 0.9)
+    ratio = found.stray_m2sr[0] / found.single_m2sr[0]
+    error = ratio * math.hypot(found.stray_error[0] / found.stray_m2sr[0], found.single_error[0] / found.single_m2sr[0])
+    assert error < 0.05 * expected
+    assert ratio == pytest.approx(expected, abs=4.0 * error + 0.015 * expected)
+
+
+def test_fewer_interactions_leave_out_what_comes_later() -> None:
+    frames = SampleFrames(gap_mm=2.0, reflectance=0.9)
+    found = [
+        forward(ALL, 30.0, [UP], lambertian(0.9), 200_000, seed=1, sample_frames=frames, max_interactions=most).stray_m2sr[0]
+        for most in (1, 2, 3, 20)
+    ]
+    # One interaction leaves the light that the frame scatters itself; a second, on the frame, sends it to the sample.
+    assert 0.0 < found[0] == pytest.approx(found[1], rel=0.02)
+    assert found[1] < 0.9 * found[2] < 0.9 * found[3]
+
+
+def test_a_gap_lets_the_spot_wander_and_shadows_slanting_light() -> None:
+    def seen(gap_mm: float, polar_deg: float) -> float:
+        frames = SampleFrames(gap_mm=gap_mm, reflectance=0.0)
+        directions = arc_direction([polar_deg], [0.0])
+        found = forward(
+            replace(WIDE, obstruction=False), 0.0, directions, lambertian(), 2_000_000, seed=1, sample_frames=frames
+        )
+        return float(found.single_m2sr[0])
+
+    assert seen(0.5, 0.0) == pytest.approx(seen(0.0, 0.0), rel=0.02)
+    # At 60 deg the frame hides gap times tan(60 deg) of the 5 mm.
+    assert seen(0.5, 60.0) / seen(0.0, 60.0) == pytest.approx(1.0 - 0.5 * math.tan(math.radians(60.0)) / 5.0, abs=0.02)
+
+
+def test_mirror_2_sends_light_back_to_the_sample_unit() -> None:
+    # Mirror 2 faces the sample: what meets it comes back as from 566 mm, onto frame and sample, and goes up once more.
+    towards = (light_direction(30.0) - np.array([0.0, 1.0, 0.0])) / math.sqrt(2.0)
+    upwards = replace(ALL, obstruction=True, mirror_side_mm=60.0, field_deg=40.0)
+    frames = SampleFrames(reflectance=1.0, lit=1.0, side_mm=200.0)
+    found = forward(upwards, 30.0, [UP], lambertian(), 2_000_000, seed=1, sample_frames=frames)
+    share = towards[2] / math.pi * 60.0**2 / (2.0 * 200.0**2) * 0.95
+    # The mirror is 12 deg wide; what goes to it over mirror 3 comes back beside the frames, where mirror 1 is.
+    assert found.stray_m2sr[0] / found.single_m2sr[0] == pytest.approx(share, rel=0.1)
+
+
+@pytest.mark.parametrize("scatterer", [lambertian(0.9), gaussian(5.0), lambertian(0.02), regular(0.5)], ids=lambda s: s.name)
+def test_the_fast_estimator_and_the_stray_map_are_the_forward_one(scatterer: Scatterer) -> None:
+    frames = SampleFrames(reflectance=0.5)
+    polar, azimuth = np.meshgrid(np.arange(4.0, 88.0, 7.0), np.arange(3.0, 360.0, 24.0))
+    directions = arc_direction(polar.ravel(), azimuth.ravel())
+    found = forward(WIDE, 30.0, directions, scatterer, 10_000_000, seed=1, sample_frames=frames)
+    added = stray_throughput(stray(WIDE, 30.0, scatterer, 8 * PATHS, seed=2, sample_frames=frames), directions, WIDE)
+    fast = throughput(WIDE, 30.0, directions, scatterer, rays=1 << 14)
+    # Few hits have no error that is known; a map of 5 by 10 deg blurs by a few percent of the stray light.
+    seen = found.standard_error < 0.2 * found.throughput_m2sr
+    assert np.count_nonzero(seen) > 100
+    error = np.hypot(found.standard_error, 0.02 * added + 1.2e-3 * fast)
+    deviation = ((found.throughput_m2sr - fast - added) / error)[seen]
+    assert np.mean(deviation**2) < 1.0 + 3.3 * math.sqrt(2.0 / deviation.size)
+    assert np.max(np.abs(deviation)) < 5.5
+    assert found.throughput_m2sr[seen].sum() == pytest.approx((fast + added)[seen].sum(), rel=0.01)
+    assert found.stray_m2sr.sum() == pytest.approx(added.sum(), rel=0.02)
+
+
+def test_the_map_is_for_the_detectors_that_it_was_made_for() -> None:
+    found = stray(WIDE, 30.0, lambertian(), 10_000)
+    with pytest.raises(ValueError, match="the map is for arc, disc and field"):
+        stray_throughput(found, [UP], Instrument())
+    assert np.array_equal(found.values, stray(WIDE, 30.0, lambertian(), 10_000).values)
+    with pytest.raises(ValueError, match="paths is 1"):
+        stray(WIDE, 30.0, lambertian(), 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        (dict(gap_mm=-0.1), "gap_mm is -0.1"),
+        (dict(gap_mm=1e-6), "gap_mm is 1e-06"),
+        (dict(side_mm=0.0), "side_mm is 0.0"),
+        (dict(reflectance=1.1), "reflectance is 1.1"),
+        (dict(reflectance=math.nan), "reflectance is nan"),
+        (dict(lit=0.9), "lit is 0.9"),
+    ],
+)
+def test_frames_that_cannot_be_are_refused(change: dict[str, Any], wrong: str) -> None:
+    with pytest.raises(ValueError, match=wrong):
+        SampleFrames(**change)

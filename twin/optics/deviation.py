@@ -1,0 +1,65 @@
+"""Deviations: how far an element stands from where it should, by three angles and three shifts."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from twin.optics.frames import Floats
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Six deviations of an element from its place, zero by default (paper, figures 9 and 11).
+
+    The element is turned about the x, then the y, then the z axis of the frame in which its place is given, through its
+    own reference point, and then shifted along these axes. Angles in degrees, right-handed; shifts in mm. Raises
+    ValueError, naming the field, for a value that is not finite.
+    """
+
+    rx_deg: float = 0.0
+    ry_deg: float = 0.0
+    rz_deg: float = 0.0
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    z_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not math.isfinite(value):
+                raise ValueError(f"{entry.name} is {value!r}: give a finite number")
+
+
+NONE = Deviation()
+
+
+def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
+    """Rotation matrix (3, 3) and shift (3,) in mm: a point p of an element about c goes to c + R (p - c) + shift."""
+    rx, ry, rz = deviation.rx_deg, deviation.ry_deg, deviation.rz_deg
+    shift = np.array([deviation.x_mm, deviation.y_mm, deviation.z_mm])
+    if rx == ry == rz == 0.0:
+        return np.eye(3), shift
+    cx, sx = math.cos(math.radians(rx)), math.sin(math.radians(rx))
+    cy, sy = math.cos(math.radians(ry)), math.sin(math.radians(ry))
+    cz, sz = math.cos(math.radians(rz)), math.sin(math.radians(rz))
+    matrix = np.array(
+        [
+            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+            [-sy, cy * sx, cy * cx],
+        ]
+    )
+    return matrix, shift
+
+
+def by_name(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:
+    """A copy of `deviations`. Raises ValueError, naming the known elements, for one that is not among them."""
+    names = tuple(known)
+    for name, deviation in deviations.items():
+        if name not in names:
+            raise ValueError(f"deviations of {name!r}: no such element; known are {', '.join(names)}")
+        if not isinstance(deviation, Deviation):
+            raise ValueError(f"deviations[{name!r}] is {deviation!r}: give a Deviation")
+    return dict(deviations)

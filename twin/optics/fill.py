@@ -1,0 +1,56 @@
+"""The rays of many detectors: seven nodes each, a whole bundle where a mirror hides some of them, none where it hides all."""
+
+import numpy as np
+from numba import njit
+
+from twin.optics.aperture import MOMENTS, aperture
+from twin.optics.bundle import arrival, detector_ray, view
+from twin.optics.frames import Floats
+from twin.optics.nodes import NODES, place_nodes
+from twin.optics.obstruction import FREE, HIDDEN, PARTLY, hidden, mirrors_near, shadow
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_nodes(
+    centres: Floats, axes: Floats, sizes: Floats, cone: Floats, side: Floats, hexagon: Floats, pupil: Floats, mirrors: Floats,
+    half: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
+) -> None:  # fmt: skip
+    """Fills `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
+
+    PARTLY says that seven nodes are not enough, since a mirror cuts into what the detector takes; they are there all the same.
+    """
+    m, near = np.empty(MOMENTS), np.zeros(3)
+    for k in range(centres.shape[0]):
+        aperture(centres[k], axes[k], cone, side, sizes, m)
+        place_nodes(m, axes[k], sizes[2], pupil, hexagon, rays, NODES * k)
+        status[k] = PARTLY if clipped else FREE
+        if obstruction and m[0] > 0.0:
+            mirrors_near(mirrors, half, centres[k], sizes, near)
+            if near[0] + near[1] + near[2] > 0.0:
+                seen = shadow(mirrors, near, half, centres[k], axes[k], sizes)
+                status[k] = max(status[k], seen)
+        if status[k] == HIDDEN:
+            for j in range(NODES):
+                rays[0, NODES * k + j] = 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_rays(
+    centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, mirrors: Floats, images: Floats,
+    half: float, obstruction: bool, clipped: bool, rays: Floats,
+) -> None:  # fmt: skip
+    """Fills `rays` (7, bundle) with a whole bundle of one detector, those that a mirror cuts weighing nothing."""
+    axes, near = np.zeros((4, 3)), np.zeros(3)
+    view(centre, d, axes)
+    if obstruction:
+        mirrors_near(mirrors, half, centre, sizes, near)
+    crowded = near[0] + near[1] + near[2] > 0.0
+    share = 4.0 * sizes[1] * sizes[1] / bundle.shape[0]
+    for j in range(bundle.shape[0]):
+        weight, px, py, wx, wy, wz, length = detector_ray(axes, bundle, slopes, j, sizes)
+        if weight > 0.0 and crowded and hidden(mirrors, near, half, length, px, py, wx, wy, wz):
+            weight = 0.0
+        lx, ly, lz, gain = arrival(px, py, bundle[j, 4], bundle[j, 5], pupil, images, half, clipped)
+        rays[0, j] = share * weight * gain
+        rays[1, j], rays[2, j], rays[3, j] = lx, ly, lz
+        rays[4, j], rays[5, j], rays[6, j] = wx, wy, wz

@@ -1,0 +1,82 @@
+"""The sensor unit as it is built: ideal lens, frame, diaphragm, detector (paper, figure 5a).
+
+The lens sits in its frame where the simplified detector has its disc; whatever meets the frame is stopped. Behind the lens,
+at `diaphragm_mm`, is the diaphragm, and right behind that, at `detector_mm`, the detector. An ideal lens turns a ray that
+crosses it at x with the slope p into one of slope p - x / f. With the diaphragm in the focal plane it arrives there at
+f p, wherever it crossed the lens: the unit then is the simplified detector, a disc with an acceptance cone, exactly. With
+the diaphragm elsewhere, or a detector too small for the cone, it is not, and only this model knows.
+"""
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numba import njit
+
+from twin.optics.frames import Floats
+from twin.optics.instrument import Instrument
+
+
+@dataclass(frozen=True)
+class RealSensor:
+    """Dimensions in mm: all assumed but the lens' diameter (that of the paper's virtual detectors).
+
+    `aperture_mm` is the diaphragm's variable diameter, `diaphragm_mm` and `detector_mm` are distances behind the lens,
+    `detector_side_mm` is the side of the square detector. Raises ValueError, naming the field, for what cannot be built.
+    """
+
+    lens_diameter_mm: float = 5.0
+    focal_length_mm: float = 20.0
+    aperture_mm: float = 2.0 * 20.0 * math.tan(math.radians(0.25))
+    diaphragm_mm: float = 20.0
+    detector_mm: float = 21.0
+    detector_side_mm: float = 3.6
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{entry.name} is {value!r}: give a positive, finite number")
+        if self.detector_mm < self.diaphragm_mm:
+            raise ValueError(f"detector_mm is {self.detector_mm:g}, before the diaphragm at {self.diaphragm_mm:g} mm")
+
+    @property
+    def field_deg(self) -> float:
+        """Full angle of view: what the diaphragm lets pass of parallel light from a side."""
+        return 2.0 * math.degrees(math.atan(0.5 * self.aperture_mm / self.focal_length_mm))
+
+    @property
+    def simple(self) -> bool:
+        """Whether it is a disc with an acceptance cone: diaphragm in the focal plane, detector large enough behind it."""
+        behind = self.detector_mm - self.diaphragm_mm
+        steepest = 0.5 * (self.lens_diameter_mm + self.aperture_mm) / self.focal_length_mm
+        widest = 0.5 * self.aperture_mm + behind * steepest
+        return math.isclose(self.diaphragm_mm, self.focal_length_mm, rel_tol=1e-12) and widest <= 0.5 * self.detector_side_mm
+
+    def simplified(self, instrument: Instrument) -> Instrument:
+        """The instrument with the detectors that these units are. Raises ValueError where they are not `simple`."""
+        if not self.simple:
+            raise ValueError("the diaphragm is not in the focal plane, or the detector cuts the cone: no simple detector")
+        return replace(instrument, detector_diameter_mm=self.lens_diameter_mm, field_deg=self.field_deg)
+
+    @property
+    def constants(self) -> Floats:
+        """For `passes`: squared radii of lens and aperture, 1/f, diaphragm, detector, half its side."""
+        return np.array(
+            [
+                0.25 * self.lens_diameter_mm**2, 0.25 * self.aperture_mm**2, 1.0 / self.focal_length_mm, self.diaphragm_mm,
+                self.detector_mm, 0.5 * self.detector_side_mm,
+            ]
+        )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def passes(x: float, y: float, p: float, q: float, constants: Floats) -> bool:
+    """Whether a ray reaches the detector that crosses the lens' plane at (x, y), mm, with slopes (p, q) to its axis."""
+    if x * x + y * y > constants[0]:
+        return False
+    p, q = p - x * constants[2], q - y * constants[2]
+    a, b = x + p * constants[3], y + q * constants[3]
+    if a * a + b * b > constants[1]:
+        return False
+    return bool(abs(x + p * constants[4]) <= constants[5] and abs(y + q * constants[4]) <= constants[5])

@@ -1,0 +1,71 @@
+"""Stray light as a smooth map over directions: what detectors anywhere would count of a ray, spread over its own neighbours.
+
+A ray that leaves in a direction is counted by detectors about that direction, within the field of view of which it is and whose
+disc it crosses. Seen from the ray both are circles of directions, one about its own and one about where it crosses the arc's
+sphere, and what they share is a solid angle: so every ray says something, and not one in a hundred thousand.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from twin.optics.frames import Floats
+
+POLAR_STEP_DEG, AZIMUTH_STEP_DEG = 5.0, 10.0
+POLAR_BINS, AZIMUTH_BINS = 18, 36
+BINS = 2 * POLAR_BINS * AZIMUTH_BINS
+
+
+class Spread(NamedTuple):
+    """Whether a map is `wanted`. Its bins, over side, polar angle and azimuth in the sample's frame, follow in the sums after
+    those of the `detectors`. The arc's radius and a detector's, in mm; half its field in rad.
+    """
+
+    wanted: bool
+    detectors: int
+    arc: float
+    disc: float
+    half_field: float
+
+
+@njit(cache=True, error_model="numpy")
+def shared(a: float, b: float, apart: float) -> float:
+    """Area that two circles of radii a and b share, `apart` between their centres."""
+    if apart >= a + b:
+        return 0.0
+    if apart <= abs(a - b):
+        return math.pi * min(a, b) ** 2
+    x = (apart * apart + a * a - b * b) / (2.0 * apart)
+    y = apart - x
+    half = math.sqrt(max(0.0, a * a - x * x))
+    return a * a * math.acos(max(-1.0, min(1.0, x / a))) + b * b * math.acos(max(-1.0, min(1.0, y / b))) - apart * half
+
+
+@njit(cache=True, error_model="numpy")
+def spread_segment(
+    spread: Spread, px: float, py: float, pz: float, dx: float, dy: float, dz: float, ends: bool, weight: float, sums: Floats
+) -> None:
+    """Adds a ray from p along d, unless it `ends` at the sample unit, and so before it comes to the arc."""
+    along = px * dx + py * dy + pz * dz
+    if ends or along >= spread.arc:
+        return
+    aside = math.sqrt(max(0.0, px * px + py * py + pz * pz - along * along))
+    area = shared(spread.half_field, spread.disc / spread.arc, aside / spread.arc)
+    i = min(int(math.degrees(math.acos(min(1.0, abs(dz)))) / POLAR_STEP_DEG), POLAR_BINS - 1)
+    j = int(math.degrees(math.atan2(dy, dx)) / AZIMUTH_STEP_DEG + AZIMUTH_BINS) % AZIMUTH_BINS
+    side = 0 if dz >= 0.0 else 1
+    row = spread.detectors + (side * POLAR_BINS + i) * AZIMUTH_BINS + j
+    sums[row, 2] += weight * area
+    sums[row, 3] += (weight * area) ** 2
+
+
+@njit(cache=True, error_model="numpy")
+def bin_cosines() -> np.ndarray:
+    """Projected solid angle in sr of the bins of each polar angle, (18,)."""
+    result = np.empty(POLAR_BINS)
+    for i in range(POLAR_BINS):
+        low, high = math.radians(i * POLAR_STEP_DEG), math.radians((i + 1) * POLAR_STEP_DEG)
+        result[i] = 0.5 * (math.sin(high) ** 2 - math.sin(low) ** 2) * math.radians(AZIMUTH_STEP_DEG)
+    return result
