@@ -74,6 +74,5 @@ def _home(rig: Rig, axis: Axis) -> None:
     try:
         wait(rig.clock, [axis.start_homing()])
     except (DeviceError, KeyboardInterrupt):
-        requests = [each for every in rig.axes.values() for each in every.stop_requests()]
-        rig.axes_module.stop(requests)
+        rig.stop()
         raise

@@ -12,16 +12,14 @@ import json
 import reprlib
 import socket
 import socketserver
-import threading
 from collections.abc import Callable
 from typing import Any
 
+from mocks.loopback import LOOPBACK, LoopbackServer
 from protocols.clock import Clock
 from twin import VirtualRig
 
-LOOPBACK = "127.0.0.1"
 LONGEST_LINE = 65_536
-WAITING_CLIENTS = 64
 STEEPEST_TILT_DEG = 10.0
 AXES = ("gamma", "sigma", "beta", "shift")
 
@@ -136,7 +134,7 @@ def refusal(error: str) -> dict[str, Any]:
     return {"ok": False, "error": error}
 
 
-class ControlServer:
+class ControlServer(LoopbackServer):
     """Serves a back door on a port of loopback, a thread a client."""
 
     def __init__(self, door: BackDoor, port: int = 0) -> None:
@@ -154,29 +152,7 @@ class ControlServer:
                     line = self.rfile.readline(LONGEST_LINE)
                 return whole
 
-        class Server(socketserver.ThreadingTCPServer):
-            daemon_threads = True
-            allow_reuse_address = True
-            request_queue_size = WAITING_CLIENTS
-
-        self._server = Server((LOOPBACK, port), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="control", daemon=True)
-
-    @property
-    def port(self) -> int:
-        """Where it listens."""
-        return int(self._server.server_address[1])
-
-    def start(self) -> None:
-        """Serves from now on."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Ends; the port is free again."""
-        if self._thread.is_alive():
-            self._server.shutdown()
-            self._thread.join()
-        self._server.server_close()
+        super().__init__("control", Handler, port)
 
 
 class Control:

@@ -14,13 +14,13 @@ from array import array
 
 import usb.core
 
+from mocks.loopback import LoopbackServer
 from protocols import usbip
 from protocols.usb_descriptors import decode_configuration
 from twin import VirtualRig
 from twin.devices.usb_standard import ENDPOINTS, configuration_descriptor
 from twin.doors import TwinUsbBackend
 
-LOOPBACK = "127.0.0.1"
 CHUNK = 65_536
 NAK_MS = 2
 """How long a read asks the device before the client is listened to again."""
@@ -53,32 +53,23 @@ class UsbEndpoints:
             def handle(self) -> None:
                 endpoints.serve(self.request)
 
-        class Server(socketserver.ThreadingTCPServer):
-            daemon_threads = True
-            allow_reuse_address = True
-            request_queue_size = 64
-
-        self._server = Server((LOOPBACK, port), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="USB endpoints", daemon=True)
+        self._server = LoopbackServer("USB endpoints", Handler, port)
 
     @property
     def port(self) -> int:
         """Where it listens."""
-        return int(self._server.server_address[1])
+        return self._server.port
 
     def start(self) -> None:
         """Serves from now on."""
-        self._thread.start()
+        self._server.start()
 
     def stop(self) -> None:
         """Ends: connections are closed, the port is free again."""
-        if self._thread.is_alive():
-            self._server.shutdown()
-            self._thread.join()
+        self._server.stop()
         with self._lock:
             for connection in self._open:
                 _hang_up(connection)
-        self._server.server_close()
 
     def unplug(self, name: str) -> None:
         """Pulls a device's cable. Raises KeyError for one that there is not."""

@@ -10,6 +10,7 @@ from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.framer import FramerType
 
 from app.errors import UserError
+from app.rig.place import MODBUS_PORT, host_and_port, is_port
 from drivers.modbus import ModbusBus, ModbusOpener, ModbusUnit, Trace, explain, explain_rtu
 from drivers.tap import Explain
 from protocols import adam
@@ -17,7 +18,6 @@ from twin import VirtualRig
 from twin.doors import TwinModbusClient, TwinRtuClient
 
 TWIN, RTU = "twin://", "rtu:"
-MODBUS_PORT = 502
 MODBUS_TIMEOUT_S = 1.0
 BAUDRATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 
@@ -36,12 +36,10 @@ class ModbusUnits:
         if address.startswith(RTU):
             port, unit, baudrate = rtu_address(address)
             return self._on_line(port, unit, baudrate, address, _serial_opener(port, baudrate))
-        host, separator, number = address.rpartition(":") if not address.endswith("]") else (address, "", "")
-        if not separator:
-            host, number = address, str(MODBUS_PORT)
-        if not host or not number.isdecimal() or not number.isascii() or not 0 < int(number) < 65536 or "?" in address:
+        host, number = host_and_port(address, MODBUS_PORT)
+        if not host or not is_port(number) or "?" in address:
             raise _bad(address, "it is neither HOST, HOST:PORT nor rtu:PORT?unit=N")
-        return ModbusUnit(ModbusBus(_tcp_opener(host.strip("[]"), int(number))))
+        return ModbusUnit(ModbusBus(_tcp_opener(host, int(number))))
 
     @staticmethod
     def explain(unit: ModbusUnit) -> Explain:

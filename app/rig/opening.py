@@ -11,6 +11,7 @@ import usb.core
 from app.errors import UserError
 from app.rig.lock import RigLock
 from app.rig.modbus_units import ModbusUnits
+from app.rig.place import USBIP_PORT, host_and_port, is_port
 from app.rig.schema import RigFile
 from app.rig.settings import arc_clearance, axis_settings, monitor_settings, monochromator_settings, photodiode_settings
 from app.rig.twin_table import model_hash, twin_model
@@ -22,7 +23,6 @@ from drivers.tap import Explain, Tap, as_text, no_tap
 from drivers.tmcl import PortOpener
 from drivers.usbip import find_usbip
 from drivers.usbtmc import UsbOpener
-from protocols import usbip
 from protocols.clock import Clock
 from twin import TwinModel, VirtualRig
 from twin.doors import TwinUsbBackend, register, unregister
@@ -235,9 +235,7 @@ def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
 def usbip_address(address: str) -> tuple[str, int, str]:
     """Host, port and bus id of `usbip:HOST:PORT/BUSID`; the port is 3240 where not given. Raises UserError."""
     place, _, bus_id = address.removeprefix(USBIP).partition("/")
-    host, separator, number = place.rpartition(":") if not place.endswith("]") else (place, "", "")
-    if not separator:
-        host, number = place, str(usbip.PORT)
-    if not host or not bus_id or not (number.isascii() and number.isdecimal() and 0 < int(number) < 65536):
+    host, number = host_and_port(place, USBIP_PORT)
+    if not host or not bus_id or not is_port(number):
         raise UserError(f"monitor.usb: {address!r} is not usbip:HOST:PORT/BUSID, such as usbip:127.0.0.1:3240/1-1; mend it")
-    return host.strip("[]"), int(number), bus_id
+    return host, int(number), bus_id

@@ -27,12 +27,20 @@ def place_of(address: str) -> str:
     return _host(plain, MODBUS_PORT)
 
 
+def host_and_port(place: str, default: str) -> tuple[str, str]:
+    """Of `HOST`, `HOST:PORT`, `[HOST]` or `[HOST]:PORT`; the port as it is written."""
+    host, colon, port = place.rpartition(":") if not place.endswith("]") else (place, "", "")
+    return (host.strip("[]"), port) if colon else (place.strip("[]"), default)
+
+
+def is_port(text: str) -> bool:
+    """Whether it is the number of a TCP port."""
+    return text.isascii() and text.isdecimal() and 0 < int(text) < 65536
+
+
 def _host(place: str, default_port: str) -> str:
     """`HOST:PORT` with the host's number; with its name where nobody knows the number."""
-    host, colon, port = place.rpartition(":") if not place.endswith("]") else (place, "", "")
-    if not colon:
-        host, port = place, default_port
-    host = host.strip("[]").lower()
+    host, port = host_and_port(place.lower(), default_port)
     with contextlib.suppress(OSError):
         host = str(socket.getaddrinfo(host, None, proto=socket.IPPROTO_TCP)[0][4][0])
     return f"{host}:{port}"

@@ -1,5 +1,6 @@
 """Saying where the axes are, from the command line."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from app.errors import UserError
 from app.homing_command import home_axes, state_place
 from drivers import Axis, DeviceError, TmclModule
+from protocols.tmcl import Request
 from tests.conftest import Change, Writer
 
 HOMING = "[axes.sigma.homing]\nmode = 8\nspeed_deg_s = 5.0\nswitch_speed_deg_s = 0.5\nangle_deg = -4.0\n\n"
@@ -50,9 +52,9 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    def heard(module: TmclModule, targets: list[tuple[str, object]]) -> list[DeviceError]:
+    def heard(module: TmclModule, targets: Sequence[tuple[str, Request]], then: Callable[[], None]) -> list[DeviceError]:
         told.extend(name for name, _ in targets)
-        return stop(module, targets)  # type: ignore[arg-type]
+        return stop(module, targets, then)
 
     monkeypatch.setattr("app.homing_command.wait", interrupt)
     monkeypatch.setattr(TmclModule, "stop", heard)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from app.rig import read_rig
 from drivers import DeviceError, wait
 from mocks.bad_wires import BadWires
-from mocks.control import LOOPBACK, BackDoor, ControlServer
+from mocks.control import BackDoor, ControlServer
+from mocks.loopback import LOOPBACK
 from protocols.clock import VirtualClock
 from tests.conftest import RIG, RigOpener
 from twin import VirtualRig

@@ -1,35 +1,12 @@
 """`goniotwin simulate`, as people and programs call it, in a process of its own."""
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from app.formats import read_ddr
 from tests.conftest import RIG
-
-
-def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Runs it."""
-    return subprocess.run(
-        [sys.executable, "-c", "from app.cli import main; main()", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-        timeout=300,
-        check=False,
-    )
-
-
-def answer(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
-    """The one JSON object of standard output."""
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+from tests.system.test_command import answer, goniotwin
 
 
 def test_simulate_says_what_it_wrote_and_how_good_it_is(tmp_path: Path) -> None:

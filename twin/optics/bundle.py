@@ -8,7 +8,6 @@ from numba import njit
 
 from twin.optics.aperture import detector_frame
 from twin.optics.frames import Floats
-from twin.optics.instrument import Instrument
 from twin.optics.meeting import distance_to
 
 # Of the sequence, the best of 120 tried when rays were still thrown away at the disc's edge: any other would do.
@@ -53,18 +52,6 @@ def ray_bundle(rays: int) -> Floats:
     bundle = np.ascontiguousarray((signs[:, None, :] * quarter).reshape(rays, 6))
     bundle.flags.writeable = False
     return bundle
-
-
-def detector_sizes(instrument: Instrument) -> Floats:
-    """For the kernels: arc radius, detector radius, sine of half the field, half side of the hole; mm."""
-    sine = math.sin(math.radians(0.5 * instrument.field_deg))
-    radius, half = 0.5 * instrument.detector_diameter_mm, 0.5 * instrument.spot_side_mm
-    return np.array([instrument.arc_radius_mm, radius, sine, half])
-
-
-def hole_turn(gamma_deg: float) -> Floats:
-    """Cosine and sine of the sample unit's turn, which takes the frame's hole with it."""
-    return np.array([math.cos(math.radians(gamma_deg)), math.sin(math.radians(gamma_deg))])
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.bsdf import ANISOTROPIC, REGULAR, canonical, evaluate_all
+from twin.optics.bsdf import canonical, evaluate_all
 from twin.optics.frames import Floats
 from twin.optics.lobes import ALBEDO_SIGMA_DEG, Lobe, frozen, turned
 from twin.optics.sampling import scatter_all
@@ -82,22 +82,6 @@ class Scatterer:
         if self.spectrum is None:
             return np.ones((len(self.lobes), *wavelengths.shape))
         return self.spectrum.at(wavelengths)
-
-    @property
-    def single_lobe(self) -> Lobe:
-        """The one lobe of a grey isotropic sample that reflects from its front. Raises ValueError for any other."""
-        lobe, why = self.lobes[0], None
-        if len(self.lobes) > 1:
-            why = f"has {len(self.lobes)} lobes"
-        elif self.spectrum is not None:
-            why = "depends on the wavelength"
-        elif lobe.transmits or lobe.incident != 1:
-            why = "does not reflect from its front"
-        elif lobe.kind in (ANISOTROPIC, REGULAR):
-            why = "is anisotropic" if lobe.kind == ANISOTROPIC else "reflects regularly"
-        if why:
-            raise ValueError(f"{self.name} {why}: this estimator takes one grey, isotropic lobe reflected from the front")
-        return lobe
 
 
 def _rows(light: npt.ArrayLike, observer: npt.ArrayLike, gamma_deg: float) -> tuple[list[Floats], tuple[int, ...]]:

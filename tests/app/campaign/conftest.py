@@ -1,0 +1,13 @@
+"""A small plan on the virtual rig."""
+
+import pytest
+
+from app.campaign.plan import Plan, make_plan
+from app.campaign.schedule import read_schedule
+from app.rig import read_rig
+from tests.conftest import Writer
+
+
+@pytest.fixture
+def plan(write_rig: Writer, write_schedule: Writer) -> Plan:
+    return make_plan(read_schedule(write_schedule()), read_rig(write_rig()))
