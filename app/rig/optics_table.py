@@ -1,4 +1,4 @@
-"""`[twin.optics]` and `[twin.deviations]`: the virtual rig's optics, how they stand, and how they are computed."""
+"""`[twin.optics]`, `[twin.sensor]`, `[twin.deviations]`: the virtual rig's optics, how they stand, how they are computed."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal
@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, model_validator
 
 from app.tables import Table
-from twin.optics import Deviation, Instrument
+from twin.optics import Deviation, Instrument, RealSensor, SampleFrames
 from twin.plant import Estimator
 
 
@@ -15,7 +15,8 @@ class OpticsTable(Table):
 
     `estimator` is what the photodiodes' light is computed by: `fast`, or `forward`, which traces everything and takes its
     time: until half of the photodiodes that get light are known to `forward_error`. With `rays` the fast one takes so many
-    for every photodiode in place of the few that it places itself.
+    for every photodiode in place of the few that it places itself. `stray` adds, for either, the light of the frames and what
+    met more than one thing on its way: see `[twin.frames]`.
     """
 
     pupil_radius_mm: PositiveFloat = 5.0
@@ -30,6 +31,7 @@ class OpticsTable(Table):
     estimator: Literal["fast", "forward"] = "fast"
     rays: Annotated[int, Field(ge=16, le=1 << 20, multiple_of=4)] | None = None
     forward_error: Annotated[float, Field(gt=1e-5, lt=0.5)] = 3.0e-3
+    stray: bool = False
 
     @model_validator(mode="after")
     def _can_be_built(self) -> "OpticsTable":
@@ -38,7 +40,45 @@ class OpticsTable(Table):
 
     def chosen(self) -> Estimator:
         """What computes the light."""
-        return Estimator(self.estimator, self.rays, self.forward_error)
+        return Estimator(self.estimator, self.rays, self.forward_error, self.stray)
+
+
+class FramesTable(Table):
+    """The two sheets that hold the sample: see `twin.optics.SampleFrames`."""
+
+    gap_mm: float = 0.0
+    side_mm: float = 60.0
+    reflectance: float = 0.05
+    lit: float = 1.1
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> "FramesTable":
+        self.frames()
+        return self
+
+    def frames(self) -> SampleFrames:
+        """Raises ValueError, naming the key, for what no frame can have."""
+        return SampleFrames(**self.model_dump())
+
+
+class SensorTable(Table):
+    """The sensor unit as it is built, in place of the virtual detectors of `[twin.optics]`: see `twin.optics.RealSensor`."""
+
+    lens_diameter_mm: PositiveFloat = RealSensor.lens_diameter_mm
+    focal_length_mm: PositiveFloat = RealSensor.focal_length_mm
+    aperture_mm: PositiveFloat = RealSensor.aperture_mm
+    diaphragm_mm: PositiveFloat = RealSensor.diaphragm_mm
+    detector_mm: PositiveFloat = RealSensor.detector_mm
+    detector_side_mm: PositiveFloat = RealSensor.detector_side_mm
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> "SensorTable":
+        self.sensor()
+        return self
+
+    def sensor(self) -> RealSensor:
+        """Raises ValueError, naming the key, for what cannot be built."""
+        return RealSensor(**self.model_dump())
 
 
 class DeviationTable(Table):
@@ -52,8 +92,19 @@ class DeviationTable(Table):
     z_mm: float = 0.0
 
 
-def built(optics: OpticsTable, deviations: Mapping[str, DeviationTable]) -> Instrument:
-    """The instrument. Raises ValueError for dimensions that make none, and for an element that there is not."""
-    dimensions = optics.model_dump(exclude={"estimator", "rays", "forward_error"})
+def built(optics: OpticsTable, deviations: Mapping[str, DeviationTable], unit: SensorTable | None = None) -> Instrument:
+    """The instrument. Raises ValueError for dimensions that make none, for an element that there is not, and for a sensor
+    `unit` beside dimensions of virtual detectors, or of which the estimator knows nothing.
+    """
+    sensor = None if unit is None else unit.sensor()
+    if sensor is not None:
+        if given := sorted(optics.model_fields_set & {"detector_diameter_mm", "field_deg"}):
+            raise ValueError(f"optics.{given[0]} is of virtual detectors, which [twin.sensor] replaces; leave one of them out")
+        if optics.estimator == "fast" and sensor.departure is not None:
+            raise ValueError(
+                f"sensor: {sensor.departure}, so it is no disc with an acceptance cone, which is all that the fast estimator "
+                'knows; set optics.estimator = "forward", or mend the sensor'
+            )
+    dimensions = optics.model_dump(exclude={"estimator", "rays", "forward_error", "stray"})
     standing = {element: Deviation(**deviation.model_dump()) for element, deviation in deviations.items()}
-    return Instrument(**dimensions, deviations=standing)
+    return Instrument(**dimensions, deviations=standing, sensor=sensor)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from app.rig.optics_table import DeviationTable, OpticsTable, built
+from app.rig.optics_table import DeviationTable, FramesTable, OpticsTable, SensorTable, built
 from app.rig.sample_table import SampleTable, scatterer
 from app.tables import Table
 from twin.plant import (
@@ -128,7 +128,9 @@ class TwinTable(Table):
     samples: dict[str, SampleTable]
     noise: bool = True
     optics: OpticsTable = OpticsTable()
+    sensor: SensorTable | None = None
     deviations: dict[str, DeviationTable] = {}
+    frames: FramesTable = FramesTable()
     light: LightTable = LightTable()
     photodiodes: DiodesTable = DiodesTable()
     electronics: ElectronicsTable = ElectronicsTable()
@@ -137,7 +139,7 @@ class TwinTable(Table):
 
     @model_validator(mode="after")
     def _can_be_built(self) -> "TwinTable":
-        built(self.optics, self.deviations)
+        built(self.optics, self.deviations, self.sensor)
         return self
 
     @model_validator(mode="after")
@@ -156,7 +158,8 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
         seed=seed,
         axes={axis: Mechanics(**mechanics) for axis, mechanics in table.axes.model_dump().items()},
         samples={key: scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
-        instrument=built(table.optics, table.deviations),
+        instrument=built(table.optics, table.deviations, table.sensor),
+        frames=table.frames.frames(),
         light=Light(**table.light.model_dump()),
         photodiodes=Photodiodes(**_tuples(table.photodiodes)),
         electronics=Electronics(**_tuples(table.electronics)),
@@ -171,7 +174,7 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
 def model_hash(model: TwinModel) -> str:
     """A fingerprint of a model without its seed: everything that decides what the virtual rig does, samples' tables too."""
     digest = hashlib.sha256()
-    for part in (model.axes, model.instrument, model.light, model.photodiodes, model.electronics, model.monitor):
+    for part in (model.axes, model.instrument, model.frames, model.light, model.photodiodes, model.electronics, model.monitor):
         digest.update(repr(part).encode())
     digest.update(repr((model.monochromator, model.controller, model.noise, model.estimator)).encode())
     for key, sample in sorted(model.samples.items()):

@@ -1,4 +1,4 @@
-"""The command `goniotwin simulate`: a sample's BSDF by the paper's scheme, and the paper's Table 3."""
+"""The command `goniotwin simulate`: a sample's BSDF by the paper's scheme, the paper's Table 3, and shadows."""
 
 import json
 from pathlib import Path
@@ -7,9 +7,11 @@ from typing import Annotated, Any, Literal
 import typer
 
 from app.errors import UserError
+from app.simulation.illumination_command import illumination
+from app.simulation.options import BANDWIDTH_NM, INTERVAL_NM, WAVELENGTH_NM, Json, Rig, Seed, instrument_and_frames
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
+app.command()(illumination)
 SIGMA_END_DEG = 89.0
 
 
@@ -22,12 +24,15 @@ def simulate(
             "--sample",
             metavar="MODEL",
             show_default=False,
-            help="gaussian:width_deg=5, lambertian:reflectance=0.9, table:FILE (.bsdf, .ddr), or a sum of these with +.",
+            help="gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE (.bsdf, .ddr), or a "
+            "sum of these with +. Keys follow commas: transmits=true (a gaussian, regular), refraction=1.5 (a gaussian "
+            "that transmits), side=back or both.",
         ),
     ] = None,
     sigma: Annotated[
-        str, typer.Option("--sigma", metavar="LIST", help="Angles of incidence, deg: 0,30,60 or 0:85:5.")
+        str, typer.Option("--sigma", metavar="LIST", help="Angles of incidence on the lit side, deg: 0,30,60 or 0:85:5.")
     ] = "0,30,60",
+    side: Annotated[Literal["front", "back"], typer.Option("--side", help="Of the sample, that is lit.")] = "front",
     out: Annotated[
         list[Path] | None,
         typer.Option(
@@ -44,7 +49,7 @@ def simulate(
         float | None,
         typer.Option("--error", metavar="PERCENT", help="As much effort as the median error takes.", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Forward: of the random numbers.")] = 1,
+    seed: Seed = 1,
     wavelength: Annotated[
         str | None, typer.Option("--wavelength", metavar="LIST", help="Nanometres; a table for each.", show_default=False)
     ] = None,
@@ -62,18 +67,30 @@ def simulate(
     phi: Annotated[
         str | None, typer.Option("--phi", metavar="LIST", help="Output grid: about the specular direction.", show_default=False)
     ] = None,
-    rig: Annotated[
-        Path | None,
-        typer.Option("--rig", metavar="RIG.toml", help="The instrument of this virtual rig.", show_default=False),
-    ] = None,
+    rig: Rig = None,
     no_obstruction: Annotated[bool, typer.Option("--no-obstruction", help="Let light pass through the mirrors.")] = False,
-    transmitted: Annotated[bool, typer.Option("--transmitted", help="Look at the light behind the sample.")] = False,
+    transmitted: Annotated[bool, typer.Option("--transmitted", help="Look at the side that is not lit.")] = False,
+    with_stray: Annotated[
+        bool, typer.Option("--stray/--no-stray", help="Light of the frames, and what met more than the sample, too.")
+    ] = False,
+    source: Annotated[
+        Path | None,
+        typer.Option("--source", metavar="FILE.h5", help="Forward: a rayset in place of a uniform pupil.", show_default=False),
+    ] = None,
+    interval: Annotated[
+        float | None, typer.Option("--interval", metavar="NM", help="Of the rayset's monochromator.", show_default=False)
+    ] = None,
+    bandwidth: Annotated[
+        float | None, typer.Option("--bandwidth", metavar="NM", help="Of the rayset's monochromator.", show_default=False)
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate a sample's BSDF as the instrument measures it: etalon, sample, ratio, output grid, file.
 
     Lists are numbers with commas between, or start:stop:step. Without a grid the detectors stand 0.5 deg apart near the
     specular direction and up to 5 deg elsewhere. Directions that the mirrors hide have no value; a .ddr lists them.
+
+    Both estimators count light that was scattered once, by the sample, and with --stray all that arrives.
     """
     if context.invoked_subcommand is not None:
         if sample is not None or out:
@@ -88,7 +105,7 @@ def simulate(
         )
     from rich.console import Console
 
-    from app.simulation.estimate import Effort
+    from app.simulation.effort import Effort
     from app.simulation.files import check_names, summary, write
     from app.simulation.grid import numbers
     from app.simulation.progress import ShareProgress
@@ -99,13 +116,20 @@ def simulate(
     def given(text: str | None, name: str, low: float, high: float) -> Any:
         return None if text is None else numbers(text, name, low, high)
 
+    instrument, frames = instrument_and_frames(rig, no_obstruction)
+    wavelengths = given(wavelength, "--wavelength", 200.0, 2500.0)
+    read = table_files(sample) + ([] if source is None else [source])
     task = Task(
         sample=parse_sample(sample),
         sigma_deg=numbers(sigma, "--sigma", 0.0, SIGMA_END_DEG),
-        instrument=_instrument(rig, no_obstruction),
+        instrument=instrument,
         effort=Effort(estimator, rays, paths, error, seed),
-        wavelengths_nm=given(wavelength, "--wavelength", 200.0, 2500.0),
-        transmitted=check_names(out, table_files(sample), transmitted),
+        wavelengths_nm=wavelengths,
+        back=side == "back",
+        transmitted=check_names(out, read, transmitted),
+        stray=with_stray,
+        frames=frames,
+        source=_source(source, wavelengths, interval, bandwidth, instrument),
         polar_deg=given(polar, "--polar", 0.0, 89.5),
         azimuth_deg=given(azimuth, "--azimuth", 0.0, 360.0),
         theta_deg=given(theta, "--theta", 0.0, 180.0),
@@ -119,16 +143,48 @@ def simulate(
     if as_json:
         print(json.dumps(result, indent=2, allow_nan=False))
         return
+    _tell(result)
+
+
+def _tell(result: dict[str, Any]) -> None:
+    with_or_without = "with" if result["stray"] else "without"
+    way = f"{'transmitted' if result['transmitted'] else 'reflected'} light, the {result['side']} lit"
     print(f"SIMULATED, {result['values']} values: {', '.join(result['files'])}")
+    print(f"{way}, {with_or_without} stray light")
     if result["median_relative_standard_error_percent"] is not None:
         median, most = (result[f"{name}_relative_standard_error_percent"] for name in ("median", "largest"))
         print(f"relative standard error: median {median:.2g} %, largest {most:.2g} %")
+    for peak in result["regular"]:
+        largest = peak["largest_luminance_factor"]
+        seen = "hidden or between the detectors" if largest is None else f"luminance factor up to {largest:.4g} here"
+        within = f"within {peak['seen_within_deg']:.2f} deg of theta 0"
+        print(f"regular component at sigma {peak['sigma']:g}: {peak['share']:.4g} of the light {within}, {seen}")
     for key, words in (("hidden_directions", "hidden by the mirrors"), ("directions_without_hits", "met by no path")):
         told = ", ".join(f"{count} at sigma {each}" for each, count in result[key].items() if count)
         if told:
             print(f"directions {words}: {told}")
     if not result["obstruction"]:
         print("obstruction is off: no direction is hidden")
+
+
+def _source(path: Path | None, wavelengths: Any, interval: float | None, bandwidth: float | None, instrument: Any) -> Any:
+    """The rayset that is to be the source, if any. Raises UserError."""
+    from app.simulation.source import read_source, unit_for
+
+    if path is None:
+        given = [name for name, value in (("--interval", interval), ("--bandwidth", bandwidth)) if value is not None]
+        if given:
+            raise UserError(f"{given[0]}: is of a rayset's monochromator; give --source FILE.h5 too, or leave it out")
+        return None
+    if wavelengths is not None and wavelengths.size != 1:
+        raise UserError(f"--source: a rayset is of one wavelength, --wavelength has {wavelengths.size}; give that one")
+    unit = unit_for(
+        instrument,
+        WAVELENGTH_NM if wavelengths is None else float(wavelengths[0]),
+        INTERVAL_NM if interval is None else interval,
+        BANDWIDTH_NM if bandwidth is None else bandwidth,
+    )
+    return read_source(path, unit, instrument)
 
 
 @app.command()
@@ -176,17 +232,14 @@ def shadow(
     ],
     sigma: Annotated[str, typer.Option("--sigma", metavar="LIST", help="Angles of the mirror unit, deg.")] = "0,30,60",
     step: Annotated[float, typer.Option("--step", help="Of polar angle and azimuth, deg.")] = 1.0,
-    rig: Annotated[
-        Path | None,
-        typer.Option("--rig", metavar="RIG.toml", help="The instrument of this virtual rig.", show_default=False),
-    ] = None,
+    rig: Rig = None,
     as_json: Json = False,
 ) -> None:
     """Which directions the mirror unit hides from the photodiodes, on both arcs."""
     from app.simulation.grid import numbers
     from app.simulation.shadow import shadows, write_shadows
 
-    maps = shadows(_instrument(rig, False), [float(each) for each in numbers(sigma, "--sigma", 0.0, 180.0)], step)
+    maps = shadows(instrument_and_frames(rig)[0], [float(each) for each in numbers(sigma, "--sigma", 0.0, 180.0)], step)
     write_shadows(maps, out)
     hidden = {
         f"{each.sigma_deg:g} {'lower' if each.lower else 'upper'}": int((each.visible[:, :-1] < 1.0).sum()) for each in maps
@@ -199,19 +252,3 @@ def shadow(
     else:
         told = "; ".join(f"sigma {name}: {count}" for name, count in hidden.items())
         print(f"SIMULATED, the shadow of the mirror unit: {out}\ndirections hidden in part at least: {told}")
-
-
-def _instrument(rig: Path | None, no_obstruction: bool) -> Any:
-    """The default instrument, or that of a virtual rig. Raises UserError for a rig that is real."""
-    from dataclasses import replace
-
-    from app.rig import read_rig
-    from twin.optics import Instrument
-
-    instrument = Instrument()
-    if rig is not None:
-        model = read_rig(rig).model()
-        if model is None:
-            raise UserError(f"{rig}: is a real rig, whose optics nobody has written down; give a virtual one")
-        instrument = model.instrument
-    return replace(instrument, obstruction=False) if no_obstruction else instrument

@@ -1,65 +1,74 @@
 """Etalon, sample and their ratio at one sigma, by either estimator, with the standard error of each ratio.
 
-A fixed seed gives the same numbers; nothing depends on the time that anything takes.
+A fixed seed gives the same numbers; nothing depends on the time that anything takes. Both estimators are about the same: light
+that was scattered once, by the sample; and where stray light is wanted, both have it in.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from app.errors import UserError
-from twin.optics import Instrument, Scatterer, forward, lambertian, spectral_throughput, throughput
+from app.simulation.effort import MOST_PATHS, MOST_RAYS, Effort
+from twin.optics import (
+    Instrument,
+    RaySource,
+    SampleFrames,
+    Scatterer,
+    forward,
+    lambertian,
+    spectral_throughput,
+    stray,
+    stray_throughput,
+    throughput,
+)
+from twin.optics.scattering import Side
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
-Kind = Literal["fast", "forward"]
 Told = Callable[[float], None]
 """Told the share of the work that is done."""
 NODES = 7
 CHECK_RAYS = 1024
-MOST_RAYS = 1 << 15
+STRAY_PATHS = 1 << 20
+"""Of a map of stray light, which they tell to 3 %; with more rays than the check's, more in proportion."""
 BATCH = 1 << 20
 FEWEST_BATCHES = 2
-MOST_PATHS = 1 << 34
 MATTERS = 0.01
 """Errors are asked for over the values of at least this share of the largest."""
 
 
-@dataclass(frozen=True)
-class Effort:
-    """How an estimator is to be run: with so many `rays` a detector, so many `paths`, or to an error in percent.
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """How the light comes, and who looks: `sigma_deg` of the mirror unit (beyond 90 the light is on the back), detectors in
+    `directions` (n, 3) of the rig, `wavelengths_nm` (w,) or None for a grey table (w = 1).
 
-    The error is the median relative standard error of the ratios, over the directions that have at least a hundredth of
-    the largest. Raises UserError for what does not belong to the estimator.
+    `stray` is whether light of the frames, and light that met something else on its way, counts. A `source` of rays takes
+    the place of the uniform exit pupil, for the forward estimator alone.
     """
 
-    kind: Kind = "fast"
-    rays: int | None = None
-    paths: int | None = None
-    error_percent: float | None = None
-    seed: int = 1
+    instrument: Instrument
+    sigma_deg: float
+    directions: Floats
+    wavelengths_nm: Floats | None = None
+    transmitted: bool = False
+    stray: bool = False
+    frames: SampleFrames = field(default_factory=SampleFrames)
+    source: RaySource | None = None
 
-    def __post_init__(self) -> None:
-        """Checks."""
-        if self.kind == "fast" and self.paths is not None:
-            raise UserError("--paths: the fast estimator has rays; give --rays, or --estimator forward")
-        if self.kind == "forward" and self.rays is not None:
-            raise UserError("--rays: the forward estimator has paths; give --paths, or --estimator fast")
-        given = [name for name in ("rays", "paths") if getattr(self, name) is not None]
-        if given and self.error_percent is not None:
-            raise UserError(f"--error and --{given[0]}: give one of them; the other follows from it")
-        if self.rays is not None and not (8 <= self.rays <= MOST_RAYS and self.rays % 8 == 0):
-            raise UserError(f"--rays: {self.rays} will not do; give a multiple of 8, from 8 to {MOST_RAYS}")
-        if self.paths is not None and not 1000 <= self.paths <= MOST_PATHS:
-            raise UserError(f"--paths: {self.paths} will not do; give 1000 to {MOST_PATHS}")
-        if self.error_percent is not None and not (math.isfinite(self.error_percent) and self.error_percent > 0.0):
-            raise UserError(f"--error: {self.error_percent:g} will not do; give a percentage above 0")
-        if not 0 <= self.seed < 2**63:
-            raise UserError(f"--seed: {self.seed} will not do; give a whole number from 0")
+    @property
+    def back(self) -> bool:
+        """Whether the light is on the sample's back."""
+        return self.sigma_deg > 90.0
+
+    @property
+    def etalon(self) -> Scatterer:
+        """The ideal diffuser from the side that is lit to the side that is looked at."""
+        side: Side = "back" if self.back else "front"
+        return lambertian(0.0, 1.0, side) if self.transmitted else lambertian(side=side)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,66 +108,41 @@ class Ratio:
         return 100.0 * float(np.median(relative)) if relative.size else math.inf
 
 
-def etalon(transmitted: bool) -> Scatterer:
-    """The ideal diffuser to the side that is looked at."""
-    return lambertian(0.0, 1.0) if transmitted else lambertian()
-
-
-def ratio_at(
-    instrument: Instrument,
-    sigma_deg: float,
-    directions: Floats,
-    sample: Scatterer,
-    wavelengths_nm: Floats | None,
-    transmitted: bool,
-    effort: Effort,
-    told: Told = lambda _: None,
-) -> Ratio:
-    """Etalon first, then the sample (paper, figure 7), at `directions` (n, 3). Raises UserError.
-
-    Without wavelengths the sample is grey and w = 1.
-    """
-    white = etalon(transmitted)
+def ratio_at(stand: Stand, sample: Scatterer, effort: Effort, told: Told = lambda _: None) -> Ratio:
+    """Etalon first, then the sample (paper, figure 7). Raises UserError."""
+    pair = sample, stand.etalon
     if effort.kind == "fast":
-        return _fast(instrument, sigma_deg, directions, (sample, white), wavelengths_nm, effort, told)
-    if wavelengths_nm is None:
-        return _forward(instrument, sigma_deg, directions, (sample, white), None, effort, told)
+        return _fast(stand, pair, effort, told)
+    wavelengths = stand.wavelengths_nm
+    if wavelengths is None:
+        return _forward(stand, pair, None, effort, told)
     if sample.spectrum is None:
-        return _stacked(
-            [_forward(instrument, sigma_deg, directions, (sample, white), None, effort, told)] * wavelengths_nm.size
-        )
-    count, found = wavelengths_nm.size, []
-    for k, wavelength in enumerate(wavelengths_nm.tolist()):
+        return _stacked([_forward(stand, pair, None, effort, told)] * wavelengths.size)
+    count, found = wavelengths.size, []
+    for k, wavelength in enumerate(wavelengths.tolist()):
 
         def of_all(share: float, k: int = k) -> None:
             told((k + share) / count)
 
-        found.append(_forward(instrument, sigma_deg, directions, (sample, white), wavelength, effort, of_all))
+        found.append(_forward(stand, pair, wavelength, effort, of_all))
     return _stacked(found)
 
 
-def _fast(
-    instrument: Instrument,
-    sigma_deg: float,
-    directions: Floats,
-    pair: tuple[Scatterer, Scatterer],
-    wavelengths_nm: Floats | None,
-    effort: Effort,
-    told: Told,
-) -> Ratio:
-    """The standard error is the difference to another set of rays: it is a bound more than a standard deviation."""
+def _fast(stand: Stand, pair: tuple[Scatterer, Scatterer], effort: Effort, told: Told) -> Ratio:
+    """The standard error is the difference to another set of rays, and of stray light's paths: it is a bound more than a
+    standard deviation."""
 
-    def with_rays(rays: int | None) -> tuple[Floats, Floats]:
-        flux = [
-            throughput(instrument, sigma_deg, directions, each, rays)[None]
-            if wavelengths_nm is None
-            else spectral_throughput(instrument, sigma_deg, directions, each, wavelengths_nm, rays)
-            for each in pair
-        ]
+    def with_rays(rays: int | None, other: int = 0) -> tuple[Floats, Floats]:
+        paths = STRAY_PATHS * max(1, (rays or 0) // CHECK_RAYS)
+        seed = effort.seed * 2**20 + other
+        try:
+            flux = [_throughputs(stand, each, rays, paths, (seed + k) % 2**64) for k, each in enumerate(pair)]
+        except ValueError as error:
+            raise UserError(f"--estimator fast: {error}") from None
         return flux[0], flux[1]
 
     rays = effort.rays
-    check = with_rays(CHECK_RAYS if rays is None else rays // 2)
+    check = with_rays(CHECK_RAYS if rays is None else rays // 2, other=2)
     while True:
         told(0.5)
         flux = with_rays(rays)
@@ -171,8 +155,27 @@ def _fast(
         rays = 2 * CHECK_RAYS if rays is None else 2 * rays
         check = check if rays == 2 * CHECK_RAYS else flux
         if rays > MOST_RAYS:
-            wrong = f"--error: {wanted:g} % takes more than {MOST_RAYS} rays a detector at sigma {sigma_deg:g}"
+            wrong = f"--error: {wanted:g} % takes more than {MOST_RAYS} rays a detector at sigma {_incidence(stand):g}"
             raise UserError(f"{wrong}; ask for a larger one")
+
+
+def _throughputs(stand: Stand, scatterer: Scatterer, rays: int | None, paths: int, seed: int) -> Floats:
+    """(w, n) in m^2 sr."""
+    instrument, sigma, directions, wavelengths = stand.instrument, stand.sigma_deg, stand.directions, stand.wavelengths_nm
+    if wavelengths is None:
+        flux = throughput(instrument, sigma, directions, scatterer, rays)[None]
+    else:
+        flux = spectral_throughput(instrument, sigma, directions, scatterer, wavelengths, rays)
+    if not stand.stray:
+        return flux
+    # A grey sample in a grey instrument has one map for all wavelengths.
+    grey = wavelengths is None or (scatterer.spectrum is None and instrument.grey)
+    maps = [
+        stray(instrument, sigma, scatterer, paths, seed, wavelength_nm=each, sample_frames=stand.frames)
+        for each in ([None] if grey or wavelengths is None else wavelengths.tolist())
+    ]
+    added: Floats = flux + np.array([stray_throughput(each, directions, instrument) for each in maps])
+    return added
 
 
 def _over(sample: Floats, white: Floats) -> Floats:
@@ -180,29 +183,32 @@ def _over(sample: Floats, white: Floats) -> Floats:
     return ratio
 
 
-def _forward(
-    instrument: Instrument,
-    sigma_deg: float,
-    directions: Floats,
-    pair: tuple[Scatterer, Scatterer],
-    wavelength_nm: float | None,
-    effort: Effort,
-    told: Told,
-) -> Ratio:
+def _incidence(stand: Stand) -> float:
+    return 180.0 - stand.sigma_deg if stand.back else stand.sigma_deg
+
+
+def _forward(stand: Stand, pair: tuple[Scatterer, Scatterer], wavelength_nm: float | None, effort: Effort, told: Told) -> Ratio:
     """Batches of paths, sample and etalon each its own, until there are enough of them or the error is small enough."""
     wanted = effort.error_percent
     paths = 4 * BATCH if effort.paths is None else effort.paths
-    tallies = _Tally(directions.shape[0]), _Tally(directions.shape[0])
+    count = stand.directions.shape[0]
+    tallies = _Tally(count), _Tally(count)
     batch = 0
     while True:
         size = BATCH if wanted is not None else min(BATCH, paths - tallies[0].paths)
         for k, (each, tally) in enumerate(zip(pair, tallies, strict=True)):
             seed = effort.seed * 2**20 + 2 * batch + k
             try:
-                done = forward(instrument, sigma_deg, directions, each, size, seed % 2**64, wavelength_nm=wavelength_nm)
+                done = forward(
+                    stand.instrument, stand.sigma_deg, stand.directions, each, size, seed % 2**64,
+                    wavelength_nm=wavelength_nm, source=stand.source, sample_frames=stand.frames,
+                )  # fmt: skip
             except ValueError as error:
                 raise UserError(f"--estimator forward: {error}") from None
-            tally.add(done.throughput_m2sr, done.standard_error, done.paths)
+            if stand.stray:
+                tally.add(done.throughput_m2sr, done.standard_error, done.paths)
+            else:
+                tally.add(done.single_m2sr, done.single_error, done.paths)
         batch += 1
         found = _counted(tallies[0], tallies[1])
         reached = tallies[0].paths
@@ -219,8 +225,8 @@ def _forward(
             told(min(0.99, reached / needed))
         if (math.isfinite(needed) and needed > MOST_PATHS) or reached >= MOST_PATHS:
             raise UserError(
-                f"--error: {wanted:g} % at sigma {sigma_deg:g} would take about {needed:.2g} paths, more than {MOST_PATHS}; "
-                "ask for a larger one, or use the fast estimator"
+                f"--error: {wanted:g} % at sigma {_incidence(stand):g} would take about {needed:.2g} paths, more than "
+                f"{MOST_PATHS}; ask for a larger one, or use the fast estimator"
             )
 
 

@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from app.errors import UserError
 from app.formats import DdrTable, FormatError, write_ddr, write_points_csv
-from app.simulation.simulate import Simulation, assumptions
+from app.simulation.assumptions import assumptions
+from app.simulation.simulate import Simulation
 from twin.optics import to_specular
 
 Floats = npt.NDArray[np.float64]
@@ -76,11 +77,16 @@ def summary(found: Simulation, paths: list[Path]) -> dict[str, Any]:
         "files": [str(path) for path in paths],
         "sample": task.sample.name,
         "sigma": task.sigma_deg.tolist(),
+        "side": "back" if task.back else "front",
+        "transmitted": task.transmitted,
+        "stray": task.stray,
+        "regular": [each.regular.as_dict() for each in found.at if each.regular is not None],
+        "source": None if task.source is None else task.source.as_dict(),
         "wavelengths_nm": None if found.wavelengths_nm is None else found.wavelengths_nm.tolist(),
         "estimator": kind,
         made: max(counts.values()),
         f"{made}_by_sigma": counts,
-        **({"seed": task.effort.seed} if kind == "forward" else {}),
+        **({"seed": task.effort.seed} if kind == "forward" or task.stray else {}),
         "values": sum(int(np.isfinite(each.ratio.factor).sum()) for each in found.at),
         "detectors": {f"{each.sigma_deg:g}": int(each.hidden.size) * rows for each in found.at},
         "largest_relative_standard_error_percent": 100.0 * float(relative.max()) if relative.size else None,
@@ -97,11 +103,13 @@ def summary(found: Simulation, paths: list[Path]) -> dict[str, Any]:
 
 def _about(found: Simulation, every_detector: bool) -> list[str]:
     ratios = [each.ratio for each in found.at]
-    made = "rays a detector" if found.task.effort.kind == "fast" else f"paths, seed {found.task.effort.seed}"
+    task = found.task
+    made = "rays a detector" if task.effort.kind == "fast" else "paths"
+    made += f", seed {task.effort.seed}" if task.effort.kind == "forward" or task.stray else ""
     lines = [
         "SIMULATED: computed with the virtual prototype; nothing in this file is measured",
-        f"sample: {found.task.sample.name}",
-        f"estimator: {found.task.effort.kind}, {', '.join(sorted({str(ratio.count) for ratio in ratios}))} {made}",
+        f"sample: {task.sample.name}",
+        f"estimator: {task.effort.kind}, {', '.join(sorted({str(ratio.count) for ratio in ratios}))} {made}",
         *assumptions(found),
     ]
     if every_detector:
@@ -144,7 +152,9 @@ def _columns(found: Simulation) -> dict[str, npt.NDArray[Any]]:
 def _block(found: Simulation, k: int, row: int) -> dict[str, npt.NDArray[Any]]:
     at = found.at[k]
     count = at.hidden.size
-    theta, phi = to_specular(at.sigma_deg, at.directions * [1.0, 1.0, -1.0 if found.task.transmitted else 1.0])
+    # Of the sample as the light has it in front of it, and transmitted light mirrored in its plane.
+    turned = -1.0 if found.task.back else 1.0
+    theta, phi = to_specular(at.sigma_deg, at.directions * [1.0, turned, -1.0 if found.task.lower else 1.0])
     wavelength = np.nan if found.wavelengths_nm is None else found.wavelengths_nm[row]
     return {
         "wavelength_nm": np.full(count, wavelength),

@@ -1,6 +1,8 @@
 """Grids of a simulation: lists of angles as people write them, detectors on the paper's geocentric grid, output nodes."""
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,21 +72,27 @@ class Detectors:
     azimuth_deg: Floats
     mirrored: bool
 
-    def directions(self, transmitted: bool) -> Floats:
-        """Unit vectors (n, 3); those of `transmitted` light are below the sample, mirrored in its plane."""
-        return arc_direction(self.polar_deg[:, None], self.azimuth_deg[None, :], transmitted).reshape(-1, 3)
+    def directions(self, lower: bool) -> Floats:
+        """Unit vectors (n, 3); those of the `lower` arc are the upper one's, mirrored in the sample's plane."""
+        return arc_direction(self.polar_deg[:, None], self.azimuth_deg[None, :], lower).reshape(-1, 3)
 
 
-def detectors_at(sigma_deg: float, mirrored: bool) -> Detectors:
+def detectors_at(sigma_deg: float, mirrored: bool, also_deg: Sequence[float] = ()) -> Detectors:
     """Detectors round the specular direction of sigma: steps of 0.5 deg near it, growing to 5 deg in diffuse directions.
 
-    Polar angles go from 0 to 87 deg or to where the lobe's fine steps end, below 90.
+    Polar angles go from 0 to 87 deg or to where the lobe's fine steps end, below 90. Steps are fine near the polar angles
+    `also_deg` too: where lobes are that a refraction has bent away from the specular direction.
     """
-    highest = max(HIGHEST_POLAR_DEG, min(89.5, sigma_deg + 2.0))
-    down, up = _graded(sigma_deg, 1.0), _graded(highest - sigma_deg, 1.0)
-    polar = np.concatenate([sigma_deg - down[:0:-1], sigma_deg + up])
+    centres = sorted({sigma_deg, *also_deg})
+    highest = max(HIGHEST_POLAR_DEG, min(89.5, centres[-1] + 2.0))
+    borders = [0.0, *(0.5 * (left + right) for left, right in itertools.pairwise(centres)), highest]
+    parts = []
+    for centre, start, stop in zip(centres, borders[:-1], borders[1:], strict=True):
+        # Without its last: on a border it is the next one's first.
+        parts += [centre - _graded(centre - start, 1.0)[:0:-1], centre + _graded(stop - centre, 1.0)[:-1]]
+    polar = np.concatenate([*parts, [highest]])
     # A step in azimuth is as long as its polar angle's sine makes it.
-    away = _graded(180.0, max(math.sin(math.radians(sigma_deg)), 0.05))
+    away = _graded(180.0, max(math.sin(math.radians(centres[-1])), 0.05))
     azimuth = 180.0 - away[::-1]
     return Detectors(polar, azimuth if mirrored else np.concatenate([azimuth, 180.0 + away[1:]]), mirrored)
 

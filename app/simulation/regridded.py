@@ -18,16 +18,17 @@ Flags = npt.NDArray[np.bool_]
 
 
 def regridded(
-    detectors: Detectors, values: Floats, sigma_deg: float, phi_deg: Floats, theta_deg: Floats
+    detectors: Detectors, values: Floats, sigma_deg: float, phi_deg: Floats, theta_deg: Floats, back: bool = False
 ) -> tuple[Floats, Flags]:
     """Values (phi, theta) from those of the detectors (n,), and which rest on detectors all around.
 
     Where they do not (hidden, below the horizon, beyond the last polar angle) the value is continued along theta: linear
     between known nodes, held beyond them; a row without any is the mean of the others, and a table without any is 0.
+    For light on the `back` sigma, phi and theta are those of the sample turned about x: azimuths change their sign.
     """
     directions = from_specular(sigma_deg, theta_deg[None, :], phi_deg[:, None])
     polar = np.degrees(np.arctan2(np.hypot(directions[..., 0], directions[..., 1]), directions[..., 2]))
-    azimuth = np.degrees(np.arctan2(directions[..., 1], directions[..., 0])) % 360.0
+    azimuth = np.degrees(np.arctan2(-directions[..., 1] if back else directions[..., 1], directions[..., 0])) % 360.0
     if detectors.mirrored:
         azimuth = np.minimum(azimuth, 360.0 - azimuth)
     table = values.reshape(detectors.polar_deg.size, detectors.azimuth_deg.size)

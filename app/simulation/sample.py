@@ -2,27 +2,39 @@
 
 gaussian:width_deg=5,form=half_width
 lambertian:reflectance=0.5+gaussian:width_deg=3,reflectance=0.3
-table:paint.bsdf
+lambertian:reflectance=0.5+regular:reflectance=0.04
+table:paint.bsdf,side=back
+
+A model acts on light from the front; `side=back` makes it act on light from the back, `side=both` on either.
 """
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 
 from app.errors import UserError
 from app.formats import DdrTable, FormatError, bsdf, read_ddr
-from app.rig.sample_table import GaussianTable, LambertianTable, MeasuredTable, scatterer
-from app.tables import Table, checked
+from app.rig.sample_table import GaussianTable, LambertianTable, MeasuredTable, RegularTable, Side, scatterer
+from app.tables import checked
 from twin.optics import Scatterer, spectral_table, summed, tabulated
 
-FORMULAS: dict[str, type[GaussianTable] | type[LambertianTable]] = {"gaussian": GaussianTable, "lambertian": LambertianTable}
-MODELS = "gaussian:width_deg=5, lambertian:reflectance=0.9, table:FILE (.bsdf or .ddr), and sums of them with +"
+FORMULAS: dict[str, type[GaussianTable] | type[LambertianTable] | type[RegularTable]] = {
+    "gaussian": GaussianTable,
+    "lambertian": LambertianTable,
+    "regular": RegularTable,
+}
+MODELS = (
+    "gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE (.bsdf or .ddr), "
+    "and sums of them with +"
+)
 # A plus that begins a model, not one of a number (1e+1) or of a file's name.
-PLUS = re.compile(r"\+(?=\s*(?:[A-Za-z_-]+\s*:|(?:gaussian|lambertian|table)\s*(?:\+|$)))")
-NOT_HERE = ("model", "side")
-"""Keys of a rig file's samples that say nothing here: the light comes from the front."""
+PLUS = re.compile(rf"\+(?=\s*(?:[A-Za-z_-]+\s*:|(?:{'|'.join(FORMULAS)}|table)\s*(?:\+|$)))")
+# What may follow a file's name, which may have commas of its own.
+FILE_SIDE = re.compile(r",\s*side\s*=\s*(\w*)\s*$")
+NOT_HERE = {"gaussian": ("model",), "lambertian": ("model",), "regular": ("model", "sigma_deg")}
+"""Keys of a rig file's samples that are not for one line: a list has no place in it."""
 ALL_OF_THE_LIGHT = 1.001
 
 
@@ -43,7 +55,13 @@ def parse_sample(text: str) -> Scatterer:
 def table_files(text: str) -> list[Path]:
     """The files that a sample is read from."""
     parts = [part.strip() for part in PLUS.split(text)]
-    return [Path(part.partition(":")[2].strip()) for part in parts if part.partition(":")[0].strip() == "table"]
+    return [_file_and_side(part)[0] for part in parts if part.partition(":")[0].strip() == "table"]
+
+
+def _file_and_side(part: str) -> tuple[Path, str]:
+    rest = part.partition(":")[2].strip()
+    side = FILE_SIDE.search(rest)
+    return (Path(rest), "front") if side is None else (Path(rest[: side.start()].strip()), side[1])
 
 
 def _model(part: str) -> Scatterer:
@@ -53,26 +71,29 @@ def _model(part: str) -> Scatterer:
     if name == "table":
         if not rest:
             raise UserError(f"{place}: names no file; write table:FILE")
-        return _table(Path(rest), place)
+        path, side = _file_and_side(part)
+        if side not in get_args(Side):
+            raise UserError(f"{place}: side is {side!r}; give {', '.join(get_args(Side))}: where the light comes from")
+        return _table(path, cast(Side, side), place)
     if name not in FORMULAS:
         raise UserError(f"--sample: there is no model {name!r}; give {MODELS}")
     if colon and not rest:
-        raise UserError(f"{place}: nothing follows the colon; keys are {_keys(FORMULAS[name])}")
-    entries = _entries(rest, FORMULAS[name], place)
+        raise UserError(f"{place}: nothing follows the colon; keys are {_keys(name)}")
+    entries = _entries(rest, name, place)
     try:
         return checked(FORMULAS[name], {"model": name, **entries}, place).scatterer()
     except UserError as error:
         raise UserError(str(error).replace(": the file: ", ": ", 1)) from None
 
 
-def _entries(text: str, model: type[Table], place: str) -> dict[str, Any]:
+def _entries(text: str, name: str, place: str) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for entry in text.split(",") if text else ():
         key, equals, value = (word.strip() for word in entry.partition("="))
         if not equals or not value:
-            raise UserError(f"{place}: {entry.strip()!r} is not key=value; keys are {_keys(model)}")
-        if key in NOT_HERE or key not in model.model_fields:
-            raise UserError(f"{place}: there is no key {key!r}; keys are {_keys(model)}")
+            raise UserError(f"{place}: {entry.strip()!r} is not key=value; keys are {_keys(name)}")
+        if key in NOT_HERE[name] or key not in FORMULAS[name].model_fields:
+            raise UserError(f"{place}: there is no key {key!r}; keys are {_keys(name)}")
         if key in entries:
             raise UserError(f"{place}: {key} is given twice; leave one of them")
         entries[key] = _value(value)
@@ -88,22 +109,22 @@ def _value(text: str) -> bool | float | str:
         return text
 
 
-def _keys(model: type[Table]) -> str:
-    return ", ".join(key for key in model.model_fields if key not in NOT_HERE)
+def _keys(name: str) -> str:
+    return ", ".join(key for key in FORMULAS[name].model_fields if key not in NOT_HERE[name])
 
 
-def _table(path: Path, place: str) -> Scatterer:
+def _table(path: Path, side: Side, place: str) -> Scatterer:
     if path.suffix.lower() not in (".ddr", ".ddt"):
-        return scatterer(MeasuredTable(model="zemax", file=str(path)), Path(), place)
+        return scatterer(MeasuredTable(model="zemax", file=str(path), side=side), Path(), place)
     try:
-        return _from_ddr(read_ddr(path), path)
+        return _from_ddr(read_ddr(path), path, side)
     except FormatError as error:
         raise UserError(f"{place}: {error}") from None
     except ValueError as error:
         raise UserError(f"{place}: {path}: {error}") from None
 
 
-def _from_ddr(table: DdrTable, path: Path) -> Scatterer:
+def _from_ddr(table: DdrTable, path: Path, side: Side) -> Scatterer:
     values = bsdf(table)
     psi = table.psi_deg if table.psi_deg.size > 1 else None
     if psi is None:
@@ -111,8 +132,9 @@ def _from_ddr(table: DdrTable, path: Path) -> Scatterer:
     transmits = path.suffix.lower() == ".ddt"
     axes = (table.sigma_deg, table.phi_deg, table.theta_deg)
     if table.channels == (None,):
-        return tabulated(*axes, values[0], path.name, psi, transmits=transmits)
-    return spectral_table([nm or 0.0 for nm in table.channels], *axes, values, path.name, psi, transmits=transmits)
+        return tabulated(*axes, values[0], path.name, psi, side=side, transmits=transmits)
+    wavelengths = [nm or 0.0 for nm in table.channels]
+    return spectral_table(wavelengths, *axes, values, path.name, psi, side=side, transmits=transmits)
 
 
 def _check_light(sample: Scatterer) -> None:
@@ -122,7 +144,10 @@ def _check_light(sample: Scatterer) -> None:
     """
     spectrum = sample.spectrum
     weights = np.ones((len(sample.lobes), 1)) if spectrum is None else spectrum.weights
-    shares = np.array([lobe.albedo(0.0) if lobe.incident == 1 else 0.0 for lobe in sample.lobes])
+    # From the front in the first row, from the back in the second.
+    shares = np.array(
+        [[lobe.albedo(0.0) if lobe.incident == incident else 0.0 for lobe in sample.lobes] for incident in (1, -1)]
+    )
     most = float(np.max(shares @ weights))
     if most > ALL_OF_THE_LIGHT:
         raise UserError(

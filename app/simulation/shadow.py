@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from app.errors import UserError
 from app.formats import FormatError, write_points_csv
+from app.simulation.picture import save
 from twin.optics import Instrument, ShadowMap, shadow_map
 
 SUFFIXES = (".csv", ".png")
@@ -33,8 +34,6 @@ def write_shadows(maps: list[ShadowMap], path: Path) -> None:
             _draw(maps, path)
     except FormatError as error:
         raise UserError(str(error)) from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}; choose another name") from None
 
 
 def about(maps: list[ShadowMap]) -> list[str]:
@@ -77,4 +76,4 @@ def _draw(maps: list[ShadowMap], path: Path) -> None:
         figure.colorbar(mesh, ax=figure.axes, shrink=0.6, label="share of a detector's rays that no mirror cuts")
         off = "" if maps[0].obstruction else ", switched off"
         figure.suptitle(f"SIMULATED: the shadow of the mirror unit{off} (azimuth is the arc's beta)", fontsize=10)
-        figure.savefig(path, dpi=DOTS_AN_INCH)
+        save(figure, path, DOTS_AN_INCH)

@@ -1,5 +1,6 @@
 """The scheme of the paper's figure 7: etalon and sample at every sigma, their ratio, and the ratio on the output grid."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -7,10 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from app.errors import UserError
-from app.simulation.estimate import Effort, Ratio, ratio_at
-from app.simulation.grid import Detectors, detectors_at, output_phi, output_theta
+from app.simulation.effort import Effort
+from app.simulation.estimate import Ratio, Stand, ratio_at
+from app.simulation.grid import HIGHEST_POLAR_DEG, Detectors, detectors_at, output_phi, output_theta
 from app.simulation.regridded import regridded
-from twin.optics import Instrument, Scatterer, visible_fraction
+from app.simulation.regular import RegularPeak, regular_peak, regular_share
+from app.simulation.source import Source
+from twin.optics import Instrument, Lobe, SampleFrames, Scatterer, visible_fraction
+from twin.optics.bsdf import GAUSSIAN
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -23,10 +28,12 @@ WHOLE = 1.0 - 1e-9
 class Task:
     """What is to be simulated.
 
-    `sigma_deg` (s,), 0 to less than 90, ascending; light comes from the front. `wavelengths_nm` (w,), or None for a grey
-    table (a sample with a spectrum then has its own list). `transmitted` looks at the other side. `polar_deg` and
-    `azimuth_deg` are the detectors' grid, together or neither; without them it is fine near the specular direction of each
-    sigma. `theta_deg` and `phi_deg` are the output grid.
+    `sigma_deg` (s,), 0 to less than 90, ascending, are incidences on the side that is lit: the front, or with `back` the
+    back, with the mirror unit at 180 deg - sigma. `transmitted` looks at the other side. `wavelengths_nm` (w,), or None for
+    a grey table (a sample with a spectrum then has its own list). `polar_deg` and `azimuth_deg` are the detectors' grid,
+    together or neither; without them it is fine near the specular direction of each sigma. `theta_deg` and `phi_deg` are the
+    output grid. With `stray` the light of the `frames`, and what met anything else on its way, is in it. A `source` takes the
+    uniform exit pupil's place.
     """
 
     sample: Scatterer
@@ -34,18 +41,28 @@ class Task:
     instrument: Instrument = field(default_factory=Instrument)
     effort: Effort = field(default_factory=Effort)
     wavelengths_nm: Floats | None = None
+    back: bool = False
     transmitted: bool = False
+    stray: bool = False
+    frames: SampleFrames = field(default_factory=SampleFrames)
+    source: Source | None = None
     polar_deg: Floats | None = None
     azimuth_deg: Floats | None = None
     theta_deg: Floats | None = None
     phi_deg: Floats | None = None
+
+    @property
+    def lower(self) -> bool:
+        """Whether the light that is looked at leaves to the lower arc."""
+        return self.back != self.transmitted
 
 
 @dataclass(frozen=True, eq=False)
 class AtSigma:
     """At one sigma: detectors (n), their ratios (w, n), and which of them (n,) mirrors hide in part or altogether.
 
-    `unmet` (n,) are those that are not hidden and that no path has met, of the sample or of the etalon.
+    `unmet` (n,) are those that are not hidden and that no path has met, of the sample or of the etalon. `regular` is where
+    the regular component is, if the sample has one.
     """
 
     sigma_deg: float
@@ -53,6 +70,7 @@ class AtSigma:
     directions: Floats
     ratio: Ratio
     hidden: Flags
+    regular: RegularPeak | None = None
 
     @property
     def unmet(self) -> Flags:
@@ -84,7 +102,8 @@ def simulate(task: Task, progress: Progress = lambda _share, _text: None) -> Sim
     _check(task)
     wavelengths = task.wavelengths_nm
     if wavelengths is None and task.sample.spectrum is not None:
-        wavelengths = np.array(task.sample.spectrum.wavelengths_nm)
+        own = task.sample.spectrum.wavelengths_nm if task.source is None else [task.source.wavelength_nm]
+        wavelengths = np.array(own)
     mirrored = _is_mirrored(task.sample)
     phi, theta = output_phi(task.phi_deg, mirrored), output_theta(task.theta_deg)
     count = task.sigma_deg.size
@@ -97,7 +116,7 @@ def simulate(task: Task, progress: Progress = lambda _share, _text: None) -> Sim
         told(0.0)
         found = _at_sigma(task, sigma, wavelengths, mirrored, told)
         at.append(found)
-        tables.append([regridded(found.detectors, row, sigma, phi, theta) for row in found.ratio.factor])
+        tables.append([regridded(found.detectors, row, sigma, phi, theta, task.back) for row in found.ratio.factor])
     progress(1.0, "done")
     table = np.array([[values for values, _ in each] for each in tables]).swapaxes(0, 1)
     known = np.array([[flags for _, flags in each] for each in tables]).swapaxes(0, 1)
@@ -108,17 +127,37 @@ def _at_sigma(task: Task, sigma: float, wavelengths: Floats | None, mirrored: bo
     if task.polar_deg is not None and task.azimuth_deg is not None:
         detectors = Detectors(task.polar_deg, task.azimuth_deg, mirrored)
     else:
-        detectors = detectors_at(sigma, mirrored)
-    directions = detectors.directions(task.transmitted)
-    ratio = ratio_at(task.instrument, sigma, directions, task.sample, wavelengths, task.transmitted, task.effort, told)
+        detectors = detectors_at(sigma, mirrored, bent_axes(task, sigma))
+    directions, unit_deg = detectors.directions(task.lower), 180.0 - sigma if task.back else sigma
+    stand = Stand(
+        task.instrument, unit_deg, directions, wavelengths, task.transmitted, task.stray, task.frames,
+        None if task.source is None else task.source.rays,
+    )  # fmt: skip
+    ratio = ratio_at(stand, task.sample, task.effort, told)
     hidden = np.zeros(directions.shape[0], dtype=bool)
     if task.instrument.obstruction:
         # A detector of which a sliver is left looks elsewhere than it stands for.
-        hidden = visible_fraction(task.instrument, sigma, directions) < WHOLE
+        hidden = visible_fraction(task.instrument, unit_deg, directions) < WHOLE
         ratio = ratio.without(hidden)
     if not np.isfinite(ratio.factor).any():
         raise UserError(f"sigma {sigma:g}: no detector has a value: all are hidden, or more paths are needed (--paths)")
-    return AtSigma(sigma, detectors, directions, ratio, hidden)
+    share = regular_share(task.sample, sigma, task.back, task.transmitted)
+    peak = regular_peak(task.instrument, sigma, share, task.lower, directions, ratio.factor) if share > 0.0 else None
+    return AtSigma(sigma, detectors, directions, ratio, hidden, peak)
+
+
+def bent_axes(task: Task, sigma_deg: float) -> list[float]:
+    """Polar angles, deg, of the axes of refracted lobes."""
+    ratios = [float(lobe.params[4]) for lobe in _acting(task) if lobe.kind == GAUSSIAN and lobe.params[4] != 1.0]
+    sines = [math.sin(math.radians(sigma_deg)) / ratio for ratio in ratios]
+    # Near grazing detectors end, and beyond total reflection there is no lobe.
+    return [min(HIGHEST_POLAR_DEG, math.degrees(math.asin(sine))) for sine in sines if sine < 1.0]
+
+
+def _acting(task: Task) -> list[Lobe]:
+    """Lobes of the side that is lit to the side that is looked at."""
+    incident = -1 if task.back else 1
+    return [lobe for lobe in task.sample.lobes if lobe.incident == incident and lobe.transmits == task.transmitted]
 
 
 def _check(task: Task) -> None:
@@ -130,36 +169,17 @@ def _check(task: Task) -> None:
         whole = 180.0 if _is_mirrored(task.sample) else 360.0
         if task.azimuth_deg[-1] > whole:
             raise UserError(f"--azimuth: this sample is its own mirror image in the plane of incidence; give 0 to {whole:g}")
-    if not any(lobe.incident == 1 and lobe.transmits == task.transmitted for lobe in task.sample.lobes):
+    if task.source is not None and task.effort.kind == "fast":
+        raise UserError("--source: the fast estimator knows the uniform exit pupil alone; give --estimator forward")
+    if not _acting(task):
         way, other = ("transmits", ".ddr") if task.transmitted else ("reflects", ".ddt")
-        raise UserError(f"--sample {task.sample.name!r}: {way} nothing; write a {other} file for its other way")
+        side, turned = ("back", "front") if task.back else ("front", "back")
+        wrong = f"--sample {task.sample.name!r}: {way} nothing of light on its {side}"
+        if any(lobe.incident == (-1 if task.back else 1) for lobe in task.sample.lobes):
+            raise UserError(f"{wrong}; write a {other} file for its other way")
+        raise UserError(f"{wrong}; give its models side={side} or side=both, or light its {turned} with --side {turned}")
 
 
 def _is_mirrored(sample: Scatterer) -> bool:
     """Whether the sample has its mirror image in the plane of incidence."""
     return all(lobe.psi_deg.size <= 1 and lobe.phi_deg[-1] <= 180.0 for lobe in sample.lobes)
-
-
-def assumptions(found: Simulation) -> list[str]:
-    """What a reader has to know about the numbers, in words."""
-    task, instrument = found.task, found.task.instrument
-    hidden = "off: no direction is hidden, as if the mirrors let light pass"
-    if instrument.obstruction:
-        hidden = "on: directions of which the mirrors hide any part have no value"
-    way = "transmitted" if task.transmitted else "reflected"
-    grid = "as given" if task.polar_deg is not None else "steps of 0.5 deg near the specular direction to 5 deg"
-    estimator = "fast: sample, etalon and all wavelengths with the same rays; errors are differences to another set of rays"
-    if task.effort.kind == "forward":
-        estimator = "forward Monte Carlo: sample and etalon with paths of their own; errors are standard errors of the paths"
-    return [
-        f"quantity: luminance factor of {way} light (pi times the BSDF), against an ideal diffuser",
-        f"spot: {instrument.spot_side_mm:g} x {instrument.spot_side_mm:g} mm on the sample, set by its frame",
-        f"divergence: {instrument.divergence_deg:.3f} deg full width",
-        f"field: {instrument.field_deg:g} deg full width, discs of {instrument.detector_diameter_mm:g} mm at "
-        f"{instrument.arc_radius_mm:g} mm",
-        f"detectors: virtual ones over azimuth and polar angle, {grid}; a monotone cubic between them",
-        f"deviations: {'none' if not instrument.deviations else ', '.join(instrument.deviations)}",
-        f"obstruction: {hidden}",
-        f"estimator: {estimator}",
-        "noise: none but the estimator's; fluorescence: none",
-    ]

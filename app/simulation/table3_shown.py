@@ -16,6 +16,7 @@ from app.errors import UserError
 from app.simulation.corner import deviating
 from app.simulation.cut import STEP_DEG, cuts, theory
 from app.simulation.explained import PAPER, SIGMAS_DEG, WIDTHS_DEG
+from app.simulation.picture import save
 from app.simulation.table3 import Table3
 from app.simulation.table3_words import assumptions, explanations
 
@@ -86,7 +87,7 @@ def _gaussians(path: Path) -> None:
     axes.legend(frameon=False)
     axes.set_title("The Gaussians of formula 6, 1/e at the width", loc="left", fontsize=12)
     _mark(axes, "SIMULATED: theory, nothing measured")
-    figure.savefig(path)
+    save(figure, path)
 
 
 def _compared(found: Table3, path: Path) -> None:
@@ -108,7 +109,7 @@ def _compared(found: Table3, path: Path) -> None:
     title = "Gaussians in the plane of incidence, theory and virtual prototype"
     figure.suptitle(f"{title}\n", x=0.01, ha="left", fontsize=12)
     figure.text(0.99, 0.985, "SIMULATED: no obstruction, no noise", ha="right", va="top", color=MARK, weight="bold", fontsize=9)
-    figure.savefig(path)
+    save(figure, path)
 
 
 def _lobe(axes: Axes, found: Table3, sigma_deg: float, width_deg: float, colour: str) -> None:

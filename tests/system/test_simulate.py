@@ -57,6 +57,35 @@ def test_table3_is_the_papers_beside_ours(tmp_path: Path) -> None:
     assert "what explains the paper's numbers" in text.stdout
 
 
+def test_the_light_is_drawn_its_rays_are_recorded_and_are_a_source(tmp_path: Path) -> None:
+    beam, monochromator = tmp_path / "beam.h5", ["--wavelength", 600, "--interval", 10, "--bandwidth", 10]
+    recorded = ["--rayset", beam, "--rays", 20_000, "--error", 3]
+    done = goniotwin("simulate", "illumination", "--out", tmp_path / "a.png", *monochromator, *recorded)
+    assert done.stdout.startswith("SIMULATED")
+    for told in ("forward (", "adjoint (", f"rayset: {beam}, 20000 rays"):
+        assert told in done.stdout
+    assert "illumination" in done.stderr  # progress
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--sigma", 30, "--out", tmp_path / "a.csv"]
+    replayed = ["--sample", "lambertian:reflectance=0.5", "--source", beam, "--estimator", "forward", "--paths", 50_000, *grid]
+    result = answer(goniotwin("simulate", *replayed, *monochromator, "--json"))
+    assert (result["source"]["file"], result["source"]["rays"]) == (str(beam), 20_000)
+    refused = goniotwin("simulate", *replayed)
+    assert refused.returncode == 2
+    assert "another geometry" in refused.stderr
+    assert len(refused.stderr.strip().splitlines()) == 1
+
+
+def test_the_back_stray_light_and_the_regular_component_are_said(tmp_path: Path) -> None:
+    sample = "lambertian:reflectance=0.5,side=both+regular:reflectance=0.04,side=back"
+    grid = ["--polar", "20:40:1", "--azimuth", "150:180:2", "--sigma", 30, "--out", tmp_path / "a.ddr"]
+    text = goniotwin("simulate", "--sample", sample, "--side", "back", "--stray", *grid).stdout
+    assert "reflected light, the back lit, with stray light" in text
+    assert "regular component at sigma 30: 0.04 of the light" in text
+    plain = answer(goniotwin("simulate", "--sample", sample, *grid, "--json"))
+    assert (plain["side"], plain["stray"], plain["regular"]) == ("front", False, [])
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -72,6 +101,10 @@ def test_table3_is_the_papers_beside_ours(tmp_path: Path) -> None:
         (["--sample", "gaussian:width_deg=5", "--out", "a.xyz"], "a.xyz"),
         (["--sample", "table:absent.bsdf", "--out", "a.ddr"], "absent.bsdf"),
         (["--sample", "gaussian:width_deg=5", "table3"], "table3"),
+        (["--sample", "gaussian:width_deg=5", "--side", "back", "--out", "a.ddr"], "nothing of light on its back"),
+        (["--sample", "lambertian", "--source", "absent.h5", "--out", "a.ddr"], "absent.h5"),
+        (["--sample", "lambertian", "--bandwidth", "5", "--out", "a.ddr"], "--bandwidth"),
+        (["illumination", "--out", "a.png", "--rays", "100"], "--rayset"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_no_file(arguments: list[str], named: str, tmp_path: Path) -> None:
@@ -84,7 +117,7 @@ def test_bad_input_is_one_line_and_leaves_no_file(arguments: list[str], named: s
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("command", [["simulate"], ["simulate", "table3"]])
+@pytest.mark.parametrize("command", [["simulate"], ["simulate", "table3"], ["simulate", "illumination"]])
 def test_help_is_worth_reading(command: list[str]) -> None:
     done = goniotwin(*command, "--help")
     assert done.returncode == 0

@@ -4,7 +4,8 @@ A detector counts a ray that crosses its disc within its acceptance cone. Of all
 counts, each weighing alike, the moments up to the second say how much they carry together, where on the sample they
 begin on the average, how far about it, and how that goes with their direction. They change smoothly with the
 detector's place, and are exact up to the quadrature: over the cone by four nodes (exact to the third degree), over one side
-of the hole by Gauss-Legendre, over the other side in closed form.
+of the hole by Gauss-Legendre, over the other side in closed form. That is for cones narrower than the disc: for others
+see twin.optics.wide_aperture.
 
 Everything is in the sample's frame: the hole's sides lie along x and y, its plane is z = 0.
 """
@@ -17,14 +18,20 @@ from numba import njit
 from twin.optics.frames import Floats
 from twin.optics.instrument import Instrument
 
+CLOSER = 1.1
+"""With deviations a detector may be so much nearer to some of the hole than the arc's radius."""
 MOMENTS = 15
 """1, u, v, p, q, uu, uv, vv, up, uq, vp, vq, pp, pq, qq: place in the hole (mm) and slopes to the detector's axis."""
 
 
 def aperture_sizes(instrument: Instrument) -> Floats:
-    """For the kernels: the disc's radius and the hole's half side, mm, and the sine of half the field."""
-    sine = math.sin(math.radians(0.5 * instrument.field_deg))
-    return np.array([0.5 * instrument.detector_diameter_mm, 0.5 * instrument.spot_side_mm, sine])
+    """For the kernels: the disc's radius and the hole's half side, mm, and the sine of half the field.
+
+    A field wider than what hole and disc can see of each other is as good as one that is just so wide, and costs less.
+    """
+    radius, half = 0.5 * instrument.detector_diameter_mm, 0.5 * instrument.spot_side_mm
+    most = math.atan(CLOSER * (radius + math.sqrt(2.0) * half) / instrument.arc_radius_mm)
+    return np.array([radius, half, math.sin(min(math.radians(0.5 * instrument.field_deg), most))])
 
 
 def cone_nodes(rings: int = 1) -> Floats:

@@ -42,9 +42,9 @@ def throughput(
 
     Seven rays a detector, placed by the moments of what its aperture takes; 1024 where a mirror cuts into that. With `rays`
     it is so many for every detector, from its disc within its cone to the hole and on to the pupil, always the same: slower,
-    and the check of the seven, which are placed for detectors like the instrument's own: of a disc of 12 mm with a field of
-    3 deg the flux is off by 1 to 2 %. Detectors do not depend on each other, so results are bit-identical whatever the number
-    of threads. Raises ValueError for a wrong shape, a vector of no length, or a number of rays that is no multiple of 4.
+    and the check of the seven. Detectors do not depend on each other, so results are bit-identical whatever the number
+    of threads. Raises ValueError for a wrong shape, a vector of no length, a number of rays that is no multiple of 4, or a
+    sensor that is no simple detector, a disc with an acceptance cone: only the forward estimator traces such.
     """
     (sums,) = lobe_throughputs(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer.lobes, rays)
     return np.asarray(sums.mirrors(instrument, wavelength_nm) * (scatterer.weights(wavelength_nm) @ sums.lobes))

@@ -8,12 +8,13 @@ from twin.optics.bundle import arrival, detector_ray, view
 from twin.optics.frames import Floats
 from twin.optics.nodes import NODES, place_nodes
 from twin.optics.obstruction import FREE, HIDDEN, PARTLY, hidden, mirrors_near, shadow
+from twin.optics.wide_aperture import wide_aperture
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_nodes(
-    centres: Floats, axes: Floats, sizes: Floats, cone: Floats, side: Floats, hexagon: Floats, pupil: Floats, mirrors: Floats,
-    half: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
+    centres: Floats, axes: Floats, sizes: Floats, wide: bool, cone: Floats, side: Floats, hole: Floats, hexagon: Floats,
+    pupil: Floats, mirrors: Floats, half: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
 ) -> None:  # fmt: skip
     """Fills `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
 
@@ -21,8 +22,11 @@ def fill_nodes(
     """
     m, near = np.empty(MOMENTS), np.zeros(3)
     for k in range(centres.shape[0]):
-        aperture(centres[k], axes[k], cone, side, sizes, m)
-        place_nodes(m, axes[k], sizes[2], pupil, hexagon, rays, NODES * k)
+        if wide:
+            wide_aperture(centres[k], axes[k], hole, sizes, m)
+        else:
+            aperture(centres[k], axes[k], cone, side, sizes, m)
+        place_nodes(m, axes[k], pupil, hexagon, rays, NODES * k)
         status[k] = PARTLY if clipped else FREE
         if obstruction and m[0] > 0.0:
             mirrors_near(mirrors, half, centres[k], sizes, near)

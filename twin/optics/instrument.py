@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 
 from twin.optics.deviation import NONE, Deviation, by_name
 from twin.optics.reflectance import Reflectance
+from twin.optics.sensor import RealSensor
 
 ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
 
@@ -21,6 +22,10 @@ class Instrument:
 
     `field_deg` is the full width of a detector's acceptance cone. `obstruction` says whether the mirrors hide
     directions from the detectors.
+
+    Without a `sensor` detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count what is within the
+    cone. With one each detector is such a unit, its lens where the disc was, and these two are the lens' diameter and the
+    sensor's field: whatever is given for them is replaced, for one instrument cannot have two kinds of detectors.
 
     `deviations` are by element: `pupil` (the illumination unit's end, about its own centre), `mirror_1` to `mirror_3` (each in
     its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
@@ -41,11 +46,15 @@ class Instrument:
     field_deg: float = 0.5
     obstruction: bool = True
     deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False)
+    sensor: RealSensor | None = None
 
     def __post_init__(self) -> None:
+        if self.sensor is not None:
+            object.__setattr__(self, "detector_diameter_mm", self.sensor.lens_diameter_mm)
+            object.__setattr__(self, "field_deg", self.sensor.field_deg)
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if entry.name in ("obstruction", "deviations") or isinstance(value, Reflectance):
+            if entry.name in ("obstruction", "deviations", "sensor") or isinstance(value, Reflectance):
                 continue
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{entry.name} is {value!r}: give a positive, finite number")
@@ -59,6 +68,20 @@ class Instrument:
     def deviation(self, element: str) -> Deviation:
         """Of one element; none where none is given."""
         return self.deviations.get(element, NONE)
+
+    def simplified(self) -> "Instrument":
+        """The same with virtual detectors, a disc with an acceptance cone each, which is all that the fast estimator knows.
+
+        Raises ValueError, with the reason, where the sensor is not such a detector (`RealSensor.simple`).
+        """
+        if self.sensor is None:
+            return self
+        if self.sensor.departure is not None:
+            raise ValueError(
+                f"the sensor is no simple detector, a disc with an acceptance cone: {self.sensor.departure}; "
+                "use the forward estimator, which traces lens, diaphragm and detector"
+            )
+        return replace(self, sensor=None)
 
     @property
     def pupil_distance_mm(self) -> float:

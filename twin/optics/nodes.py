@@ -16,12 +16,15 @@ from twin.optics.aperture import detector_frame
 from twin.optics.frames import Floats
 
 NODES = 7
+TINY = 1e-30
+FLATTEST = 1.8
+"""Fourth moment over the square of the second of a uniform distribution: no sum of discs and sides is flatter."""
 HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.pi / 3)] for k in range(6)])
 """Turned out of the plane of incidence, so that no two nodes are mirror images in it."""
 
 
 @njit(cache=True, error_model="numpy")
-def place_nodes(m: Floats, d: Floats, sine: float, pupil: Floats, hexagon: Floats, rays: Floats, first: int) -> None:
+def place_nodes(m: Floats, d: Floats, pupil: Floats, hexagon: Floats, rays: Floats, first: int) -> None:
     """Fills rays[:, first : first + 7]: weight, light's direction (3), observer's direction (3).
 
     From the moments `m` of a detector in direction d; `pupil` (4, 3) is the exit pupil's centre, its two axes as long as
@@ -78,11 +81,14 @@ def place_nodes(m: Floats, d: Floats, sine: float, pupil: Floats, hexagon: Float
     t11 = math.sqrt(s11)
     t21 = s12 / t11
     t22 = math.sqrt(max(s22 - t21 * t21, 1e-12 * s22 + 1e-30))
-    # Fourth cumulants: of a disc -r^4/16 along each of its axes, of a side of the hole -6/5 of its variance squared.
-    j2, k2, cone4 = ja * ja + jb * jb, ka * ka + kb * kb, 2.0 * sine * sine * sine * sine
-    sides = (ju * ju * uu) ** 2 + (jv * jv * vv) ** 2 + (ku * ku * uu) ** 2 + (kv * kv * vv) ** 2
-    fourth = 3.0 - ((j2 * j2 + k2 * k2 + cone4) / 16.0 + 1.2 * sides) / (s11 * s11 + s22 * s22)
-    radius = math.sqrt(4.0 / 3.0 * fourth)
+    # Fourth cumulants: of a disc -r^4/16 along each of its axes, of a side of the hole -6/5 of its variance squared. Slopes go
+    # with the place in the hole where the disc limits them; what is left of them then is the disc's own.
+    j2, k2 = ja * ja + jb * jb, ka * ka + kb * kb
+    ru, rv = 1.0 / max(uu, TINY), 1.0 / max(vv, TINY)
+    slope2 = max(pp + qq - (up * up + uq * uq) * ru - (vp * vp + vq * vq) * rv, 0.0)
+    sides = (gu1 * gu1 * ru) ** 2 + (gv1 * gv1 * rv) ** 2 + (gu2 * gu2 * ru) ** 2 + (gv2 * gv2 * rv) ** 2
+    fourth = 3.0 - ((j2 * j2 + k2 * k2) / 16.0 + 0.5 * slope2 * slope2 + 1.2 * sides) / (s11 * s11 + s22 * s22)
+    radius = math.sqrt(4.0 / 3.0 * max(fourth, FLATTEST))
     share = 1.0 / (3.0 * radius * radius)
     for j in range(NODES):
         z1, z2 = (0.0, 0.0) if j == 0 else (radius * hexagon[j - 1, 0], radius * hexagon[j - 1, 1])

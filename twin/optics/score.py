@@ -26,13 +26,14 @@ from twin.optics.obstruction import FREE, PARTLY, visible
 from twin.optics.reflectance import Reflectance
 from twin.optics.regular import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
 from twin.optics.scene import Scene, scene_at
+from twin.optics.wide_aperture import WIDE, hole_nodes
 
 CHUNK = 1024
-Rule = tuple[Floats, Floats, int]
-"""Nodes over the cone and over a side of the hole, and the rays of a detector into whose view a mirror cuts."""
-FINE: Rule = (cone_nodes(3), side_nodes(8), 1024)
-"""For fluxes: what the aperture takes is exact to 0.1 %."""
-COARSE: Rule = (cone_nodes(), side_nodes(), 256)
+Rule = tuple[Floats, Floats, Floats, int]
+"""Nodes over the cone, over a side of the hole, and over it where the cone is wide; rays where a mirror cuts into the view."""
+FINE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
+"""For fluxes: what the aperture takes is exact to 0.3 %."""
+COARSE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 """For ratios, in which it cancels: exact to 3 %."""
 TABULATED = (TABLE, ANISOTROPIC)
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
@@ -102,9 +103,10 @@ def lobe_throughputs(
 ) -> list[LobeSums]:
     """Throughput of each lobe alone, a pose each: see `throughput`. All lobes have the same rays.
 
-    With `ratios` only ratios of lobes are wanted: the aperture is told by fewer points, to 3 % instead of 0.1 %, and the
-    same for all.
+    With `ratios` only ratios of lobes are wanted: the aperture is told by fewer points, to 3 % instead of 0.3 %, and the
+    same for all. Raises ValueError for a sensor that is no simple detector: see `Instrument.simplified`.
     """
+    instrument = instrument.simplified()
     results, tasks = [], []
     for pose in poses:
         scene = scene_at(instrument, pose.sigma_deg, pose.gamma_deg)
@@ -137,8 +139,9 @@ class _Score:
 
     def __init__(self, instrument: Instrument, scene: Scene, lobes: Sequence[Lobe], rays: int | None, rule: Rule) -> None:
         self._scene, self._lobes, self._rays = scene, lobes, rays
-        self._cone, self._side, partly = rule
+        self._cone, self._side, self._hole_nodes, partly = rule
         self._sizes = aperture_sizes(instrument)
+        self._wide = bool(self._sizes[2] * instrument.arc_radius_mm > WIDE * self._sizes[0])
         self._half = 0.5 * instrument.mirror_side_mm
         self._obstruction = instrument.obstruction
         self._bundle = ray_bundle(partly if rays is None else rays)
@@ -163,8 +166,8 @@ class _Score:
         if self._rays is None:
             rays, status = np.empty((7, NODES * count)), np.empty(count, dtype=np.int64)
             fill_nodes(
-                centres, axes, self._sizes, self._cone, self._side, HEXAGON, scene.pupil, scene.mirrors, self._half,
-                self._obstruction, scene.clipped, rays, status,
+                centres, axes, self._sizes, self._wide, self._cone, self._side, self._hole_nodes, HEXAGON, scene.pupil,
+                scene.mirrors, self._half, self._obstruction, scene.clipped, rays, status,
             )  # fmt: skip
             for lobe, row in zip(self._lobes, sums, strict=True):
                 if lobe.kind not in TABULATED:

@@ -1,4 +1,5 @@
-"""Which detectors count a ray: a look-up from its direction to those that may, then the exact test of disc and cone.
+"""Which detectors count a ray: a look-up from its direction to those that may, then the exact test of disc and cone, or, of
+real sensors, of lens, diaphragm and detector.
 
 Directions of either hemisphere, seen along the normal, fall into square cells. A cell lists every detector within whose
 cone some direction of it lies, so that 83,000 detectors cost a ray no more than 30. A list holds the detectors' frames side by
@@ -13,6 +14,7 @@ from numba import njit
 
 from twin.optics.frames import Floats
 from twin.optics.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
+from twin.optics.sensor import RealSensor, passes
 
 F32 = np.float32
 I32 = np.int32
@@ -23,6 +25,8 @@ HITS = 4 * BLOCK
 LENGTH, NOWHERE = 2, 9.0
 """Lists have a multiple of this length, a power of two: a loop that runs as often as the last time is foreseen by the
 processor. What fills them up is in no cone."""
+VIRTUAL = 6
+"""Length of a virtual detector's row."""
 # Room for the rounding of directions to single precision.
 SLACK = 2e-6
 
@@ -31,6 +35,9 @@ class Targets(NamedTuple):
     """Detectors: cell c lists those of `numbers` and rows of `frames` (., 6), viewing direction and centre in mm, from
     starts[c] to starts[c + 1]. `cells` a side; a detector's chord of half the field and its disc's radius in mm, both squared.
     The last list, of a ray that carries nothing, is empty.
+
+    Of real sensors the rows are longer (., 15): that side of the detector that lies along the arc, and the sensor's constants.
+    In arrays of their own, which go with every ray that bounces, they would cost virtual detectors some of their speed.
     """
 
     starts: np.ndarray
@@ -94,6 +101,16 @@ def targets(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float)
     return Targets(starts, numbers, frames, cells, chord2, (0.5 * diameter_mm) ** 2)
 
 
+def sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: RealSensor) -> Targets:
+    """Of sensors with their lenses at `centres` (n, 3), mm, that look along -`axes` (n, 3), `sides` (n, 3) along the arc.
+
+    The lists are those of a cone that no ray which can pass is outside of, with room for rounding.
+    """
+    found = targets(centres, axes, sensor.widest_deg + math.degrees(2.0 * SLACK), sensor.lens_diameter_mm)
+    rows = np.hstack([np.vstack([sides, np.zeros(3)]), np.tile(sensor.constants, (len(sides) + 1, 1))]).astype(np.float32)
+    return found._replace(frames=np.hstack([found.frames, rows[found.numbers]]))
+
+
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def find_cells(buffer: np.ndarray, count: int, cells: int, found: np.ndarray) -> None:
     """The cell of each path of a block."""
@@ -114,9 +131,41 @@ class Room(NamedTuple):
     weights: np.ndarray
 
 
+@njit(cache=True, error_model="numpy")
+def reaches(frames: np.ndarray, j: int, px: float, py: float, pz: float, dx: float, dy: float, dz: float, stop: float) -> bool:
+    """Whether a ray from p along d, as far as `stop`, reaches the detector of the real sensor of row j."""
+    ex, ey, ez = np.float64(frames[j, 0]), np.float64(frames[j, 1]), np.float64(frames[j, 2])
+    ux, uy, uz = np.float64(frames[j, 6]), np.float64(frames[j, 7]), np.float64(frames[j, 8])
+    vx, vy, vz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
+    x, y, z = px - frames[j, 3], py - frames[j, 4], pz - frames[j, 5]
+    along = dx * ex + dy * ey + dz * ez
+    distance = -(x * ex + y * ey + z * ez) / along
+    if not 0.0 < distance < stop:
+        return False
+    x, y, z = x + distance * dx, y + distance * dy, z + distance * dz
+    p, q = (dx * ux + dy * uy + dz * uz) / along, (dx * vx + dy * vy + dz * vz) / along
+    return passes(x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, p, q, frames[j, 9:])
+
+
+@njit(cache=True, error_model="numpy")
+def settle_sensors(buffer: np.ndarray, hits: int, targets: Targets, room: Room, sums: Floats) -> None:
+    """Adds those of the hits that reach a real sensor's detector to the first two columns of `sums` (n, 4)."""
+    for h in range(hits):
+        i, j = room.paths[h], room.places[h]
+        px, py, stop = np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), np.float64(buffer[i + STOP])
+        dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
+        if reaches(targets.frames, j, px, py, 0.0, dx, dy, dz, stop):
+            k, weight = targets.numbers[j], np.float64(buffer[i + WEIGHT])
+            sums[k, 0] += weight
+            sums[k, 1] += weight * weight
+
+
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def settle(buffer: np.ndarray, hits: int, targets: Targets, room: Room, sums: Floats) -> None:
     """Adds those of the hits that cross the detector's disc to the first two columns of `sums` (n, 4)."""
+    if targets.frames.shape[1] > VIRTUAL:
+        settle_sensors(buffer, hits, targets, room, sums)
+        return
     frames, places, paths, weights = targets.frames, room.places, room.paths, room.weights
     radius2, kept = F32(targets.radius2), 0
     for h in range(hits):
@@ -169,10 +218,14 @@ def score_segment(
         ex, ey, ez = targets.frames[j, 0], targets.frames[j, 1], targets.frames[j, 2]
         if (dx - ex) ** 2 + (dy - ey) ** 2 + (dz - ez) ** 2 > targets.chord2:
             continue
-        x, y, z = px - targets.frames[j, 3], py - targets.frames[j, 4], pz - targets.frames[j, 5]
-        distance = -(x * ex + y * ey + z * ez) / (dx * ex + dy * ey + dz * ez)
-        x, y, z = x + distance * dx, y + distance * dy, z + distance * dz
-        if 0.0 < distance < stop and x * x + y * y + z * z <= targets.radius2:
+        if targets.frames.shape[1] > VIRTUAL:
+            counts = reaches(targets.frames, j, px, py, pz, dx, dy, dz, stop)
+        else:
+            x, y, z = px - targets.frames[j, 3], py - targets.frames[j, 4], pz - targets.frames[j, 5]
+            distance = -(x * ex + y * ey + z * ez) / (dx * ex + dy * ey + dz * ez)
+            x, y, z = x + distance * dx, y + distance * dy, z + distance * dz
+            counts = 0.0 < distance < stop and x * x + y * y + z * z <= targets.radius2
+        if counts:
             k = targets.numbers[j]
             sums[k, 2] += weight
             sums[k, 3] += weight * weight

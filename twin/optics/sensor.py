@@ -4,17 +4,16 @@ The lens sits in its frame where the simplified detector has its disc; whatever 
 at `diaphragm_mm`, is the diaphragm, and right behind that, at `detector_mm`, the detector. An ideal lens turns a ray that
 crosses it at x with the slope p into one of slope p - x / f. With the diaphragm in the focal plane it arrives there at
 f p, wherever it crossed the lens: the unit then is the simplified detector, a disc with an acceptance cone, exactly. With
-the diaphragm elsewhere, or a detector too small for the cone, it is not, and only this model knows.
+the diaphragm elsewhere, or a detector too small for the cone, it is not, and only the forward estimator knows, which traces it.
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit
 
 from twin.optics.frames import Floats
-from twin.optics.instrument import Instrument
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,8 @@ class RealSensor:
     """Dimensions in mm: all assumed but the lens' diameter (that of the paper's virtual detectors).
 
     `aperture_mm` is the diaphragm's variable diameter, `diaphragm_mm` and `detector_mm` are distances behind the lens,
-    `detector_side_mm` is the side of the square detector. Raises ValueError, naming the field, for what cannot be built.
+    `detector_side_mm` is the side of the square detector; its sides lie along the arc and across it. Raises ValueError, naming
+    the field, for what cannot be built.
     """
 
     lens_diameter_mm: float = 5.0
@@ -46,18 +46,35 @@ class RealSensor:
         return 2.0 * math.degrees(math.atan(0.5 * self.aperture_mm / self.focal_length_mm))
 
     @property
+    def departure(self) -> str | None:
+        """What makes it other than a disc with an acceptance cone, in words; None where nothing does."""
+        if not math.isclose(self.diaphragm_mm, self.focal_length_mm, rel_tol=1e-12):
+            return f"its diaphragm is at {self.diaphragm_mm:g} mm and its focal plane at {self.focal_length_mm:g} mm"
+        behind = self.detector_mm - self.diaphragm_mm
+        width = self.aperture_mm + behind * (self.lens_diameter_mm + self.aperture_mm) / self.focal_length_mm
+        if width > self.detector_side_mm:
+            return f"its detector of {self.detector_side_mm:g} mm cuts the light, which is {width:.4g} mm wide there"
+        return None
+
+    @property
     def simple(self) -> bool:
         """Whether it is a disc with an acceptance cone: diaphragm in the focal plane, detector large enough behind it."""
-        behind = self.detector_mm - self.diaphragm_mm
-        steepest = 0.5 * (self.lens_diameter_mm + self.aperture_mm) / self.focal_length_mm
-        widest = 0.5 * self.aperture_mm + behind * steepest
-        return math.isclose(self.diaphragm_mm, self.focal_length_mm, rel_tol=1e-12) and widest <= 0.5 * self.detector_side_mm
+        return self.departure is None
 
-    def simplified(self, instrument: Instrument) -> Instrument:
-        """The instrument with the detectors that these units are. Raises ValueError where they are not `simple`."""
-        if not self.simple:
-            raise ValueError("the diaphragm is not in the focal plane, or the detector cuts the cone: no simple detector")
-        return replace(instrument, detector_diameter_mm=self.lens_diameter_mm, field_deg=self.field_deg)
+    @property
+    def widest_deg(self) -> float:
+        """Full angle of a cone about the axis in which is every ray that can pass, wherever it crosses the lens.
+
+        At the distance d behind the lens a ray is at x (1 - d/f) + p d, at most a from the axis; with x at most R the slope p
+        is at most (a + R |1 - d/f|) / d. So for the diaphragm, and for the detector's corners; the smaller of the two counts.
+        """
+        slope = math.inf
+        for behind, reach in (
+            (self.diaphragm_mm, 0.5 * self.aperture_mm), (self.detector_mm, math.sqrt(0.5) * self.detector_side_mm),
+        ):  # fmt: skip
+            aside = 0.5 * self.lens_diameter_mm * abs(1.0 - behind / self.focal_length_mm)
+            slope = min(slope, (reach + aside) / behind)
+        return 2.0 * math.degrees(math.atan(slope))
 
     @property
     def constants(self) -> Floats:

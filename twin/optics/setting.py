@@ -1,7 +1,7 @@
 """What a forward run needs to know, made from instrument, sample and source: the kernels' arguments."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from twin.optics.reflectance import share_reflected
 from twin.optics.scatterer import Scatterer
 from twin.optics.scattering import regular
 from twin.optics.scene import Scene, scene_at
-from twin.optics.scoring import Targets, targets
+from twin.optics.scoring import Targets, sensor_targets, targets
 from twin.optics.spread import BINS, Spread
 from twin.optics.strata import MM2_TO_M2, strata
 
@@ -67,7 +67,10 @@ def set_up(
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     rows = np.asarray(directions, dtype=np.float64)
     centres, axes = scene.detectors(instrument, rows) if rows.size else (np.zeros((0, 3)), direction_rows(np.zeros((0, 3))))
-    found = targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
+    if instrument.sensor is None:
+        found = targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
+    else:
+        found = sensor_targets(centres, axes, _along_the_arc(instrument, scene, rows), instrument.sensor)
     beam = _beam(instrument, scene, wavelength_nm, source, frames)
     weights = sample.weights(wavelength_nm)
     kept = [k for k in range(len(sample.lobes)) if weights[k] > 0.0]
@@ -102,6 +105,19 @@ def set_up(
         radiance,
         unit,
     )
+
+
+def _along_the_arc(instrument: Instrument, scene: Scene, rows: Floats) -> Floats:
+    """Of each detector the unit vector (n, 3) in the sample's frame along that side of its square that lies along the arc.
+
+    A sensor that was turned on by a quarter about its level side would look along the other one: every deviation is in it.
+    """
+    if not rows.size:
+        return np.zeros((0, 3))
+    own = instrument.deviation("sensor")
+    quarter = replace(own, rx_deg=0.0, ry_deg=own.ry_deg + 90.0)
+    _, sides = scene.detectors(replace(instrument, deviations={**instrument.deviations, "sensor": quarter}), rows)
+    return sides
 
 
 def _beam(

@@ -56,8 +56,10 @@ def stray(
 ) -> StrayMap:
     """The map for a sample, `scatterer`, at one place of mirror unit and sample unit; see `forward` for the arguments.
 
-    Half of the paths are those that land on a frame first. Raises ValueError as `forward` does.
+    Half of the paths are those that land on a frame first. Raises ValueError as `forward` does, and for a sensor that is no
+    simple detector, for light is spread over discs with acceptance cones: see `Instrument.simplified`.
     """
+    instrument = instrument.simplified()
     check_seed(seed)
     if paths < 2:
         raise ValueError(f"paths is {paths}: give at least 2, for an error needs two")
@@ -81,6 +83,7 @@ def stray_throughput(found: StrayMap, directions: npt.ArrayLike, instrument: Ins
     Linear between the middles of the map's bins, times the share of the detector that no mirror hides. Raises ValueError for
     directions that are none, and for an instrument with other detectors than the map's.
     """
+    instrument = instrument.simplified()
     if _detector(instrument) != found.detector:
         raise ValueError(f"the map is for arc, disc and field {found.detector}, the instrument has {_detector(instrument)}")
     _, axes = scene_at(instrument, found.sigma_deg, found.gamma_deg).detectors(instrument, directions)

@@ -6,7 +6,7 @@ The defaults are one consistent set of assumptions; where the source says nothin
 from dataclasses import dataclass, field
 from typing import Literal
 
-from twin.optics import Instrument, Scatterer
+from twin.optics import Instrument, SampleFrames, Scatterer
 
 
 @dataclass(frozen=True)
@@ -163,11 +163,16 @@ class AxisController:
 @dataclass(frozen=True)
 class Estimator:
     """What computes the photodiodes' light: the fast estimator, with its own few rays or with `rays` of them, or the forward
-    one until half of the photodiodes that get light are known to `relative_error`."""
+    one until half of the photodiodes that get light are known to `relative_error`.
+
+    `stray` is whether light of the frames, and light that met something between, counts: traced by the forward one, and for
+    the fast one added from a map that the forward one makes.
+    """
 
     kind: Literal["fast", "forward"] = "fast"
     rays: int | None = None
     relative_error: float = 3.0e-3
+    stray: bool = False
 
 
 @dataclass(frozen=True)
@@ -178,6 +183,7 @@ class TwinModel:
     axes: dict[str, Mechanics]
     samples: dict[str, Scatterer]
     instrument: Instrument = field(default_factory=Instrument)
+    frames: SampleFrames = field(default_factory=SampleFrames)
     light: Light = field(default_factory=Light)
     photodiodes: Photodiodes = field(default_factory=Photodiodes)
     electronics: Electronics = field(default_factory=Electronics)

@@ -1,12 +1,10 @@
 """The instrument at a time t: where each axis is, what light passes, what each photodiode gives and each converter reads."""
 
 import math
-from collections import OrderedDict
 
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics import Scatterer, arc_direction, forward, throughput
 from twin.optics.reflectance import nominal
 from twin.plant.converter import converted
 from twin.plant.lamp import lamp_constants, lamp_mean
@@ -15,10 +13,10 @@ from twin.plant.noise import normal, process_key
 from twin.plant.shaft import Shaft
 from twin.plant.slew import Slewing
 from twin.plant.timeline import Timeline
+from twin.plant.view import Aspect, View
 
 Floats = npt.NDArray[np.float64]
 MODULE_CHANNELS = 8
-POSES_KEPT = 64
 MONITOR_PIECES = 16
 """Into so many a mean of the monitor is cut where shutter or wavelength change during it."""
 
@@ -36,10 +34,8 @@ class Plant:
         diodes = model.photodiodes
         self.modules = math.ceil(diodes.count / MODULE_CHANNELS)
         self.gain: list[Timeline[int]] = [Timeline(0) for _ in range(self.modules)]
-        self._polar_deg = np.array(diodes.upper_deg + diodes.lower_deg)
-        self._lower = np.repeat([False, True], [len(diodes.upper_deg), len(diodes.lower_deg)])
+        self.view = View(model)
         self._lamp = lamp_constants(model.light, model.seed, model.noise)
-        self._poses: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
         self._make_electronics()
 
     def _make_electronics(self) -> None:
@@ -104,58 +100,19 @@ class Plant:
 
     def throughputs_m2sr(self, t: float) -> Floats:
         """What each photodiode would get of the exit pupil's radiance at the pose of `t`: shape (photodiodes,)."""
-        sample = self.sample.at(t)
-        if sample is None:
-            return np.zeros(self._polar_deg.size)
-        pose = tuple(self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
-        tilt = self.tilt_deg.at(t)
-        grey = self.model.samples[sample].spectrum is None and self.model.instrument.grey
-        wavelength = None if grey else self.wavelength_nm.at(t)
-        key = (sample, tilt, wavelength, *pose)
-        known = self._poses.get(key)
-        if known is not None:
-            self._poses.move_to_end(key)
-            return known
-        result = self._poses[key] = self._seen_m2sr(sample, wavelength, tilt, *pose)
-        if len(self._poses) > POSES_KEPT:
-            self._poses.popitem(last=False)
-        return result
-
-    def _seen_m2sr(
-        self, sample: str, wavelength: float | None, tilt: float, sigma: float, gamma: float, beta: float, shift: float
-    ) -> Floats:
-        directions = arc_direction(self._polar_deg + shift, np.full(self._polar_deg.size, beta))
-        directions[self._lower, 2] *= -1.0
-        if tilt:
-            # Everything else turns about y, so a sample that leans is a rig that is turned the other way.
-            c, s = math.cos(math.radians(tilt)), math.sin(math.radians(tilt))
-            x, z = directions[:, 0].copy(), directions[:, 2].copy()
-            directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
-            sigma -= tilt
-        return self._light(self.model.samples[sample], sigma, directions, gamma, wavelength)
+        axes = (self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
+        return self.view.throughputs_m2sr(Aspect(self.sample.at(t), self.tilt_deg.at(t), self.wavelength_nm.at(t), *axes))
 
     def warm_up(self) -> None:
         """Computes everything once, for the kernels compile when they are first used, and a device must not wait for that.
 
         Nothing is changed by it, and no number is drawn.
         """
-        for sample in self.model.samples:
-            self._seen_m2sr(sample, self.wavelength_nm.at(0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
+        for sample in (*self.model.samples, None):
+            self.view.throughputs_m2sr(Aspect(sample, 0.0, self.wavelength_nm.at(0.0), 0.0, 0.0, 0.0, 0.0))
         for module in range(self.modules):
             self.volts(module, 0.0)
         lamp_mean(0.0, self.conversion_period_s, *self._lamp)
-
-    def _light(self, sample: Scatterer, sigma: float, directions: Floats, gamma: float, wavelength: float | None) -> Floats:
-        model = self.model
-        chosen = model.estimator
-        if chosen.kind == "fast":
-            return throughput(
-                model.instrument, sigma, directions, sample, rays=chosen.rays, gamma_deg=gamma, wavelength_nm=wavelength
-            )
-        return forward(
-            model.instrument, sigma, directions, sample, seed=model.seed, gamma_deg=gamma, wavelength_nm=wavelength,
-            relative_error=chosen.relative_error,
-        ).throughput_m2sr  # fmt: skip
 
     def pupil_radiance(self, t: float) -> float:
         """Of the exit pupil for a lamp of level 1, W m^-2 sr^-1; 0 behind the closed shutter."""
@@ -172,7 +129,7 @@ class Plant:
         if radiance > 0.0:
             wavelength = self.wavelength_nm.at(t)
             responsivity = float(np.interp(wavelength, *np.transpose(self.model.photodiodes.responsivity)))
-            currents[: self._polar_deg.size] = responsivity * radiance * self.throughputs_m2sr(t)
+            currents[: self.model.photodiodes.count] = responsivity * radiance * self.throughputs_m2sr(t)
         return currents
 
     def volts(self, module: int, t: float) -> Floats:

@@ -52,6 +52,17 @@ def test_detectors_stand_close_where_the_specular_direction_is(sigma_deg: float)
         assert np.unique(np.round(near, 4))[1] <= 0.5
 
 
+@pytest.mark.parametrize(("sigma_deg", "bent_deg"), [(60.0, 35.3), (20.0, 30.9), (0.0, 0.0), (80.0, 87.0), (30.0, 30.2)])
+def test_detectors_stand_close_where_a_refraction_has_bent_a_lobe(sigma_deg: float, bent_deg: float) -> None:
+    polar = detectors_at(sigma_deg, True, [bent_deg]).polar_deg
+    assert np.all(np.diff(polar) > 0.0)
+    assert polar[0] == 0.0
+    assert 87.0 <= polar[-1] < 90.0
+    for centre in (sigma_deg, bent_deg):
+        assert np.min(np.abs(polar - centre)) < 1e-9
+        assert np.all(np.diff(polar[np.abs(polar - centre) < 3.0]) <= 0.5 + 1e-9)
+
+
 def test_output_nodes_cover_what_readers_of_a_table_expect() -> None:
     theta = output_theta(np.array([1.0, 50.0]))
     assert theta.tolist() == [0.0, 1.0, 50.0, 180.0]

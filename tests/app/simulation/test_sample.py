@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from app.errors import UserError
 from app.formats import DdrTable, ZemaxBsdf, write_ddr, write_zemax
 from app.simulation.sample import parse_sample, table_files
-from twin.optics import evaluate, from_specular, gaussian, lambertian, light_direction, summed
+from twin.optics import albedo, evaluate, from_specular, gaussian, lambertian, light_direction, summed
 
 SIGMA, PHI, THETA = np.array([0.0, 60.0]), np.array([0.0, 180.0]), np.array([0.0, 20.0, 180.0])
 VALUES = np.array([0.3, 0.2, 0.1]) * np.ones((1, 2, 2, 3))
@@ -59,7 +59,7 @@ def test_any_text_is_a_sample_or_one_line_of_complaint(text: str) -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(
-    st.sampled_from(["gaussian", "lambertian", "phong"]),
+    st.sampled_from(["gaussian", "lambertian", "regular", "phong"]),
     st.lists(
         st.tuples(st.sampled_from(["width_deg", "reflectance", "peak", "form", "x"]), st.text("0123456789.-+einfa", max_size=6))
     ),
@@ -72,11 +72,23 @@ def test_any_keys_and_numbers_make_a_sample_or_one_line_of_complaint(model: str,
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("phong:n=3", "no model 'phong'; give gaussian:width_deg=5, lambertian:reflectance=0.9, table:FILE"),
+        (
+            "phong:n=3",
+            "no model 'phong'; give gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE",
+        ),
         ("gaussian:width_deg=5+phong:n=3", "no model 'phong'"),
         ("gaussian", "width_deg: is missing"),
         ("gaussian:width=5", "no key 'width'; keys are width_deg, form, quantity, peak, reflectance"),
-        ("gaussian:width_deg=5,side=back", "no key 'side'"),
+        ("gaussian:width_deg=5,side=left", "'front', 'back' or 'both'"),
+        ("gaussian:width_deg=5,refraction=1.5", "only a transmitted lobe is bent"),
+        ("gaussian:width_deg=5,transmits=perhaps", "transmits: input should be a valid boolean"),
+        ("lambertian:reflectance=0.9,side=back+gaussian:width_deg=5,side=both", "1.8 times the light"),
+        ("regular:reflectance=1.1", "give a share of the light, 0 to 1"),
+        ("regular:reflectance=0", "give a share above 0"),
+        ("regular:sigma_deg=3", "no key 'sigma_deg'; keys are reflectance, transmits, side"),
+        ("regular:reflectance=0.5+lambertian:reflectance=0.6", "1.1 times the light"),
+        ("table:/absent.bsdf,side=left", "side is 'left'; give front, back, both"),
+        ("table:/absent.bsdf,side=back", "/absent.bsdf: there is no such file"),
         ("gaussian:width_deg=-2", "width_deg is -2"),
         ("gaussian:width_deg=0", "width_deg is 0"),
         ("gaussian:width_deg=nan", "width_deg: input should be a finite number"),
@@ -124,6 +136,22 @@ def test_a_spectral_table_keeps_its_wavelengths(tmp_path: Path) -> None:
     sample = parse_sample(f"table:{path}")
     ratio = evaluate(sample, LIGHT, OBSERVERS, 550.0) / evaluate(sample, LIGHT, OBSERVERS, 650.0)
     np.testing.assert_allclose(ratio, 0.75, rtol=1e-9)
+
+
+@pytest.mark.parametrize("side", ["front", "back", "both"])
+def test_each_model_acts_on_the_sides_that_it_is_given(side: str, tmp_path: Path) -> None:
+    path = tmp_path / "a,b.ddr"
+    write_ddr(path, DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), SIGMA, PHI, THETA, (None,), VALUES[None]))
+    texts = "regular:reflectance=0.04", "lambertian:reflectance=0.5", "gaussian:width_deg=5", f"table:{path}"
+    for text in texts:
+        made = parse_sample(f"{text},side={side}")
+        shares = [albedo(made, sigma) for sigma in (20.0, 160.0)]
+        assert [each > 0.0 for each in shares] == [side in ("front", "both"), side in ("back", "both")]
+    assert table_files(f"table:{path},side={side}+lambertian:reflectance=0.1") == [path]
+    mirror = parse_sample(f"lambertian:reflectance=0.5,transmittance=0.1+regular:reflectance=0.3,transmits=true,side={side}")
+    told = [albedo(mirror, sigma, transmitted=True) for sigma in (20.0, 160.0)]
+    front, back = side in ("front", "both"), side in ("back", "both")
+    assert told == pytest.approx([0.1 + 0.3 * front, 0.3 * back], rel=1e-6)
 
 
 def test_a_table_with_a_hole_is_refused(tmp_path: Path) -> None:

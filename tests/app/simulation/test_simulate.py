@@ -9,7 +9,7 @@ import pytest
 
 from app.errors import UserError
 from app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
-from app.simulation.estimate import Effort
+from app.simulation.effort import Effort
 from app.simulation.files import check_names, ddr_table, summary, write
 from app.simulation.sample import parse_sample
 from app.simulation.simulate import Simulation, Task, simulate
@@ -142,6 +142,8 @@ def test_both_estimators_agree_within_their_errors(sample: str, sigma_deg: float
     assert np.array_equal(fast.hidden, forward.hidden)
     # Few hits make an error that is hardly known.
     many = (forward.ratio.standard_error < 0.15 * forward.ratio.factor)[0]
+    # Nor is it where a lobe is nearly nothing, all of which a few paths make.
+    many &= fast.ratio.factor[0] > 1e-4
     assert np.count_nonzero(many) >= 15
     agree(forward.ratio.factor[0, many], forward.ratio.standard_error[0, many], fast.ratio.factor[0, many], 0.0)
 
@@ -163,8 +165,8 @@ def test_either_estimator_can_be_asked_for_an_error() -> None:
     result = summary(coarse, [Path("a.ddr")])
     assert result["paths"] >= 2 << 20
     assert result["median_relative_standard_error_percent"] <= 8.0 <= 100.0
-    fine = simulate(small("gaussian:width_deg=25", effort=Effort(error_percent=0.002)))
-    assert fine.at[0].ratio.median_percent <= 0.002
+    fine = simulate(small("gaussian:width_deg=25", effort=Effort(error_percent=8e-4)))
+    assert fine.at[0].ratio.median_percent <= 8e-4
     assert summary(fine, [Path("a.ddr")])["rays"] > 7
     with pytest.raises(UserError, match=r"--error"):
         simulate(small("gaussian:width_deg=25", effort=Effort(error_percent=1e-9)))

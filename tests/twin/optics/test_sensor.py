@@ -1,12 +1,29 @@
-"""The sensor unit as it is built against the simplified one: where they are the same, and where they are not."""
+"""The sensor unit as it is built against the simplified one: where they are the same, where not, and who knows of it."""
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from twin.optics import Instrument, RealSensor
+from twin.optics import (
+    Instrument,
+    RealSensor,
+    arc_direction,
+    lambertian,
+    luminance_factor,
+    spectral_throughput,
+    stray,
+    stray_throughput,
+    throughput,
+)
 from twin.optics.sensor import passes
+
+OTHERS = [RealSensor(diaphragm_mm=18.0), RealSensor(detector_side_mm=0.1), RealSensor(detector_mm=40.0)]
+NAMES = ["diaphragm out of focus", "small detector", "detector far behind"]
+DIRECTIONS = arc_direction([20.0, 40.0], [150.0, 60.0])
 
 
 def counted(sensor: RealSensor, rays: np.ndarray) -> np.ndarray:
@@ -14,10 +31,10 @@ def counted(sensor: RealSensor, rays: np.ndarray) -> np.ndarray:
     return np.array([passes(x, y, p, q, sensor.constants) for x, y, p, q in rays])
 
 
-def rays(count: int = 20_000) -> np.ndarray:
+def rays(count: int = 20_000, slope: float = 0.01) -> np.ndarray:
     """About the lens and its field, within and beyond."""
     random = np.random.Generator(np.random.Philox(5))
-    return np.column_stack([random.uniform(-3.0, 3.0, (count, 2)), random.uniform(-0.01, 0.01, (count, 2))])
+    return np.column_stack([random.uniform(-3.0, 3.0, (count, 2)), random.uniform(-slope, slope, (count, 2))])
 
 
 def simplified(instrument: Instrument, given: np.ndarray) -> np.ndarray:
@@ -31,25 +48,81 @@ def simplified(instrument: Instrument, given: np.ndarray) -> np.ndarray:
 def test_with_the_diaphragm_in_the_focal_plane_it_is_a_disc_with_an_acceptance_cone(aperture_mm: float) -> None:
     sensor = RealSensor(aperture_mm=aperture_mm)
     given = rays()
-    expected = simplified(sensor.simplified(Instrument()), given)
+    expected = simplified(Instrument(sensor=sensor).simplified(), given)
     assert 100 < np.sum(expected) < len(given)
     assert np.array_equal(counted(sensor, given), expected)
 
 
 def test_the_default_has_the_papers_finest_field() -> None:
     assert RealSensor().field_deg == pytest.approx(0.5)
-    assert RealSensor().simplified(Instrument()) == Instrument()
+    assert Instrument(sensor=RealSensor()).simplified() == Instrument()
 
 
-@pytest.mark.parametrize(
-    "other", [RealSensor(diaphragm_mm=18.0), RealSensor(detector_side_mm=0.1), RealSensor(detector_mm=40.0)],
-    ids=["diaphragm out of focus", "small detector", "detector far behind"],
-)  # fmt: skip
+def test_an_instrument_with_a_sensor_has_the_disc_and_the_field_of_that() -> None:
+    sensor = RealSensor(lens_diameter_mm=8.0, aperture_mm=1.0)
+    instrument = Instrument(detector_diameter_mm=3.0, field_deg=2.0, sensor=sensor)
+    assert (instrument.detector_diameter_mm, instrument.field_deg) == (8.0, sensor.field_deg)
+    assert replace(instrument, sensor=RealSensor()).detector_diameter_mm == 5.0
+    assert instrument != instrument.simplified() == Instrument(detector_diameter_mm=8.0, field_deg=sensor.field_deg)
+
+
+@pytest.mark.parametrize("other", OTHERS, ids=NAMES)
 def test_elsewhere_it_is_not_and_says_so(other: RealSensor) -> None:
     given = rays()
     assert not np.array_equal(counted(other, given), simplified(Instrument(), given))
-    with pytest.raises(ValueError, match="no simple detector"):
-        other.simplified(Instrument())
+    with pytest.raises(ValueError, match=r"no simple detector.*use the forward estimator"):
+        Instrument(sensor=other).simplified()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "says"),
+    [
+        (RealSensor(diaphragm_mm=18.0), "diaphragm is at 18 mm and its focal plane at 20 mm"),
+        # 0.175 mm of aperture, and 1 mm behind it (5 + 0.175) / 20 mm more.
+        (RealSensor(detector_side_mm=0.1), "detector of 0.1 mm cuts the light, which is 0.4333 mm wide there"),
+    ],
+)
+def test_the_reason_is_in_the_refusal(sensor: RealSensor, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Instrument(sensor=sensor).simplified()
+
+
+@pytest.mark.parametrize("sensor", [RealSensor(), *OTHERS, RealSensor(focal_length_mm=60.0)], ids=str)
+def test_no_ray_outside_its_widest_cone_can_pass(sensor: RealSensor) -> None:
+    limit = math.tan(math.radians(0.5 * sensor.widest_deg))
+    # From the lens' edge, that is: the bound is that of the worst place on it.
+    edge = rays(200_000, 1.2 * limit)
+    edge[:, :2] *= (2.499999 / np.hypot(edge[:, 0], edge[:, 1]))[:, None]
+    passing = np.hypot(*edge[counted(sensor, edge)][:, 2:].T)
+    assert passing.size > 100
+    assert np.max(passing) <= limit * (1.0 + 1e-9)
+    # The corners of a square are reached by few, so its bound is not as tight as the diaphragm's.
+    assert np.max(passing) > 0.7 * limit
+
+
+def fast_calls(instrument: Instrument) -> list[Callable[[], Any]]:
+    virtual = stray(replace(instrument, sensor=None), 30.0, lambertian(), paths=2)
+    return [
+        lambda: throughput(instrument, 30.0, DIRECTIONS, lambertian()),
+        lambda: throughput(instrument, 30.0, DIRECTIONS, lambertian(), rays=64),
+        lambda: spectral_throughput(instrument, 30.0, DIRECTIONS, lambertian(), [500.0, 600.0]),
+        lambda: luminance_factor(instrument, 30.0, DIRECTIONS, lambertian()),
+        lambda: stray(instrument, 30.0, lambertian(), paths=2).values,
+        lambda: stray_throughput(virtual, DIRECTIONS, instrument),
+    ]
+
+
+@pytest.mark.parametrize("other", OTHERS, ids=NAMES)
+def test_the_fast_estimator_and_the_map_of_stray_light_refuse_what_is_no_simple_detector(other: RealSensor) -> None:
+    for call in fast_calls(Instrument(sensor=other)):
+        with pytest.raises(ValueError, match=r"no simple detector.*use the forward estimator"):
+            call()
+
+
+def test_of_a_simple_sensor_they_take_its_disc_and_cone() -> None:
+    instrument = Instrument(sensor=RealSensor(lens_diameter_mm=6.0, aperture_mm=0.5))
+    for call, same in zip(fast_calls(instrument), fast_calls(instrument.simplified()), strict=True):
+        assert np.array_equal(call(), same())
 
 
 @pytest.mark.parametrize("wrong", [{"focal_length_mm": 0.0}, {"aperture_mm": math.nan}, {"detector_mm": 5.0}])

@@ -14,6 +14,7 @@ from tests.conftest import REPOSITORY, RIG
 from twin import TwinModel, VirtualRig
 from twin.optics import throughput
 from twin.plant import Plant
+from twin.plant.view import OPEN_BEAM
 
 FIRST_LIGHT = """
 import sys
@@ -46,11 +47,11 @@ def test_on_a_real_clock_the_light_of_each_sample_has_been_computed(model: TwinM
         seen.append(scatterer)
         return throughput(instrument, sigma, directions, scatterer, **how)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("twin.plant.plant.throughput", recorded)
+    monkeypatch.setattr("twin.plant.view.throughput", recorded)
     VirtualRig.build(model, VirtualClock())
     assert seen == []
     VirtualRig.build(model, RealClock())
-    assert seen == list(model.samples.values())
+    assert seen == [*model.samples.values(), OPEN_BEAM]
 
 
 def test_nothing_is_changed_by_it(model: TwinModel) -> None:

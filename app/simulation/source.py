@@ -1,0 +1,64 @@
+"""The light: the illumination unit that fits an instrument, and a recorded rayset of it as the source."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from app.errors import UserError
+from app.formats import FormatError, read_rayset
+from twin.optics import IlluminationUnit, Instrument, RaySource, replay
+from twin.optics.mirrors import pupil
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Rays of a file in place of the uniform exit pupil; `name` is the file's, `geometry` the illumination unit's
+    fingerprint, `wavelength_nm` that of its monochromator."""
+
+    name: str
+    rays: RaySource
+    geometry: str
+    wavelength_nm: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "file": self.name,
+            "rays": int(self.rays.flux.size),
+            "geometry": self.geometry,
+            "wavelength_nm": self.wavelength_nm,
+        }
+
+
+def unit_for(instrument: Instrument, wavelength_nm: float, interval_nm: float, bandwidth_nm: float) -> IlluminationUnit:
+    """The illumination unit whose exit pupil, distance and field are the instrument's. Raises UserError."""
+    try:
+        return IlluminationUnit(
+            wavelength_nm=wavelength_nm,
+            interval_nm=interval_nm,
+            bandwidth_nm=bandwidth_nm,
+            exit_pupil_radius_mm=instrument.pupil_radius_mm,
+            sample_distance_mm=instrument.pupil_distance_mm,
+            field_side_mm=instrument.spot_side_mm,
+        )
+    except ValueError as error:
+        # The unit's name for it, in which only an underscore is not the option's.
+        raise UserError(f"--{str(error).replace('_nm', '', 1)}") from None
+
+
+def read_source(path: Path, unit: IlluminationUnit, instrument: Instrument) -> Source:
+    """A rayset of this unit at the instrument's exit pupil. Raises UserError for a file that is none, is damaged, or is of
+    another unit."""
+    x, y, z = (float(each) for each in pupil(instrument)[0])
+    try:
+        rayset = read_rayset(path)
+    except FormatError as error:
+        raise UserError(f"--source: {error}") from None
+    try:
+        rays = replay(rayset, unit, (x, y, z))
+    except ValueError as error:
+        wanted = f"{unit.wavelength_nm:g} nm, interval {unit.interval_nm:g} nm, bandwidth {unit.bandwidth_nm:g} nm"
+        raise UserError(
+            f"--source: {path}: {error}, or give its --wavelength, --interval, --bandwidth ({wanted} now)"
+        ) from None
+    return Source(str(path), rays, rayset.geometry, unit.wavelength_nm)

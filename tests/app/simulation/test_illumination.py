@@ -1,0 +1,157 @@
+"""The light on the sample: the paper's figure 8 as files, and its rays as a source."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.errors import UserError
+from app.formats import read_points_csv, read_rayset, write_rayset
+from app.simulation.assumptions import assumptions
+from app.simulation.effort import Effort
+from app.simulation.files import summary as simulated_summary
+from app.simulation.illumination import Illuminated, illuminated, summary
+from app.simulation.illumination_shown import check_names, write_illumination
+from app.simulation.sample import parse_sample
+from app.simulation.simulate import Task, simulate
+from app.simulation.source import read_source, unit_for
+from tests.twin.optics.agreement import agree
+from twin.optics import IlluminationUnit, Instrument
+
+WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
+UNIT = unit_for(WIDE, 555.0, 0.0, 5.0)
+
+
+@pytest.fixture(scope="module")
+def light() -> Illuminated:
+    return illuminated(UNIT, error_percent=2.0, seed=1, rays=50_000)
+
+
+@pytest.fixture
+def rays(light: Illuminated, tmp_path: Path) -> Path:
+    assert light.rayset is not None
+    write_rayset(tmp_path / "beam.h5", light.rayset)
+    return tmp_path / "beam.h5"
+
+
+def test_both_estimators_of_the_flux_stand_side_by_side_with_their_errors(light: Illuminated) -> None:
+    result = summary(light)
+    forward, adjoint = result["forward"], result["adjoint"]
+    assert 0.0 < forward["standard_error"] <= 0.02 * forward["flux"]
+    assert 0.0 < adjoint["standard_error"] <= 1e-4 * adjoint["flux"]
+    assert abs(result["difference_over_error"]) < 3.5
+    assert (result["unit"], result["simulated"], result["geometry"]) == ("W", True, IlluminationUnit().fingerprint)
+    assert result["rayset"]["rays"] == 50_000
+    assert 0.5 < result["full_width_deg"] < 1.0  # the paper's divergence
+
+
+def test_a_wider_passband_brings_more_light() -> None:
+    wide = illuminated(unit_for(WIDE, 555.0, 20.0, 5.0), 10.0, 1, None)
+    narrow = illuminated(UNIT, 10.0, 1, None)
+    # A trapezoid of 20 nm with edges of 5 nm over a triangle of 5 nm, of a lamp that changes little.
+    assert wide.adjoint.flux / narrow.adjoint.flux == pytest.approx(25.0 / 5.0, rel=0.02)
+    assert summary(wide)["rayset"] is None
+
+
+def test_the_csv_has_map_and_profile_with_errors_and_units(light: Illuminated, tmp_path: Path) -> None:
+    path = tmp_path / "light.csv"
+    write_illumination(light, path)
+    points = read_points_csv(path)
+    assert points.comments[0].startswith("SIMULATED")
+    assert any("forward (" in line and "adjoint (" in line for line in points.comments)
+    columns = points.columns
+    cells, angles = columns["table"] == "irradiance", columns["table"] == "intensity"
+    assert set(columns["unit"][cells]) == {"W/m^2"}
+    assert set(columns["unit"][angles]) == {"W/sr"}
+    # What the map has in the field is the flux.
+    inside = cells & (np.abs(columns["x_mm"]) < 2.5) & (np.abs(columns["z_mm"]) < 2.5)
+    assert columns["value"][inside].mean() * 25e-6 == pytest.approx(light.adjoint.flux, rel=5e-3)
+    assert np.isfinite(columns["angle_deg"][angles]).all()
+    assert np.isnan(columns["angle_deg"][cells]).all()
+
+
+def test_the_picture_is_a_png(light: Illuminated, tmp_path: Path) -> None:
+    path = tmp_path / "light.png"
+    write_illumination(light, path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.stat().st_size > 30_000
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(UserError, match="cannot be written"):
+        write_illumination(light, tmp_path / "absent" / "light.png")
+
+
+def test_a_rayset_replayed_is_the_light_of_the_uniform_pupil_but_for_its_unevenness(rays: Path) -> None:
+    def found(source: bool) -> tuple[np.ndarray, np.ndarray]:
+        task = Task(
+            parse_sample("gaussian:width_deg=15,reflectance=0.5+lambertian:reflectance=0.3"),
+            np.array([30.0]),
+            instrument=WIDE,
+            effort=Effort("forward", paths=1_500_000),
+            source=read_source(rays, UNIT, WIDE) if source else None,
+            polar_deg=np.arange(10.0, 80.0, 12.0),
+            azimuth_deg=np.array([40.0, 75.0, 110.0, 145.0, 180.0]),
+        )
+        done = simulate(task)
+        told = simulated_summary(done, [Path("a.ddr")])["source"]
+        assert (told is not None) == source
+        if source:
+            assert (told["file"], told["rays"], told["geometry"]) == (str(rays), 50_000, UNIT.fingerprint)
+            assert any(words.startswith(f"source: rayset {rays}") for words in assumptions(done))
+        return done.at[0].ratio.factor[0], done.at[0].ratio.standard_error[0]
+
+    (factor, error), (uniform, its_error) = found(True), found(False)
+    assert not np.array_equal(factor, uniform)
+    seen = (error < 0.15 * factor) & (its_error < 0.15 * uniform)
+    assert np.count_nonzero(seen) >= 15
+    # The same ratio: sample and etalon have the same light.
+    agree(factor[seen], error[seen], uniform[seen], its_error[seen])
+
+
+def test_the_fast_estimator_refuses_a_source(rays: Path) -> None:
+    with pytest.raises(UserError, match=r"^--source: the fast estimator .*; give --estimator forward"):
+        simulate(Task(parse_sample("lambertian"), np.array([30.0]), source=read_source(rays, UNIT, WIDE)))
+
+
+def test_rays_of_another_geometry_and_files_that_are_none_are_one_line(rays: Path, tmp_path: Path) -> None:
+    def refusal(path: Path, unit: IlluminationUnit = UNIT) -> str:
+        with pytest.raises(UserError) as caught:
+            read_source(path, unit, WIDE)
+        message = str(caught.value)
+        assert message.startswith(f"--source: {path}")
+        assert message.isprintable()
+        return message
+
+    others = unit_for(WIDE, 556.0, 0.0, 5.0), unit_for(Instrument(pupil_radius_mm=4.0), 555.0, 0.0, 5.0)
+    for other in others:
+        assert f"another geometry: recorded for {UNIT.fingerprint}" in refusal(rays, other)
+    damaged = tmp_path / "damaged.h5"
+    content = bytearray(rays.read_bytes())
+    content[len(content) // 2] ^= 1
+    damaged.write_bytes(content)
+    assert "is damaged" in refusal(damaged)
+    assert "there is no such file" in refusal(tmp_path / "absent.h5")
+    assert read_rayset(rays).geometry == UNIT.fingerprint
+
+
+@pytest.mark.parametrize(
+    ("error", "seed", "count", "named"),
+    [(0.0, 1, None, "--error"), (float("nan"), 1, None, "--error"), (1e-7, 1, None, "illumination: "),
+     (1.0, -1, None, "--seed"), (1.0, 1, 1, "--rays"), (1.0, 1, 10**9, "--rays")],
+)  # fmt: skip
+def test_what_cannot_be_computed_is_refused(error: float, seed: int, count: int | None, named: str) -> None:
+    with pytest.raises(UserError, match=named):
+        illuminated(UNIT, error, seed, count)
+
+
+def test_what_no_monochromator_or_name_can_be_is_refused(tmp_path: Path) -> None:
+    for wavelength, interval, bandwidth, named in (
+        (-1.0, 0.0, 5.0, "--wavelength"), (555.0, -1.0, 5.0, "--interval"), (555.0, 0.0, 0.0, "--bandwidth"),
+        (3.0, 0.0, 5.0, "--wavelength"),
+    ):  # fmt: skip
+        with pytest.raises(UserError, match=f"^{named} "):
+            unit_for(WIDE, wavelength, interval, bandwidth)
+    with pytest.raises(UserError, match=r"^--wavelength: no light of the lamp passes at 9000 nm"):
+        illuminated(unit_for(WIDE, 9000.0, 0.0, 5.0), 1.0, 1, None)
+    for out, rayset in (("a.txt", None), ("absent/a.png", None), ("a.png", "b.txt"), ("a.png", "absent/b.h5")):
+        with pytest.raises(UserError):
+            check_names(tmp_path / out, None if rayset is None else tmp_path / rayset)

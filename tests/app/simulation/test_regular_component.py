@@ -1,0 +1,79 @@
+"""The regular component: what detectors see of it is in the table, and everything says that this is all."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.simulation.assumptions import assumptions
+from app.simulation.files import summary
+from app.simulation.regular import seen_within_deg
+from app.simulation.sample import parse_sample
+from app.simulation.simulate import Simulation, Task, simulate
+from twin.optics import Instrument, lambertian, regular, specular_direction, throughput
+
+OPEN = Instrument(obstruction=False)
+
+
+def found(sample: str, sigmas: tuple[float, ...] = (30.0,), **settings: Any) -> Simulation:
+    few = {
+        "polar_deg": np.concatenate([[0.0, 10.0, 20.0], np.arange(28.0, 32.1, 0.5), [40.0, 60.0, 85.0]]),
+        "azimuth_deg": np.concatenate([[0.0, 60.0, 120.0, 160.0], np.arange(176.0, 180.1, 1.0)]),
+    }
+    return simulate(Task(parse_sample(sample), np.array(sigmas), **{"instrument": OPEN, **few, **settings}))
+
+
+def test_alone_it_is_what_a_detector_in_the_mirror_direction_gets_over_the_etalons() -> None:
+    mirror = found("regular:reflectance=0.9")
+    directions = specular_direction(30.0)[None]
+    expected = throughput(OPEN, 30.0, directions, regular(0.9)) / throughput(OPEN, 30.0, directions, lambertian())
+    assert mirror.table[0, 0, :, 0] == pytest.approx(np.full(mirror.phi_deg.size, expected[0]), rel=1e-6)
+    assert expected[0] > 1000.0  # all of the light within 1 deg
+    at = mirror.at[0]
+    theta = np.degrees(np.arccos(np.clip(at.directions @ specular_direction(30.0), -1.0, 1.0)))
+    assert np.all(at.ratio.factor[0, theta > seen_within_deg(OPEN)] == 0.0)
+    assert np.all(at.ratio.factor[0, theta < 0.5] > 0.0)
+
+
+@pytest.mark.parametrize("transmitted", [False, True])
+def test_in_a_sum_it_adds_to_the_rest(transmitted: bool) -> None:
+    way = ",transmits=true" if transmitted else ""
+    rest = "lambertian:reflectance=0.4,transmittance=0.3"
+    whole = found(f"{rest}+regular:reflectance=0.04{way}", transmitted=transmitted)
+    parts = [found(each, transmitted=transmitted) for each in (rest, f"regular:reflectance=0.04{way}")]
+    np.testing.assert_allclose(whole.table, parts[0].table + parts[1].table, rtol=1e-9)
+    assert whole.table[0, 0, 0, -1] == pytest.approx(0.3 if transmitted else 0.4)
+
+
+def test_it_is_said_where_it_is_and_that_its_factor_is_the_instruments() -> None:
+    mirror = found("lambertian:reflectance=0.5+regular:reflectance=0.04", (0.0, 30.0), instrument=Instrument())
+    hidden, seen = summary(mirror, [Path("a.ddr")])["regular"]
+    # At normal incidence mirror 3 stands in the mirror direction.
+    assert (hidden["sigma"], hidden["hidden"], hidden["largest_luminance_factor"]) == (0.0, True, None)
+    assert (seen["sigma"], seen["share"], seen["polar_deg"], seen["azimuth_deg"]) == (30.0, 0.04, 30.0, 180.0)
+    assert seen["largest_luminance_factor"] == pytest.approx(mirror.table[0, 1, 0, 0], rel=1e-6)
+    told = "\n".join(assumptions(mirror))
+    assert "regular component: 0.04 of the light goes in the mirror direction, theta = 0" in told
+    assert "no property of the sample" in told
+    assert "no detector has it at sigma 0" in told
+    plain = found("lambertian:reflectance=0.5")
+    assert summary(plain, [Path("a.ddr")])["regular"] == []
+    assert "regular" not in "\n".join(assumptions(plain))
+
+
+def test_a_component_of_the_other_side_is_none_of_this_one() -> None:
+    both = "lambertian:reflectance=0.5,side=both+regular:reflectance=0.04,side=back"
+    assert summary(found(both), [Path("a.ddr")])["regular"] == []
+    (peak,) = summary(found(both, back=True), [Path("a.ddr")])["regular"]
+    assert peak["share"] == 0.04
+    assert peak["largest_luminance_factor"] > 10.0
+
+
+def test_a_bent_lobe_is_where_snells_law_has_it() -> None:
+    bent = found("gaussian:width_deg=3,transmits=true,refraction=1.5", transmitted=True, polar_deg=None, azimuth_deg=None)
+    axis = np.degrees(np.arcsin(np.sin(np.radians(30.0)) / 1.5))
+    at = bent.at[0]
+    brightest = at.directions[np.argmax(at.ratio.factor[0])]
+    assert np.degrees(np.arccos(-brightest[2])) == pytest.approx(axis, abs=1e-6)
+    assert any(f"polar angles {axis:.2f} at sigma 30" in words for words in assumptions(bent))

@@ -1,0 +1,122 @@
+"""Light on the front or on the back, looked at from either: each way of a sheet has its own values and its own file."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.errors import UserError
+from app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
+from app.simulation.effort import Effort
+from app.simulation.files import summary, write
+from app.simulation.sample import parse_sample
+from app.simulation.simulate import Simulation, Task, simulate
+from tests.twin.optics.agreement import agree
+from twin.optics import Instrument, arc_direction, evaluate, light_direction
+
+OPEN = Instrument(obstruction=False)
+WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)
+WAYS = [(False, False), (False, True), (True, False), (True, True)]
+"""Whether the back is lit, and whether transmitted light is looked at."""
+MODELS = (
+    "gaussian:width_deg=8,reflectance=0.6",
+    "gaussian:width_deg=25,reflectance=0.2,transmits=true",
+    "lambertian:reflectance=0.3,side=back",
+    "gaussian:width_deg=12,reflectance=0.5,transmits=true,refraction=1.3,side=back",
+)
+SHEET = "+".join(MODELS)
+
+
+def found(sample: str, back: bool = False, transmitted: bool = False, **settings: Any) -> Simulation:
+    few = {"polar_deg": np.arange(0.0, 86.0, 5.0), "azimuth_deg": np.arange(0.0, 181.0, 10.0)}
+    settings = {"instrument": OPEN, **few, **settings}
+    return simulate(Task(parse_sample(sample), np.array([20.0, 50.0]), back=back, transmitted=transmitted, **settings))
+
+
+@pytest.mark.parametrize(("back", "transmitted"), WAYS)
+def test_each_way_of_the_light_gives_the_values_of_its_own_model(back: bool, transmitted: bool) -> None:
+    sheet = found(SHEET, back, transmitted)
+    # The same model alone on the front: what is on the other sides does not matter.
+    alone = found(MODELS[2 * back + transmitted].replace(",side=back", ""), False, transmitted)
+    assert np.array_equal(sheet.known, alone.known)
+    np.testing.assert_allclose(sheet.table, alone.table, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("transmitted", [False, True])
+def test_front_and_back_agree_for_a_symmetric_sheet(transmitted: bool) -> None:
+    sheet = "lambertian:reflectance=0.2,transmittance=0.2,side=both+gaussian:width_deg=10,reflectance=0.3,side=both"
+    sheet += "+gaussian:width_deg=6,reflectance=0.2,transmits=true,side=both"
+    front, back = (found(sheet, side, transmitted, instrument=Instrument()) for side in (False, True))
+    np.testing.assert_allclose(back.table, front.table, rtol=1e-6)
+    assert np.array_equal(back.known, front.known)
+    for here, there in zip(front.at, back.at, strict=True):
+        assert np.array_equal(here.hidden, there.hidden)
+        assert here.hidden.any() == (not transmitted)  # mirror 3 stands on the side of the light
+
+
+@pytest.mark.parametrize(("back", "transmitted"), WAYS)
+def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(back: bool, transmitted: bool, tmp_path: Path) -> None:
+    # An isotropic table without a mirror image: phi has its sense too.
+    phi, turn = np.array([0.0, 90.0, 180.0, 270.0, 360.0]), np.array([1.0, 2.0, 1.0, 0.5, 1.0])
+    values = np.ones((1, 1, 2, 5, 3)) * turn[:, None] * np.array([0.5, 0.3, 0.1])
+    values[..., 0] = 0.5
+    path = tmp_path / f"uneven.{'ddt' if transmitted else 'ddr'}"
+    ends = np.array([0.0, 90.0])
+    write_ddr(path, DdrTable("Measured", "ASymmetrical", np.zeros(1), ends, phi, np.array([0.0, 60.0, 180.0]), (None,), values))
+    sheet = f"table:{path},side={'back' if back else 'front'}"
+    out = tmp_path / "a.csv"
+    grid = {"polar_deg": np.arange(5.0, 80.0, 15.0), "azimuth_deg": np.arange(0.0, 361.0, 45.0)}
+    write(found(sheet, back, transmitted, **grid), out)
+    columns = read_points_csv(out).columns
+    directions = arc_direction(columns["polar_deg"], columns["azimuth_deg"], back != transmitted)
+    for sigma in (20.0, 50.0):
+        here = columns["sigma_deg"] == sigma
+        light = light_direction(180.0 - sigma if back else sigma)
+        expected = np.pi * evaluate(parse_sample(sheet), light, directions[here])
+        # The aperture blurs the table's kinks.
+        np.testing.assert_allclose(columns["luminance_factor"][here], expected, rtol=0.02)
+        theta, phi_there = columns["theta_deg"][here], columns["phi_deg"][here]
+        np.testing.assert_allclose(np.interp(theta, [0.0, 60.0, 180.0], [0.5, 0.3, 0.1])[phi_there == 0.0],
+                                   expected[phi_there == 0.0], rtol=1e-6)  # fmt: skip
+    # And on the output grid, in the sample's own specular coordinates: half way from 0.5 to 0.3 times 2 and 0.5.
+    nodes = {"theta_deg": np.array([30.0]), "phi_deg": np.array([90.0, 270.0])}
+    grid = {"polar_deg": np.arange(0.0, 81.0, 5.0), "azimuth_deg": np.arange(0.0, 361.0, 10.0)}
+    table = found(sheet, back, transmitted, **grid, **nodes).table[0, 0, 1:3, 1]
+    assert table == pytest.approx([0.55, 0.325], rel=0.02)
+
+
+@pytest.mark.parametrize(("back", "transmitted"), WAYS[2:])
+def test_the_forward_estimator_meets_the_same_back(back: bool, transmitted: bool) -> None:
+    grid = {"polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE}
+    fast = found(SHEET, back, transmitted, **grid).at[0].ratio
+    forward = found(SHEET, back, transmitted, **grid, effort=Effort("forward", paths=1_500_000, seed=3)).at[0].ratio
+    many = (forward.standard_error < 0.15 * forward.factor)[0] & np.isfinite(fast.factor[0])
+    assert np.count_nonzero(many) >= 10
+    agree(forward.factor[0, many], forward.standard_error[0, many], fast.factor[0, many], 0.0)
+
+
+def test_files_and_summary_say_which_side(tmp_path: Path) -> None:
+    for back, transmitted in WAYS:
+        sheet = found(SHEET, back, transmitted)
+        path = tmp_path / f"{back}.{'ddt' if transmitted else 'ddr'}"
+        write(sheet, path)
+        text = "\n".join(read_ddr(path).comments)
+        assert f"side: light on the {'back' if back else 'front'}" in text
+        assert f"luminance factor of {'transmitted' if transmitted else 'reflected'} light" in text
+        result = summary(sheet, [path])
+        assert (result["side"], result["transmitted"]) == ("back" if back else "front", transmitted)
+        assert result["sigma"] == [20.0, 50.0]
+
+
+@pytest.mark.parametrize(
+    ("sample", "back", "transmitted", "named"),
+    [
+        ("gaussian:width_deg=5", True, False, r"nothing of light on its back; give its models side=back or side=both"),
+        ("gaussian:width_deg=5,side=back", False, False, r"on its front; give its models side=front or .* with --side back"),
+        ("gaussian:width_deg=5,side=back", True, True, r"transmits nothing of light on its back; write a .ddr"),
+    ],
+)
+def test_a_side_on_which_the_sample_does_nothing_is_refused(sample: str, back: bool, transmitted: bool, named: str) -> None:
+    with pytest.raises(UserError, match=named):
+        found(sample, back, transmitted)

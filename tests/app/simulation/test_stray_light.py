@@ -1,0 +1,82 @@
+"""Both estimators mean the same quantity: without stray light, and with it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.simulation import estimate
+from app.simulation.assumptions import assumptions
+from app.simulation.effort import Effort
+from app.simulation.files import summary
+from app.simulation.sample import parse_sample
+from app.simulation.simulate import Simulation, Task, simulate
+from tests.twin.optics.agreement import agree
+from twin.optics import Instrument, SampleFrames
+
+WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
+FRAMES = SampleFrames(reflectance=0.5)
+BLACK = "lambertian:reflectance=0.05"
+FORWARD = Effort("forward", paths=2_000_000, seed=3)
+
+
+def found(stray: bool, **settings: Any) -> Simulation:
+    grid = {"polar_deg": np.arange(10.0, 80.0, 12.0), "azimuth_deg": np.array([40.0, 75.0, 110.0, 145.0])}
+    return simulate(
+        Task(parse_sample(BLACK), np.array([30.0]), stray=stray, **{"instrument": WIDE, "frames": FRAMES, **grid, **settings})
+    )
+
+
+@pytest.fixture(autouse=True)
+def quick_maps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(estimate, "STRAY_PATHS", 1 << 18)
+
+
+@pytest.mark.parametrize(("stray", "back"), [(False, False), (True, False), (True, True)])
+def test_both_estimators_agree_within_their_errors(stray: bool, back: bool) -> None:
+    settings = {"sample": parse_sample(f"{BLACK},side=both"), "back": back}
+    fast, forward = (
+        simulate(Task(**{**vars(found(stray).task), **settings, "effort": effort})).at[0].ratio
+        for effort in (Effort(), FORWARD)
+    )
+    seen = (forward.standard_error < 0.15 * forward.factor)[0] & np.isfinite(fast.factor[0])
+    assert np.count_nonzero(seen) >= 15
+    # A map of 5 by 10 deg blurs stray light by 1 to 2 %.
+    blur = 0.02 * np.abs(fast.factor[0, seen] - 0.05)
+    error = np.hypot(fast.standard_error[0, seen], blur)
+    agree(forward.factor[0, seen], forward.standard_error[0, seen], fast.factor[0, seen], error)
+
+
+def test_a_lit_frame_makes_a_black_sample_brighter_by_what_it_scatters() -> None:
+    # The beam lights 1.1 x 1.1 times the hole: a fifth of its area is frame, which scatters a half of that, as a diffuser.
+    frame = 0.5 * (1.1**2 - 1.0)
+    expected = (0.05 + frame) / (1.0 + frame)
+    ratio = found(True).at[0].ratio
+    value = ratio.factor[0][np.isfinite(ratio.factor[0])]
+    assert np.median(value) == pytest.approx(expected, rel=0.1)  # near the rim of their field detectors lose some of it
+    plain = found(False).at[0].ratio
+    np.testing.assert_allclose(plain.factor[0][np.isfinite(plain.factor[0])], 0.05, rtol=1e-9)
+    dark = found(True, frames=SampleFrames(reflectance=0.0)).at[0].ratio
+    np.testing.assert_allclose(dark.factor[0][np.isfinite(dark.factor[0])], 0.05, rtol=0.02)
+
+
+def test_files_and_summary_say_whether_it_is_in() -> None:
+    for effort in (Effort(), Effort("forward", paths=20_000)):
+        for stray in (False, True):
+            each = found(stray, effort=effort)
+            assert summary(each, [Path("a.ddr")])["stray"] is stray
+            (told,) = (words for words in assumptions(each) if words.startswith("stray light: "))
+            assert ("in: that of frames" in told) == stray
+            assert ("left out" in told) != stray
+    assert Task(parse_sample(BLACK), np.array([30.0])).stray is False
+
+
+def test_its_error_is_that_of_its_paths_and_its_seed_gives_the_same_bits() -> None:
+    first, again = (found(True).at[0].ratio for _ in range(2))
+    assert first.factor.tobytes() == again.factor.tobytes()
+    other = found(True, effort=Effort(seed=2)).at[0].ratio
+    seen = np.isfinite(first.factor[0])
+    assert not np.array_equal(first.factor[0, seen], other.factor[0, seen])
+    apart = np.abs(first.factor - other.factor)[0, seen]
+    assert np.sqrt(np.mean(apart**2)) == pytest.approx(np.sqrt(np.mean(first.standard_error[0, seen] ** 2)), rel=0.6)

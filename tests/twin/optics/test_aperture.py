@@ -1,0 +1,91 @@
+"""What a detector's aperture takes: two ways of integration that share nothing, held against each other and a closed form."""
+
+import math
+
+import numpy as np
+import pytest
+
+from twin.optics import Instrument, arc_direction, forward, gaussian, lambertian, luminance_factor, throughput
+from twin.optics.aperture import MOMENTS, aperture, aperture_sizes, cone_nodes, side_nodes
+from twin.optics.frames import Floats
+from twin.optics.scene import scene_at
+from twin.optics.wide_aperture import common_disc, hole_nodes, wide_aperture
+
+ZENITHS_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
+SECOND = [5, 7, 12, 14]
+"""The moments uu, vv, pp and qq."""
+
+
+def moments(instrument: Instrument, *, wide: bool, nodes: int, rings: int = 0) -> Floats:
+    """(zeniths, 15) by one of the two ways."""
+    sizes = aperture_sizes(instrument)
+    centres, axes = scene_at(instrument, 30.0).detectors(instrument, arc_direction(ZENITHS_DEG, 30.0))
+    found = np.empty((ZENITHS_DEG.size, MOMENTS))
+    for centre, axis, row in zip(centres, axes, found, strict=True):
+        if wide:
+            wide_aperture(centre, axis, hole_nodes(nodes), sizes, row)
+        else:
+            aperture(centre, axis, cone_nodes(rings), side_nodes(nodes), sizes, row)
+    return found
+
+
+@pytest.mark.parametrize("field_deg", [0.1, 0.5, 1.0, 2.5])
+def test_slopes_first_and_hole_first_converge_to_the_same(field_deg: float) -> None:
+    instrument = Instrument(field_deg=field_deg)
+    by_slopes = moments(instrument, wide=False, nodes=60, rings=60)
+    by_hole = moments(instrument, wide=True, nodes=300)
+    np.testing.assert_allclose(by_hole[:, 0], by_slopes[:, 0], rtol=5e-5)
+    np.testing.assert_allclose(by_hole[:, SECOND], by_slopes[:, SECOND], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("field_deg", "wide"), [(0.25, False), (0.5, False), (1.0, True), (2.5, True)])
+def test_the_few_nodes_of_each_are_enough_where_it_is_used(field_deg: float, wide: bool) -> None:
+    instrument = Instrument(field_deg=field_deg)
+    many = moments(instrument, wide=True, nodes=300)
+    few = moments(instrument, wide=wide, nodes=8 if wide else 6, rings=3)
+    np.testing.assert_allclose(few[:, 0], many[:, 0], rtol=4e-3)
+    np.testing.assert_allclose(few[:, SECOND], many[:, SECOND], rtol=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("radius", "x", "y", "other"),
+    [(2.5, 3.0, 1.0, 1.5), (2.5, 0.3, -0.4, 1.0), (1.0, 0.3, -0.4, 2.5), (2.0, -1.5, 0.2, 2.1), (2.0, 9.0, 0.0, 1.0)],
+)
+def test_what_two_discs_have_in_common(radius: float, x: float, y: float, other: float) -> None:
+    """Against counting points of a grid."""
+    a, b = np.meshgrid(*[np.linspace(-radius, radius, 2001)] * 2)
+    both = (a * a + b * b <= radius * radius) & ((a - x) ** 2 + (b - y) ** 2 <= other * other)
+    a, b = a[both], b[both]
+    counted = np.array([a.size, a.sum(), b.sum(), (a * a).sum(), (a * b).sum(), (b * b).sum()]) * (2.0 * radius / 2000) ** 2
+    np.testing.assert_allclose(common_disc(radius, x, y, other), counted, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("field_deg", "diameter_mm"), [(0.1, 5.0), (0.8, 5.0), (1.5, 5.0), (2.5, 5.0), (6.0, 5.0), (3.0, 12.0), (1.5, 1.0)]
+)
+def test_any_field_and_disc_gives_the_lobe_of_a_whole_bundle(field_deg: float, diameter_mm: float) -> None:
+    instrument = Instrument(field_deg=field_deg, detector_diameter_mm=diameter_mm, obstruction=False)
+    directions = arc_direction(np.linspace(15.0, 75.0, 40), 180.0)
+    few, many = (luminance_factor(instrument, 45.0, directions, gaussian(5.0), rays) for rays in (None, 1 << 14))
+    np.testing.assert_allclose(few[8:32], many[8:32], rtol=5e-3)
+
+
+@pytest.mark.parametrize("field_deg", [0.5, 2.5])
+def test_the_flux_of_a_wide_field_is_the_forward_estimators(field_deg: float) -> None:
+    instrument = Instrument(field_deg=field_deg, detector_diameter_mm=10.0)
+    directions = arc_direction(np.arange(10.0, 86.0, 15.0), 90.0)
+    found = throughput(instrument, 30.0, directions, lambertian(1.0))
+    traced = forward(instrument, 30.0, directions, lambertian(1.0), relative_error=0.01, seed=3)
+    standard = (found - traced.single_m2sr) / traced.single_error
+    assert np.abs(standard).max() < 4.5
+    assert np.sum(standard**2) < 30.0  # chi-square of 6: one in 25,000 is beyond
+
+
+def test_a_field_wider_than_hole_and_disc_see_of_each_other_changes_nothing() -> None:
+    directions = arc_direction(np.arange(10.0, 86.0, 15.0), 90.0)
+    wide, wider = (throughput(Instrument(field_deg=field), 30.0, directions, lambertian(1.0)) for field in (4.0, 40.0))
+    np.testing.assert_allclose(wider, wide, rtol=1e-12)
+    # All of the disc sees all of the hole: areas, the cosines of light and detector, and the distances (paper, 3.1).
+    beam = math.pi * 5.0**2 / 800.0**2
+    seen = 0.95**3 * beam * math.cos(math.radians(30.0)) * 25.0 * np.cos(np.radians(np.arange(10.0, 86.0, 15.0)))
+    np.testing.assert_allclose(wide, seen * 1e-6 / math.pi * math.pi * 2.5**2 / 300.0**2, rtol=2e-3)
