@@ -1,6 +1,9 @@
 """What a reader has to know about a simulation's numbers, in words."""
 
-from app.simulation.simulate import Simulation, Task, bent_axes
+import math
+
+from app.simulation.simulate import Simulation, Task, acting, refracted_axes
+from twin.optics.bsdf import GAUSSIAN
 
 
 def assumptions(found: Simulation) -> list[str]:
@@ -16,6 +19,7 @@ def assumptions(found: Simulation) -> list[str]:
         estimator = "forward Monte Carlo: sample and etalon with paths of their own; errors are standard errors of the paths"
     return [
         f"quantity: luminance factor of {way} light (pi times the BSDF), against an ideal diffuser",
+        *_gaussians(task),
         f"side: {_side(task)}",
         *_regular(found),
         *_refracted(task),
@@ -60,15 +64,36 @@ def _regular(found: Simulation) -> list[str]:
     return lines
 
 
+def _gaussians(task: Task) -> list[str]:
+    """Each lobe without doubt, whichever form and quantity its width was given in."""
+    lines = []
+    for lobe in acting(task):
+        if lobe.kind == GAUSSIAN:
+            peak, exponent, intensity = lobe.params[:3]
+            falls = ", ".join(
+                f"to {name} at {math.degrees(math.sqrt(level / exponent)):.4g} deg"
+                for name, level in (("1/e", 1.0), ("a half", math.log(2.0)))
+            )
+            lines.append(
+                f"gaussian: the {'intensity' if intensity == 1.0 else 'luminance'} falls {falls}; "
+                f"the peak is {peak:.4g} /sr, and {lobe.albedo(0.0):.4g} of the light at normal incidence is scattered"
+            )
+    return lines
+
+
 def _refracted(task: Task) -> list[str]:
-    axes = [(sigma, axis) for sigma in task.sigma_deg.tolist() for axis in bent_axes(task, sigma)]
-    if not axes:
-        return []
-    told = ", ".join(f"{axis:.2f} at sigma {sigma:g}" for sigma, axis in axes)
-    return [
-        f"refraction: lobes about the polar angles {told} deg; theta = 0 stays the straight-through direction, so give --theta "
-        "and --phi fine enough there"
-    ]
+    axes = [(sigma, axis) for sigma in task.sigma_deg.tolist() for axis in refracted_axes(task, sigma)]
+    bent = [f"{axis:.2f} at sigma {sigma:g}" for sigma, axis in axes if axis is not None]
+    gone = [f"{sigma:g}" for sigma, axis in axes if axis is None]
+    lines = []
+    if bent:
+        lines.append(
+            f"refraction: lobes about the polar angles {', '.join(bent)} deg; theta = 0 stays the straight-through direction, "
+            "so give --theta and --phi fine enough there"
+        )
+    if gone:
+        lines.append(f"refraction: total reflection at sigma {', '.join(gone)}: nothing of that lobe is transmitted")
+    return lines
 
 
 def _stray(task: Task) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.compare import relative_rms_percent
+from app.campaign.reducing.compare import relative_rms_percent
 from twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
 from twin.optics.scattering import Form
 

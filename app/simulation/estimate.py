@@ -26,13 +26,17 @@ from twin.optics import (
     throughput,
 )
 from twin.optics.scattering import Side
+from twin.optics.scene import scene_at
+from twin.optics.score import FINE, TABULATED
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Told = Callable[[float], None]
 """Told the share of the work that is done."""
-NODES = 7
-CHECK_RAYS = 1024
+NODES, BUNDLE = 7, FINE[-1]
+"""Rays that the fast estimator takes of its own accord: of smooth lobes, and of tables and beams that miss a mirror."""
+CHECK_RAYS = 4096
+"""More than the estimator takes of its own accord, so that it is not held against itself."""
 STRAY_PATHS = 1 << 20
 """Of a map of stray light, which they tell to 3 %; with more rays than the check's, more in proportion."""
 BATCH = 1 << 20
@@ -129,8 +133,10 @@ def ratio_at(stand: Stand, sample: Scatterer, effort: Effort, told: Told = lambd
 
 
 def _fast(stand: Stand, pair: tuple[Scatterer, Scatterer], effort: Effort, told: Told) -> Ratio:
-    """The standard error is the difference to another set of rays, and of stray light's paths: it is a bound more than a
-    standard deviation."""
+    """The standard error is what other sets of rays, and of stray light's paths, differ by: two of them, for one alone may come
+    to nearly the same by chance. It tells the size of the error; for lobes much narrower than the aperture it may be several
+    times too small.
+    """
 
     def with_rays(rays: int | None, other: int = 0) -> tuple[Floats, Floats]:
         paths = STRAY_PATHS * max(1, (rays or 0) // CHECK_RAYS)
@@ -142,18 +148,20 @@ def _fast(stand: Stand, pair: tuple[Scatterer, Scatterer], effort: Effort, told:
         return flux[0], flux[1]
 
     rays = effort.rays
-    check = with_rays(CHECK_RAYS if rays is None else rays // 2, other=2)
+    first = CHECK_RAYS if rays is None else rays // 2
+    checks = [_over(*with_rays(first, other=2)), _over(*with_rays(first // 2, other=4))]
     while True:
         told(0.5)
         flux = with_rays(rays)
         factor = _over(*flux)
-        found = Ratio(*flux, factor, np.abs(factor - _over(*check)), NODES if rays is None else rays)
+        error = np.hypot(*(factor - each for each in checks))
+        found = Ratio(*flux, factor, error, _own_rays(stand, pair[0]) if rays is None else rays)
         wanted = effort.error_percent
         if wanted is None or found.median_percent <= wanted:
             told(1.0)
             return found
         rays = 2 * CHECK_RAYS if rays is None else 2 * rays
-        check = check if rays == 2 * CHECK_RAYS else flux
+        checks = checks if rays == 2 * CHECK_RAYS else [factor, checks[0]]
         if rays > MOST_RAYS:
             wrong = f"--error: {wanted:g} % takes more than {MOST_RAYS} rays a detector at sigma {_incidence(stand):g}"
             raise UserError(f"{wrong}; ask for a larger one")
@@ -176,6 +184,13 @@ def _throughputs(stand: Stand, scatterer: Scatterer, rays: int | None, paths: in
     ]
     added: Floats = flux + np.array([stray_throughput(each, directions, instrument) for each in maps])
     return added
+
+
+def _own_rays(stand: Stand, sample: Scatterer) -> int:
+    """Of each detector, where nothing else is wanted: see `throughput`; not counted are those that a mirror cuts."""
+    scene = scene_at(stand.instrument, stand.sigma_deg)
+    acting = (lobe for lobe in sample.lobes if lobe.incident == scene.incident and lobe.transmits == stand.transmitted)
+    return BUNDLE if scene.clipped or any(lobe.kind in TABULATED for lobe in acting) else NODES
 
 
 def _over(sample: Floats, white: Floats) -> Floats:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.compare import relative_rms_percent
+from app.campaign.reducing.compare import relative_rms_percent
 from app.simulation.cut import HIGHEST_ZENITH_DEG, cuts, directions_at, in_plane_theta, theory
 from twin.optics import Deviation, Instrument, gaussian, lambertian, throughput
 from twin.optics.scattering import Form

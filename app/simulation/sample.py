@@ -36,6 +36,8 @@ FILE_SIDE = re.compile(r",\s*side\s*=\s*(\w*)\s*$")
 NOT_HERE = {"gaussian": ("model",), "lambertian": ("model",), "regular": ("model", "sigma_deg")}
 """Keys of a rig file's samples that are not for one line: a list has no place in it."""
 ALL_OF_THE_LIGHT = 1.001
+MEASURED_LIGHT = 1.5
+"""What is measured may be wrong by much, and is simulated all the same; beyond this it is no reflectance at all."""
 
 
 def parse_sample(text: str) -> Scatterer:
@@ -47,8 +49,7 @@ def parse_sample(text: str) -> Scatterer:
     parts = [part.strip() for part in PLUS.split(text)]
     models = [_model(part) for part in parts]
     sample = summed(*models, name=text.strip())
-    if len(parts) > 1 or not parts[0].startswith("table"):
-        _check_light(sample)
+    _check_light(sample, MEASURED_LIGHT if any(part.startswith("table") for part in parts) else ALL_OF_THE_LIGHT)
     return sample
 
 
@@ -137,8 +138,8 @@ def _from_ddr(table: DdrTable, path: Path, side: Side) -> Scatterer:
     return spectral_table(wavelengths, *axes, values, path.name, psi, side=side, transmits=transmits)
 
 
-def _check_light(sample: Scatterer) -> None:
-    """Raises UserError where more light is given back than arrives, at any wavelength.
+def _check_light(sample: Scatterer, limit: float) -> None:
+    """Raises UserError where more than `limit` times the light that arrives is given back, at any wavelength.
 
     At normal incidence: away from it the lobes of the formulas give back less.
     """
@@ -149,8 +150,8 @@ def _check_light(sample: Scatterer) -> None:
         [[lobe.albedo(0.0) if lobe.incident == incident else 0.0 for lobe in sample.lobes] for incident in (1, -1)]
     )
     most = float(np.max(shares @ weights))
-    if most > ALL_OF_THE_LIGHT:
+    if most > limit:
         raise UserError(
             f"--sample {sample.name!r}: gives back {most:.3g} times the light that it gets at normal incidence; "
-            "lower its reflectances (a gaussian has 0.9 unless told)"
+            "lower its reflectances (a gaussian has 0.9 unless told), or look what quantity and unit a table has"
         )

@@ -127,7 +127,9 @@ def _at_sigma(task: Task, sigma: float, wavelengths: Floats | None, mirrored: bo
     if task.polar_deg is not None and task.azimuth_deg is not None:
         detectors = Detectors(task.polar_deg, task.azimuth_deg, mirrored)
     else:
-        detectors = detectors_at(sigma, mirrored, bent_axes(task, sigma))
+        # Near grazing detectors end.
+        near_axes = [min(HIGHEST_POLAR_DEG, axis) for axis in refracted_axes(task, sigma) if axis is not None]
+        detectors = detectors_at(sigma, mirrored, near_axes)
     directions, unit_deg = detectors.directions(task.lower), 180.0 - sigma if task.back else sigma
     stand = Stand(
         task.instrument, unit_deg, directions, wavelengths, task.transmitted, task.stray, task.frames,
@@ -146,15 +148,14 @@ def _at_sigma(task: Task, sigma: float, wavelengths: Floats | None, mirrored: bo
     return AtSigma(sigma, detectors, directions, ratio, hidden, peak)
 
 
-def bent_axes(task: Task, sigma_deg: float) -> list[float]:
-    """Polar angles, deg, of the axes of refracted lobes."""
-    ratios = [float(lobe.params[4]) for lobe in _acting(task) if lobe.kind == GAUSSIAN and lobe.params[4] != 1.0]
+def refracted_axes(task: Task, sigma_deg: float) -> list[float | None]:
+    """Polar angles, deg, of the axes of refracted lobes; None beyond total reflection, where there is no lobe."""
+    ratios = [float(lobe.params[4]) for lobe in acting(task) if lobe.kind == GAUSSIAN and lobe.params[4] != 1.0]
     sines = [math.sin(math.radians(sigma_deg)) / ratio for ratio in ratios]
-    # Near grazing detectors end, and beyond total reflection there is no lobe.
-    return [min(HIGHEST_POLAR_DEG, math.degrees(math.asin(sine))) for sine in sines if sine < 1.0]
+    return [math.degrees(math.asin(sine)) if sine < 1.0 else None for sine in sines]
 
 
-def _acting(task: Task) -> list[Lobe]:
+def acting(task: Task) -> list[Lobe]:
     """Lobes of the side that is lit to the side that is looked at."""
     incident = -1 if task.back else 1
     return [lobe for lobe in task.sample.lobes if lobe.incident == incident and lobe.transmits == task.transmitted]
@@ -171,7 +172,7 @@ def _check(task: Task) -> None:
             raise UserError(f"--azimuth: this sample is its own mirror image in the plane of incidence; give 0 to {whole:g}")
     if task.source is not None and task.effort.kind == "fast":
         raise UserError("--source: the fast estimator knows the uniform exit pupil alone; give --estimator forward")
-    if not _acting(task):
+    if not acting(task):
         way, other = ("transmits", ".ddr") if task.transmitted else ("reflects", ".ddt")
         side, turned = ("back", "front") if task.back else ("front", "back")
         wrong = f"--sample {task.sample.name!r}: {way} nothing of light on its {side}"

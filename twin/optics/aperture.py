@@ -15,13 +15,60 @@ import math
 import numpy as np
 from numba import njit
 
+from twin.optics.detector_block import (
+    A0,
+    AHEAD,
+    AU,
+    AV,
+    B0,
+    BESIDE1,
+    BESIDE2,
+    BLOCK,
+    BU,
+    BV,
+    DX,
+    DY,
+    DZ,
+    E1X,
+    E1Y,
+    E1Z,
+    E2X,
+    E2Y,
+    HALF,
+    INVERSE,
+    MIDDLE,
+    MOMENTS,
+    MP,
+    MPP,
+    MPQ,
+    MQ,
+    MQQ,
+    MU,
+    MUP,
+    MUQ,
+    MUU,
+    MUV,
+    MV,
+    MVP,
+    MVQ,
+    MVV,
+    PX,
+    PY,
+    PZ,
+    SHARE,
+    SU,
+    SUU,
+    SUV,
+    SV,
+    SVV,
+    M,
+    S,
+)  # fmt: skip
 from twin.optics.frames import Floats
 from twin.optics.instrument import Instrument
 
 CLOSER = 1.1
 """With deviations a detector may be so much nearer to some of the hole than the arc's radius."""
-MOMENTS = 15
-"""1, u, v, p, q, uu, uv, vv, up, uq, vp, vq, pp, pq, qq: place in the hole (mm) and slopes to the detector's axis."""
 
 
 def aperture_sizes(instrument: Instrument) -> Floats:
@@ -64,69 +111,83 @@ def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float
     return dz * cos, dz * sin, -sine, -sin, cos
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def aperture(centre: Floats, d: Floats, cone: Floats, side: Floats, sizes: Floats, m: Floats) -> None:
-    """Fills `m` (15,) with the moments of a detector at `centre` that looks along -d; the first is in mm^2.
+@njit(cache=True, error_model="numpy", nogil=True)
+def detector_frames(w: Floats, count: int) -> None:
+    """Fills the frames of detectors whose places and views are in `w`."""
+    for k in range(count):
+        dx, dy, dz = w[k + DX], w[k + DY], w[k + DZ]
+        e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
+        x, y, z = w[k + PX], w[k + PY], w[k + PZ]
+        w[k + E1X], w[k + E1Y], w[k + E1Z], w[k + E2X], w[k + E2Y] = e1x, e1y, e1z, e2x, e2y
+        w[k + BESIDE1], w[k + BESIDE2] = x * e1x + y * e1y + z * e1z, x * e2x + y * e2y
+        w[k + AHEAD] = x * dx + y * dy + z * dz
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+def apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats) -> None:
+    """Fills the moments of detectors whose frames are in `w`; the first is in mm^2.
 
     `sizes`: the disc's radius, the hole's half side, mm, and the sine of half the field. See `cone_nodes`, `side_nodes`.
     """
     radius, half, sine = sizes[0], sizes[1], sizes[2]
-    for i in range(MOMENTS):
-        m[i] = 0.0
-    dx, dy, dz = d[0], d[1], d[2]
-    e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
-    beside1 = centre[0] * e1x + centre[1] * e1y + centre[2] * e1z
-    beside2 = centre[0] * e2x + centre[1] * e2y
-    ahead = centre[0] * dx + centre[1] * dy + centre[2] * dz
+    w[M : M + MOMENTS * BLOCK] = 0.0
     for c in range(cone.shape[0]):
         away, level = sine * cone[c, 0], sine * cone[c, 1]
         along = math.sqrt(1.0 - away * away - level * level)
-        p, q = away / along, level / along
-        # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
-        a0, au, av = ahead * p - beside1, e1x - p * dx, e1y - p * dy
-        b0, bu, bv = ahead * q - beside2, e2x - q * dx, e2y - q * dy
-        square = au * au + bu * bu
-        area = au * bv - av * bu
-        middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
-        low, high = max(-half, middle - reach), min(half, middle + reach)
-        # NaN, from within the sample's plane, is no ray; nor is one from the other side of the sample.
-        if not high > low or not (dz + p * e1z) * dz > 0.0:
-            continue
-        inverse, mid_v, half_v = 1.0 / square, 0.5 * (high + low), 0.5 * (high - low)
-        limit = radius * radius * square
-        s, su, sv, suu, suv, svv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(side.shape[0]):
-            v = mid_v + half_v * side[k, 0]
-            a1, b1 = a0 + av * v, b0 + bv * v
-            beside = a1 * bu - b1 * au
-            foot = -(a1 * au + b1 * bu) * inverse
-            # Plain comparisons, for max and min of Python keep the loop from being vectorised.
-            inside = limit - beside * beside
-            chord = math.sqrt(inside if inside > 0.0 else 0.0) * inverse
-            left, right = foot - chord, foot + chord
-            left, right = (left if left > -half else -half), (right if right < half else half)
-            width = right - left if right > left else 0.0
-            u, w = 0.5 * (right + left), side[k, 1] * width
-            s += w
-            su += w * u
-            sv += w * v
-            suu += w * (u * u + width * width / 12.0)
-            suv += w * u * v
-            svv += w * v * v
-        share = cone[c, 2] * abs(area) * (high - low)
-        s, su, sv = s * share, su * share, sv * share
-        m[0] += s
-        m[1] += su
-        m[2] += sv
-        m[3] += s * p
-        m[4] += s * q
-        m[5] += suu * share
-        m[6] += suv * share
-        m[7] += svv * share
-        m[8] += su * p
-        m[9] += su * q
-        m[10] += sv * p
-        m[11] += sv * q
-        m[12] += s * p * p
-        m[13] += s * p * q
-        m[14] += s * q * q
+        p, q, share = away / along, level / along, cone[c, 2]
+        for k in range(count):
+            dx, dy, dz, ahead = w[k + DX], w[k + DY], w[k + DZ], w[k + AHEAD]
+            # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
+            a0, au, av = ahead * p - w[k + BESIDE1], w[k + E1X] - p * dx, w[k + E1Y] - p * dy
+            b0, bu, bv = ahead * q - w[k + BESIDE2], w[k + E2X] - q * dx, w[k + E2Y] - q * dy
+            square = au * au + bu * bu
+            area = au * bv - av * bu
+            middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
+            low, high = middle - reach, middle + reach
+            # Plain comparisons, for max and min of Python keep a loop from being vectorised.
+            low, high = (low if low > -half else -half), (high if high < half else half)
+            # NaN, from within the sample's plane, is no ray; nor is one from the other side of the sample.
+            seen = (high > low) & ((dz + p * w[k + E1Z]) * dz > 0.0)
+            low, high = (low if seen else 0.0), (high if seen else 0.0)
+            w[k + A0], w[k + AU], w[k + AV], w[k + B0], w[k + BU], w[k + BV] = a0, au, av, b0, bu, bv
+            w[k + MIDDLE], w[k + HALF], w[k + INVERSE] = 0.5 * (high + low), 0.5 * (high - low), 1.0 / square
+            w[k + SHARE] = share * abs(area) * (high - low)
+        w[S : S + 6 * BLOCK] = 0.0
+        for node in range(side.shape[0]):
+            place, weight = side[node, 0], side[node, 1]
+            for k in range(count):
+                au, bu, inverse = w[k + AU], w[k + BU], w[k + INVERSE]
+                v = w[k + MIDDLE] + w[k + HALF] * place
+                a1, b1 = w[k + A0] + w[k + AV] * v, w[k + B0] + w[k + BV] * v
+                beside = a1 * bu - b1 * au
+                foot = -(a1 * au + b1 * bu) * inverse
+                inside = radius * radius / inverse - beside * beside
+                chord = math.sqrt(inside if inside > 0.0 else 0.0) * inverse
+                left, right = foot - chord, foot + chord
+                left, right = (left if left > -half else -half), (right if right < half else half)
+                width = right - left if right > left else 0.0
+                u, part = 0.5 * (right + left), weight * width
+                w[k + S] += part
+                w[k + SU] += part * u
+                w[k + SV] += part * v
+                w[k + SUU] += part * (u * u + width * width / 12.0)
+                w[k + SUV] += part * u * v
+                w[k + SVV] += part * v * v
+        for k in range(count):
+            taken = w[k + SHARE]
+            s, su, sv = w[k + S] * taken, w[k + SU] * taken, w[k + SV] * taken
+            w[k + M] += s
+            w[k + MU] += su
+            w[k + MV] += sv
+            w[k + MP] += s * p
+            w[k + MQ] += s * q
+            w[k + MUU] += w[k + SUU] * taken
+            w[k + MUV] += w[k + SUV] * taken
+            w[k + MVV] += w[k + SVV] * taken
+            w[k + MUP] += su * p
+            w[k + MUQ] += su * q
+            w[k + MVP] += sv * p
+            w[k + MVQ] += sv * q
+            w[k + MPP] += s * p * p
+            w[k + MPQ] += s * p * q
+            w[k + MQQ] += s * q * q

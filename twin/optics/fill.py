@@ -3,12 +3,13 @@
 import numpy as np
 from numba import njit
 
-from twin.optics.aperture import MOMENTS, aperture
+from twin.optics.aperture import apertures, detector_frames
 from twin.optics.bundle import arrival, detector_ray, view
+from twin.optics.detector_block import BLOCK, DX, PX, ROWS, M
 from twin.optics.frames import Floats
 from twin.optics.nodes import NODES, place_nodes
 from twin.optics.obstruction import FREE, HIDDEN, PARTLY, hidden, mirrors_near, shadow
-from twin.optics.wide_aperture import wide_aperture
+from twin.optics.wide_aperture import wide_apertures
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -20,22 +21,27 @@ def fill_nodes(
 
     PARTLY says that seven nodes are not enough, since a mirror cuts into what the detector takes; they are there all the same.
     """
-    m, near = np.empty(MOMENTS), np.zeros(3)
-    for k in range(centres.shape[0]):
+    count, near, w = centres.shape[0], np.zeros(3), np.empty(ROWS * BLOCK)
+    for first in range(0, count, BLOCK):
+        last = min(first + BLOCK, count)
+        for k in range(first, last):
+            for c in range(3):
+                w[k - first + PX + c * BLOCK], w[k - first + DX + c * BLOCK] = centres[k, c], axes[k, c]
+        detector_frames(w, last - first)
         if wide:
-            wide_aperture(centres[k], axes[k], hole, sizes, m)
+            wide_apertures(w, last - first, hole, sizes)
         else:
-            aperture(centres[k], axes[k], cone, side, sizes, m)
-        place_nodes(m, axes[k], pupil, hexagon, rays, NODES * k)
-        status[k] = PARTLY if clipped else FREE
-        if obstruction and m[0] > 0.0:
-            mirrors_near(mirrors, half, centres[k], sizes, near)
-            if near[0] + near[1] + near[2] > 0.0:
-                seen = shadow(mirrors, near, half, centres[k], axes[k], sizes)
-                status[k] = max(status[k], seen)
-        if status[k] == HIDDEN:
-            for j in range(NODES):
-                rays[0, NODES * k + j] = 0.0
+            apertures(w, last - first, cone, side, sizes)
+        place_nodes(w, last - first, pupil, hexagon, rays, first, count)
+        for k in range(first, last):
+            status[k] = PARTLY if clipped else FREE
+            if obstruction and w[k - first + M] > 0.0:
+                mirrors_near(mirrors, half, centres[k], sizes, near)
+                if near[0] + near[1] + near[2] > 0.0:
+                    status[k] = max(status[k], shadow(mirrors, near, half, centres[k], axes[k], sizes))
+            if status[k] == HIDDEN:
+                for j in range(NODES):
+                    rays[0, j * count + k] = 0.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -30,33 +30,25 @@ MOST_PATHS = 1 << 38
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What `forward` found, (n,) each in m^2 sr: throughput, its standard error, the stray part of it, and that one's error.
+    """What `forward` found, (n,) each in m^2 sr with its standard error: all of the throughput, and the two parts of it.
 
-    Stray is all that was not scattered once, by the sample, after the three mirrors: light of the frames, and light that
-    met something between. `paths` is how many were traced. The flux on a detector is its throughput times `radiance`: the
-    exit pupil's own, or, for a rayset, that of a uniform exit pupil that gives the hole as much light, in `unit` / (m^2 sr).
+    Single is what was scattered once, by the sample, after the three mirrors: what the fast estimator is about. Stray is
+    the rest: light of the frames, and light that met something between. `paths` is how many were traced. The flux on a
+    detector is its throughput times `radiance`: the exit pupil's own, or, for a rayset, that of a uniform exit pupil that
+    gives the hole as much light, in `unit` / (m^2 sr).
     Each contribution counts for itself in the errors, and light that is drawn in several ways as if it were drawn at random:
     what is stated is never too small but where a path meets one detector twice.
     """
 
     throughput_m2sr: Floats
     standard_error: Floats
-    paths: int
+    single_m2sr: Floats
+    single_error: Floats
     stray_m2sr: Floats
     stray_error: Floats
+    paths: int
     radiance: float = 1.0
     unit: str | None = None
-
-    @property
-    def single_m2sr(self) -> Floats:
-        """Of the throughput, what was scattered once, by the sample: what the fast estimator is about."""
-        return self.throughput_m2sr - self.stray_m2sr
-
-    @property
-    def single_error(self) -> Floats:
-        """Its standard error."""
-        error: Floats = np.sqrt(np.maximum(self.standard_error**2 - self.stray_error**2, 0.0))
-        return error
 
 
 def forward(
@@ -76,7 +68,8 @@ def forward(
     """Throughput of detectors in `directions` (n, 3): what they get of a uniform exit pupil's radiance, or of a rayset.
 
     Without a `scatterer` there is no sample: the open beam. A detector counts a ray that crosses its disc within its
-    acceptance cone before it meets something, however many detectors it crosses. Give `paths`, which is rounded up to a
+    acceptance cone (or, of an instrument with a `sensor`, its lens, and reaches what is behind) before it meets something,
+    however many detectors it crosses. Give `paths`, which is rounded up to a
     multiple of 2048, or `relative_error`: then it goes on until the median over all detectors that got any light, of standard
     error over throughput, is below that.
 
@@ -126,12 +119,13 @@ def _run(setting: Setting, paths: int | None, relative_error: float | None, seed
     scale = 1.0 / setting.radiance
 
     def estimate(sums: Floats, done: int) -> tuple[float, float, Estimate]:
-        both = np.stack([sums[:, 0:2] + sums[:, 2:4], sums[:, 2:4]])
-        mean, square = both[:, :, 0] / done, both[:, :, 1] / done
+        parts = np.stack([sums[:, 0:2] + sums[:, 2:4], sums[:, 0:2], sums[:, 2:4]])
+        mean, square = parts[:, :, 0] / done, parts[:, :, 1] / done
         error = np.sqrt(np.maximum(square - mean**2, 0.0) / (done - 1))
+        known, wrong = mean * scale, error * scale
         found = Estimate(
-            mean[0] * scale, error[0] * scale, done, mean[1] * scale, error[1] * scale, setting.radiance, setting.unit
-        )
+            known[0], wrong[0], known[1], wrong[1], known[2], wrong[2], done, setting.radiance, setting.unit
+        )  # fmt: skip
         lit = mean[0] > 0.0
         if not np.any(lit):
             return 0.0, 0.0, found

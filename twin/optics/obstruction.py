@@ -5,6 +5,7 @@ the specular direction, and mirror 2 a zone 45 deg from it. That is a fact of th
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -120,8 +121,11 @@ def visible_fraction(
     """Share (n,) of each detector's rays from the illuminated spot that no mirror cuts, for `directions` (n, 3).
 
     Whether or not the instrument's `obstruction` is on. 0 for a detector in the sample's plane, which sees nothing.
-    From `rays` deterministic rays a detector. Raises ValueError for a wrong shape or a vector of no length.
+    From `rays` deterministic rays a detector; of a sensor that is no simple one, of all that could pass. Raises ValueError
+    for a wrong shape or a vector of no length.
     """
+    if instrument.sensor is not None:
+        instrument = replace(instrument, sensor=None, field_deg=instrument.sensor.widest_deg)
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     centres, axes = scene.detectors(instrument, directions)
     half = 0.5 * instrument.mirror_side_mm

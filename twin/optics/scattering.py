@@ -19,6 +19,7 @@ __all__ = ["Form", "Quantity", "Scatterer", "Side", "gaussian", "lambertian", "r
 Form = Literal["one_over_e", "half_width"]
 Side = Literal["front", "back", "both"]
 SIDES: dict[Side, tuple[int, ...]] = {"front": (1,), "back": (-1,), "both": (1, -1)}
+NARROWEST_DEG = 0.01
 
 
 def sides_of(lobe: Lobe, side: Side, transmits: bool) -> tuple[Lobe, ...]:
@@ -86,10 +87,13 @@ def gaussian(
     sin(theta_t) = sin(theta_i) / refraction; beyond total reflection nothing is transmitted.
 
     Reciprocal is the luminance lobe with a refraction of 1: it depends on the angle between two directions only. Raises
-    ValueError, naming the argument, for a width, peak, reflectance or refraction that is not positive and finite, an
-    unknown form, quantity or side, when both peak and reflectance are given, and for a reflected lobe that is bent.
+    ValueError, naming the argument, for a width, peak, reflectance or refraction that is not positive and finite, a width
+    below 0.01 deg, which no aperture can tell from a mirror, an unknown form, quantity or side, when both peak and
+    reflectance are given, and for a reflected lobe that is bent.
     """
     width = math.radians(_positive("width_deg", width_deg))
+    if width_deg < NARROWEST_DEG:
+        raise ValueError(f"width_deg is {width_deg!r}: give at least {NARROWEST_DEG:g}, or a regular component")
     if form not in ("one_over_e", "half_width"):
         raise ValueError(f"form is {form!r}: give 'one_over_e' (formula 6) or 'half_width' (half at the width)")
     if quantity not in ("luminance", "intensity"):

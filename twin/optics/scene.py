@@ -6,6 +6,7 @@ beyond 90 deg the frame is turned about x, with the sample's back up. Deviations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -18,11 +19,15 @@ from twin.optics.meeting import distance_to
 from twin.optics.mirrors import mirrors_at, placed, pupil, unfolding
 
 UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
+SLACK_DEG = 10.0
+"""Beyond its range a mirror unit may stand by what an axis overshoots or a sample leans."""
+SCENES_KEPT = 64
+"""A campaign has hundreds of poses of the arc for each place of the mirror unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What kernels take, lengths in mm.
+    """What kernels take, lengths in mm. Shared by all who ask for the same: not to be written to.
 
     `pupil` (4, 3): centre of the exit pupil's image, its two axes as long as its radius, its normal towards the sample's
     side. `mirrors` and `images` (3, 4, 3): centre, normal and axes of each mirror where it stands, and unfolded.
@@ -72,13 +77,16 @@ class Scene:
         )
 
 
+@lru_cache(maxsize=SCENES_KEPT)
 def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -> Scene:
     """The instrument with its mirror unit at `sigma_deg` and its sample unit at `gamma_deg`.
 
-    Raises ValueError for angles that are not finite.
+    Raises ValueError for angles that are not finite, and for a sigma far from 0 to 180.
     """
     if not (math.isfinite(sigma_deg) and math.isfinite(gamma_deg)):
         raise ValueError(f"sigma_deg is {sigma_deg!r}, gamma_deg {gamma_deg!r}: give both in degrees")
+    if not -SLACK_DEG <= sigma_deg <= 180.0 + SLACK_DEG:
+        raise ValueError(f"sigma_deg is {sigma_deg:g}: the mirror unit turns from 0 to 180 deg")
     back = math.cos(math.radians(sigma_deg)) < 0.0
     to_sample, origin = _sample_frame(instrument.deviation("sample"), gamma_deg, back)
     own = np.eye(4)

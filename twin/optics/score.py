@@ -15,10 +15,11 @@ import numpy.typing as npt
 from numba import njit
 
 from twin.optics.aperture import aperture_sizes, cone_nodes, side_nodes
-from twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, analytic, bent, bsdf, regular_share
+from twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, bsdf, regular_share
 from twin.optics.bundle import cone, ray_bundle
 from twin.optics.fill import fill_nodes, fill_rays
 from twin.optics.frames import Floats
+from twin.optics.gaussian_rays import gaussian_values
 from twin.optics.instrument import Instrument
 from twin.optics.lobes import Lobe
 from twin.optics.nodes import HEXAGON, NODES
@@ -28,7 +29,7 @@ from twin.optics.regular import HOLE_NODES, SLOPE_NODES, image_measures, line_no
 from twin.optics.scene import Scene, scene_at
 from twin.optics.wide_aperture import WIDE, hole_nodes
 
-CHUNK = 1024
+CHUNK = 8192
 Rule = tuple[Floats, Floats, Floats, int]
 """Nodes over the cone, over a side of the hole, and over it where the cone is wide; rays where a mirror cuts into the view."""
 FINE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
@@ -44,30 +45,30 @@ def lobe_sums(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
     transmits: bool, rays: Floats, each: int, result: Floats,
 ) -> None:  # fmt: skip
-    """Fills `result` (n,): sums of weight times value over `each` rays of n detectors, whose rays are (7, n each)."""
-    peak, exponent, intensity, ratio = params[0], params[1], params[2], params[4]
-    for k in range(result.size):
-        total = 0.0
-        # The models without a table are called scalar by scalar: handing arrays over costs more than they do.
-        if kind == LAMBERTIAN:
-            for i in range(k * each, (k + 1) * each):
-                if (rays[6, i] < 0.0) == transmits:
-                    total += rays[0, i] * peak
-        elif kind == GAUSSIAN:
-            for i in range(k * each, (k + 1) * each):
-                if (rays[6, i] < 0.0) == transmits:
-                    lx, ly, lz = bent(ratio, rays[1, i], rays[2, i], rays[3, i])
-                    total += rays[0, i] * analytic(
-                        kind, peak, exponent, intensity, lx, ly, lz, rays[4, i], rays[5, i], abs(rays[6, i])
-                    )
-        else:
-            for i in range(k * each, (k + 1) * each):
-                if (rays[6, i] < 0.0) == transmits and rays[0, i] > 0.0:
-                    total += rays[0, i] * bsdf(
-                        kind, params, sig, ph, th, psi, table,
-                        rays[1, i], rays[2, i], rays[3, i], rays[4, i], rays[5, i], abs(rays[6, i]),
-                    )  # fmt: skip
-        result[k] = total
+    """Fills `result` (n,): sums of weight times value over `each` rays of n detectors.
+
+    `rays` (7, n each) has the first ray of every detector, then the second of every one, and so on.
+    """
+    count = result.size
+    result[:] = 0.0
+    if kind == GAUSSIAN:
+        values = np.empty(each * count)
+        gaussian_values(params[0], params[1], params[2] == 1.0, params[4], transmits, rays, values)
+        for i in range(each):
+            for k in range(count):
+                result[k] += values[i * count + k]
+    elif kind == LAMBERTIAN:
+        for i in range(each):
+            for k in range(count):
+                lit = (rays[6, i * count + k] < 0.0) == transmits
+                result[k] += rays[0, i * count + k] * params[0] if lit else 0.0
+    else:
+        for i in range(each * count):
+            if (rays[6, i] < 0.0) == transmits and rays[0, i] > 0.0:
+                result[i % count] += rays[0, i] * bsdf(
+                    kind, params, sig, ph, th, psi, table,
+                    rays[1, i], rays[2, i], rays[3, i], rays[4, i], rays[5, i], abs(rays[6, i]),
+                )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +176,7 @@ class _Score:
             rest = np.flatnonzero(status == PARTLY)
             tabulated = [k for k, lobe in enumerate(self._lobes) if lobe.kind in TABULATED]
             if tabulated:
-                taken = rays[0].reshape(count, NODES).sum(axis=1)
+                taken = rays[0].reshape(NODES, count).sum(axis=0)
                 self._with_bundles(centres, axes, np.flatnonzero(status == FREE), tabulated, sums, taken)
         else:
             rest = np.arange(count)

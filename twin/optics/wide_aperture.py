@@ -11,7 +11,37 @@ import math
 import numpy as np
 from numba import njit
 
-from twin.optics.aperture import CLOSER, MOMENTS, detector_frame
+from twin.optics.aperture import CLOSER
+from twin.optics.detector_block import (
+    AHEAD,
+    BESIDE1,
+    BESIDE2,
+    BLOCK,
+    DX,
+    DY,
+    DZ,
+    E1X,
+    E1Y,
+    E1Z,
+    E2X,
+    E2Y,
+    MOMENTS,
+    MP,
+    MPP,
+    MPQ,
+    MQ,
+    MQQ,
+    MU,
+    MUP,
+    MUQ,
+    MUU,
+    MUV,
+    MV,
+    MVP,
+    MVQ,
+    MVV,
+    M,
+)  # fmt: skip
 from twin.optics.frames import Floats
 
 WIDE = 0.7
@@ -59,22 +89,25 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
     return area, first * c, first * s, along * c * c + across * s * s, mixed, along * s * s + across * c * c
 
 
-@njit(cache=True, error_model="numpy")
-def wide_aperture(centre: Floats, d: Floats, hole: Floats, sizes: Floats, m: Floats) -> None:
-    """Fills `m` (15,) as `aperture` does; `hole` are the nodes of a side of the hole, see `hole_nodes`.
+@njit(cache=True, error_model="numpy", nogil=True)
+def wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> None:
+    """Fills the moments of the detectors in `w` as `apertures` does; `hole` are the nodes of a side, see `hole_nodes`.
 
     The cosines of a ray are taken to second order in its slopes, and what a node sees of the disc as symmetrical in them:
     of cones of some degrees both are right to 1e-5.
     """
+    w[M : M + MOMENTS * BLOCK] = 0.0
+    for k in range(count):
+        _one(w, k, hole, sizes)
+
+
+@njit(cache=True, error_model="numpy")
+def _one(w: Floats, k: int, hole: Floats, sizes: Floats) -> None:
     radius, half, sine = sizes[0], sizes[1], sizes[2]
     tangent, seen_sr = sine / math.sqrt(1.0 - sine * sine), math.pi * sine * sine
-    for i in range(MOMENTS):
-        m[i] = 0.0
-    dx, dy, dz = d[0], d[1], d[2]
-    e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
-    beside1 = centre[0] * e1x + centre[1] * e1y + centre[2] * e1z
-    beside2 = centre[0] * e2x + centre[1] * e2y
-    ahead = centre[0] * dx + centre[1] * dy + centre[2] * dz
+    dx, dy, dz, ahead = w[k + DX], w[k + DY], w[k + DZ], w[k + AHEAD]
+    e1x, e1y, e1z, e2x, e2y = w[k + E1X], w[k + E1Y], w[k + E1Z], w[k + E2X], w[k + E2Y]
+    beside1, beside2 = w[k + BESIDE1], w[k + BESIDE2]
     up_side = 1.0 if dz > 0.0 else -1.0
     across, tilt = up_side * dz, up_side * e1z  # the cosine on the sample of a ray of slopes (p, q) is about across + p tilt
     # What it can see at all is an ellipse about where its axis meets the sample, stretched away from the normal.
@@ -113,18 +146,18 @@ def wide_aperture(centre: Floats, d: Floats, hole: Floats, sizes: Floats, m: Flo
             if not s > 0.0:
                 continue
             w1, w2 = weight * (across * p + tilt * pp), weight * (across * q + tilt * pq)
-            m[0] += s
-            m[1] += u * s
-            m[2] += v * s
-            m[3] += w1
-            m[4] += w2
-            m[5] += u * u * s
-            m[6] += u * v * s
-            m[7] += v * v * s
-            m[8] += u * w1
-            m[9] += u * w2
-            m[10] += v * w1
-            m[11] += v * w2
-            m[12] += weight * (across * pp + tilt * ppp)
-            m[13] += weight * (across * pq + tilt * ppq)
-            m[14] += weight * (across * qq + tilt * pqq)
+            w[k + M] += s
+            w[k + MU] += u * s
+            w[k + MV] += v * s
+            w[k + MP] += w1
+            w[k + MQ] += w2
+            w[k + MUU] += u * u * s
+            w[k + MUV] += u * v * s
+            w[k + MVV] += v * v * s
+            w[k + MUP] += u * w1
+            w[k + MUQ] += u * w2
+            w[k + MVP] += v * w1
+            w[k + MVQ] += v * w2
+            w[k + MPP] += weight * (across * pp + tilt * ppp)
+            w[k + MPQ] += weight * (across * pq + tilt * ppq)
+            w[k + MQQ] += weight * (across * qq + tilt * pqq)

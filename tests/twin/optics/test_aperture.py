@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from twin.optics import Instrument, arc_direction, forward, gaussian, lambertian, luminance_factor, throughput
-from twin.optics.aperture import MOMENTS, aperture, aperture_sizes, cone_nodes, side_nodes
+from twin.optics.aperture import aperture_sizes, apertures, cone_nodes, detector_frames, side_nodes
+from twin.optics.detector_block import BLOCK, DX, MOMENTS, PX, ROWS, M
 from twin.optics.frames import Floats
 from twin.optics.scene import scene_at
-from twin.optics.wide_aperture import common_disc, hole_nodes, wide_aperture
+from twin.optics.wide_aperture import common_disc, hole_nodes, wide_apertures
 
 ZENITHS_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
 SECOND = [5, 7, 12, 14]
@@ -20,13 +21,15 @@ def moments(instrument: Instrument, *, wide: bool, nodes: int, rings: int = 0) -
     """(zeniths, 15) by one of the two ways."""
     sizes = aperture_sizes(instrument)
     centres, axes = scene_at(instrument, 30.0).detectors(instrument, arc_direction(ZENITHS_DEG, 30.0))
-    found = np.empty((ZENITHS_DEG.size, MOMENTS))
-    for centre, axis, row in zip(centres, axes, found, strict=True):
-        if wide:
-            wide_aperture(centre, axis, hole_nodes(nodes), sizes, row)
-        else:
-            aperture(centre, axis, cone_nodes(rings), side_nodes(nodes), sizes, row)
-    return found
+    count, w = ZENITHS_DEG.size, np.empty(ROWS * BLOCK)
+    rows = w.reshape(ROWS, BLOCK)
+    rows[PX // BLOCK : PX // BLOCK + 3, :count], rows[DX // BLOCK : DX // BLOCK + 3, :count] = centres.T, axes.T
+    detector_frames(w, count)
+    if wide:
+        wide_apertures(w, count, hole_nodes(nodes), sizes)
+    else:
+        apertures(w, count, cone_nodes(rings), side_nodes(nodes), sizes)
+    return rows[M // BLOCK : M // BLOCK + MOMENTS, :count].T
 
 
 @pytest.mark.parametrize("field_deg", [0.1, 0.5, 1.0, 2.5])

@@ -40,8 +40,12 @@ def hold_each_other(
     least: float = 5e-3,
     sum_error: float = 5e-3,
     rays: int = RAYS,
+    seven: bool = False,
 ) -> None:
-    """Chi-square and largest difference, and the sums within `sum_error`, of all that get `least` of the brightest's light."""
+    """Chi-square and largest difference, and the sums within `sum_error`, of all that get `least` of the brightest's light.
+
+    With `seven` so for the few rays too that the fast estimator takes of its own accord, as campaigns have them.
+    """
     estimate = forward(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
     sample = scatterer or regular(transmits=True, side="both")
     expected = throughput(instrument, sigma_deg, directions, sample, rays=rays, gamma_deg=gamma_deg)
@@ -51,6 +55,10 @@ def hold_each_other(
     assert not np.any(estimate.single_m2sr[expected == 0.0])
     found, error = estimate.single_m2sr[seen], estimate.single_error[seen]
     agree(found, error, expected[seen], 20.0 / rays * expected[seen])
+    if seven:
+        own = throughput(instrument, sigma_deg, directions, sample, gamma_deg=gamma_deg)[seen]
+        agree(found, error, own, 0.0)
+        assert found.sum() == pytest.approx(own.sum(), rel=sum_error)
     assert found.sum() == pytest.approx(expected[seen].sum(), rel=sum_error)
     known = math.sqrt(float(np.sum(error**2))) / found.sum()
     assert known < 0.5 * sum_error
@@ -66,7 +74,7 @@ def lobe_detectors(width_deg: float) -> tuple[Instrument, float]:
 @pytest.mark.parametrize("transmits", [False, True], ids=["reflected", "transmitted"])
 def test_they_agree_for_a_lambertian_sample(sigma_deg: float, transmits: bool) -> None:
     sample = lambertian(0.0 if transmits else 0.9, 0.9 if transmits else 0.0, side="both")
-    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 9, transmits), sample, 40_000_000, sum_error=1e-3)
+    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 9, transmits), sample, 40_000_000, sum_error=1e-3, seven=True)
 
 
 @pytest.mark.parametrize("sigma_deg", SIGMA)
@@ -74,7 +82,7 @@ def test_they_agree_for_a_lambertian_sample(sigma_deg: float, transmits: bool) -
 def test_they_agree_for_a_gaussian_lobe(sigma_deg: float, width_deg: float) -> None:
     instrument, step_deg = lobe_detectors(width_deg)
     sample = gaussian(width_deg, side="both")
-    hold_each_other(instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, 20_000_000, sum_error=1e-3)
+    hold_each_other(instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, 20_000_000, sum_error=1e-3, seven=True)
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 60.0, 150.0])
@@ -82,7 +90,7 @@ def test_they_agree_for_a_gaussian_lobe(sigma_deg: float, width_deg: float) -> N
 def test_they_agree_for_a_transmitted_lobe(sigma_deg: float, refraction: float) -> None:
     sample = gaussian(10.0, "half_width", "intensity", reflectance=0.7, transmits=True, refraction=refraction, side="both")
     instrument, step_deg = lobe_detectors(10.0)
-    hold_each_other(instrument, sigma_deg, rings(sigma_deg, step_deg, 8, True), sample, 20_000_000, sum_error=1e-3)
+    hold_each_other(instrument, sigma_deg, rings(sigma_deg, step_deg, 8, True), sample, 20_000_000, sum_error=1e-3, seven=True)
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 60.0, 80.0])
@@ -148,15 +156,15 @@ def test_they_agree_for_a_mirror_and_the_open_beam(sigma_deg: float, scatterer: 
 
 
 def measured() -> Scatterer:
-    """The black paint's table, which is no part of this repository."""
+    """The black paint's table, from either side alike, which is no part of this repository."""
     if not MEASURED.is_file():
         pytest.skip(f"the measured paint is not there: {MEASURED}")
     from app.rig.sample_table import MeasuredTable, scatterer
 
-    return scatterer(MeasuredTable(model="zemax", file=str(MEASURED)), MEASURED.parent, "the test")
+    return scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
 
 
-@pytest.mark.parametrize("sigma_deg", SIGMA[:4])
+@pytest.mark.parametrize("sigma_deg", SIGMA)
 def test_they_agree_for_a_measured_paint(sigma_deg: float) -> None:
     hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), measured(), 3_000_000, rays=FEW_RAYS)
 
@@ -183,6 +191,6 @@ def test_their_sums_agree_to_three_in_ten_thousand(sigma_deg: float, width_deg: 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("sigma_deg", SIGMA[:4])
+@pytest.mark.parametrize("sigma_deg", SIGMA)
 def test_their_sums_agree_for_a_measured_paint(sigma_deg: float) -> None:
     hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), measured(), 60_000_000, sum_error=1e-3)

@@ -9,6 +9,7 @@ from twin.optics import (
     Deviation,
     Instrument,
     Scatterer,
+    evaluate,
     from_specular,
     gaussian,
     lambertian,
@@ -17,6 +18,7 @@ from twin.optics import (
     throughput,
 )
 from twin.optics.frames import Floats
+from twin.optics.gaussian_rays import gaussian_values
 from twin.optics.instrument import ELEMENTS
 
 OPEN = Instrument(obstruction=False)
@@ -107,3 +109,21 @@ def test_a_table_with_kinks_is_taken_by_a_bundle_and_agrees_with_the_etalon() ->
     assert percentile_95(few, many) < 0.3
     white = tabulated([0.0, 80.0], [0.0], theta, np.full((2, 1, theta.size), 1.0 / math.pi))
     np.testing.assert_allclose(luminance_factor(OPEN, 30.0, directions, white), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [gaussian(2.0), gaussian(30.0), gaussian(90.0), gaussian(8.0, "half_width", "intensity"),
+     gaussian(20.0, transmits=True, refraction=1.5), gaussian(20.0, transmits=True, refraction=0.7)],
+    ids=lambda each: each.name,
+)  # fmt: skip
+def test_the_gaussian_over_many_rays_is_the_models_own(sample: Scatterer) -> None:
+    """Against `evaluate`, which calls the library's arccosine and exponential."""
+    random = np.random.default_rng(1)
+    light, observer = (each / np.linalg.norm(each, axis=1)[:, None] for each in random.normal(size=(2, 4096, 3)))
+    light[:, 2] = np.abs(light[:, 2])
+    weights = random.random(4096)
+    rays, values = np.concatenate([weights[None], light.T, observer.T]), np.empty(4096)
+    lobe = sample.lobes[0]
+    gaussian_values(lobe.params[0], lobe.params[1], lobe.params[2] == 1.0, lobe.params[4], lobe.transmits, rays, values)
+    np.testing.assert_allclose(values, weights * evaluate(sample, light, observer), rtol=1e-9, atol=1e-290)

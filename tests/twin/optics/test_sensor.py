@@ -18,6 +18,7 @@ from twin.optics import (
     stray,
     stray_throughput,
     throughput,
+    visible_fraction,
 )
 from twin.optics.sensor import passes
 
@@ -129,3 +130,13 @@ def test_of_a_simple_sensor_they_take_its_disc_and_cone() -> None:
 def test_what_cannot_be_built_is_refused_by_name(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         RealSensor(**wrong)
+
+
+def test_what_mirrors_hide_from_a_sensor_is_told_for_all_that_could_pass() -> None:
+    directions = arc_direction(np.arange(2.0, 5.0, 0.05), 0.0)
+    for sensor in (RealSensor(), RealSensor(aperture_mm=0.05, diaphragm_mm=19.0)):
+        cone = visible_fraction(Instrument(field_deg=sensor.widest_deg), 0.0, directions)
+        np.testing.assert_array_equal(visible_fraction(Instrument(sensor=sensor), 0.0, directions), cone)
+        assert np.any((cone > 0.0) & (cone < 1.0))
+    nominal = visible_fraction(Instrument(field_deg=sensor.field_deg), 0.0, directions)
+    assert np.any(nominal != cone)

@@ -102,10 +102,10 @@ def test_simple_sensors_get_what_the_simplified_detectors_get(
     sensor: RealSensor, scatterer: Scatterer, sigma_deg: float
 ) -> None:
     instrument, seen = Instrument(sensor=sensor), directions(scatterer, sigma_deg)
-    paths = 4_000_000 if sensor == WIDE else 30_000_000
+    paths = 4_000_000 if sensor == WIDE else 16_000_000
     real = forward(instrument, sigma_deg, seen, scatterer, paths, seed=1)
     virtual = forward(instrument.simplified(), sigma_deg, seen, scatterer, paths, seed=2)
-    assert np.median(real.standard_error / real.throughput_m2sr) < 0.06
+    assert np.median(real.standard_error / real.throughput_m2sr) < 0.08
     agree(real.throughput_m2sr, real.standard_error, virtual.throughput_m2sr, virtual.standard_error)
 
 
