@@ -16,7 +16,7 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	QT_QPA_PLATFORM=offscreen $(BIN)/pytest -m "not long"
+	QT_QPA_PLATFORM=offscreen $(BIN)/pytest -m "not long" -n 2 --dist loadfile
 
 # The slow proofs; run before a change of what they prove is called done.
 test-long: $(READY)

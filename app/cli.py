@@ -1,20 +1,18 @@
 """The command `goniotwin`."""
 
-import json
 import logging
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from app.axes_cli import RigOption, add_axes_commands, errors
+from app.axes_cli import add_axes_commands
+from app.campaign_cli import Json, RigOption, TranscriptOption, add_campaign_commands, answer, errors
 from app.ending import heed_requests_to_end
 from app.errors import UserError
-from app.progress import RowProgress
 from app.simulation import command as simulation
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -31,15 +29,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(simulation.app, name="simulate")
-
-Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="What is to be measured.", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
-TranscriptOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--transcript", metavar="DIR", help="Write every byte on every wire there, with its time.", show_default=False
-    ),
-]
 
 
 @app.callback(invoke_without_command=True)
@@ -72,56 +61,7 @@ def desktop(
     raise typer.Exit(run_desktop(rig, schedule, out, speed))
 
 
-@app.command()
-def run(
-    schedule: Schedule,
-    rig: RigOption,
-    out: Annotated[Path, typer.Option("--out", metavar="JOURNAL", help="The journal, a new file.", show_default=False)],
-    transcript: TranscriptOption = None,
-    as_json: Json = False,
-) -> None:
-    """Measure a campaign.
-
-    Checks schedule and rig first and refuses what cannot work (status 2, no journal). A row is on the disk before the next
-    begins. Ends with status 0 when all rows are done, 1 after a fault, 130 after Ctrl-C: the journal then has what was
-    measured until then.
-    """
-    from app.campaign.campaign import run_campaign
-    from app.campaign.events import State
-
-    plan = _plan(schedule, rig)
-    with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress:
-        outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_person)
-    result = {
-        "journal": str(out),
-        "state": "stopped" if outcome.state is State.IDLE else str(outcome.state),
-        "rows": outcome.rows,
-        "planned": outcome.of,
-        "duration_s": outcome.seconds,
-        "simulated": plan.rig.simulated,
-        "faults": list(outcome.faults),
-    }
-    for fault in outcome.faults:
-        errors.print(f"goniotwin: {fault}", style="red", markup=False)
-    mark = "SIMULATED, " if plan.rig.simulated else ""
-    text = f"{mark}{result['state']}: {outcome.rows} of {outcome.of} rows in {outcome.seconds:.1f} s of the rig's time: {out}"
-    _answer(as_json, result, lambda: print(text))
-    if outcome.state is not State.DONE:
-        raise typer.Exit(130 if outcome.state is State.IDLE else 1)
-
-
-@app.command()
-def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
-    """Tell what a campaign would be: its rows, how long it takes, how far each axis goes, what the mirror unit hides.
-
-    Nothing is opened and nothing moves. What the rig cannot do is refused with status 2.
-    """
-    from app.campaign.check import checked_plan, in_words
-
-    plan = _plan(schedule, rig)
-    plan.rig.model()  # samples' files that cannot be read are found now, not at the start
-    result = checked_plan(plan)
-    _answer(as_json, result, lambda: print(in_words(plan, result)))
+add_campaign_commands(app)
 
 
 @app.command()
@@ -142,9 +82,9 @@ def export(
     The journal stays as it is. Values come with their standard uncertainty (csv). Nothing is filled in silence: what a
     .ddr needs and nobody measured is listed at its top.
     """
-    from app.campaign.export import FORMATS
-    from app.campaign.journal import Journal
-    from app.campaign.reduction import reduce_journal
+    from app.campaign.journal.writing import Journal
+    from app.campaign.reducing.export import FORMATS
+    from app.campaign.reducing.reduction import reduce_journal
 
     if out.resolve() == journal.resolve():
         raise UserError(f"{out}: is the journal itself; choose another name")
@@ -153,7 +93,7 @@ def export(
     count = FORMATS[file_format](reduced, sample, out)
     result = {"file": str(out), "format": file_format, "values": count, "simulated": reduced.simulated}
     mark = "SIMULATED, " if reduced.simulated else ""
-    _answer(as_json, result, lambda: print(f"{mark}{count} measured values: {out}"))
+    answer(as_json, result, lambda: print(f"{mark}{count} measured values: {out}"))
 
 
 @app.command()
@@ -169,7 +109,7 @@ def demo(
     from app.demo import run_demo
 
     result, show = run_demo(EXAMPLE_RIG, EXAMPLE_SCHEDULE, out, transcript, errors)
-    _answer(as_json, result, lambda: show(Console(highlight=False)))
+    answer(as_json, result, lambda: show(Console(highlight=False)))
 
 
 @app.command()
@@ -234,7 +174,7 @@ def devices(
     from app.devices import exit_status, found_devices, in_words
 
     found = found_devices(rig)
-    _answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(in_words(found)))
+    answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(in_words(found)))
     raise typer.Exit(exit_status(found))
 
 
@@ -257,29 +197,8 @@ def replay(
     from app.rig import read_rig
 
     result = replay_transcripts(transcripts, read_rig(rig), device, mount)
-    _answer(as_json, result.as_dict(), lambda: print(result.in_words()))
+    answer(as_json, result.as_dict(), lambda: print(result.in_words()))
     raise typer.Exit(1 if result.differences else 0)
-
-
-def _plan(schedule: Path, rig: Path) -> Any:
-    from app.campaign.plan import make_plan
-    from app.campaign.schedule import read_schedule
-    from app.rig import read_rig
-
-    return make_plan(read_schedule(schedule), read_rig(rig))
-
-
-def _ask_person(text: str) -> None:
-    errors.print(f"{text}  (Enter)", style="bold", markup=False)
-    if not sys.stdin.readline():
-        raise UserError("nobody is at the terminal to mount samples; run it where somebody is")
-
-
-def _answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> None:
-    if as_json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-    else:
-        show()
 
 
 def main() -> None:

@@ -10,14 +10,14 @@ from rich.console import Console
 from rich.table import Table
 
 from app.campaign.campaign import run_campaign
-from app.campaign.compare import Comparison, compare
-from app.campaign.events import State
-from app.campaign.export import export_csv, export_ddr
-from app.campaign.figure import cut_figure
-from app.campaign.journal import Journal
-from app.campaign.plan import Plan, make_plan
-from app.campaign.reduction import Reduced, reduce_journal
-from app.campaign.schedule import read_schedule
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.reducing.compare import Comparison, compare
+from app.campaign.reducing.export import export_csv, export_ddr
+from app.campaign.reducing.figure import cut_figure
+from app.campaign.reducing.reduction import Reduced, reduce_journal
+from app.campaign.running.events import State
+from app.campaign.schedule.file import read_schedule
 from app.errors import UserError
 from app.progress import RowProgress
 from app.rig import RigDescription, read_rig

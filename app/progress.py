@@ -5,13 +5,13 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from app.campaign.events import Event, RowCommitted, RowStarted
+from app.campaign.running.events import Event, RowCommitted, RowStarted
 
 
 class RowProgress:
-    """A bar of rows with the time left; a listener of the engine."""
+    """A bar of rows with the time left; a listener of the engine. Without `rows` the first of them tells how many there are."""
 
-    def __init__(self, console: Console, title: str, rows: int) -> None:
+    def __init__(self, console: Console, title: str, rows: int | None) -> None:
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=32),
@@ -29,7 +29,8 @@ class RowProgress:
         if isinstance(event, RowStarted):
             self._bar.update(self._task, now=event.row.identity)
         elif isinstance(event, RowCommitted):
-            self._bar.update(self._task, completed=event.done, now=f"rig's time left {event.seconds_left:.0f} s")
+            left = f"rig's time left {event.seconds_left:.0f} s"
+            self._bar.update(self._task, completed=event.done, total=event.of, now=left)
 
     def __enter__(self) -> "RowProgress":
         return self

@@ -1,11 +1,13 @@
 """What has been started and is not done yet: when to ask next, and asking."""
 
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 from typing import Protocol
 
 from protocols.clock import Clock
 
 LONGEST_SLEEP_S = 0.2
+DUE = attrgetter("due")
 
 
 class Pending(Protocol):
@@ -54,7 +56,7 @@ def wait(clock: Clock, started: Iterable[Pending], between: Callable[[], None] =
     left = list(started)
     while left:
         between()
-        first = min(left, key=lambda pending: pending.due)
+        first = min(left, key=DUE)
         now = clock.now()
         if first.due > now + LONGEST_SLEEP_S:
             clock.sleep_until(now + LONGEST_SLEEP_S)

@@ -255,7 +255,7 @@ class TmclModule:
                     raise NoAnswer("axes", self._words(request), "a stop came between question and answer")
                 if frame is None:
                     raise NoAnswer("axes", self._words(request), port.how_little(started))
-                reply = believed(request, frame, self._words(request))
+                reply = believed(request, frame, self._words)
                 if reply is not None:
                     self._last = (request.command, request.value, self._clock.now())
                     return reply.value

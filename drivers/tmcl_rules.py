@@ -4,6 +4,8 @@ The user variables of which the driver makes use are lost with the power: the ca
 whether somebody knows where its axis is.
 """
 
+from collections.abc import Callable
+
 from drivers.errors import BadAnswer, Refused
 from drivers.tap import TO_DEVICE
 from protocols.tmcl import HOST_ADDRESS, Axis, Command, FrameError, MoveType, Reply, Request, Status
@@ -54,20 +56,20 @@ def moves(request: Request) -> bool:
     return False
 
 
-def believed(request: Request, frame: bytes, words: str) -> Reply | None:
-    """The reply to a request, or None for one that belongs to another. Raises BadAnswer and Refused, with its `words`."""
+def believed(request: Request, frame: bytes, words: Callable[[Request], str]) -> Reply | None:
+    """The reply to a request, or None for one that belongs to another. Raises BadAnswer and Refused, in its `words`."""
     try:
         reply = Reply.decode(frame)
     except FrameError as error:
-        raise BadAnswer("axes", words, str(error)) from None
+        raise BadAnswer("axes", words(request), str(error)) from None
     if reply.host != HOST_ADDRESS or reply.address != request.address:
         return None
     if reply.status == Status.WRONG_CHECKSUM:
-        raise BadAnswer("axes", words, "the request was garbled on its way")
+        raise BadAnswer("axes", words(request), "the request was garbled on its way")
     if reply.command != request.command or reply.status == Status.TARGET_REACHED:
         return None
     if reply.status != Status.OK:
-        raise Refused("axes", words, f"the module answers: {reply}")
+        raise Refused("axes", words(request), f"the module answers: {reply}")
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
 

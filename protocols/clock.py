@@ -67,17 +67,18 @@ class VirtualClock:
     def sleep_until(self, t: float) -> None:
         """Jump to `t`, and do on the way what is due by then, in the order of the times."""
         me = threading.get_ident()
-        if self._owner is None:
+        if self._owner != me:
+            if self._owner is not None:
+                raise RuntimeError("a VirtualClock belongs to the thread that first slept on it; use a RealClock here")
             self._owner = me
-        elif self._owner != me:
-            raise RuntimeError("a VirtualClock belongs to the thread that first slept on it; use a RealClock here")
         while self._events and self._events[0][0] <= t:
             due, _, event = heapq.heappop(self._events)
             if event.cancelled:
                 continue
             self._now = max(self._now, due)
             event.action()
-        self._now = max(self._now, t)
+        if t > self._now:
+            self._now = t
 
     def at(self, t: float, action: Action) -> Event:
         """Have `action` called on the way past `t`; if `t` is past, at the next sleep."""
@@ -93,13 +94,13 @@ class VirtualClock:
 
 
 class RealClock:
-    """Monotonic time, `speed` times as fast; for any number of threads."""
+    """Monotonic time from `start` on, `speed` times as fast; for any number of threads."""
 
-    def __init__(self, speed: float = 1.0) -> None:
+    def __init__(self, speed: float = 1.0, start: float = 0.0) -> None:
         if not speed > 0:
             raise ValueError(f"speed must be positive, not {speed}")
         self.speed = speed
-        self._zero = time.monotonic()
+        self._zero = time.monotonic() - start / speed
 
     def now(self) -> float:
         """The time, s."""

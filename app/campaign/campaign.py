@@ -1,41 +1,41 @@
 """A campaign from its files to its journal, in one call, for the command line and for scripts."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.campaign.engine import Engine
-from app.campaign.events import Listener, State
-from app.campaign.journal import Journal
-from app.campaign.operator import BackDoor, Operator, Person, ServedBackDoor
-from app.campaign.plan import Plan
-from app.campaign.provenance import versions
+from app.campaign.journal.provenance import versions
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import Plan
+from app.campaign.row import Row
+from app.campaign.running.engine import Engine
+from app.campaign.running.events import Listener, State
+from app.campaign.running.operator import BackDoor, Operator, Person, ServedBackDoor
+from app.campaign.running.resume import rest_of
 from app.errors import UserError
-from app.rig import OpenRig, RigFile, open_rig
+from app.rig import OpenRig, RigDescription, RigFile, open_rig
+from app.rig.lock import RigLock
 from protocols.clock import Clock, RealClock, VirtualClock
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a campaign ended: the engine's state, rows committed and planned, the rig's time in s."""
+    """How a campaign ended: the engine's state, planned rows that are committed and all of them, the rig's time in s."""
 
     state: State
     rows: int
     of: int
     seconds: float
     faults: tuple[str, ...]
+    simulated: bool
 
 
-def clock_for(plan: Plan) -> Clock:
+def clock_of(file: RigFile, start_s: float = 0.0) -> Clock:
     """A virtual clock for a virtual rig in this process, real time for any other, at the speed of one that is served."""
-    return clock_of(plan.rig.file)
-
-
-def clock_of(file: RigFile) -> Clock:
-    """The same of a rig file."""
     if file.twin is not None and all(address.startswith("twin://") for address in file.addresses):
-        return VirtualClock()
-    return RealClock(file.simulated.speed if file.simulated is not None else 1.0)
+        return VirtualClock(start_s)
+    return RealClock(file.simulated.speed if file.simulated is not None else 1.0, start_s)
 
 
 def run_campaign(
@@ -47,19 +47,61 @@ def run_campaign(
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Runs a plan to its end, or to the first fault. Raises UserError before anything is written, where it cannot start."""
-    with open_rig(plan.rig, clock_for(plan), transcript) as opened:
+    with _alone(journal_path, plan), open_rig(plan.rig, clock_of(plan.rig.file), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # says why not
-        operator = operator_for(opened, plan.rig.file, ask)
-        opened.connect()
-        refuse_lost_axes(opened, plan.rig.name)
+        operator = _ready(opened, plan, ask)
         with Journal.create(journal_path, plan, versions()) as journal:
-            engine = Engine(opened.rig, plan, journal, operator, listeners)
-            state = engine.run()
-            rows, of = journal.counted()
-            trouble = opened.transcript_trouble
-            faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
-            return Outcome(state, rows, of, journal.seconds, faults)
+            return _carried_out(opened, plan, journal, operator, listeners, plan.rows)
+
+
+def resume_campaign(
+    journal_path: Path,
+    rig: RigDescription | None = None,
+    *,
+    listeners: list[Listener] | None = None,
+    transcript: Path | None = None,
+    ask: Callable[[str], None] | None = None,
+) -> Outcome:
+    """Goes on at the first row that a journal does not have. Raises UserError, and leaves the journal as it is, where that
+    cannot be: see `rest_of`.
+    """
+    with Journal.open(journal_path) as looked_at:
+        begun = rest_of(looked_at, rig)
+    with _alone(journal_path, begun.plan), Journal.reopen(journal_path) as journal:
+        rest = rest_of(journal, rig)
+        with open_rig(rest.plan.rig, clock_of(rest.plan.rig.file, rest.start_s), transcript) as opened:
+            operator = _ready(opened, rest.plan, ask)
+            return _carried_out(opened, rest.plan, journal, operator, listeners, rest.work)
+
+
+@contextlib.contextmanager
+def _alone(journal_path: Path, plan: Plan) -> Iterator[None]:
+    """No other program works on the journal meanwhile. Raises UserError that says who does."""
+    lock = RigLock([str(journal_path.absolute())], f"{plan.schedule.file.name} ({journal_path})")
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _ready(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None) -> Operator:
+    """Connects the rig, and finds who mounts."""
+    operator = operator_for(opened, plan.rig.file, ask)
+    opened.connect()
+    refuse_lost_axes(opened, plan.rig.name)
+    return operator
+
+
+def _carried_out(
+    opened: OpenRig, plan: Plan, journal: Journal, operator: Operator, listeners: list[Listener] | None, work: Sequence[Row]
+) -> Outcome:
+    engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
+    state = engine.run()
+    rows, of = journal.counted()
+    trouble = opened.transcript_trouble
+    faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
+    return Outcome(state, rows, of, journal.seconds, faults, plan.rig.simulated)
 
 
 def refuse_lost_axes(opened: OpenRig, rig_name: str) -> None:

@@ -3,12 +3,22 @@
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["mount", "dark", "measure"]
+Kind = Literal["mount", "dark", "measure", "drift", "warm-up"]
+NOTHING = "nothing"
+"""The name of no sample: what a row says that is done with the sample unit empty."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row. `pose` has the angles of gamma, sigma, beta, shift in degrees; `gains` are numbers in the rig's list."""
+    """One row.
+
+    `pose` has the angles of gamma, sigma, beta, shift in degrees. `gains` are numbers in the rig's list: it is read at each of
+    them, or, where gains are `automatic`, at those of them that some photodiode needs. `readings` are taken at each; with a
+    `target`, a relative standard uncertainty, more of them until that is reached, or `longest_s` have passed.
+
+    A `drift` row is a measurement that only says whether the light is still what it was; a `warm-up` row waits with open
+    shutter until the monitor is steady to `target` in ten minutes, `longest_s` at most.
+    """
 
     number: int
     identity: str
@@ -19,3 +29,6 @@ class Row:
     pose: tuple[float, float, float, float] | None = None
     gains: tuple[int, ...] = ()
     readings: int = 0
+    automatic: bool = False
+    target: float | None = None
+    longest_s: float = 0.0

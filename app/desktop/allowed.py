@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from app.campaign.events import State
-from app.campaign.plan import Plan
+from app.campaign.planning.plan import Plan
+from app.campaign.running.events import State
 from app.desktop.messages import RigOpened
 
-BUSY = (State.RUNNING, State.PAUSING, State.PAUSED, State.STOPPING)
+BUSY = (State.RUNNING, State.PAUSING, State.PAUSED, State.RECOVERING, State.STOPPING)
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def allowed(rig: RigOpened | None, plan: Plan | None, no_plan: str, state: State
         no_start = ""
     return Allowed(
         no_start=no_start,
-        pause=state is State.RUNNING,
+        pause=state in (State.RUNNING, State.RECOVERING),
         resume=state in (State.PAUSING, State.PAUSED),
         stop=rig is not None,
         open=not busy and not opening,

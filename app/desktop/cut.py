@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.events import RowCommitted, RowStarted
-from app.campaign.journal import Committed
-from app.campaign.plan import Plan
-from app.campaign.reduction import BsdfPoints, row_points
+from app.campaign.journal.recorded import Committed
+from app.campaign.planning.plan import Plan
+from app.campaign.planning.shadow import shadowed
+from app.campaign.reducing.reduction import BsdfPoints, row_points
+from app.campaign.reducing.signals import Signal, darks_by_gain, signal
 from app.campaign.row import Row
-from app.campaign.shadow import shadowed
-from app.campaign.signals import Signal, darks_by_gain, signal
+from app.campaign.running.events import RowCommitted, RowStarted
 from app.rig import RigDescription, photodiode_settings
 from twin.optics import arc_direction, to_specular
 
@@ -71,8 +71,11 @@ class LiveCut:
             committed = Committed(row, event.data)
             if row.kind == "dark":
                 self._darks.append(committed)
-            elif row.kind == "measure":
+            elif row.kind == "measure" and event.data.readings and self._has_etalon(row):
                 self._points.append(self._reduced(committed))
+
+    def _has_etalon(self, row: Row) -> bool:
+        return row.sample == self.plan.schedule.file.etalon or (row.wavelength_nm, row.pose) in self._etalon
 
     def cut(self) -> Cut | None:
         """The cut as it is now; None before its first row."""
@@ -132,7 +135,7 @@ def _x_deg(points: BsdfPoints) -> Floats:
 
 def _abscissa(sigma_deg: float, polar_deg: Floats, plane_deg: float) -> Floats:
     """From signed polar angles, positive at the azimuth `plane_deg`: in the plane of incidence to the signed theta of
-    `app.campaign.compare`, elsewhere they stay."""
+    `app.campaign.reducing.compare`, elsewhere they stay."""
     if not _in_plane(plane_deg):
         return polar_deg
     theta, phi = to_specular(sigma_deg, arc_direction(np.abs(polar_deg), _azimuths(polar_deg, plane_deg)))

@@ -2,8 +2,8 @@
 
 from PySide6.QtCore import QObject, QTimer, Signal, Slot
 
-from app.campaign.events import RowCommitted, RowStarted
-from app.campaign.plan import Plan
+from app.campaign.planning.plan import Plan
+from app.campaign.running.events import RowCommitted, RowStarted
 from app.desktop.cut import LiveCut
 from app.desktop.cutplot import CutPlot
 

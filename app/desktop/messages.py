@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.campaign.events import Event, State
-from app.campaign.plan import Plan
+from app.campaign.planning.plan import Plan
+from app.campaign.running.events import Event, State
 from app.rig import RigDescription
 
 DEVICES = ("axes", "monochromator", "photodiodes", "monitor")

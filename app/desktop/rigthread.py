@@ -10,12 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from app.campaign.campaign import operator_for
-from app.campaign.engine import Engine
-from app.campaign.events import Event, Positions, State, StateChanged
-from app.campaign.journal import Journal
-from app.campaign.plan import Plan, make_plan
-from app.campaign.provenance import versions
-from app.campaign.schedule import read_schedule
+from app.campaign.journal.provenance import versions
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.running.engine import Engine
+from app.campaign.running.events import Event, Positions, State, StateChanged
+from app.campaign.schedule.file import read_schedule
 from app.desktop.messages import (
     DeviceLost,
     DeviceStatus,

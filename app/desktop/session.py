@@ -4,8 +4,8 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal, Slot
 
-from app.campaign.events import Positions, RowCommitted, RowStarted, State, StateChanged
-from app.campaign.plan import Plan
+from app.campaign.planning.plan import Plan
+from app.campaign.running.events import Positions, RowCommitted, RowStarted, State, StateChanged
 from app.desktop.allowed import BUSY, Allowed, allowed
 from app.desktop.layout import Parts
 from app.desktop.liveplot import LivePlot
@@ -28,6 +28,7 @@ SAID = {
     State.RUNNING: "The run goes on.",
     State.PAUSING: "Pausing after this row.",
     State.PAUSED: "Paused with the shutter closed. Resume goes on with the next row.",
+    State.RECOVERING: "A device has failed; it is dealt with as the schedule says.",
     State.STOPPING: "Stopping.",
 }
 
@@ -201,7 +202,8 @@ class Session(QObject):
         elif end.state is State.DONE:
             self._parts.say(f"Done: {of} rows.")
         elif end.state is State.IDLE:
-            self._parts.say(f"Stopped after {done} of {of} rows. They are kept; Start begins a new journal.")
+            why = "" if end.reason in ("", "stopped") else f": {end.reason}"
+            self._parts.say(f"Stopped after {done} of {of} rows{why}. They are kept; Start begins a new journal.")
         else:
             self._parts.say(f"Failed after {done} of {of} rows, which are kept: {end.reason}", bad=True)
         self._parts.set_saved(f"Saved in {end.journal}")

@@ -5,7 +5,7 @@ from pathlib import Path
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
 
-from app.campaign.plan import Plan
+from app.campaign.planning.plan import Plan
 from app.desktop.messages import RigOpened
 from app.desktop.panels import heading
 from app.desktop.runpanel import in_words

@@ -18,6 +18,14 @@ FOLDER = "goniotwin-locks"
 LONGEST_NOTE = 400
 
 
+class Held(UserError):
+    """Another program has it."""
+
+    def __init__(self, address: str, holder: str) -> None:
+        super().__init__(f"{address}: is in use by {holder}; wait for it, or end it")
+        self.holder = holder
+
+
 class RigLock:
     """Holds addresses until `release`, or until the process ends, however it ends."""
 
@@ -34,7 +42,7 @@ class RigLock:
             raise
 
     def release(self) -> None:
-        """Gives all back."""
+        """Gives all back; nothing more where that is done already."""
         for file in self._files:
             file.close()
         self._files = []
@@ -52,12 +60,21 @@ class RigLock:
             file.seek(0)
             holder = file.read(LONGEST_NOTE).strip() or "another program"
             file.close()
-            raise UserError(f"{address}: is in use by {holder}; wait for it, or end it")
-        file.seek(0)
-        file.truncate()
-        file.write(note + "\n")
-        file.flush()
+            raise Held(address, holder)
         self._files.append(file)
+        with contextlib.suppress(OSError):  # a full disk has no room for the note, and it is held all the same
+            os.ftruncate(file.fileno(), 0)
+            os.lseek(file.fileno(), 0, os.SEEK_SET)
+            os.write(file.fileno(), f"{note}\n".encode())
+
+
+def holder_of(address: str) -> str | None:
+    """Who has an address now; None where nobody has. Raises UserError where that cannot be told."""
+    try:
+        RigLock([address], "looking who has it").release()
+    except Held as held:
+        return held.holder
+    return None
 
 
 def _user() -> str:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.plan import make_plan
-from app.campaign.schedule import GridRange, ScheduleFile, grid_values, read_schedule
+from app.campaign.planning.plan import make_plan
+from app.campaign.schedule.file import ScheduleFile, read_schedule
+from app.campaign.schedule.grids import GridRange, grid_values
 from app.errors import UserError
 from app.rig import read_rig
 from tests.conftest import RIG, SCHEDULE, Change, Writer
@@ -66,6 +67,23 @@ BAD_SCHEDULES = [
     (("wavelength_nm = [550]", "wavelength_nm = [550, 550.0000001]"), r"wavelength_nm: 550.* stands there twice"),
     (('name = "small"', 'name = "sm\\nall"'), r"name: "),
     (('etalon = "etalon"', 'etalon = "gaussian-5"'), r"etalon 'gaussian-5' stands among the samples"),
+    (('["gaussian-5"]', '["nothing"]'), r"'nothing' is what an empty sample unit is called"),
+    (("shift_deg = [0, 1]", "shift_deg = [0, { start = 0, stop = 1, step = 0.3 }]"), r"shift_deg\.1: .*not a whole number"),
+    (("shift_deg = [0, 1]", 'shift_deg = [0, "a"]'), r"shift_deg\.1: .*number"),
+    (("shift_deg = [0, 1]", 'shift_deg = "all"'), r"shift_deg: .*list"),
+    (("[1e8, 1e10]", '"auto"'), r"gains_v_per_a: .*'automatic'"),
+    (('name = "small"', 'name = "small"\nside = "left"'), r"side: .*'front', 'back' or 'both'"),
+    (('name = "small"', 'name = "small"\nlight = "scattered"'), r"light: .*'reflected', 'transmitted' or 'both'"),
+    (('name = "small"', 'name = "small"\norder = ["shift", "beta"]'), r"order: must name each of gamma, sigma, beta, shift"),
+    (('name = "small"', 'name = "small"\norder = "slowest"'), r"order: .*'fastest'"),
+    (('name = "small"', 'name = "small"\nrepeats = 0'), r"repeats: .*greater than or equal to 1"),
+    (("dark_readings = 4", "dark_readings = 4\n[near_specular]\nwithin_deg = 5"), r"near_specular: says neither"),
+    (("dark_readings = 4", "dark_readings = 4\n[near_specular]\nshift_deg = [1]"), r"near_specular\.within_deg: is missing"),
+    (
+        ("dark_readings = 4", 'dark_readings = 4\nsymmetry = "anisotropic"\n[symmetry_check]\npoints = 3'),
+        r"symmetry_check: there is nothing to check",
+    ),
+    (("dark_readings = 4", "dark_readings = 4\n[overlap]\npoints = 0"), r"overlap\.points: .*greater than 0"),
 ]
 
 
@@ -141,3 +159,8 @@ def test_a_grid_is_a_list_or_a_range() -> None:
     )  # fmt: skip
     assert grid_values(file.sigma_deg) == (1.0, 2.0)
     assert grid_values(file.beta_deg) == (0.0, 1.0)
+
+
+def test_a_grid_may_be_numbers_and_ranges_that_meet() -> None:
+    fine, coarse = GridRange(start=0.0, stop=2.0, step=1.0), GridRange(start=2.0, stop=10.0, step=4.0)
+    assert grid_values([fine, coarse, 8.0]) == (0.0, 1.0, 2.0, 6.0, 10.0, 8.0)

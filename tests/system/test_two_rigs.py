@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from app.campaign.campaign import operator_for
-from app.campaign.engine import Engine
-from app.campaign.events import Event, RowCommitted, State
-from app.campaign.journal import Journal
-from app.campaign.plan import make_plan
-from app.campaign.schedule import read_schedule
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import make_plan
+from app.campaign.running.engine import Engine
+from app.campaign.running.events import Event, RowCommitted, State
+from app.campaign.schedule.file import read_schedule
 from app.rig import open_rig, read_rig
 from protocols.clock import VirtualClock
 from tests.conftest import Writer

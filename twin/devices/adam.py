@@ -41,6 +41,10 @@ class AdamModule:
         self._index = index
         self._outputs = [False] * self.model.outputs
         self._safety = 0
+        self._writable = {*range(adam.DIGITAL_OUTPUT, adam.DIGITAL_OUTPUT + self.model.outputs)}
+        if self.model.statistics:
+            for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
+                self._writable |= {*range(first, first + adam.CHANNELS + 1)}
 
     def reset(self, t: float) -> None:
         """As after power-on: ranges, outputs and so the gain, enabled channels, maximum and minimum are forgotten."""
@@ -85,8 +89,10 @@ class AdamModule:
     def coils(self, address: int, count: int, t: float) -> list[bool]:
         """Outputs and flags; a coil that is only written reads 0. Raises ModbusFault for an address without a coil."""
         self._refuse()
-        held = self._flags(t)
         wanted = range(address, address + count)
+        held = dict(enumerate(self._outputs, adam.DIGITAL_OUTPUT))
+        if not held.keys() >= set(wanted):
+            held |= self._flags(t)
         if not all(at in held for at in wanted):
             raise ModbusFault(adam.ILLEGAL_ADDRESS)
         return [held[at] for at in wanted]
@@ -95,11 +101,7 @@ class AdamModule:
         """Outputs (0 is the low bit of the gain's number), and the resets of maximum and minimum. Raises ModbusFault."""
         self._refuse()
         places = list(enumerate(values, address))
-        writable = {*range(adam.DIGITAL_OUTPUT, adam.DIGITAL_OUTPUT + self.model.outputs)}
-        if self.model.statistics:
-            for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
-                writable |= {*range(first, first + adam.CHANNELS + 1)}
-        if not all(at in writable for at, _ in places):
+        if not all(at in self._writable for at, _ in places):
             raise ModbusFault(adam.ILLEGAL_ADDRESS)
         outputs = list(self._outputs)
         for at, value in places:
@@ -144,8 +146,8 @@ class AdamModule:
         return held
 
     def _flags(self, t: float) -> dict[int, bool]:
-        """All coils by their addresses. No alarm limits can be set over Modbus, so no alarm is ever on."""
-        held = dict(enumerate(self._outputs, adam.DIGITAL_OUTPUT))
+        """The coils that are no outputs, by their addresses. No alarm limits can be set over Modbus, so no alarm is ever on."""
+        held: dict[int, bool] = {}
         if self.model.statistics:
             for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
                 held |= {first + channel: False for channel in range(adam.CHANNELS + 1)}

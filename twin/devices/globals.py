@@ -63,6 +63,9 @@ class Globals:
 
     def get(self, bank: int, number: int, t: float) -> int:
         """GGP. Raises Rejected."""
+        held = self._values.get((bank, number))
+        if held is not None:
+            return held
         if bank == 0:
             match number:
                 case Global.APPLICATION_STATUS:
@@ -74,7 +77,7 @@ class Globals:
                 case Global.RANDOM_NUMBER:
                     return int(mixed(self._key, np.int64(int(t * 1.0e6)))) & 0x7FFF_FFFF
         self._check(bank, number)
-        return self._values.get((bank, number), 0)
+        return 0
 
     def set(self, bank: int, number: int, value: int, t: float) -> None:
         """SGP. Raises Rejected."""

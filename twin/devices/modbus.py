@@ -12,16 +12,24 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.bit_message import (
+    ReadCoilsRequest,
     ReadCoilsResponse,
+    ReadDiscreteInputsRequest,
     ReadDiscreteInputsResponse,
+    WriteMultipleCoilsRequest,
     WriteMultipleCoilsResponse,
+    WriteSingleCoilRequest,
     WriteSingleCoilResponse,
 )
-from pymodbus.pdu.diag_message import ReturnQueryDataResponse
+from pymodbus.pdu.diag_message import ReturnQueryDataRequest, ReturnQueryDataResponse
 from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
     ReadHoldingRegistersResponse,
+    ReadInputRegistersRequest,
     ReadInputRegistersResponse,
+    WriteMultipleRegistersRequest,
     WriteMultipleRegistersResponse,
+    WriteSingleRegisterRequest,
     WriteSingleRegisterResponse,
 )
 
@@ -53,7 +61,7 @@ class TcpStation:
         """Bytes of which the last has arrived at `t`. What is not Modbus empties the buffer."""
         self._buffer += data
         while len(self._buffer) >= MBAP + 1:
-            protocol, length = unpack(">HH", self._buffer[2:6])
+            transaction, protocol, length, unit = unpack(">HHHB", self._buffer[:MBAP])
             if protocol != 0 or not 2 <= length <= LONGEST_TCP - MBAP + 1:
                 self._buffer = b""
                 return
@@ -61,10 +69,9 @@ class TcpStation:
             if len(frame) < 6 + length:
                 return
             self._buffer = self._buffer[len(frame) :]
-            _, unit, transaction, pdu = self._framer.decode(frame)
             if unit == self.device.unit and not self.device.silent:
                 self._free = max(self._free, t)
-                answer = answered(self.device, pdu, self._free)
+                answer = answered(self.device, frame[MBAP:], self._free)
                 answer.transaction_id, answer.dev_id = transaction, unit
                 self._free += 0.5 * self.device.latency_s  # the other half is the way here
                 self.outbox.append((self._free, self._framer.buildFrame(answer)))
@@ -133,7 +140,7 @@ class RtuStation:
 
     def _size(self) -> int | None:
         """Of the frame that begins the buffer: 0 while its count is missing, None where only its end will tell."""
-        if self._buffer[1] not in FUNCTIONS:
+        if self._buffer[1] not in REQUESTS:
             return None
         try:
             kind = self._decoder.lookupPduClass(self._buffer)
@@ -180,18 +187,28 @@ def answered(device: AdamModule, request: bytes, t: float) -> ModbusPDU:
     """The response of a module to the PDU of a request that arrives at `t`, an exception response where it refuses."""
     function = request[0]
     try:
-        if function not in FUNCTIONS or (function == 8 and request[1:3] != b"\0\0"):
+        if function not in REQUESTS or (function == 8 and request[1:3] != b"\0\0"):
             raise ModbusFault(adam.ILLEGAL_FUNCTION)
-        pdu = DECODER.decode(request) if well_formed(request) else None
-        if pdu is None:
+        if not well_formed(request):
             raise ModbusFault(adam.ILLEGAL_VALUE)
+        pdu = REQUESTS[function]()
+        pdu.decode(request[1:])
         return _response(device, pdu, t)
     except ModbusFault as fault:
         return ExceptionResponse(function & 0x7F, fault.code)
 
 
-DECODER = DecodePDU(is_server=True)
-FUNCTIONS = (1, 2, 3, 4, 5, 6, 8, 15, 16)
+REQUESTS: dict[int, type[ModbusPDU]] = {
+    1: ReadCoilsRequest,
+    2: ReadDiscreteInputsRequest,
+    3: ReadHoldingRegistersRequest,
+    4: ReadInputRegistersRequest,
+    5: WriteSingleCoilRequest,
+    6: WriteSingleRegisterRequest,
+    8: ReturnQueryDataRequest,
+    15: WriteMultipleCoilsRequest,
+    16: WriteMultipleRegistersRequest,
+}
 
 
 def _response(device: AdamModule, request: ModbusPDU, t: float) -> ModbusPDU:

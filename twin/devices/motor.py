@@ -66,7 +66,6 @@ class Motor(RampGenerator):
         return self._values[number]
 
     def _computed(self, number: int, t: float) -> int:
-        angle = self.shaft.angle_deg(t)
         match number:
             case Axis.TARGET_POSITION:
                 return self._target
@@ -78,11 +77,11 @@ class Motor(RampGenerator):
                 at_target = round(self._trajectory.position(t)) == self._target
                 return int(not self.is_moving(t) and at_target and self._search is None)
             case Axis.HOME_SWITCH:
-                return int(self.switch(Place.HOME).active(angle))
+                return int(self.switch(Place.HOME).active(self.shaft.angle_deg(t)))
             case Axis.RIGHT_SWITCH:
-                return int(self.end_switch(1).active(angle))
+                return int(self.end_switch(1).active(self.shaft.angle_deg(t)))
             case Axis.LEFT_SWITCH:
-                return int(self.end_switch(-1).active(angle))
+                return int(self.end_switch(-1).active(self.shaft.angle_deg(t)))
             case Axis.SWITCH_DISTANCE:
                 return self._distance
             case Axis.LAST_REFERENCE_POSITION:

@@ -157,6 +157,8 @@ class MotionModule:
 
     def _execute(self, request: Request, t: float) -> int:
         number, bank, value = request.type, request.motor, request.value
+        if request.command in self._actions:
+            return self._with_motor(request, t)
         match request.command:
             case Command.FIRMWARE_VERSION:
                 return version_number(self.kind.number, *self.kind.firmware)
@@ -185,17 +187,14 @@ class MotionModule:
                 raise Rejected(Status.NOT_AVAILABLE)  # newer firmware has it
             case Command.FACTORY_RESET:
                 raise Rejected(Status.INVALID_VALUE)
-        return self._with_motor(request, t)
+        raise Rejected(Status.INVALID_COMMAND)
 
     def _with_motor(self, request: Request, t: float) -> int:
-        action = self._actions.get(request.command)
-        if action is None:
-            raise Rejected(Status.INVALID_COMMAND)
         if request.motor >= len(self.motors):
             raise Rejected(Status.INVALID_VALUE)
         if request.command == Command.STAP and self.globals.locked:
             raise Rejected(Status.EEPROM_LOCKED)
-        return action(self, self.motors[request.motor], request, t)
+        return self._actions[request.command](self, self.motors[request.motor], request, t)
 
     def _turn(self, motor: Motor, request: Request, t: float) -> int:
         stop = request.command == Command.MST

@@ -6,6 +6,7 @@ where the answer's last byte arrives.
 
 from collections import deque
 from contextlib import AbstractContextManager, nullcontext
+from itertools import accumulate, repeat
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
@@ -82,10 +83,10 @@ class Serial(SerialBase):
             if wake in (enough, deadline):
                 break
         now = self._clock.now()
-        got = bytearray()
-        while self._arriving and len(got) < size and self._arriving[0][0] <= now:
-            got.append(self._arriving.popleft()[1])
-        return bytes(got)
+        there = min(size, len(self._arriving))
+        while there and self._arriving[there - 1][0] > now:
+            there -= 1
+        return bytes([self._arriving.popleft()[1] for _ in range(there)])
 
     def reset_input_buffer(self) -> None:
         """What has arrived is thrown away; what is still on its way is not."""
@@ -111,11 +112,9 @@ class Serial(SerialBase):
         outbox = self._device.outbox
         while outbox and outbox[0][0] <= horizon:
             ready, data = outbox.popleft()
-            t = max(ready, self._received_until)
-            for byte in data:
-                t += self._byte_s
-                self._arriving.append((t, byte))
-            self._received_until = t
+            times = list(accumulate(repeat(self._byte_s, len(data)), initial=max(ready, self._received_until)))
+            self._arriving.extend(zip(times[1:], data, strict=True))
+            self._received_until = times[-1]
 
     def _next_change(self) -> float:
         """When the device may begin to send, or an event may change what it does."""

@@ -19,47 +19,65 @@ Keys = npt.NDArray[np.uint64]
 
 
 @njit(cache=True, error_model="numpy")
+def conversions(t: float, period: float, channels: int) -> tuple[npt.NDArray[np.int64], float, float]:
+    """Of a module's channels, converted one after the other within each `period` s: the last conversion of each that is over
+    at `t`, by its number, and the times of the earliest and of the latest of these, s.
+    """
+    numbers = np.empty(channels, dtype=np.int64)
+    earliest, latest = np.inf, -np.inf
+    for c in range(channels):
+        # A conversion takes one tick of the module and can be read when it is over.
+        numbers[c] = math.floor(t / period + 1e-9 - (c + 1) / channels)
+        begun = (numbers[c] + c / channels) * period
+        earliest, latest = min(earliest, begun), max(latest, begun)
+    return numbers, earliest, latest
+
+
+@njit(cache=True, error_model="numpy")
 def converted(
-    conversion: npt.NDArray[np.int64],
+    volts: Floats,
+    begin: int,
+    end: int,
+    first: int,
+    numbers: npt.NDArray[np.int64],
     period: float,
     signal_a: Floats,
     dark_a: Floats,
-    gain: Floats,
-    old_gain: Floats,
-    since_change: Floats,
-    deviation: Floats,
-    old_deviation: Floats,
+    gains: Floats,
+    deviations: Floats,
+    gain: int,
+    old_gain: int,
+    changed: float,
     constants: Floats,
     lamp: Floats,
     lamp_keys: Keys,
     dark_keys: Keys,
     noise_keys: Keys,
-) -> Floats:
-    """Input voltages of a module's channels at their conversion times, V, before quantisation.
+) -> None:
+    """Puts the input voltages of a module's channels `begin` to `end`, before quantisation, into `volts`, V.
 
-    Shapes: one element a channel. `conversion` counts a channel's conversions, one each `period` s, the channels one
-    after the other within it. `signal_a` is the photocurrent of a lamp of level 1, `dark_a` the dark current; `gain`
-    in V/A with its relative `deviation`. `constants`: bandwidth Hz, temperature K, amplifier noise V, offset V, settling
+    `numbers` are the channels' conversions as `conversions` makes them. The module's channel 0 is element `first` of what has
+    an element for each of the rig's channels: `signal_a`, the photocurrent of a lamp of level 1, `dark_a`, the dark current,
+    and the keys. `gains` in V/A, with relative `deviations` (gains, channels of the rig), are chosen by number: `gain` since
+    the time `changed`, `old_gain` before. `constants`: bandwidth Hz, temperature K, amplifier noise V, offset V, settling
     time constant s, relative dark wander, its period s, noise on (1) or off (0).
     """
     bandwidth, temperature, noise_v, offset_v, settling, dark_wander, dark_period, noisy = constants
-    channels = conversion.size
-    volts = np.empty(channels)
-    for c in range(channels):
-        t = (conversion[c] + c / channels) * period
-        dark = dark_a[c]
+    for c in range(begin, end):
+        k = first + c
+        t = (numbers[c] + c / volts.size) * period
+        dark = dark_a[k]
         if noisy > 0.0 and dark_wander > 0.0:
-            dark *= 1.0 + dark_wander * wandering(dark_keys[c], t, dark_period)
-        current = signal_a[c] * lamp_level(t, lamp, lamp_keys) + dark
-        new = current * gain[c] * (1.0 + deviation[c])
+            dark *= 1.0 + dark_wander * wandering(dark_keys[k], t, dark_period)
+        current = signal_a[k] * lamp_level(t, lamp, lamp_keys) + dark
+        new = current * gains[gain] * (1.0 + deviations[gain, k])
         v = new
-        if since_change[c] < SETTLED * settling:
-            left = math.exp(-since_change[c] / settling) - math.exp(-SETTLED)
-            v += (current * old_gain[c] * (1.0 + old_deviation[c]) - new) * left
+        if t - changed < SETTLED * settling:
+            left = math.exp(-(t - changed) / settling) - math.exp(-SETTLED)
+            v += (current * gains[old_gain] * (1.0 + deviations[old_gain, k]) - new) * left
         if noisy > 0.0:
             shot = 2.0 * ELEMENTARY_CHARGE_C * abs(current) * bandwidth
-            johnson = 4.0 * BOLTZMANN_J_PER_K * temperature * bandwidth / gain[c]
-            spread = math.sqrt((shot + johnson) * gain[c] * gain[c] + noise_v * noise_v)
-            v += spread * normal(noise_keys[c], conversion[c])
+            johnson = 4.0 * BOLTZMANN_J_PER_K * temperature * bandwidth / gains[gain]
+            spread = math.sqrt((shot + johnson) * gains[gain] * gains[gain] + noise_v * noise_v)
+            v += spread * normal(noise_keys[k], numbers[c])
         volts[c] = v + offset_v
-    return volts

@@ -171,7 +171,7 @@ class Estimator:
 
     kind: Literal["fast", "forward"] = "fast"
     rays: int | None = None
-    relative_error: float = 3.0e-3
+    relative_error: float = 0.03
     stray: bool = False
 
 

@@ -6,17 +6,18 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.optics.reflectance import nominal
-from twin.plant.converter import converted
+from twin.plant.converter import conversions, converted
 from twin.plant.lamp import lamp_constants, lamp_mean
 from twin.plant.model import TwinModel
 from twin.plant.noise import normal, process_key
 from twin.plant.shaft import Shaft
 from twin.plant.slew import Slewing
-from twin.plant.timeline import Timeline
+from twin.plant.timeline import Changing, Timeline
 from twin.plant.view import Aspect, View
 
 Floats = npt.NDArray[np.float64]
 MODULE_CHANNELS = 8
+ONE_BY_ONE = tuple((channel, channel + 1) for channel in range(MODULE_CHANNELS))
 MONITOR_PIECES = 16
 """Into so many a mean of the monitor is cut where shutter or wavelength change during it."""
 
@@ -36,7 +37,19 @@ class Plant:
         self.gain: list[Timeline[int]] = [Timeline(0) for _ in range(self.modules)]
         self.view = View(model)
         self._lamp = lamp_constants(model.light, model.seed, model.noise)
+        self._make_light()
         self._make_electronics()
+
+    def _make_light(self) -> None:
+        light = self.model.light
+        mirrors = nominal(self.model.instrument.mirror_reflectance) ** 3  # the optics count them, and `throughput` has them too
+        self._radiance = light.radiance * light.band_nm * light.throughput / mirrors
+        self._lamp_spectrum = np.transpose(light.spectrum)
+        self._responsivity = np.transpose(self.model.photodiodes.responsivity)
+        light_path = (self.wavelength_nm, self.shutter_open, self.sample, self.tilt_deg)
+        self._deciding: tuple[Changing, ...] = (*light_path, *self.shafts.values())
+        # The photocurrents of what has settled last. What decides on them and is no line of time (`fade`) has to forget them.
+        self._lit: tuple[tuple[object, ...], Floats] = ((), np.zeros(0))
 
     def _make_electronics(self) -> None:
         seed, electronics, diodes = self.model.seed, self.model.electronics, self.model.photodiodes
@@ -48,6 +61,8 @@ class Plant:
             [diodes.dark_a * (1.0 + diodes.dark_spread * normal(spread, np.int64(c))) for c in range(channels)],
             0.0,
         )
+        self._faded = np.ones(channels)
+        self._gains = np.array(electronics.gains_v_per_a)
         gains = len(electronics.gains_v_per_a)
         deviates = process_key(seed, "gains")
         self._deviation = np.array(
@@ -93,6 +108,13 @@ class Plant:
         """The sample's normal leans by so much in the plane of incidence, towards the light for positive angles."""
         self.tilt_deg.set(t, tilt_deg)
 
+    def fade(self, photodiode: int, share: float) -> None:
+        """From now on a photodiode gives only a share of its photocurrent; with 0 it is dead, without dark current too."""
+        self._faded[photodiode] *= share
+        if share == 0.0:
+            self._dark_a[photodiode] = 0.0
+        self._lit = ((), np.zeros(0))
+
     def angle_deg(self, axis: str, t: float) -> float:
         """The true angle of an axis at `t`; 0 for one that this rig does not have."""
         shaft = self.shafts.get(axis)
@@ -116,46 +138,36 @@ class Plant:
 
     def pupil_radiance(self, t: float) -> float:
         """Of the exit pupil for a lamp of level 1, W m^-2 sr^-1; 0 behind the closed shutter."""
-        if not self.shutter_open.at(t):
-            return 0.0
-        light, instrument = self.model.light, self.model.instrument
-        mirrors = nominal(instrument.mirror_reflectance) ** 3  # the optics count them, and `throughput` has them too
-        return light.radiance * light.band_nm * light.throughput / mirrors * self._spectrum(t)
+        return self._radiance * self._spectrum(t) if self.shutter_open.at(t) else 0.0
 
     def photocurrents_a(self, t: float) -> Floats:
         """Of all channels for a lamp of level 1, without dark current, at the pose and wavelength of `t`."""
         currents = np.zeros(self.modules * MODULE_CHANNELS)
         radiance = self.pupil_radiance(t)
         if radiance > 0.0:
-            wavelength = self.wavelength_nm.at(t)
-            responsivity = float(np.interp(wavelength, *np.transpose(self.model.photodiodes.responsivity)))
+            responsivity = float(np.interp(self.wavelength_nm.at(t), *self._responsivity))
             currents[: self.model.photodiodes.count] = responsivity * radiance * self.throughputs_m2sr(t)
-        return currents
+        return currents * self._faded
 
     def volts(self, module: int, t: float) -> Floats:
         """What the last finished conversion of each channel of a module saw, V (8,): the same number until the next."""
-        period = self.conversion_period_s
-        channels = np.arange(MODULE_CHANNELS)
-        # A conversion takes one tick of the module and can be read when it is over.
-        conversion = np.floor(t / period + 1e-9 - (channels + 1) / MODULE_CHANNELS).astype(np.int64)
-        times = (conversion + channels / MODULE_CHANNELS) * period
-        earliest, latest = float(times.min()), float(times.max())
-        block = slice(module * MODULE_CHANNELS, (module + 1) * MODULE_CHANNELS)
-        if self._steady_since(earliest):
-            signal = self.photocurrents_a(latest)[block]
-        else:
-            signal = np.array([self.photocurrents_a(float(time))[block][c] for c, time in enumerate(times)])
-        gains = np.array(self.model.electronics.gains_v_per_a)
-        line = self.gain[module]
-        now = np.array([line.at(float(time)) for time in times])
-        before, since = zip(*(line.before(float(time)) for time in times), strict=True)
-        deviation = self._deviation[:, block]
-        result: Floats = converted(
-            conversion, period, signal, self._dark_a[block], gains[now], gains[list(before)], np.array(since),
-            deviation[now, channels], deviation[list(before), channels], self._constants, *self._lamp,
-            self._dark_keys[block], self._noise_keys[block],
-        )  # fmt: skip
-        return result
+        period, gain = self.conversion_period_s, self.gain[module]
+        numbers, earliest, latest = conversions(t, period, MODULE_CHANNELS)
+        volts = np.empty(MODULE_CHANNELS)
+        light = self._settled(earliest)
+        if light is not None and light != self._lit[0]:
+            self._lit = (light, self.photocurrents_a(latest))
+        steady = light is not None and gain.last_change <= earliest
+        for begin, end in ((0, MODULE_CHANNELS),) if steady else ONE_BY_ONE:
+            at = latest if steady else (numbers[begin] + begin / MODULE_CHANNELS) * period
+            signal_a = self._lit[1] if light is not None else self.photocurrents_a(at)
+            before, _ = gain.before(at)
+            converted(
+                volts, begin, end, module * MODULE_CHANNELS, numbers, period, signal_a, self._dark_a, self._gains,
+                self._deviation, gain.at(at), before, gain.held_since(at), self._constants, *self._lamp, self._dark_keys,
+                self._noise_keys,
+            )  # fmt: skip
+        return volts
 
     def monitor_a(self, start: float, end: float) -> float:
         """Mean current of the monitor photodiode over [start, end], A."""
@@ -175,9 +187,11 @@ class Plant:
         return current
 
     def _spectrum(self, t: float) -> float:
-        return float(np.interp(self.wavelength_nm.at(t), *np.transpose(self.model.light.spectrum)))
+        return float(np.interp(self.wavelength_nm.at(t), *self._lamp_spectrum))
 
-    def _steady_since(self, t: float) -> bool:
-        """Whether nothing that decides on the photocurrents has changed after `t`."""
-        lines = (self.wavelength_nm, self.shutter_open, self.sample, self.tilt_deg)
-        return all(line.last_change <= t for line in lines) and not any(shaft.moved_since(t) for shaft in self.shafts.values())
+    def _settled(self, t: float) -> tuple[object, ...] | None:
+        """What decides on the photocurrents, each thing as it was set last; None where any of it has changed after `t`."""
+        for line in self._deciding:
+            if line.last_change > t:
+                return None
+        return tuple([line.newest for line in self._deciding])

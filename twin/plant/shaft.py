@@ -89,7 +89,7 @@ class Shaft:
     @property
     def jammed(self) -> bool:
         """Whether something holds it now."""
-        return self._drives.at(math.inf).jammed
+        return self._drives.newest.jammed
 
     def drive(self, t: float) -> Drive:
         """How it is driven at `t`."""
@@ -99,10 +99,20 @@ class Shaft:
         """The true angle at `t`."""
         return self._drives.at(t).angle_deg(t)
 
+    @property
+    def newest(self) -> Drive:
+        """How it is driven now."""
+        return self._drives.newest
+
+    @property
+    def last_change(self) -> float:
+        """From when on it rests, s; infinity where it turns for ever. A leash that runs out has it rest no later."""
+        last = self._drives.newest.trajectory.pieces[-1]
+        return max(self._drives.last_change, last.t) if last.velocity == 0.0 else math.inf
+
     def moved_since(self, t: float) -> bool:
         """Whether the axis may have moved after `t`."""
-        last = self._drives.at(math.inf).trajectory.pieces[-1]
-        return t < max(self._drives.last_change, last.t) or last.velocity != 0.0
+        return t < self.last_change
 
     def driven(self, t: float, trajectory: Trajectory, deceleration: float = math.inf, leash: Leash | None = None) -> Drive:
         """What would become of it if from `t` on the motor's counter followed `trajectory`."""

@@ -27,7 +27,7 @@ class Slewing:
     """What the quantity was at any recent time; jumps and passes."""
 
     def __init__(self, value: float) -> None:
-        self._passes = Timeline(Pass(0.0, 0.0, value, value))
+        self._passes = Timeline(Pass(float("-inf"), float("-inf"), value, value))
 
     def at(self, t: float) -> float:
         """The value at `t`."""
@@ -46,7 +46,11 @@ class Slewing:
         self.set(t, self.at(t))
 
     @property
+    def newest(self) -> Pass:
+        """The last pass."""
+        return self._passes.newest
+
+    @property
     def last_change(self) -> float:
         """When the last pass ends, s."""
-        newest = self._passes.last_change
-        return max(newest, self._passes.at(newest).end) if newest > float("-inf") else newest
+        return max(self._passes.last_change, self._passes.newest.end)

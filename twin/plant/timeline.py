@@ -1,21 +1,33 @@
 """What a quantity was, and when: a converter asks for the light of a moment ago, after a command has changed it."""
 
 from bisect import bisect_right
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 T = TypeVar("T")
 
 
+class Changing(Protocol):
+    """A quantity that changes now and then: what it is now, and from when on it has been at rest there, s."""
+
+    @property
+    def newest(self) -> object: ...
+
+    @property
+    def last_change(self) -> float: ...
+
+
 class Timeline(Generic[T]):
-    """The last `keep` values of a quantity, each with the time from which it holds."""
+    """The last `keep` values of a quantity, each with the time from which it holds; `newest` holds from `last_change` on."""
 
     def __init__(self, value: T, keep: int = 64) -> None:
-        self._times = [float("-inf")]
+        self.newest, self.last_change = value, float("-inf")
+        self._times = [self.last_change]
         self._values = [value]
         self._keep = keep
 
     def set(self, t: float, value: T) -> None:
         """From `t` on it is `value`; what was to hold later than `t` is forgotten."""
+        self.newest, self.last_change = value, t
         index = bisect_right(self._times, t)
         self._times[index:] = [t]
         self._values[index:] = [value]
@@ -24,8 +36,8 @@ class Timeline(Generic[T]):
 
     def at(self, t: float) -> T:
         """The value at `t`; for a time before the oldest kept, the oldest."""
-        if t >= self._times[-1]:
-            return self._values[-1]
+        if t >= self.last_change:
+            return self.newest
         return self._values[max(0, bisect_right(self._times, t) - 1)]
 
     def before(self, t: float) -> tuple[T, float]:
@@ -33,7 +45,6 @@ class Timeline(Generic[T]):
         index = max(0, bisect_right(self._times, t) - 1)
         return self._values[max(0, index - 1)], t - self._times[index]
 
-    @property
-    def last_change(self) -> float:
-        """From when on the newest value holds, s."""
-        return self._times[-1]
+    def held_since(self, t: float) -> float:
+        """From when on the value at `t` holds, s; for a time before the oldest kept, when that was set."""
+        return self._times[max(0, bisect_right(self._times, t) - 1)]

@@ -2,8 +2,8 @@
 
 import pytest
 
-from app.campaign.plan import Plan, make_plan
-from app.campaign.schedule import read_schedule
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.schedule.file import read_schedule
 from app.rig import read_rig
 from tests.conftest import Writer
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from app.campaign.campaign import operator_for, run_campaign
-from app.campaign.check import checked_plan, in_words
-from app.campaign.engine import Engine
-from app.campaign.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
-from app.campaign.journal import Journal
-from app.campaign.plan import Plan, make_plan
-from app.campaign.schedule import read_schedule
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.check import checked_plan, in_words
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.running.engine import Engine
+from app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
+from app.campaign.schedule.file import read_schedule
 from app.errors import UserError
 from app.rig import OpenRig, open_rig, read_rig
 from protocols.clock import Clock, RealClock, VirtualClock
@@ -233,10 +233,10 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_acknowledged(bench: MakeBen
 
 def test_whatever_goes_wrong_the_axes_come_to_rest_and_it_is_told(bench: MakeBench) -> None:
     made = bench(VirtualClock(), [])
-    made.engine._operator = Nobody()
+    engine = Engine(made.opened.rig, made.plan, made.journal, Nobody())
     with pytest.raises(ZeroDivisionError):
-        made.engine.run()
-    assert made.engine.state is State.FAILED
+        engine.run()
+    assert engine.state is State.FAILED
     assert made.journal.faults() == ["ZeroDivisionError: a mistake of ours"]
 
 
@@ -245,6 +245,9 @@ class Nobody:
 
     def mount(self, sample: str) -> None:
         raise ZeroDivisionError("a mistake of ours")
+
+    def mend(self, fault: str) -> bool:
+        raise ZeroDivisionError(fault)
 
 
 def test_darks_are_no_older_than_the_schedule_allows(write_rig: Writer, write_schedule: Writer) -> None:

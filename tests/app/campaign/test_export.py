@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.campaign.export import export_csv, export_ddr
-from app.campaign.reduction import BsdfPoints, Reduced
-from app.campaign.regrid import regrid
+from app.campaign.reducing.export import export_csv, export_ddr
+from app.campaign.reducing.overlaps import overlaps
+from app.campaign.reducing.reduction import BsdfPoints, Reduced
+from app.campaign.reducing.regrid import regrid
 from app.errors import UserError
 from app.formats import read_ddr, read_points_csv
 from app.rig import read_rig
@@ -27,7 +28,8 @@ def points_of(sigma: float, zenith: np.ndarray, azimuth: np.ndarray, hidden: np.
         wavelength_nm=zeros + 550.0, sigma_deg=zeros + sigma, gamma_deg=zeros, beta_deg=azimuth, shift_deg=zeros,
         photodiode=np.arange(zenith.size), zenith_deg=zenith, azimuth_deg=azimuth, theta_deg=theta, phi_deg=phi,
         bsdf=smooth(zenith, azimuth), u_bsdf=zeros + 0.01, shadowed=none if hidden is None else hidden.ravel(), clipped=none,
-        no_etalon=none,
+        no_etalon=none, dead=none, uncertified=none, drifted=none, under_range=none, back=none, transmitted=none,
+        signature=zeros + np.nan,
     )  # fmt: skip
 
 
@@ -87,7 +89,7 @@ def test_nothing_measured_makes_no_grid() -> None:
 def reduced() -> Reduced:
     zenith, azimuth = np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 180.0])[None, :]
     points = points_of(30.0, zenith, azimuth, np.broadcast_to((zenith > 26.0) & (zenith < 34.0) & (azimuth == 0.0), (180, 2)))
-    return Reduced("test", read_rig(RIG), True, {"gaussian-5": points})
+    return Reduced("test", read_rig(RIG), True, {"gaussian-5": points}, {"gaussian-5": overlaps(points, 0.0)}, ("a note",))
 
 
 def test_a_ddr_says_what_is_simulated_and_what_is_continued(reduced: Reduced, tmp_path: Path) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from app.campaign.campaign import run_campaign
-from app.campaign.journal import Journal
-from app.campaign.plan import Plan
-from app.campaign.reduction import reduce_journal
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import Plan
+from app.campaign.reducing.reduction import reduce_journal
 from app.errors import UserError
 
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from app.campaign.campaign import run_campaign
-from app.campaign.compare import compare, in_plane, relative_rms_percent, theory
-from app.campaign.events import State
-from app.campaign.journal import Journal
-from app.campaign.plan import make_plan
-from app.campaign.reduction import BsdfPoints, Reduced, reduce_journal
-from app.campaign.schedule import read_schedule
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import make_plan
+from app.campaign.reducing.compare import compare, in_plane, relative_rms_percent, theory
+from app.campaign.reducing.reduction import BsdfPoints, Reduced, reduce_journal
+from app.campaign.running.events import State
+from app.campaign.schedule.file import read_schedule
 from app.errors import UserError
 from app.rig import read_rig
 from tests.conftest import RIG, SCHEDULE, Writer

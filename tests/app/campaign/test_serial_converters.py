@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from app.campaign.campaign import run_campaign
-from app.campaign.plan import make_plan
-from app.campaign.schedule import read_schedule
+from app.campaign.planning.plan import make_plan
+from app.campaign.schedule.file import read_schedule
 from app.rig import read_rig
 from tests.conftest import Writer
 from tests.drivers.photodiode_bench import SERIAL

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from app.campaign.compare import signed_theta
-from app.campaign.engine import Engine
-from app.campaign.events import Event, RowCommitted, RowStarted, State
-from app.campaign.journal import Journal
-from app.campaign.operator import BackDoor
-from app.campaign.plan import make_plan
-from app.campaign.reduction import reduce_journal
-from app.campaign.schedule import read_schedule
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import make_plan
+from app.campaign.reducing.compare import signed_theta
+from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.running.engine import Engine
+from app.campaign.running.events import Event, RowCommitted, RowStarted, State
+from app.campaign.running.operator import BackDoor
+from app.campaign.schedule.file import read_schedule
 from app.desktop.cut import Cut, LiveCut, Points
 from app.desktop.cutplot import CutPlot
 from app.desktop.theme import LIGHT

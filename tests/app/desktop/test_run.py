@@ -11,9 +11,9 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QApplication, QPushButton
 from pytestqt.qtbot import QtBot
 
-from app.campaign.events import Positions, RowCommitted, State
-from app.campaign.journal import Journal
-from app.campaign.operator import BackDoor
+from app.campaign.journal.writing import Journal
+from app.campaign.running.events import Positions, RowCommitted, State
+from app.campaign.running.operator import BackDoor
 from app.desktop import MainWindow, rigthread, run_desktop
 from app.desktop.allowed import BUSY
 from app.desktop.cut import Cut, LiveCut

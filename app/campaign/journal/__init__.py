@@ -1,0 +1,1 @@
+"""One SQLite file a campaign: crash journal, resume pointer and archive."""

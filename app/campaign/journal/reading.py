@@ -1,0 +1,179 @@
+"""What a journal says: of itself, of its sessions, of its rows."""
+
+import contextlib
+import json
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.campaign.journal.recorded import Committed, Reading, RowData
+from app.campaign.row import Row
+from app.errors import UserError
+
+ROW = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
+DETAILS = ("gains", "readings", "automatic", "target", "longest_s")
+"""What the column `detail` has of a row."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """A stretch of work on a campaign by one program. A program that was killed has left no end: `ended_s` is then that of
+    the last row which it committed, and `outcome` is None.
+    """
+
+    number: int
+    started_s: float
+    ended_s: float
+    outcome: str | None
+    wall_started: str
+    wall_ended: str | None
+    versions: dict[str, str]
+
+
+class Recorded:
+    """The contents of a journal. Everything raises UserError where it is damaged."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        self._db = connection
+        self.path = path
+
+    def value(self, key: str) -> str:
+        """An entry of the campaign's table: schedule, rig, name, simulated, seed, model, versions. Raises UserError."""
+        with self._reading():
+            found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
+        if found is None:
+            raise UserError(f"{self.path}: says nothing of its {key}; it was cut off when it was made")
+        return str(found[0])
+
+    @property
+    def simulated(self) -> bool:
+        """Whether nothing in it is real."""
+        return self.value("simulated") == "true"
+
+    @property
+    def seconds(self) -> float:
+        """How long the campaign took on the rig's clock, all sessions together."""
+        return sum(session.ended_s - session.started_s for session in self.sessions())
+
+    def sessions(self) -> list[Session]:
+        """In order."""
+        with self._reading():
+            found = self._db.execute(
+                "SELECT id, started_s, COALESCE(ended_s, (SELECT MAX(ended_s) FROM attempt WHERE session = s.id), started_s),"
+                " outcome, wall_started, wall_ended, versions FROM session s ORDER BY id"
+            )
+            return [
+                Session(number, begun, ended, outcome, wall_begun, wall_ended, json.loads(versions))
+                for number, begun, ended, outcome, wall_begun, wall_ended, versions in found
+            ]
+
+    def counted(self) -> tuple[int, int]:
+        """How many of the planned rows are committed, and how many there are."""
+        done = self._db.execute(
+            "SELECT COUNT(DISTINCT number) FROM attempt JOIN plan USING (number) WHERE plan.session IS NULL"
+        ).fetchone()[0]
+        return int(done), int(self._db.execute("SELECT COUNT(*) FROM plan WHERE session IS NULL").fetchone()[0])
+
+    def planned(self) -> tuple[Row, ...]:
+        """The planned rows, without those that sessions have added."""
+        with self._reading():
+            return tuple(
+                _row(*entries)
+                for entries in self._db.execute(f"SELECT {ROW} FROM plan p WHERE session IS NULL ORDER BY number")
+            )
+
+    def committed(self) -> set[int]:
+        """Numbers of the rows that are done."""
+        with self._reading():
+            return {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
+
+    def last_number(self) -> int:
+        """Of all rows, added ones too."""
+        with self._reading():
+            return int(self._db.execute("SELECT MAX(number) FROM plan").fetchone()[0])
+
+    def rows(self) -> Iterator[Committed]:
+        """The committed rows in the order in which they were begun, each by its last attempt."""
+        with self._reading():
+            yield from self._rows()
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        with damage_told(self.path):
+            yield
+
+    def _rows(self) -> Iterator[Committed]:
+        found = self._db.execute(
+            f"SELECT {ROW}, attempt, started_s, ended_s, positions, flags FROM plan p JOIN attempt a USING (number)"
+            " WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number) ORDER BY started_s, p.number"
+        )
+        for *planned, attempt, started, ended, positions, flags in found:
+            row = _row(*planned)
+            readings = tuple(self._readings(row.number, attempt))
+            where = None if positions is None else json.loads(positions)
+            yield Committed(row, RowData(started, ended, where, readings, tuple(json.loads(flags))))
+
+    def _readings(self, number: int, attempt: int) -> Iterator[Reading]:
+        for gain, first, period, monitor, readings, channels, counts in self._db.execute(
+            "SELECT gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts FROM reading"
+            " WHERE number = ? AND attempt = ? ORDER BY gain_v_per_a",
+            (number, attempt),
+        ):
+            raw = np.frombuffer(counts, dtype="<u2").reshape(readings, channels)
+            yield Reading(gain, first, period, monitor, raw)
+
+
+def opened_for_reading(path: Path) -> sqlite3.Connection:
+    """A database that stays as it is. Raises sqlite3.Error, OSError.
+
+    Where its program was killed or the power went, SQLite may have to put it in order before it can be read, or needs a file
+    beside it where none may be made: then it is done with a copy, in memory.
+    """
+    db = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
+    try:
+        db.execute("PRAGMA user_version")
+    except sqlite3.OperationalError as error:
+        db.close()
+        if error.sqlite_errorcode & 0xFF not in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
+            raise
+        return _copy_in_order(path)
+    return db
+
+
+def _copy_in_order(path: Path) -> sqlite3.Connection:
+    with tempfile.TemporaryDirectory() as folder:
+        spare = Path(folder) / path.name
+        for suffix in ("", "-wal", "-journal"):
+            with contextlib.suppress(FileNotFoundError):
+                shutil.copyfile(f"{path}{suffix}", f"{spare}{suffix}")
+        with contextlib.closing(sqlite3.connect(spare)) as source:
+            copy = sqlite3.connect(":memory:", check_same_thread=False)
+            try:
+                source.backup(copy)
+            except sqlite3.Error:
+                copy.close()
+                raise
+    return copy
+
+
+@contextlib.contextmanager
+def damage_told(path: Path) -> Iterator[None]:
+    """Says of what goes wrong inside that the journal is damaged. Raises UserError."""
+    try:
+        yield
+    except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
+        raise UserError(f"{path}: is damaged: {error}; use a copy of it, if there is one") from None
+
+
+def _row(*columns: Any) -> Row:
+    number, identity, kind, sample, wavelength, gamma, sigma, beta, shift, seconds, detail = columns
+    told = {key: value for key, value in json.loads(detail).items() if key in DETAILS}
+    told["gains"] = tuple(told["gains"])
+    pose = None if sigma is None else (gamma, sigma, beta, shift)
+    return Row(number, identity, kind, sample, seconds, wavelength, pose, **told)

@@ -1,0 +1,40 @@
+"""What a row came to: raw counts with their times, positions, flags."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from app.campaign.row import Row
+
+Counts = npt.NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """All photodiodes at one gain: raw `counts` (readings, photodiodes), the monitor's mean current meanwhile."""
+
+    gain_v_per_a: float
+    first_s: float
+    period_s: float
+    monitor_a: float
+    counts: Counts
+
+
+@dataclass(frozen=True)
+class RowData:
+    """What a row came to: times on the rig's clock, read-back positions and encoders in degrees, readings by gain."""
+
+    started_s: float
+    ended_s: float
+    positions: dict[str, float | None] | None
+    readings: tuple[Reading, ...]
+    flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Committed:
+    """A row of a journal with what it came to."""
+
+    row: Row
+    data: RowData

@@ -1,0 +1,31 @@
+"""The campaigns of a folder as a table for a terminal."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from app.campaign.journal.runs import Campaign
+from app.campaign.planning.check import clock_time
+
+STYLE = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
+
+
+def show(console: Console, folder: Path, campaigns: list[Campaign]) -> None:
+    """One line a campaign."""
+    if not campaigns:
+        console.print(f"{folder}: no journals (*.journal)", markup=False)
+        return
+    table = Table(box=None, pad_edge=False)
+    for name in ("journal", "campaign", "state", "rows", "left", "begun"):
+        table.add_column(name, justify="right" if name in ("rows", "left") else "left", overflow="fold")
+    for each in campaigns:
+        table.add_row(
+            Path(each.journal).name,
+            f"{each.name}{' (SIMULATED)' if each.simulated else ''}",
+            f"[{STYLE[each.state]}]{each.state}[/]",
+            f"{each.rows}/{each.planned}",
+            clock_time(each.seconds_left) if each.rows < each.planned else "",
+            each.begun or "",
+        )
+    console.print(table)

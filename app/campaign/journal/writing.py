@@ -1,0 +1,242 @@
+"""The journal: one SQLite file a campaign, one transaction a row. Crash journal, resume pointer and archive.
+
+It holds the schedule and the rig as they were, the planned rows, and raw counts; everything else can be derived from it again.
+The schema is described in docs/journal.md.
+"""
+
+import contextlib
+import json
+import sqlite3
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from app.campaign.journal.reading import DETAILS, Recorded, damage_told, opened_for_reading
+from app.campaign.journal.recorded import RowData
+from app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
+from app.campaign.planning.plan import Plan
+from app.campaign.row import Row
+from app.errors import UserError
+from protocols.clock import calendar_stamp
+
+
+class JournalError(Exception):
+    """The journal cannot be written any more; what it acknowledged before is safe."""
+
+
+class Journal(Recorded):
+    """An open journal. What `commit` has returned from is on the disk."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        super().__init__(connection, path)
+        self._session: int | None = None
+
+    @classmethod
+    def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
+        """A new journal for a plan. Raises UserError where there is a file already, or none can be written.
+
+        It gets its name when it is whole and on the disk, so that a program that is killed here leaves none or one that can be
+        resumed. The name is on the disk before the first commit returns: SQLite syncs the folder with each new -wal file.
+        One that need not outlive a power failure, a rehearsal's, is not `durable` and waits for no disk.
+        """
+        if path.exists():
+            raise UserError(f"{path}: is there already, and no journal is ever overwritten; choose another name")
+        if not path.parent.is_dir():
+            raise UserError(f"{path}: there is no folder {path.parent}; make it first")
+        for left in (Path(f"{path}-wal"), Path(f"{path}-journal")):
+            if left.exists():  # SQLite would take it for the new one's
+                raise UserError(f"{left}: is left of another journal of that name; put it beside that, or choose another name")
+        spare = path.with_name(f".{path.name}.new")
+        try:
+            _remove(spare)  # of a program that was killed here
+            with contextlib.closing(_connect(spare, durable=durable)) as db:
+                create_tables(db)
+                cls(db, spare)._describe(plan, versions)
+                db.execute("PRAGMA wal_checkpoint")  # to close it would do that too, and fail in silence
+            spare.rename(path)
+        except (sqlite3.Error, OSError) as error:
+            _remove(spare)
+            raise _unwritable(path, error) from None
+        try:
+            return cls(_connect(path, durable=durable), path)
+        except sqlite3.Error as error:
+            _remove(path)
+            raise _unwritable(path, error) from None
+
+    @classmethod
+    def open(cls, path: Path) -> "Journal":
+        """A journal that is there already, for reading; the file stays as it is, whatever its schema.
+
+        Raises UserError for a file that is none.
+        """
+        version = _known_version(path)
+        db = opened_for_reading(path)
+        if version == SCHEMA_VERSION:
+            return cls(db, path)
+        copy = sqlite3.connect(":memory:", check_same_thread=False)
+        with contextlib.closing(db), damage_told(path):
+            db.backup(copy)
+            migrate(copy)
+        return cls(copy, path)
+
+    @classmethod
+    def reopen(cls, path: Path) -> "Journal":
+        """A journal that is there already, to go on with. An older schema becomes this one.
+
+        Raises UserError for a file that is none, or cannot be written.
+        """
+        _known_version(path)
+        try:
+            db = _connect(path)
+        except sqlite3.Error as error:
+            raise UserError(
+                f"{path}: cannot be written: {error}; check its rights, and whether another program has it"
+            ) from None
+        with damage_told(path):
+            migrate(db)
+        return cls(db, path)
+
+    def close(self) -> None:
+        """Ends it; a journal that was written is then one file, to be read from any medium."""
+        with contextlib.suppress(sqlite3.Error):
+            self._db.execute("PRAGMA journal_mode = DELETE")
+        self._db.close()
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def begin_session(self, t: float, rig: str, versions: dict[str, str]) -> int:
+        """A program begins to work on the campaign, with a rig file's text; returns the session's number.
+
+        What is committed and told from now on is of this session.
+        """
+        about = (t, calendar_stamp(), rig, json.dumps(versions, sort_keys=True))
+        with self._writing():
+            cursor = self._db.execute("INSERT INTO session (started_s, wall_started, rig, versions) VALUES (?, ?, ?, ?)", about)
+        self._session = int(cursor.lastrowid or 0)
+        return self._session
+
+    def add_rows(self, rows: Sequence[Row]) -> None:
+        """Rows of this session that nobody has planned: what a resumed campaign does before it goes on."""
+        with self._writing():
+            self._db.executemany(INSERT_ROW, [(*_planned(row), self._session) for row in rows])
+
+    def end_session(self, session: int, t: float, outcome: str) -> None:
+        """It ends, with `outcome`: done, stopped or failed."""
+        with self._writing():
+            self._db.execute(
+                "UPDATE session SET ended_s = ?, outcome = ?, wall_ended = ? WHERE id = ?",
+                (t, outcome, calendar_stamp(), session),
+            )
+
+    def event(self, t: float, kind: str, text: str) -> None:
+        """Something that is to be known later."""
+        with self._writing():
+            self._db.execute("INSERT INTO event (session, t_s, kind, text) VALUES (?, ?, ?, ?)", (self._session, t, kind, text))
+
+    def faults(self) -> list[str]:
+        """The faults that were met, in order."""
+        return [str(text) for (text,) in self._db.execute("SELECT text FROM event WHERE kind = 'fault' ORDER BY id")]
+
+    def commit(self, row: Row, data: RowData) -> None:
+        """One row, whole or not at all; on the disk when this returns. Raises JournalError."""
+        positions = None if data.positions is None else json.dumps(data.positions)
+        with self._writing():
+            (attempt,) = self._db.execute(
+                "SELECT COALESCE(MAX(attempt), 0) + 1 FROM attempt WHERE number = ?", (row.number,)
+            ).fetchone()
+            self._db.execute(
+                "INSERT INTO attempt (number, attempt, session, started_s, ended_s, positions, flags)"
+                " VALUES (?, ?, ?, ?, ?, ?, ?)",
+                (row.number, attempt, self._session, data.started_s, data.ended_s, positions, json.dumps(data.flags)),
+            )
+            self._db.executemany(
+                "INSERT INTO reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                [
+                    (row.number, attempt, each.gain_v_per_a, each.first_s, each.period_s, each.monitor_a,
+                     *each.counts.shape, each.counts.astype("<u2").tobytes())
+                    for each in data.readings
+                ],
+            )  # fmt: skip
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """One transaction."""
+        try:
+            with self._db:
+                yield
+        except sqlite3.Error as error:
+            raise JournalError(f"{self.path}: cannot be written: {error}; make room on the disk") from None
+
+    def _describe(self, plan: Plan, versions: dict[str, str]) -> None:
+        about = {
+            "name": plan.schedule.file.name,
+            "schedule": plan.schedule.text,
+            "rig": plan.rig.text,
+            "rig_folder": str(plan.rig.folder.absolute()),
+            "simulated": json.dumps(plan.rig.simulated),
+            "seed": json.dumps(plan.rig.seed),
+            "model": json.dumps(plan.rig.model_hash()),
+            "versions": json.dumps(versions, sort_keys=True),
+        }
+        if plan.schedule.certificate is not None:
+            about["certificate"] = plan.schedule.certificate
+        with self._db:
+            self._db.executemany("INSERT INTO campaign VALUES (?, ?)", about.items())
+            self._db.executemany(INSERT_ROW, [(*_planned(row), None) for row in plan.rows])
+
+
+def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
+    db = sqlite3.connect(path, check_same_thread=False)
+    try:
+        db.execute("PRAGMA journal_mode = WAL")
+        db.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
+        db.execute("PRAGMA fullfsync = ON")  # macOS alone: there a plain sync leaves it in the disk's own memory
+        db.execute("PRAGMA checkpoint_fullfsync = ON")
+        db.execute("PRAGMA foreign_keys = ON")
+    except sqlite3.Error:
+        db.close()
+        raise
+    return db
+
+
+def _remove(path: Path) -> None:
+    """A database that nobody needs, with what SQLite keeps beside it. Raises OSError."""
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        Path(f"{path}{suffix}").unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: Exception) -> UserError:
+    return UserError(f"{path}: cannot be written: {error}; check folder and disk")
+
+
+def _known_version(path: Path) -> int:
+    """The schema of a journal. Raises UserError for a file that is none, or too new."""
+    if not path.is_file():
+        raise UserError(f"{path}: there is no such journal; check the name")
+    try:
+        with contextlib.closing(opened_for_reading(path)) as db:
+            found = db.execute("PRAGMA application_id").fetchone()[0]
+            version = int(db.execute("PRAGMA user_version").fetchone()[0])
+    except (sqlite3.Error, OSError) as error:
+        raise UserError(f"{path}: is not a journal: {error}; is it the right file?") from None
+    if found != APPLICATION_ID:
+        raise UserError(f"{path}: is an SQLite file, but not a journal of goniotwin; is it the right file?")
+    if version > SCHEMA_VERSION:
+        raise UserError(f"{path}: has schema {version}, newer than {SCHEMA_VERSION}; use a newer goniotwin")
+    return version
+
+
+INSERT_ROW = (
+    "INSERT INTO plan (number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds,"
+    " detail, session) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+)
+
+
+def _planned(row: Row) -> tuple[object, ...]:
+    pose = row.pose if row.pose is not None else (None, None, None, None)
+    detail = json.dumps({key: getattr(row, key) for key in DETAILS})
+    return (row.number, row.identity, row.kind, row.sample, row.wavelength_nm, *pose, row.seconds, detail)

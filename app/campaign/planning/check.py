@@ -1,0 +1,117 @@
+"""What a plan would be, before anything is opened: rows, duration, order, ranges, hidden directions, warnings."""
+
+from typing import Any
+
+import numpy as np
+
+from app.campaign.planning.directions import directions_seen
+from app.campaign.planning.doubts import doubts, duration_range
+from app.campaign.planning.least import least_seconds
+from app.campaign.planning.plan import Made, Plan
+from app.campaign.planning.planned_rows import PlannedRows
+from app.campaign.planning.reasons import loops, sample_order, why
+from app.campaign.row import Row
+from app.campaign.spoken import clock_time
+from app.rig import AXES
+
+MOST_TOLD = 6
+__all__ = ["checked_plan", "clock_time", "in_words"]
+
+
+def checked_plan(plan: Plan) -> dict[str, Any]:
+    """rows, duration_s, from what to what it may turn out and what no order could beat, the order and why, rows by kind, the
+    range of each axis, how many directions there are, how many of them are hidden and which, how many two photodiodes share,
+    how many poses the symmetry leaves out, warnings, and which axes have to be referenced after a power-up. Of a plan that was
+    just made.
+    """
+    made, rows = plan.made, plan.rows
+    assert made is not None
+    assert isinstance(rows, PlannedRows)
+    seen = directions_seen(plan.schedule.file, plan.rig.file, made.mountings[1][0].poses.angles)
+    return {
+        "rows": len(rows),
+        "duration_s": plan.seconds,
+        "duration_range_s": list(duration_range(plan)),
+        "least_s": least_seconds(plan),
+        "order": loops(sample_order(made)[1]),
+        "why": why(plan, made),
+        "kinds": rows.kinds,
+        "axes_deg": _ranges(made, rows),
+        "directions": sum(each.directions for each in seen),
+        "shadowed": sum(len(each.hidden_deg) for each in seen),
+        "shadowed_deg": [
+            {
+                "sigma": each.sigma_deg,
+                "arc": each.arc,
+                "specular": each.hides_specular,
+                "zenith_azimuth": each.hidden_deg.tolist(),
+            }
+            for each in seen
+            if len(each.hidden_deg)
+        ],
+        "overlaps": sum(each.shared for each in seen),
+        "left_out": made.mountings[1][0].poses.left_out,
+        "warnings": doubts(plan, made, seen),
+        "mountings": [passes[0].sample for passes in made.mountings],
+        "unreferenced": _to_be_referenced(plan),
+        "simulated": plan.rig.simulated,
+    }
+
+
+def in_words(plan: Plan, result: dict[str, Any]) -> str:
+    """The same for a person."""
+    file = plan.schedule.file
+    kinds = ", ".join(f"{count} {kind}" for kind, count in result["kinds"].items())
+    ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in result["axes_deg"].items())
+    lines = [
+        f"{file.name} on {plan.rig.file.name}{' (SIMULATED)' if plan.rig.simulated else ''}",
+        f"  rows        {result['rows']} ({kinds})",
+        f"  duration    {clock_time(result['duration_s'])}, and the time to mount: {', '.join(result['mountings'])}",
+        f"              (no order could take less than {clock_time(result['least_s'])})",
+        f"  order       from the inside: {', '.join(result['order']) or 'one pose, one wavelength'}",
+        f"              {result['why']}",
+        f"  axes        {ranges} deg",
+        f"  hidden      {result['shadowed']} of {result['directions']} directions of {_light(plan)}, by the mirror unit",
+        *_hidden_where(result),
+        f"  overlaps    {result['overlaps']} directions are seen by two photodiodes",
+    ]
+    if result["left_out"]:
+        lines.append(
+            f"  left out    {result['left_out']} poses that see the same as others do by the symmetry: {file.symmetry}"
+        )
+    if result["unreferenced"]:
+        lines.append(
+            f"  reference   {', '.join(result['unreferenced'])}: after each power-up of the controller to be homed, or to be "
+            "told where they are: goniotwin home, goniotwin here"
+        )
+    return "\n".join([*lines, *(f"  warning     {each}" for each in result["warnings"])])
+
+
+def _light(plan: Plan) -> str:
+    return {"reflected": "reflection", "transmitted": "transmission", "both": "reflection and transmission"}[
+        plan.schedule.file.light
+    ]
+
+
+def _hidden_where(result: dict[str, Any]) -> list[str]:
+    """By sigma, the first few."""
+    told = [
+        f"{len(each['zenith_azimuth'])} at sigma {each['sigma']:g}{' with the specular one' if each['specular'] else ''}"
+        for each in result["shadowed_deg"]
+    ]
+    more = [f"and {len(told) - MOST_TOLD} sigmas more"] if len(told) > MOST_TOLD else []
+    return [f"              {', '.join([*told[:MOST_TOLD], *more])}"] if told else []
+
+
+def _ranges(made: Made, rows: PlannedRows) -> dict[str, list[float]]:
+    """How far each axis goes."""
+    single = [piece.pose for piece in rows.pieces if isinstance(piece, Row) and piece.pose is not None]
+    blocks = [each.poses.angles for passes in made.mountings for each in passes]
+    poses = np.concatenate([*blocks, np.array(single).reshape(-1, len(AXES))])
+    return {axis: [float(column.min()), float(column.max())] for axis, column in zip(AXES, poses.T, strict=True)}
+
+
+def _to_be_referenced(plan: Plan) -> list[str]:
+    """Axes that go to no angle after a power-up of their controller, until somebody has referenced them."""
+    tables = {name: getattr(plan.rig.file.axes, name) for name in AXES}
+    return [name for name, table in tables.items() if table.homing_required or not table.power_up_at_reference]

@@ -1,0 +1,95 @@
+"""What a plan should be looked at again for: warnings, a sentence each."""
+
+from collections.abc import Iterator
+
+from app.campaign.planning.crosschecks import overlapping_step_deg
+from app.campaign.planning.directions import Seen
+from app.campaign.planning.plan import Made, Plan
+from app.campaign.planning.planned_rows import PlannedRows
+from app.campaign.planning.sides import incidence_deg
+from app.campaign.planning.timing import LEAST_WARM_UP_S, Timing
+from app.campaign.schedule.grids import grid_values
+from app.campaign.spoken import clock_time
+
+SECOND_ORDER_NM = 710.0
+"""Beyond this the grating's second order lets light of half the wavelength through that the lamp's bulb does not absorb."""
+
+
+def doubts(plan: Plan, made: Made, seen: list[Seen]) -> list[str]:
+    """All of them."""
+    return [*_hidden(seen), *_overlaps(plan, seen), *_darks(plan, made), *_light(plan), *_guessed(plan)]
+
+
+def _hidden(seen: list[Seen]) -> Iterator[str]:
+    for each in seen:
+        if each.hides_specular:
+            yield (
+                f"at sigma {each.sigma_deg:g} deg the mirror unit hides the specular direction, "
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal: what is measured there is no value of the sample"
+            )
+
+
+def _overlaps(plan: Plan, seen: list[Seen]) -> Iterator[str]:
+    if any(each.shared for each in seen):
+        return
+    base = grid_values(plan.schedule.file.shift_deg)[0]
+    step = overlapping_step_deg(plan.rig.file, base)
+    if step is not None:
+        yield (
+            f"no direction is seen by two photodiodes, so that nothing holds them against each other; "
+            f"[overlap] points = 1 adds poses at shift {base + step:g} deg where they are"
+        )
+
+
+def _darks(plan: Plan, made: Made) -> Iterator[str]:
+    every = plan.schedule.file.dark_every_s
+    if made.oldest_dark_s > every:
+        yield (
+            f"a dark gets {made.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: "
+            "a single row takes longer; take fewer readings, or allow older darks"
+        )
+
+
+def _light(plan: Plan) -> Iterator[str]:
+    file, gains = plan.schedule.file, plan.rig.file.photodiodes.gains_v_per_a
+    if file.open_beam and file.gains_v_per_a != "automatic" and min(file.gains_v_per_a) > min(gains):
+        yield (
+            f"the open beam is the strongest light that there is, and gains_v_per_a leaves out the rig's lowest, "
+            f"{min(gains):g} V/A: it may be clipped"
+        )
+    beyond = [each for each in grid_values(file.wavelength_nm) if each > SECOND_ORDER_NM]
+    if beyond:
+        yield (
+            f"above {SECOND_ORDER_NM:g} nm ({len(beyond)} wavelengths) light of half the wavelength passes, too, and nothing "
+            "turns the filter wheel yet: put an order-sorting filter into the beam"
+        )
+
+
+def _guessed(plan: Plan) -> Iterator[str]:
+    """Where the duration depends on the sample or the lamp."""
+    file = plan.schedule.file
+    unknown = [
+        *(["how many gains a row needs"] if file.gains_v_per_a == "automatic" else []),
+        *(["how long each has to be averaged"] if file.averaging is not None else []),
+        *(["when the lamp is steady"] if file.warm_up is not None else []),
+    ]
+    if unknown:
+        least, most = duration_range(plan)
+        yield (
+            f"the duration is a guess, for {' and '.join(unknown)} is known afterwards: it may be from about "
+            f"{clock_time(least)} to {clock_time(most)}; a rehearsal knows better"
+        )
+
+
+def duration_range(plan: Plan) -> tuple[float, float]:
+    """The least and the most that the foretold duration could turn out to be, by what sample and lamp need; about, in s."""
+    assert plan.made is not None
+    assert isinstance(plan.rows, PlannedRows)
+    timing, row = Timing(plan.rig.file), plan.made.measuring.row("")
+    timing.readings(row)  # the first sets the gain
+    likely = timing.readings(row)
+    measured = sum(plan.rows.kinds.get(kind, 0) for kind in ("measure", "drift"))
+    warm_up = plan.schedule.file.warm_up
+    waiting = 0.0 if warm_up is None else max(0.0, warm_up.longest_s - LEAST_WARM_UP_S)
+    least, most = (plan.seconds + measured * (seconds - likely) for seconds in timing.readings_range(row))
+    return least, most + waiting

@@ -1,0 +1,73 @@
+"""Points to measure as ranks on their grids: what orders are made of, counted and compared with."""
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+WAVELENGTH = 4
+"""The column of the wavelength; before it come gamma, sigma, beta, shift."""
+ROOMY = 8
+"""A table of so many places a point finds the distinct numbers faster than sorting does."""
+
+
+class Lattice:
+    """All pairs of `poses` (n, 4) and `wavelengths` (w,); a point's number is its pose's times w, and its wavelength's."""
+
+    def __init__(self, poses: Floats, wavelengths_nm: Floats) -> None:
+        self.poses = poses
+        self.wavelengths_nm = wavelengths_nm
+        found = [np.unique(column, return_inverse=True) for column in (*poses.T, wavelengths_nm)]
+        self.values = [values for values, _ in found]
+        self._pose_ranks = [np.asarray(ranks, dtype=np.int64) for _, ranks in found[:WAVELENGTH]]
+        self._wavelength_ranks = np.asarray(found[WAVELENGTH][1], dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.poses) * len(self.wavelengths_nm)
+
+    @cached_property
+    def points(self) -> Floats:
+        """All of them, (n, 5)."""
+        points = np.empty((len(self), 5))
+        points[:, :WAVELENGTH] = np.repeat(self.poses, len(self.wavelengths_nm), axis=0)
+        points[:, WAVELENGTH] = np.tile(self.wavelengths_nm, len(self.poses))
+        return points
+
+    @cached_property
+    def ranks(self) -> list[Ints]:
+        """By column, the place of each point's value among the column's."""
+        outer = [np.repeat(ranks, len(self.wavelengths_nm)) for ranks in self._pose_ranks]
+        return [*outer, np.tile(self._wavelength_ranks, len(self.poses))]
+
+    @property
+    def active(self) -> tuple[int, ...]:
+        """The columns that change at all."""
+        return tuple(column for column, values in enumerate(self.values) if len(values) > 1)
+
+    def distinct(self, labels: dict[int, Ints]) -> int:
+        """How many points differ in some column, where the values of each have the `labels`; other columns do not count."""
+        waves = int(labels[WAVELENGTH].max()) + 1 if WAVELENGTH in labels else 1
+        columns = [column for column in labels if column != WAVELENGTH]
+        sizes = [int(labels[column].max()) + 1 for column in columns]
+        if len(self.poses) == int(np.prod([len(values) for values in self.values[:WAVELENGTH]])):
+            return int(np.prod(sizes)) * waves  # a whole grid
+        key = np.zeros(len(self.poses), dtype=np.int64)
+        room = 1
+        for column, size in zip(columns, sizes, strict=True):
+            key, room = key * size + labels[column][self._pose_ranks[column]], room * size
+        return len(numbered(key, room)[0]) * waves
+
+
+def numbered(key: Ints, room: int) -> tuple[Ints, Ints]:
+    """The distinct numbers of `key` (each below `room`) in order, and the place of each among them."""
+    if room > ROOMY * len(key):
+        found, places = np.unique(key, return_inverse=True)
+        return found, places
+    there = np.zeros(room, dtype=bool)
+    there[key] = True
+    found = np.flatnonzero(there)
+    places = np.empty(room, dtype=np.int64)
+    places[found] = np.arange(len(found))
+    return found, places[key]

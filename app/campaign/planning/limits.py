@@ -1,0 +1,112 @@
+"""What a rig cannot do of a schedule, said before anything is built: file, key, reason, remedy."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from app.campaign.planning.sides import lit_sides, rig_sigma_deg
+from app.campaign.planning.symmetry import one_of_each
+from app.campaign.schedule.file import ScheduleDescription, ScheduleFile
+from app.campaign.schedule.grids import grid_values
+from app.errors import UserError
+from app.rig import AXES, RigDescription, axis_settings
+from drivers import LimitError
+from drivers.axis import Axis, AxisSettings
+
+MOST_ROWS = 1_000_000
+
+
+def refuse_too_many(schedule: ScheduleDescription) -> None:
+    """Raises UserError with the arithmetic where the grids alone make more rows than a campaign may have."""
+    file = schedule.file
+    counts = {
+        "samples and etalon": len(file.samples) + 1 + file.signature,
+        "sides": len(lit_sides(file)),
+        "sigma_deg": len(grid_values(file.sigma_deg)),
+        **_turns(file),
+        "shift_deg": len(grid_values(file.shift_deg)),
+        "wavelength_nm": len(grid_values(file.wavelength_nm)),
+        "repeats": file.repeats,
+    }
+    rows = math.prod(counts.values())
+    if rows > MOST_ROWS:
+        sums = " x ".join(f"{count} {key}" for key, count in counts.items() if count > 1)
+        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take coarser grids")
+
+
+def _turns(file: ScheduleFile) -> dict[str, int]:
+    """How many gammas and betas are left when the symmetry has made some of them superfluous."""
+    gammas, betas = grid_values(file.gamma_deg), grid_values(file.beta_deg)
+    if file.symmetry == "isotropic":
+        poses = np.zeros((len(betas), 4))
+        poses[:, 2] = betas
+        return {"beta_deg": int(one_of_each(poses, file.symmetry).sum())}
+    if file.symmetry == "plane-symmetric" and len(gammas) * len(betas) <= MOST_ROWS:
+        poses = np.zeros((len(gammas) * len(betas), 4))
+        poses[:, 0], poses[:, 2] = np.repeat(gammas, len(betas)), np.tile(betas, len(gammas))
+        return {"pairs of gamma_deg and beta_deg": int(one_of_each(poses, file.symmetry).sum())}
+    return {"gamma_deg": len(gammas), "beta_deg": len(betas)}
+
+
+def refuse_beyond_limits(schedule: ScheduleDescription, rig: RigDescription) -> None:
+    """Raises UserError for an angle or a wavelength that the rig does not reach."""
+    settings = axis_settings(rig.file)
+    for key, axis, value in _angles(schedule.file):
+        _check_axis(schedule, rig, key, settings[axis], value)
+    table = rig.file.monochromator
+    drift = schedule.file.drift
+    wavelengths = [("wavelength_nm", each) for each in grid_values(schedule.file.wavelength_nm)]
+    for key, wavelength in [*wavelengths, *([("drift.wavelength_nm", drift.wavelength_nm)] if drift else [])]:
+        if not table.lowest_nm <= wavelength <= table.highest_nm:
+            raise UserError(
+                f"{schedule.name}: {key}: {wavelength:g} nm is outside the monochromator's "
+                f"{table.lowest_nm:g} to {table.highest_nm:g} nm in {rig.name}; take it out of the schedule"
+            )
+
+
+def _angles(file: ScheduleFile) -> Iterator[tuple[str, str, float]]:
+    """Key, axis and angle in degrees of everything that a schedule has an axis go to."""
+    for axis in AXES:
+        for value in grid_values(getattr(file, f"{axis}_deg")):
+            for angle in [rig_sigma_deg(value, side) for side in lit_sides(file)] if axis == "sigma" else [value]:
+                yield f"{axis}_deg", axis, angle
+    if file.near_specular is not None and file.near_specular.shift_deg is not None:
+        for value in grid_values(file.near_specular.shift_deg):
+            yield "near_specular.shift_deg", "shift", value
+    if file.drift is not None:
+        for axis in AXES:
+            yield f"drift.{axis}_deg", axis, getattr(file.drift, f"{axis}_deg")
+
+
+def _check_axis(schedule: ScheduleDescription, rig: RigDescription, key: str, settings: AxisSettings, value: float) -> None:
+    try:
+        Axis.check_limits(settings, value)
+    except LimitError as error:
+        raise UserError(
+            f"{schedule.name}: {key}: {value:g} deg is {error.happened} in {rig.name}; take it out of the schedule"
+        ) from None
+
+
+def gain_numbers(schedule: ScheduleDescription, rig: RigDescription) -> tuple[int, ...]:
+    """The gains to read at, as numbers in the rig's list. Raises UserError for one that the rig does not have."""
+    known = rig.file.photodiodes.gains_v_per_a
+    wanted = schedule.file.gains_v_per_a
+    if wanted == "automatic":
+        return tuple(range(len(known)))
+    for gain in wanted:
+        if gain not in known:
+            has = ", ".join(f"{each:g}" for each in known)
+            raise UserError(f"{schedule.name}: gains_v_per_a: {gain:g} is not among those of {rig.name}: {has}; take one")
+    return tuple(sorted(known.index(gain) for gain in wanted))
+
+
+def refuse_unknown_samples(schedule: ScheduleDescription, rig: RigDescription) -> None:
+    """Raises UserError for a sample that a virtual rig does not have."""
+    if rig.file.twin is None:
+        return  # what a person mounts has whatever name the person gives it
+    known = rig.file.twin.samples
+    for sample in (schedule.file.etalon, *schedule.file.samples):
+        if sample not in known:
+            has = ", ".join(sorted(known)) or "none"
+            raise UserError(f"{schedule.name}: there is no sample {sample!r} in {rig.name}: it has {has}; take one")

@@ -1,0 +1,126 @@
+"""In which order to measure: which loop goes inside which, so that the rig takes the least time.
+
+All nestings are estimated from how often each of their loops steps and what a step costs. Of the best with each loop
+innermost, and of the best with the wavelength outermost, every single move is then added up: these are what the words
+compare, and the fastest of them is taken.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations, product
+
+import numpy as np
+
+from app.campaign.planning.lattice import WAVELENGTH, Ints, Lattice
+from app.campaign.planning.moves import Moves
+from app.campaign.planning.nesting import Nest, moving_seconds, visited
+from app.campaign.schedule.file import NESTED, ScheduleFile
+from drivers import ArcClearance
+
+
+@dataclass(frozen=True)
+class Order:
+    """The order of a lattice's points: their numbers, the nest that gives it, and the seconds of moving of all nests that
+    were tried, this one's among them.
+    """
+
+    sequence: Ints
+    nest: Nest
+    tried: dict[Nest, float]
+
+    @property
+    def seconds(self) -> float:
+        """Of moving, without what comes before the first point."""
+        return self.tried[self.nest]
+
+
+def fastest_order(lattice: Lattice, file: ScheduleFile, moves: Moves, clearance: ArcClearance) -> Order:
+    """The order of least time; where the schedule says an `order`, the least within that nesting."""
+    nests = _estimated(lattice, file.back_and_forth, moves)
+    tried: dict[Nest, float] = {}
+    best: tuple[Nest, Ints] | None = None
+    for nest in _contenders(nests, _columns_said(lattice, file)):
+        turned, sequence, tried_s = _begun_well(lattice, nest, moves, clearance)
+        tried[turned] = tried_s
+        allowed = file.order == "fastest" or nest.columns == _columns_said(lattice, file)
+        if allowed and (best is None or tried_s < tried[best[0]]):
+            best = turned, sequence
+    assert best is not None
+    return Order(best[1], best[0], tried)
+
+
+def _begun_well(lattice: Lattice, nest: Nest, moves: Moves, clearance: ArcClearance) -> tuple[Nest, Ints, float]:
+    """A nest with its order and seconds, begun at other ends of its loops where only then the arc keeps clear of the beam."""
+    for size in range(len(nest.columns) + 1):
+        for ends in combinations(nest.columns, size):
+            turned = replace(nest, from_the_end=frozenset(ends))
+            sequence = visited(lattice, turned, moves)
+            seconds = moving_seconds(moves, clearance, lattice.points[sequence])
+            if seconds < float("inf"):
+                return turned, sequence, seconds
+    return turned, sequence, seconds
+
+
+def _columns_said(lattice: Lattice, file: ScheduleFile) -> tuple[int, ...] | None:
+    """The columns of the schedule's own order, the outermost first; None where it leaves that to us."""
+    if file.order == "fastest":
+        return None
+    return tuple(column for column in (NESTED.index(name) for name in reversed(file.order)) if column in lattice.active)
+
+
+def _contenders(nests: dict[Nest, float], said: tuple[int, ...] | None) -> list[Nest]:
+    """Those whose moves are worth adding up: the best by innermost loop, and with the wavelength outermost."""
+    ranked = sorted(nests, key=lambda nest: nests[nest])
+    chosen: dict[object, Nest] = {}
+    for nest in ranked:
+        columns = nest.columns
+        chosen.setdefault(("inside", columns[-1:]), nest)
+        if columns[:1] == (WAVELENGTH,):
+            chosen.setdefault("wavelength outside", nest)
+        if columns == said:
+            chosen.setdefault(("said", nest.back_and_forth), nest)
+    return list(dict.fromkeys(chosen.values()))
+
+
+def _estimated(lattice: Lattice, back_and_forth: bool, moves: Moves) -> dict[Nest, float]:
+    """All nests of the columns that change, with about how long their moves take."""
+    there, back, whole = _step_seconds(lattice, moves)
+    distinct = _distinct_prefixes(lattice)
+    found = {}
+    for nest in _nests(lattice, back_and_forth, moves):
+        seconds, returning = 0.0, 0.0
+        for depth in reversed(range(len(nest.columns))):
+            column, both = nest.columns[depth], nest.back_and_forth[depth]
+            steps = distinct[frozenset(nest.columns[: depth + 1])] - distinct[frozenset(nest.columns[:depth])]
+            step = 0.5 * (there[column] + back[column]) if both else there[column]
+            seconds += steps * max(step, returning)
+            returning = returning if both else max(returning, whole[column])
+        found[nest] = seconds
+    return found
+
+
+def _nests(lattice: Lattice, back_and_forth: bool, moves: Moves) -> Iterator[Nest]:
+    """Where backlash does not matter going back and forth is never slower; where it does, either may be."""
+    for columns in permutations(lattice.active):
+        ways = [(True, False) if moves.backlash(column) else (True,) for column in columns]
+        for both in product(*(way if back_and_forth else (False,) for way in ways)):
+            yield Nest(columns, both)
+
+
+def _step_seconds(lattice: Lattice, moves: Moves) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
+    """By column: a step in the direction of going, one back, and the whole way back; on average, in seconds."""
+    there, back, whole = {}, {}, {}
+    for column in lattice.active:
+        values = lattice.values[column] if moves.backlash(column) >= 0 else lattice.values[column][::-1]
+        seconds = moves.one_step(column)
+        there[column] = float(seconds(values[:-1], values[1:]).mean())
+        back[column] = float(seconds(values[1:], values[:-1]).mean())
+        whole[column] = float(seconds(values[-1:], values[:1])[0])
+    return there, back, whole
+
+
+def _distinct_prefixes(lattice: Lattice) -> dict[frozenset[int], int]:
+    """How many points differ in some of the columns, for every set of columns."""
+    labels = {column: np.arange(len(lattice.values[column])) for column in lattice.active}
+    sets = (some for size in range(len(labels) + 1) for some in combinations(labels, size))
+    return {frozenset(some): lattice.distinct({column: labels[column] for column in some}) for some in sets}

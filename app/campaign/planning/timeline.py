@@ -1,0 +1,149 @@
+"""Passes laid out in time: mountings, darks, drift checks and the warm-up between the measurements, each when it is due."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from app.campaign.planning.lattice import Floats, Ints
+from app.campaign.planning.passes import Pass
+from app.campaign.planning.timing import Timing
+from app.campaign.row import NOTHING, Row
+from app.campaign.schedule.file import ScheduleFile
+
+
+@dataclass(frozen=True)
+class Run:
+    """Measurements without a break: points of a pass by their numbers, in order, with their seconds."""
+
+    of: Pass
+    points: Ints
+    seconds: Floats
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """How every measurement is read, and what a dark after it is."""
+
+    file: ScheduleFile
+    gains: tuple[int, ...]
+
+    def row(self, sample: str) -> Row:
+        """A measurement without a place yet."""
+        file, averaging = self.file, self.file.averaging
+        return Row(
+            0, "", "measure", sample, 0.0, None, None, self.gains, file.readings, file.gains_v_per_a == "automatic",
+            None if averaging is None else averaging.relative_uncertainty, 0.0 if averaging is None else averaging.longest_s,
+        )  # fmt: skip
+
+    def dark(self, sample: str, number: int) -> Row:
+        """Always at every gain: any of them may be needed."""
+        return Row(0, f"{sample}/dark {number}", "dark", sample, gains=self.gains, readings=self.file.dark_readings)
+
+
+@dataclass
+class Timeline:
+    """Grows piece by piece; a piece is a single row (its number still 0) or a run."""
+
+    file: ScheduleFile
+    measuring: Measuring
+    timing: Timing
+    pieces: list[Row | Run] = field(default_factory=list)
+    oldest_dark_s: float = 0.0
+    _darks: int = 0
+    _drifts: int = 0
+    _since_dark: float = 0.0
+    _since_drift: float = 0.0
+
+    def warm_up(self, wavelength_nm: float) -> None:
+        """Before anything is mounted."""
+        table = self.file.warm_up
+        if table is not None:
+            target = 0.01 * table.percent_per_10min
+            self._add(
+                Row(0, "warm-up", "warm-up", NOTHING, wavelength_nm=wavelength_nm, target=target, longest_s=table.longest_s)
+            )
+
+    def mount(self, sample: str) -> None:
+        """With a dark and a drift check to begin with."""
+        self._add(Row(0, f"{sample}/mount", "mount", sample))
+        self._dark(sample)
+        self._drift(sample)
+
+    def dismount(self, sample: str) -> None:
+        """With a drift check and a dark to end with."""
+        self._drift(sample)
+        self._dark(sample)
+
+    def measure(self, of: Pass, sequence: Ints) -> None:
+        """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards."""
+        points = of.lattice.points[sequence]
+        timing, row = self.timing, self.measuring.row(of.sample)
+        reading = timing.readings(row) + timing.readback_s
+        moving = timing.moves.seconds(np.concatenate([timing.here[None], points[:-1]]), points)
+        seconds = moving + reading
+        ends = np.cumsum(seconds)
+        begin = 0
+        checked = darkened = False
+        while begin < len(points):
+            # What came between has closed the shutter, or left the axes elsewhere.
+            first = timing.shutter_seconds(opened=True)
+            if checked:
+                back = timing.moves.seconds(timing.here[None], points[begin : begin + 1])
+                first += float(back[0] - moving[begin])
+            began = float(ends[begin] - seconds[begin]) - first
+            until_dark = self.file.dark_every_s - self._since_dark
+            until_drift = self._until_drift(of.sample)
+            end = int(np.searchsorted(ends, began + min(until_dark, until_drift), side="right"))
+            if end <= begin:
+                if until_drift <= until_dark and not checked:
+                    self._drift(of.sample)
+                    checked = True
+                    continue
+                if not darkened:
+                    self._dark(of.sample)
+                    darkened = True
+                    continue
+                end = begin + 1  # it takes longer than a dark may be old
+            timing.shutter(opened=True)
+            timing.here = points[end - 1]
+            taken = seconds[begin:end].copy()
+            taken[0] += first
+            self._pass_by(float(taken.sum()))
+            self.pieces.append(Run(of, sequence[begin:end], taken))
+            begin = end
+            checked = darkened = False
+
+    def _until_drift(self, sample: str) -> float:
+        return float("inf") if self.file.drift is None or sample == NOTHING else self.file.drift.every_s - self._since_drift
+
+    def _dark(self, sample: str) -> None:
+        self._darks += 1
+        self._add(self.measuring.dark(sample, self._darks))
+        self._since_dark = 0.0
+
+    def _drift(self, sample: str) -> None:
+        table = self.file.drift
+        if table is None or sample == NOTHING:  # which sends no light anywhere that could change
+            return
+        self._drifts += 1
+        pose = (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg)
+        like = self.measuring.row(sample)
+        self._add(
+            Row(
+                0, f"{sample}/drift {self._drifts}", "drift", sample, 0.0, table.wavelength_nm, pose,
+                like.gains, like.readings, like.automatic, like.target, like.longest_s,
+            )
+        )  # fmt: skip
+        self._since_drift = 0.0
+
+    def _add(self, row: Row) -> None:
+        seconds = self.timing.row_seconds(row)
+        self._pass_by(0.0 if row.kind in ("dark", "mount") else seconds)
+        self._since_drift += seconds if row.kind == "dark" else 0.0
+        self.pieces.append(replace(row, seconds=seconds))
+
+    def _pass_by(self, seconds: float) -> None:
+        self._since_dark += seconds
+        self._since_drift += seconds
+        if self._darks:
+            self.oldest_dark_s = max(self.oldest_dark_s, self._since_dark)

@@ -1,0 +1,94 @@
+"""How long each row takes on the rig's clock: moves, conversions, and the bytes on the wires."""
+
+import math
+
+import numpy as np
+
+from app.campaign.planning.lattice import WAVELENGTH
+from app.campaign.planning.moves import Floats, Moves
+from app.campaign.row import Row
+from app.campaign.running.performing import MONITORED_S
+from app.campaign.running.warming import EVERY_S, LEAST
+from app.rig import AXES, RigFile, axis_settings, monochromator_settings, photodiode_settings
+from drivers.monitor import ANSWER_MARGIN_S
+from drivers.monochromator import STATUS_MARGIN_S
+
+USB_LATENCY_S = 1.0e-3
+LIKELY_GAINS = 2
+LEAST_WARM_UP_S = (LEAST - 1) * EVERY_S + MONITORED_S
+"""A warm-up ends no sooner than the monitor has been looked at so often; when it does is up to the lamp."""
+UNKNOWN: Floats = np.full(5, np.nan)
+
+
+class Timing:
+    """Follows the rows of a plan in order, knowing where each left the rig."""
+
+    def __init__(self, rig: RigFile) -> None:
+        self.moves = Moves(rig)
+        self._monochromator = monochromator_settings(rig)
+        self._photodiodes = photodiode_settings(rig)
+        encoders = sum(settings.encoder for settings in axis_settings(rig).values())
+        self.readback_s = 2 * (len(AXES) + encoders) * self.moves.exchange_s  # each with the canary
+        self.here = UNKNOWN
+        self._shutter_open: bool | None = None
+        self._gain: int | None = None
+
+    def row_seconds(self, row: Row) -> float:
+        """The duration of the next row, s; a person's time at mountings is not in it."""
+        if row.kind == "mount":
+            return self.shutter(opened=False)
+        if row.kind == "dark":
+            return self.shutter(opened=False) + self.readings(row)
+        there = self.here.copy()
+        there[:WAVELENGTH] = there[:WAVELENGTH] if row.pose is None else row.pose
+        there[WAVELENGTH] = there[WAVELENGTH] if row.wavelength_nm is None else row.wavelength_nm
+        # What is not known before and not told either (NaN) does not move.
+        before = np.where(np.isnan(there), 0.0, self.here)
+        moving = float(self.moves.seconds(before[None], np.nan_to_num(there)[None])[0])
+        self.here = there
+        opening = moving + self.shutter(opened=True)
+        return opening + (LEAST_WARM_UP_S if row.kind == "warm-up" else self.readings(row) + self.readback_s)
+
+    def readings(self, row: Row) -> float:
+        """All gains of a row, from where the rows before have left the amplifiers.
+
+        How many gains are needed where they are automatic, and how many readings where there is a target, is known when the
+        row has been read. It is taken to need its two highest gains, and between the fewest and the most readings the
+        geometric mean.
+        """
+        most = self._most_readings(row)
+        gains = row.gains[-LIKELY_GAINS:] if row.automatic else row.gains
+        return self._reading(gains, round(math.sqrt(row.readings * most)))
+
+    def readings_range(self, row: Row) -> tuple[float, float]:
+        """The least and the most that `readings` could turn out to be."""
+        least = row.gains[-1:] if row.automatic else row.gains
+        return self._reading(least, row.readings), self._reading(row.gains, self._most_readings(row))
+
+    def _most_readings(self, row: Row) -> int:
+        return row.readings if row.target is None else max(row.readings, int(row.longest_s / self._photodiodes.period_s))
+
+    def _reading(self, gains: tuple[int, ...], readings: int) -> float:
+        settings = self._photodiodes
+        seconds = 0.0
+        for gain in gains:
+            if gain != self._gain:
+                seconds += settings.gain_seconds
+                self._gain = gain
+            fetching = max(settings.fetching_seconds, ANSWER_MARGIN_S + 4 * USB_LATENCY_S)
+            seconds += settings.wait_s + (readings - 1) * settings.period_s + fetching
+        return seconds
+
+    def shutter(self, *, opened: bool) -> float:
+        """Opening or closing it, where it is not yet."""
+        seconds = self.shutter_seconds(opened=opened)
+        self._shutter_open = opened
+        return seconds
+
+    def shutter_seconds(self, *, opened: bool) -> float:
+        """What that would take."""
+        if self._shutter_open is opened:
+            return 0.0
+        asked = self._monochromator.question_seconds("SHUTTER?", "O")
+        told = self._monochromator.statement_seconds(f"SHUTTER {'O' if opened else 'C'}")
+        return self._monochromator.shutter_s + told + STATUS_MARGIN_S + asked

@@ -1,0 +1,143 @@
+"""Drift checks: whether the light at one pose, over the monitor's, is still what it was when the sample was mounted.
+
+The monitor sees what the lamp does, and the ratio does not change with it. What is left is what the monitor cannot see: the
+way of the light after the beam splitter, photodiodes, amplifiers, the sample.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.campaign.journal.recorded import Committed, RowData
+from app.campaign.reducing.signals import Flags, Signal, darks_by_gain, signal
+from app.campaign.row import Row
+from app.campaign.schedule.measuring import DriftTable
+from app.rig import RigFile, photodiode_settings
+
+LIGHT = 5.0
+"""A photodiode whose signal is below so many standard uncertainties says nothing about the light."""
+CERTAIN = 4.0
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check against the first since the mounting: the mean relative `change` of the photodiodes that have light, its
+    standard uncertainty, whether that is beyond the limit, and the photodiodes (n,) that are beyond it by themselves.
+
+    Those are not in the mean, unless they are the most.
+    """
+
+    change: float
+    u_change: float
+    beyond: bool
+    alone: Flags
+
+    @property
+    def excess(self) -> bool:
+        """Whether anything is beyond the limit."""
+        return self.beyond or bool(self.alone.any())
+
+    @property
+    def spoiled(self) -> Flags:
+        """The photodiodes (n,) whose values are not to be trusted: all, where the mean is beyond the limit."""
+        return self.alone | self.beyond
+
+    def __str__(self) -> str:
+        if math.isnan(self.change):
+            return "no photodiode has light at the pose of the drift checks"
+        alone = ", ".join(str(k) for k in np.flatnonzero(self.alone))
+        told = f"the light has changed by {100 * self.change:+.3f} % (u {100 * self.u_change:.3f} %)"
+        return f"{told}, beyond the limit by themselves are photodiodes {alone}" if alone else told
+
+
+def compared(first: Signal, now: Signal, rig: RigFile, limit: float) -> Check:
+    """`now` against `first`, signals of one pose and sample.
+
+    A photodiode alone is beyond the `limit`, a share, where it is by four standard uncertainties, or has come over the range.
+    """
+    # One that is over the range now, and was not, has more light.
+    alone = now.clipped & ~first.clipped
+    light = np.isfinite(first.ratio) & np.isfinite(now.ratio)
+    light &= np.nan_to_num(first.ratio) > LIGHT * np.sqrt(np.nan_to_num(first.variance))
+    if not light.any():
+        return Check(math.nan, math.nan, beyond=True, alone=alone)
+    ratio = now.ratio[light] / first.ratio[light]
+    gain = 2.0 * rig.photodiodes.gain_uncertainty**2 * (now.gain != first.gain)[light]
+    variance = (now.variance[light] + ratio**2 * first.variance[light]) / first.ratio[light] ** 2 + gain
+    monitor = 2.0 * rig.monitor.relative_uncertainty**2
+    own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + monitor) > limit
+    alone[light] |= own
+    weight = np.where(own, 0.0, 1.0 / variance) if own.sum() <= own.size / 2 else 1.0 / variance
+    change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
+    return Check(change, math.sqrt(1.0 / float(np.sum(weight)) + monitor), abs(change) > limit, alone)
+
+
+class DriftWatch:
+    """Compares while the run goes on, with the darks that there are by then."""
+
+    def __init__(self, table: DriftTable, rig: RigFile) -> None:
+        self._table = table
+        self._rig = rig
+        self._settings = photodiode_settings(rig)
+        self._darks: list[Committed] = []
+        self._first: Signal | None = None
+
+    def add(self, row: Row, data: RowData) -> Check | None:
+        """A row that has been committed; for a drift row after the first since a mounting, what it says. Raises UserError."""
+        if row.kind == "mount":
+            self._first = None
+        elif row.kind == "dark":
+            self._darks.append(Committed(row, data))
+        elif row.kind == "drift" and data.readings:
+            now = signal(data, darks_by_gain(self._darks, self._settings), self._settings)
+            if self._first is not None:
+                return compared(self._first, now, self._rig, self._table.limit)
+            self._first = now
+        return None
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A stretch of time, s on the rig's clock, between drift checks one of which was beyond the limit; `told` says which.
+    `photodiodes` (n,) are those whose values it spoils.
+    """
+
+    begin_s: float
+    end_s: float
+    photodiodes: Flags
+    told: str
+
+    def of(self, t: float) -> Flags:
+        """The photodiodes (n,) that are flagged in a row that began at `t`."""
+        return self.photodiodes & (self.begin_s <= t < self.end_s)
+
+    def __str__(self) -> str:
+        until = "the end" if math.isinf(self.end_s) else f"{self.end_s:.0f} s"
+        return f"flagged for drift: what was measured from {self.begin_s:.0f} s to {until}; {self.told}"
+
+
+def drifts(rows: list[Committed], signals: dict[int, Signal], rig: RigFile, limit: float) -> list[Drift]:
+    """All of a campaign. `rows` in order of time, the `signals` of drift rows by their numbers."""
+    found: list[Drift] = []
+    first: Signal | None = None
+    before, last = -math.inf, ("", np.zeros(len(rig.photodiodes.upper_deg) + len(rig.photodiodes.lower_deg), dtype=bool))
+    well = last
+
+    def between(end: float, then: tuple[str, Flags]) -> None:
+        if last[0] or then[0]:
+            found.append(Drift(before, end, last[1] | then[1], last[0] or then[0]))
+
+    for each in rows:
+        now = each.data.started_s
+        if each.row.kind == "mount":
+            between(now, well)
+            first, before, last = None, now, well
+        elif each.row.kind == "drift" and each.row.number in signals:
+            check = None if first is None else compared(first, signals[each.row.number], rig, limit)
+            first = first or signals[each.row.number]
+            said = well if check is None or not check.excess else (f"{each.row.identity}: {check}", check.spoiled)
+            between(now, said)
+            before, last = now, said
+    between(math.inf, well)
+    return found

@@ -1,0 +1,55 @@
+"""Directions that two photodiodes have seen: a check of formula 1.
+
+They do not calibrate anything. In formula 1 each photodiode is divided by itself at the etalon, so that what it and its
+amplifier make of light cancels, and what is left of a difference between two photodiodes is noise, dark, gain and monitor,
+which are in the uncertainty. A ratio of responsivities from an overlap has the noise of two photodiodes at the sample; the
+one that formula 1 uses has that of one at the sample and one at the etalon, where there is light enough. So the overlap
+never knows it better. But the two values have to agree; a photodiode that moved, or took another's light, shows here.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.campaign.reducing.points import BsdfPoints, Floats
+
+
+@dataclass(frozen=True)
+class Overlaps:
+    """`chi_square` of `pairs` of values for one direction: about `pairs` where the uncertainties are right;
+    `worst` is the greatest difference, in its standard uncertainties.
+    """
+
+    pairs: int
+    chi_square: float
+    worst: float
+
+    def __str__(self) -> str:
+        said = "agree" if self.agree else "do NOT agree"
+        return f"{self.pairs} pairs of photodiodes {said}, chi-square {self.chi_square:.1f}, worst {self.worst:.1f} u"
+
+    @property
+    def agree(self) -> bool:
+        """Within five standard deviations of the chi-square distribution, and no pair worse than chance allows."""
+        if not self.pairs:
+            return True
+        most = math.sqrt(2.0 * math.log(self.pairs / 1e-6))  # one in a million for the worst of so many
+        return self.chi_square <= self.pairs + 5.0 * math.sqrt(2.0 * self.pairs) and self.worst <= most
+
+
+def overlaps(points: BsdfPoints, common: float) -> Overlaps:
+    """Of one sample. `common` is the part of the relative uncertainty that all its points share, the certificate's."""
+    good = points.where(points.good)
+    own: Floats = np.sqrt(np.maximum(good.u_bsdf**2 - (common * good.bsdf) ** 2, 0.0))
+    azimuth = np.where(good.zenith_deg < 1e-6, 0.0, good.azimuth_deg)
+    keys = np.stack([good.wavelength_nm, good.sigma_deg, good.gamma_deg, good.zenith_deg, azimuth], axis=1)
+    _, which = np.unique(np.round(keys, 6), axis=0, return_inverse=True)
+    order = np.lexsort((good.photodiode, which.ravel()))
+    first, second = order[:-1], order[1:]
+    same = (which.ravel()[first] == which.ravel()[second]) & (good.photodiode[first] != good.photodiode[second])
+    first, second = first[same], second[same]
+    spread = np.hypot(own[first], own[second])
+    known = spread > 0.0
+    z = (good.bsdf[first] - good.bsdf[second])[known] / spread[known]
+    return Overlaps(z.size, float(np.sum(z**2)), float(np.abs(z).max()) if z.size else 0.0)

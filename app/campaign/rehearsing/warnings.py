@@ -1,0 +1,76 @@
+"""What a rehearsal warns of beside what `check` does: what would be measured, and be worth little."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from app.campaign.planning.plan import Plan
+from app.campaign.rehearsing.watch import Watch
+from app.campaign.schedule.grids import grid_values
+from twin.optics import Scatterer, arc_direction, evaluate
+from twin.optics.bsdf import REGULAR
+
+FEW_STEPS = 1000.0
+"""Of a converter, of 32767 over zero: its own noise of about a step is then a thousandth of the largest signal."""
+HALF = 0.5
+
+
+def warnings_of(plan: Plan, watch: Watch) -> Iterator[str]:
+    """In words, each with what to do."""
+    yield from _narrow_lobes(plan)
+    yield from _coarse_gains(plan, watch)
+    if watch.saturated:
+        yield (
+            f"{watch.saturated} values are over the range at every gain of the schedule: too much light for the photodiode; "
+            "add a lower gain to gains_v_per_a"
+        )
+    for flag, rows in sorted(watch.flagged.items()):
+        yield f"{rows} rows have the flag {flag!r}"
+
+
+def _narrow_lobes(plan: Plan) -> Iterator[str]:
+    model = plan.rig.model()
+    assert model is not None
+    field_deg = model.instrument.field_deg
+    wavelength = float(np.median(grid_values(plan.schedule.file.wavelength_nm)))
+    for name in plan.schedule.file.samples:
+        sample = model.samples[name]
+        if any(lobe.kind == REGULAR for lobe in sample.lobes):
+            yield (
+                f"{name} has a regular reflection, which no photodiode's field of {field_deg:g} deg resolves: where it is "
+                "seen, its value is the field's and not the sample's"
+            )
+        sigmas = [sigma for sigma in grid_values(plan.schedule.file.sigma_deg) if _narrow(sample, sigma, field_deg, wavelength)]
+        if sigmas:
+            yield (
+                f"{name} has a lobe narrower than the photodiodes' field of {field_deg:g} deg (at sigma {_listed(sigmas)} "
+                "deg): its peak is averaged down and its width is the field's; narrow the field, or do not trust the peak"
+            )
+
+
+def _narrow(sample: Scatterer, sigma_deg: float, field_deg: float, wavelength_nm: float) -> bool:
+    """Whether the lobe has fallen below half of its peak at both edges of a field that looks at it."""
+    polar = sigma_deg + np.array([-0.5, 0.0, 0.5]) * field_deg
+    light, observer = arc_direction(sigma_deg, 0.0), arc_direction(polar, 180.0)
+    before, peak, after = evaluate(sample, light, observer, wavelength_nm)
+    return bool(max(before, after) < HALF * peak)
+
+
+def _coarse_gains(plan: Plan, watch: Watch) -> Iterator[str]:
+    """Samples whose brightest photodiode stays within few steps of the converter, where the rig has a higher gain for it."""
+    known = plan.rig.file.photodiodes.gains_v_per_a
+    for name in (plan.schedule.file.etalon, *plan.schedule.file.samples):
+        steps = {gain: float(found.max()) for (sample, gain), found in watch.steps.items() if sample == name}
+        if not steps or max(steps) == known[-1] or max(steps.values()) >= FEW_STEPS:
+            continue
+        highest = max(steps)
+        better = [gain for gain in known if gain > highest and steps[highest] * gain / highest < watch.span]
+        if better:
+            yield (
+                f"{name} is dark for the gain of {highest:g} V/A: its brightest photodiode gets {steps[highest]:.0f} of "
+                f"{watch.span} steps of the converter; add {better[-1]:g} to gains_v_per_a"
+            )
+
+
+def _listed(values: list[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)

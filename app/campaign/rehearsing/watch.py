@@ -1,0 +1,80 @@
+"""What a rehearsal learns while it runs, row by row: it keeps sums and extremes, and no row."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from app.campaign.journal.recorded import RowData
+from app.campaign.running.events import Event, RowCommitted, StateChanged
+from app.campaign.running.gains import clipped
+from app.rig import AXES
+from drivers import PhotodiodeSettings
+from protocols import adam
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass
+class Block:
+    """What is measured of one mounted sample, from its mounting to the next."""
+
+    name: str
+    rows: int = 0
+    duration_s: float = 0.0
+
+
+class Watch:
+    """A listener of the engine."""
+
+    def __init__(self, settings: PhotodiodeSettings) -> None:
+        self._settings = settings
+        self._zero = round(-settings.range.low_v / settings.range.lsb_v)
+        self.span = adam.FULL_SCALE - self._zero
+        self.blocks: list[Block] = []
+        self.axes_deg: dict[str, list[float]] = {}
+        self.largest: dict[float, int] = {}
+        self.saturated = 0
+        self.steps: dict[tuple[str, float], Floats] = {}
+        self.flagged: dict[str, int] = {}
+        self.ended = ""
+
+    def __call__(self, event: Event) -> None:
+        """Heeds the rows, and why it ended."""
+        if isinstance(event, StateChanged):
+            self.ended = event.reason
+        elif isinstance(event, RowCommitted):
+            row, data = event.row, event.data
+            if row.kind == "mount" or not self.blocks:
+                self.blocks.append(Block(row.sample))
+            block = self.blocks[-1]
+            block.rows += 1
+            block.duration_s += data.ended_s - data.started_s
+            for flag in data.flags:
+                self.flagged[flag] = self.flagged.get(flag, 0) + 1
+            self._see_positions(data)
+            if row.kind == "measure":
+                self._see_counts(row.sample, data)
+
+    def _see_positions(self, data: RowData) -> None:
+        for axis in AXES:
+            angle = None if data.positions is None else data.positions.get(axis)
+            if angle is not None:
+                low, high = self.axes_deg.get(axis, (angle, angle))
+                self.axes_deg[axis] = [min(low, angle), max(high, angle)]
+
+    def _see_counts(self, sample: str, data: RowData) -> None:
+        if not data.readings:
+            return
+        for reading in data.readings:
+            gain = reading.gain_v_per_a
+            highest = reading.counts.max(axis=0)
+            self.largest[gain] = max(self.largest.get(gain, 0), int(highest.max()))
+            steps = np.abs(reading.counts.mean(axis=0) - self._zero)
+            self.steps[sample, gain] = np.maximum(self.steps.get((sample, gain), steps), steps)
+        self.saturated += int(np.all([clipped(reading.counts) for reading in data.readings], axis=0).sum())
+
+    @property
+    def share_of_range(self) -> dict[float, float]:
+        """By gain, how much of the range above zero the largest count takes."""
+        return {gain: (count - self._zero) / self.span for gain, count in sorted(self.largest.items())}

@@ -1,0 +1,190 @@
+"""What is done in a row: mounting, warming up, or pose and wavelength, shutter, readings, and where the axes are then."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from app.campaign.journal.recorded import Counts, Reading, RowData
+from app.campaign.row import Row
+from app.campaign.running.averaging import LEAST, Floats, readings_needed
+from app.campaign.running.gains import Flags, Gains, clipped
+from app.campaign.running.halt import Halt
+from app.campaign.running.operator import Operator
+from app.campaign.running.standstill import Standstill
+from app.campaign.running.warming import EVERY_S, Trace
+from app.rig import AXES
+from drivers import Pending, Rig, Until, wait
+
+NOT_WARM = "not warm"
+"""The flag of a warm-up that was ended by its time."""
+MONITORED_S = 1.0
+Note = Callable[[str, str], None]
+"""Takes a kind and a text for the journal."""
+
+
+class Performer:
+    """Carries rows out on a rig, and knows what it has told the devices, so that nothing is told twice.
+
+    `between` is called before each question while it waits, `note` with what belongs into the journal beside the row.
+    """
+
+    def __init__(self, rig: Rig, operator: Operator, halt: Halt, between: Callable[[], None], note: Note) -> None:
+        self._rig = rig
+        self._clock = rig.clock
+        self._operator = operator
+        self._halt = halt
+        self._between = between
+        self._note = note
+        self._darks: dict[float, Floats] = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """What the devices were told is not to be relied on: with the next row all of it is told again."""
+        self._commanded: dict[str, float] = {}
+        self._wavelength_nm: float | None = None
+        self._shutter_open: bool | None = None
+        self._gain: int | None = None
+
+    def remember(self, dark: RowData) -> None:
+        """A dark, for what comes after it."""
+        for reading in dark.readings:
+            self._darks[reading.gain_v_per_a] = reading.counts.mean(axis=0)
+
+    def perform(self, row: Row) -> RowData:
+        """One row. Raises DeviceError where a device fails: there is no row then; Stopped; UserError."""
+        started = self._clock.now()
+        if row.kind == "mount":
+            self.shutter(opened=False)
+            self._operator.mount(row.sample)
+            self._halt.heed()
+            return RowData(started, self._clock.now(), None, ())
+        if row.kind == "dark":
+            self.shutter(opened=False)
+            readings, flags = self._read(row)
+            dark = RowData(started, self._clock.now(), None, readings, flags)
+            self.remember(dark)
+            return dark
+        self._move(row)
+        if row.kind == "warm-up":
+            flags = self._warm_up(row)
+            return RowData(started, self._clock.now(), None, (), flags)
+        readings, flags = self._read(row)
+        positions = self.read_back()
+        return RowData(started, self._clock.now(), positions, readings, flags)
+
+    def shutter(self, *, opened: bool) -> None:
+        """Opens or closes it, where it is not so already."""
+        if self._shutter_open is not opened:
+            started = self._halt.start(lambda: self._rig.monochromator.start_shutter(opened=opened))
+            self.wait(started)
+            self._shutter_open = opened
+
+    @property
+    def shutter_may_be_open(self) -> bool:
+        """Unless it is known to be closed."""
+        return self._shutter_open is not False
+
+    def read_back(self) -> dict[str, float | None]:
+        """Counters and encoders of all axes, in degrees. Raises DeviceError where one is lost: there is no row of it then."""
+        found: dict[str, float | None] = {}
+        for name, axis in self._rig.axes.items():
+            found[name], encoder = axis.read_back()
+            if axis.settings.encoder:
+                found[f"{name}_encoder"] = encoder
+        return found
+
+    def wait(self, *started: Pending) -> None:
+        """Until all are done. Raises DeviceError, Stopped."""
+        wait(self._clock, started, self._between)
+        self._halt.heed()  # a stop may have come with the last answer
+
+    def _move(self, row: Row) -> None:
+        """Axes and wavelength to the row's, shutter open, everything at rest and settled."""
+        settling = 0.0
+        moves: list[Pending] = []
+        moved = []
+        for name, target in zip(AXES, row.pose or (), strict=row.pose is not None):
+            if self._commanded.get(name) != target:
+                moves.append(self._halt.start(partial(self._rig.start, name, target)))
+                self._commanded[name] = target
+                axis = self._rig.axes[name]
+                moved.append(axis)
+                settling = max(settling, axis.settings.settling_s)
+        wavelength = row.wavelength_nm
+        if wavelength is not None and wavelength != self._wavelength_nm:
+            moves.append(self._halt.start(lambda: self._rig.monochromator.start_wavelength(wavelength)))
+            self._wavelength_nm = wavelength
+        self.wait(*moves)
+        self.shutter(opened=True)
+        if moved:
+            self.wait(Standstill(self._clock, moved, self._clock.now() + settling))
+
+    def _read(self, row: Row) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+        """All photodiodes at each gain that is needed, and the flags of the row."""
+        gains = Gains(row, self._rig.photodiodes.settings.count)
+        taken = {}
+        for gain in gains:
+            reading = self._averaged(row, gain, gains.waiting)
+            taken[gain] = reading
+            gains.read(reading.counts)
+        return tuple(taken[gain] for gain in sorted(taken)), gains.flags
+
+    def _averaged(self, row: Row, gain: int, wanted: Flags) -> Reading:
+        """At one gain: as many readings as the row says, or as its target needs."""
+        if row.target is None:
+            return self._reading(gain, row.readings)
+        reading = self._reading(gain, max(row.readings, LEAST))
+        settings = self._rig.photodiodes.settings
+        nothing = np.full(settings.count, -settings.range.low_v / settings.range.lsb_v)
+        dark = self._darks.get(settings.gains_v_per_a[gain], nothing)
+        most = max(row.readings, int(row.longest_s / settings.period_s))
+        while (needed := readings_needed(reading.counts, dark, wanted & ~clipped(reading.counts), row.target, most)) > len(
+            reading.counts
+        ):
+            reading = _joined(reading, self._reading(gain, needed - len(reading.counts)))
+        return reading
+
+    def _reading(self, gain: int, count: int) -> Reading:
+        """All photodiodes so many times, and the monitor over the same time."""
+        photodiodes, monitor = self._rig.photodiodes, self._rig.monitor
+        settings = photodiodes.settings
+        if gain != self._gain:
+            self.wait(photodiodes.start_gain(gain))
+            self._gain = gain
+        readings = photodiodes.start_readings(count)
+        # A channel's first reading was converted up to a period ago: the monitor begins with it.
+        self.wait(Until(self._clock, readings.started - settings.period_s))
+        mean = monitor.start_mean(count * settings.period_s)
+        self.wait(readings, mean)
+        return Reading(settings.gains_v_per_a[gain], readings.started, settings.period_s, mean.current_a, readings.counts)
+
+    def _warm_up(self, row: Row) -> tuple[str, ...]:
+        """Until the monitor is steady or the time is up; how steady it is goes to the journal once a minute."""
+        assert row.target is not None
+        begun = told = self._clock.now()
+        trace = Trace()
+        while True:
+            mean = self._rig.monitor.start_mean(MONITORED_S)
+            self.wait(mean)
+            now = self._clock.now()
+            trace.add(now, mean.current_a)
+            steady, over = trace.steady(row.target), now - begun >= row.longest_s
+            slope = trace.slope()
+            if slope is not None and (steady or over or now - told >= 60.0):
+                told = now
+                change, spread = (100.0 * share for share in slope)
+                self._note("warm-up", f"monitor {mean.current_a:.6g} A, {change:+.3f} % in 10 min (u {spread:.3f} %)")
+            if steady or over:
+                return () if steady else (NOT_WARM,)
+            self.wait(Until(self._clock, now + EVERY_S - MONITORED_S))
+
+
+def _joined(first: Reading, second: Reading) -> Reading:
+    """Two lots at one gain as one: the monitor's mean weighted, the period so that its middle is that of all readings."""
+    counts: Counts = np.concatenate([first.counts, second.counts])
+    a, b = len(first.counts), len(second.counts)
+    middles = [each.first_s + 0.5 * (len(each.counts) - 1) * each.period_s for each in (first, second)]
+    middle = (a * middles[0] + b * middles[1]) / (a + b)
+    monitor = (a * first.monitor_a + b * second.monitor_a) / (a + b)
+    return Reading(first.gain_v_per_a, first.first_s, 2.0 * (middle - first.first_s) / (a + b - 1), monitor, counts)

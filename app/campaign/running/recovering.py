@@ -1,0 +1,81 @@
+"""After a fault: what has failed is connected again, all axes come to rest, those that are lost look for their reference."""
+
+from collections.abc import Callable
+from functools import partial
+
+from app.campaign.running.halt import Halt
+from app.rig import AXES
+from drivers import DeviceError, Poll, Rig
+from drivers.axis import Axis
+
+LOOK_S = 0.1
+LONGEST_REST_S = 60.0
+Wait = Callable[..., None]
+"""Until all of some pending things are done."""
+
+
+class Recovery:
+    """On one rig. What it cannot mend it reports, as DeviceErrors; a row begins with what is left to connect (`again`)."""
+
+    def __init__(self, rig: Rig, halt: Halt, wait: Wait) -> None:
+        self._rig = rig
+        self._halt = halt
+        self._wait = wait
+        self._lost: list[str] = []
+
+    def reconnect(self, failed: str) -> list[DeviceError]:
+        """Of the device that has failed; and axes in doubt are homed, where the rig file says how."""
+        self._lost.append(failed)
+        return [*self._tried(self.again), *self.rest(), *self._home()]
+
+    def again(self) -> None:
+        """What could not be connected is connected, if there is anything. Raises DeviceError where that fails again."""
+        while self._lost:
+            self._connect(self._lost[0])
+            del self._lost[0]
+
+    def rest(self) -> list[DeviceError]:
+        """Waits until no axis turns any more."""
+        return [error for axis in self._rig.axes for error in self._tried(partial(self._comes_to_rest, axis))]
+
+    def _connect(self, failed: str) -> None:
+        rig = self._rig
+        if failed == "axes" or failed in AXES:
+            rig.reconnect_axes()
+        elif failed == "monochromator":
+            rig.monochromator.connect()
+        elif failed == "monitor":
+            rig.monitor.connect()
+        else:
+            rig.photodiodes.reconnect()
+
+    def _comes_to_rest(self, name: str) -> None:
+        clock = self._rig.clock
+        latest = clock.now() + LONGEST_REST_S
+        axis = self._rig.axes[name]
+
+        def rests() -> bool:
+            turns = axis.turns()
+            if turns and clock.now() > latest:
+                raise DeviceError(name, "wait for it", f"it still turns after {LONGEST_REST_S:g} s", "stop it")
+            return not turns
+
+        self._wait(Poll(clock, clock.now(), LOOK_S, rests))
+
+    def _home(self) -> list[DeviceError]:
+        errors: list[DeviceError] = []
+        for axis in self._rig.axes.values():
+            if axis.doubt and axis.settings.homing is not None:
+                errors += self._tried(partial(self._homes, axis))
+        return errors
+
+    def _homes(self, axis: Axis) -> None:
+        self._wait(self._halt.start(axis.start_homing))
+
+    @staticmethod
+    def _tried(action: Callable[[], object]) -> list[DeviceError]:
+        try:
+            action()
+        except DeviceError as error:
+            return [error]
+        return []

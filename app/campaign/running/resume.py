@@ -1,0 +1,133 @@
+"""Going on with a campaign that was stopped, failed, or killed: at the first row that is not in its journal."""
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from app.campaign.journal.reading import Recorded
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import Plan
+from app.campaign.planning.timing import Timing
+from app.campaign.row import Row
+from app.campaign.schedule.file import parse_schedule
+from app.errors import UserError
+from app.rig import RigDescription, parse_rig
+from protocols.clock import calendar_stamp
+
+PORTS = (
+    ("axes", "port"),
+    ("monochromator", "port"),
+    ("photodiodes", "units"),
+    ("monitor", "usb"),
+    ("simulated", "control_port"),
+    ("simulated", "speed"),
+)
+"""What of a rig file may change while a campaign is interrupted: where its devices are reached."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What is left of a campaign. `work` begins with rows that nobody has planned: what was mounted is mounted again, and
+    its dark is taken. `start_s` is when it goes on, on the rig's clock.
+    """
+
+    plan: Plan
+    work: tuple[Row, ...]
+    start_s: float
+
+    @property
+    def added(self) -> tuple[Row, ...]:
+        """The rows that nobody has planned."""
+        return tuple(row for row in self.work if row.number >= len(self.plan.rows))
+
+
+def rest_of(journal: Journal, rig: RigDescription | None) -> Rest:
+    """What is left of a journal's campaign, on the rig of its file or on `rig`, the same at other ports.
+
+    Raises UserError for a campaign that is done, and for a rig that is not the same.
+    """
+    recorded = recorded_rig(journal)
+    if rig is not None:
+        refuse_another_rig(journal, recorded, rig)
+    schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)")
+    plan = Plan(schedule, rig or recorded, journal.planned())
+    done = journal.committed()
+    left = [row for row in plan.rows if row.number not in done]
+    if not left:
+        raise UserError(f"{journal.path}: all of its {len(plan.rows)} rows are measured; there is nothing to go on with")
+    added = _added(journal, plan, left[0]) if done else []
+    return Rest(plan, (*added, *left), _start(journal, plan.rig))
+
+
+def recorded_rig(journal: Recorded) -> RigDescription:
+    """The rig as it was when the campaign began; its files are looked for where they were."""
+    return parse_rig(journal.value("rig"), Path(journal.value("rig_folder")), f"{journal.path} (rig)")
+
+
+def refuse_another_rig(journal: Recorded, recorded: RigDescription, rig: RigDescription) -> None:
+    """Raises UserError, naming the keys, where anything but ports has changed."""
+    changed = sorted(_differences(_without_ports(recorded), _without_ports(rig)))
+    if recorded.seed != rig.seed or recorded.simulated != rig.simulated:
+        changed.append("simulated")
+    if changed:
+        told = ", ".join(changed[:5]) + (", ..." if len(changed) > 5 else "")
+        raise UserError(
+            f"{rig.name}: is not the rig that {journal.path} was begun on: {told} changed, and only ports may; "
+            "go on with the rig as it was, or begin a new campaign"
+        )
+    if recorded.simulated and journal.value("model") != _quoted(rig.model_hash()):
+        raise UserError(
+            f"{rig.name}: its virtual rig is not the one that {journal.path} was begun on (the model's hash differs); "
+            "go on with the [twin] as it was, or begin a new campaign"
+        )
+
+
+def _quoted(text: str | None) -> str:
+    return "null" if text is None else f'"{text}"'
+
+
+def _without_ports(rig: RigDescription) -> dict[str, Any]:
+    content = rig.file.model_dump(exclude={"twin", "simulated"})
+    for table, key in PORTS:
+        if table in content:
+            del content[table][key]
+    return content
+
+
+def _differences(old: dict[str, Any], new: dict[str, Any], place: str = "") -> list[str]:
+    found = []
+    for key in old.keys() | new.keys():
+        before, after = old.get(key), new.get(key)
+        if isinstance(before, dict) and isinstance(after, dict):
+            found += _differences(before, after, f"{place}{key}.")
+        elif before != after:
+            found.append(f"{place}{key}")
+    return found
+
+
+def _added(journal: Recorded, plan: Plan, first: Row) -> list[Row]:
+    """What has to be done before the first row that is left: its sample may be out, and its last dark is old."""
+    number, session = journal.last_number() + 1, len(journal.sessions()) + 1
+    added = []
+    if first.kind != "mount":
+        added.append(Row(number, f"resumed {session}/{first.sample}/mount", "mount", first.sample))
+        dark = next((row for row in plan.rows if row.kind == "dark"), None)
+        if dark is not None and first.kind != "dark":
+            identity = f"resumed {session}/{first.sample}/dark"
+            added.append(replace(dark, number=number + 1, identity=identity, sample=first.sample))
+    timing = Timing(plan.rig.file)
+    return [replace(row, seconds=timing.row_seconds(row)) for row in added]
+
+
+def _start(journal: Recorded, rig: RigDescription) -> float:
+    """A virtual rig in this process goes on when it was left; any other has lived on meanwhile."""
+    sessions = journal.sessions()
+    if not sessions:
+        return 0.0
+    last = sessions[-1]
+    if all(address.startswith("twin://") for address in rig.file.addresses):
+        return last.ended_s
+    speed = rig.file.simulated.speed if rig.file.simulated is not None else 1.0
+    begun, now = (datetime.fromisoformat(each).astimezone(UTC) for each in (last.wall_started, calendar_stamp()))
+    return max(last.ended_s, last.started_s + (now - begun).total_seconds() * speed)

@@ -1,0 +1,119 @@
+"""The schedule: what the operator wants measured, one TOML file a campaign."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, field_validator, model_validator
+
+from app.campaign.row import NOTHING
+from app.campaign.schedule.certificate import read_certificate
+from app.campaign.schedule.grids import Grid, grid_values, without_twins
+from app.campaign.schedule.measuring import AveragingTable, CertificateTable, DriftTable, FaultsTable, StopTable, WarmUpTable
+from app.campaign.schedule.pose_tables import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
+from app.tables import Table, checked, parse_toml, read_toml
+
+HIGHEST_SIGMA_DEG = 87.0
+NESTED = ("gamma", "sigma", "beta", "shift", "wavelength")
+"""What the loops of a measurement go over."""
+
+Name = Annotated[str, Field(min_length=1, pattern=r"^[^/\s][^/\r\n\t]*$")]
+Gains = Annotated[
+    Annotated[Literal["automatic"], Tag("automatic")]
+    | Annotated[list[PositiveFloat], Field(min_length=1), AfterValidator(without_twins), Tag("list")],
+    Discriminator(lambda value: "automatic" if isinstance(value, str) else "list"),
+]
+Nesting = Annotated[
+    Annotated[Literal["fastest"], Tag("fastest")]
+    | Annotated[list[Literal["gamma", "sigma", "beta", "shift", "wavelength"]], Tag("list")],
+    Discriminator(lambda value: "fastest" if isinstance(value, str) else "list"),
+]
+
+
+class ScheduleFile(Table):
+    """The whole file. Angles in degrees, wavelengths in nanometres, times in seconds."""
+
+    name: Name
+    side: Literal["front", "back", "both"] = "front"
+    light: Literal["reflected", "transmitted", "both"] = "reflected"
+    samples: Annotated[list[Name], Field(min_length=1), AfterValidator(without_twins)]
+    etalon: Name
+    symmetry: Symmetry = "isotropic"
+    sigma_deg: Grid
+    gamma_deg: Grid = [0.0]
+    beta_deg: Grid
+    shift_deg: Grid = [0.0]
+    wavelength_nm: Grid
+    near_specular: NearSpecularTable | None = None
+    symmetry_check: SymmetryCheckTable | None = None
+    overlap: OverlapTable | None = None
+    signature: bool = False
+    open_beam: bool = False
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    order: Nesting = "fastest"
+    back_and_forth: bool = True
+    gains_v_per_a: Gains
+    readings: Annotated[int, Field(ge=1, le=10_000)] = 4
+    dark_every_s: PositiveFloat = 60.0
+    dark_readings: Annotated[int, Field(ge=4, le=10_000)] = 16
+    averaging: AveragingTable | None = None
+    warm_up: WarmUpTable | None = None
+    drift: DriftTable | None = None
+    stop: StopTable | None = None
+    faults: FaultsTable | None = None
+    certificate: CertificateTable | None = None
+
+    @field_validator("sigma_deg")
+    @classmethod
+    def _not_grazing(cls, value: Grid) -> Grid:
+        outside = [each for each in grid_values(value) if not 0.0 <= each <= HIGHEST_SIGMA_DEG]
+        if outside:
+            raise ValueError(
+                f"{outside[0]:g} deg is not from 0 to {HIGHEST_SIGMA_DEG:g}: beyond, light only grazes the sample; "
+                'for light from behind say side = "back", and count from the back\'s own normal'
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _etalon_is_no_sample(self) -> "ScheduleFile":
+        if self.etalon in self.samples:
+            raise ValueError(f"the etalon {self.etalon!r} stands among the samples; it is measured anyway, so remove it")
+        if NOTHING in (self.etalon, *self.samples):
+            raise ValueError(f"{NOTHING!r} is what an empty sample unit is called; give the sample another name")
+        return self
+
+    @field_validator("order")
+    @classmethod
+    def _every_loop_once(cls, value: Nesting) -> Nesting:
+        if value != "fastest" and sorted(value) != sorted(NESTED):
+            raise ValueError(f"must name each of {', '.join(NESTED)} once, the innermost first")
+        return value
+
+    @model_validator(mode="after")
+    def _symmetry_to_check(self) -> "ScheduleFile":
+        if self.symmetry_check is not None and self.symmetry == "anisotropic":
+            raise ValueError("symmetry_check: there is nothing to check where symmetry is anisotropic; remove one of them")
+        return self
+
+
+@dataclass(frozen=True)
+class ScheduleDescription:
+    """A schedule file that has been read: its text, what it says, and the text of the etalon's certificate that it names."""
+
+    text: str
+    file: ScheduleFile
+    name: str
+    certificate: str | None = None
+
+
+def read_schedule(path: Path) -> ScheduleDescription:
+    """A schedule file. Raises UserError: file, key, reason."""
+    text, content = read_toml(path)
+    file = checked(ScheduleFile, content, str(path))
+    certificate = None if file.certificate is None else read_certificate(path.parent, file.certificate)
+    return ScheduleDescription(text, file, str(path), certificate)
+
+
+def parse_schedule(text: str, name: str) -> ScheduleDescription:
+    """A schedule's text, such as a journal holds. Raises UserError."""
+    return ScheduleDescription(text, checked(ScheduleFile, parse_toml(text, name), name), name)

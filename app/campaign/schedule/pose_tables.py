@@ -1,0 +1,38 @@
+"""What a schedule says of its poses beyond the grids: finer near the specular direction, mirrored, overlapping."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from app.campaign.schedule.grids import Grid
+from app.tables import Table
+
+Symmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
+
+
+class NearSpecularTable(Table):
+    """Further poses wherever some photodiode then looks within `within_deg` of the specular direction, or, for transmitted
+    light, of the one straight through: at the arc shifts `shift_deg`, and at betas every `beta_step_deg` over the whole grid.
+    """
+
+    within_deg: Annotated[float, Field(gt=0.0, le=90.0)]
+    shift_deg: Grid | None = None
+    beta_step_deg: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _finer_somehow(self) -> "NearSpecularTable":
+        if self.shift_deg is None and self.beta_step_deg is None:
+            raise ValueError("says neither shift_deg nor beta_step_deg, so nothing would be finer; add one")
+        return self
+
+
+class SymmetryCheckTable(Table):
+    """So many poses are measured at their mirror image by the stated symmetry as well."""
+
+    points: PositiveInt
+
+
+class OverlapTable(Table):
+    """At each sigma so many poses at which photodiodes look where their neighbours look at the first shift of the grid."""
+
+    points: PositiveInt

@@ -1,0 +1,139 @@
+"""The etalon's certificate: a table between whose lines is interpolated, beyond which nothing is said, and which expires."""
+
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.campaign.campaign import run_campaign
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import make_plan
+from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.schedule.certificate import constant, parse_certificate, refuse_expired
+from app.campaign.schedule.file import read_schedule
+from app.campaign.schedule.measuring import CertificateTable
+from app.errors import UserError
+from app.rig import read_rig
+from protocols.clock import calendar_stamp
+from tests.app.campaign.measuring_bench import QUIET
+from tests.conftest import SMALL, Writer
+
+GRID = """# Spectralon, by its maker
+wavelength_nm, incidence_deg, zenith_deg, azimuth_deg, radiance_factor, relative_uncertainty
+500, 0, 0, 0, 1.00, 0.002
+500, 0, 0, 180, 1.00, 0.002
+500, 0, 80, 0, 0.80, 0.004
+500, 0, 80, 180, 0.90, 0.004
+500, 60, 0, 0, 1.10, 0.002
+500, 60, 0, 180, 1.10, 0.002
+500, 60, 80, 0, 0.90, 0.004
+500, 60, 80, 180, 1.00, 0.004
+600, 0, 0, 0, 2.00, 0.002
+600, 0, 0, 180, 2.00, 0.002
+600, 0, 80, 0, 1.80, 0.004
+600, 0, 80, 180, 1.90, 0.004
+600, 60, 0, 0, 2.10, 0.002
+600, 60, 0, 180, 2.10, 0.002
+600, 60, 80, 0, 1.90, 0.004
+600, 60, 80, 180, 2.00, 0.004
+"""
+BY_ZENITH = "zenith_deg, radiance_factor, relative_uncertainty\n0, 1.05, 0.003\n60, 0.85, 0.005\n"
+TABLE = '\n[certificate]\nfile = "etalon.csv"\nexpires = {expires}\n'
+
+
+def at(text: str, wavelength: float, incidence: float, zenith: float, azimuth: float) -> tuple[float, float]:
+    factor, relative = parse_certificate(text, "c.csv").at(wavelength, incidence, np.array([zenith]), np.array([azimuth]))
+    return float(factor[0]), float(relative[0])
+
+
+def test_its_lines_come_back_and_between_them_it_is_interpolated() -> None:
+    assert at(GRID, 500, 0, 80, 180) == pytest.approx((0.90, 0.004))
+    assert at(GRID, 600, 60, 80, 180) == pytest.approx((2.00, 0.004))
+    assert at(GRID, 550, 0, 0, 0) == pytest.approx((1.5, 0.002))
+    assert at(GRID, 550, 30, 40, 90) == pytest.approx((1.475, 0.003))
+
+
+def test_both_sides_of_the_plane_of_incidence_are_alike() -> None:
+    assert at(GRID, 500, 0, 80, 270) == at(GRID, 500, 0, 80, 90)
+    assert at(GRID, 500, 0, 80, 359) == pytest.approx(at(GRID, 500, 0, 80, 1))
+
+
+@pytest.mark.parametrize("asked", [(499, 0, 0, 0), (601, 0, 0, 0), (550, 61, 0, 0), (550, 0, 81, 0)])
+def test_beyond_its_lines_it_says_nothing(asked: tuple[float, float, float, float]) -> None:
+    assert np.isnan(at(GRID, *asked)).all()
+
+
+def test_what_it_has_no_column_for_it_holds_for_at_all_values() -> None:
+    assert at(BY_ZENITH, 300, 77, 30, 123) == pytest.approx((0.95, 0.004))
+    assert np.isnan(at(BY_ZENITH, 300, 77, 61, 0)).all()
+    factor, relative = constant(0.99, 0.002).at(550, 30, np.arange(0.0, 90.0), np.zeros(90))
+    assert np.all(factor == 0.99)
+    assert np.all(relative == 0.002)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "is empty"),
+        ("zenith_deg, radiance_factor\n0, 1\n", "relative_uncertainty is missing"),
+        (BY_ZENITH.replace("zenith", "polar"), "no column 'polar_deg'"),
+        (BY_ZENITH + "60, 0.8, 0.005\n", "line 4: is the second one"),
+        (BY_ZENITH + "70, 0.8\n", "line 4: has 2 columns, the heading 3"),
+        (BY_ZENITH + "70, white, 0.005\n", "line 4: could not convert"),
+        (BY_ZENITH + "70, 0.0, 0.005\n", "line 4: a radiance factor is above 0"),
+        (BY_ZENITH + "70, nan, 0.005\n", "line 4: a number is not finite"),
+        (BY_ZENITH.splitlines()[0], "no line below"),
+        ("\n".join(GRID.splitlines()[:-1]), "has 15 lines, and 2 x 2 x 2 x 2 combinations"),
+    ],
+)
+def test_what_is_wrong_in_it_is_named(text: str, told: str) -> None:
+    with pytest.raises(UserError, match=rf"^c\.csv: .*{told}"):
+        parse_certificate(text, "c.csv")
+
+
+def test_an_expired_one_is_refused_unless_somebody_answers_for_it() -> None:
+    table = CertificateTable(file="c.csv", expires=date(2026, 5, 1))
+    refuse_expired(table, date(2026, 5, 1), "c.csv")
+    with pytest.raises(UserError, match=r"expired on 2026-05-01; .*accept_expired_by"):
+        refuse_expired(table, date(2026, 5, 2), "c.csv")
+    refuse_expired(table.model_copy(update={"accept_expired_by": "Ada"}), date(2027, 1, 1), "c.csv")
+
+
+def test_a_schedule_with_an_expired_one_is_refused_before_anything_is_measured(write_schedule: Writer) -> None:
+    schedule = write_schedule(text=SMALL + TABLE.format(expires="2020-01-31"))
+    (schedule.parent / "etalon.csv").write_text(BY_ZENITH)
+    with pytest.raises(UserError, match=r"etalon\.csv: .*expired on 2020-01-31"):
+        read_schedule(schedule)
+    accepted = write_schedule(text=SMALL + TABLE.format(expires="2020-01-31") + 'accept_expired_by = "Ada"\n')
+    assert read_schedule(accepted).certificate == BY_ZENITH
+    (schedule.parent / "etalon.csv").unlink()
+    with pytest.raises(UserError, match=r"etalon\.csv: the etalon's certificate cannot be read"):
+        read_schedule(accepted)
+
+
+def test_the_bsdf_follows_the_certificate_and_the_journal_keeps_it(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    rig = read_rig(write_rig(*QUIET))
+    tomorrow = f"{int(calendar_stamp()[:4]) + 1}-01-01"
+    plain = write_schedule(name="plain.toml")
+    certified = write_schedule(text=SMALL + TABLE.format(expires=tomorrow))
+    (tmp_path / "etalon.csv").write_text(BY_ZENITH)
+    for schedule, name in ((plain, "plain"), (certified, "certified")):
+        run_campaign(make_plan(read_schedule(schedule), rig), tmp_path / f"{name}.journal")
+    (tmp_path / "etalon.csv").unlink()
+    points = []
+    for name in ("plain", "certified"):
+        with Journal.open(tmp_path / f"{name}.journal") as journal:
+            points.append(reduce_journal(journal).samples["gaussian-5"])
+    plain_points, certified_points = points
+    inside = plain_points.zenith_deg <= 60.0
+    factor = 1.05 - 0.2 * plain_points.zenith_deg / 60.0
+    expected = plain_points.bsdf * factor / 0.99
+    assert np.allclose(certified_points.bsdf[inside], expected[inside], equal_nan=True)
+    assert np.isnan(certified_points.bsdf[~inside]).all()
+    assert np.array_equal(certified_points.uncertified, ~inside)
+    assert not plain_points.uncertified.any()
+    bright = certified_points.where(inside & plain_points.good & (plain_points.theta_deg < 3.0))
+    assert (bright.u_bsdf > 0.003 * bright.bsdf).all()

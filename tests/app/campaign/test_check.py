@@ -1,0 +1,123 @@
+"""What `check` says of a plan, and that it knows what the mirror unit hides."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.campaign.planning.check import checked_plan, in_words
+from app.campaign.planning.clear_view import certainly_clear
+from app.campaign.planning.directions import directions_seen
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.planning.shadow import shadowed
+from app.campaign.schedule.file import parse_schedule, read_schedule
+from app.rig import believed_instrument, read_rig
+from benchmarks.planner import GREAT, HEAD, checking
+from tests.conftest import RIG, SCHEDULE
+from twin.optics import arc_direction, visible_fraction
+
+VIRTUAL = read_rig(RIG)
+
+
+def planned(text: str) -> Plan:
+    return make_plan(parse_schedule(HEAD + "gains_v_per_a = [1e8]\nwavelength_nm = [550]\n" + text, "x"), VIRTUAL)
+
+
+def test_it_answers_with_rows_duration_order_shadows_and_warnings() -> None:
+    plan = make_plan(read_schedule(SCHEDULE), VIRTUAL)
+    result = json.loads(json.dumps(checked_plan(plan)))
+    assert result["rows"] == 130
+    assert result["duration_s"] == pytest.approx(plan.seconds)
+    assert result["least_s"] <= result["duration_s"] <= 1.05 * result["least_s"]
+    assert result["order"] == ["shift", "sigma", "beta"]
+    assert result["why"].startswith("shift inside: 4 min 42 s; ")
+    assert result["kinds"] == {"mount": 2, "dark": 8, "measure": 120}
+    assert result["axes_deg"]["beta"] == [0.0, 180.0]
+    assert (result["directions"], result["shadowed"]) == (1077, 45)
+    assert sum(len(each["zenith_azimuth"]) for each in result["shadowed_deg"]) == 45
+    assert [each["sigma"] for each in result["shadowed_deg"] if each["specular"]] == [0.0]
+    assert "at sigma 0 deg the mirror unit hides the specular direction" in result["warnings"][0]
+    words = in_words(plan, result)
+    assert "from the inside: shift, sigma, beta" in words
+    assert "15 at sigma 0 with the specular one" in words
+
+
+def test_photodiodes_that_share_a_direction_are_counted_and_missed() -> None:
+    alone = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 1]\n"))
+    assert alone["overlaps"] == 0
+    assert any("[overlap] points = 1 adds poses at shift 5 deg" in warning for warning in alone["warnings"])
+    # At each beta 17 of the 18 photodiodes come to where the next one was.
+    shared = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 5]\n"))
+    assert shared["overlaps"] == 2 * 17
+    assert not any("overlap" in warning for warning in shared["warnings"])
+
+
+def test_poses_that_the_symmetry_leaves_out_are_counted() -> None:
+    plan = planned("sigma_deg = [30]\nbeta_deg = [0, 90, 180, 270]\n")
+    assert checked_plan(plan)["left_out"] == 1
+    assert "left out    1 poses that see the same as others do by the symmetry: isotropic" in in_words(plan, checked_plan(plan))
+
+
+def test_transmitted_light_is_not_hidden_by_the_mirror_unit() -> None:
+    result = checked_plan(planned('light = "transmitted"\nsigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n'))
+    assert result["shadowed"] == 0
+
+
+def test_a_guess_is_told_to_be_one() -> None:
+    result = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n[averaging]\nrelative_uncertainty = 0.01\n"))
+    least, most = result["duration_range_s"]
+    assert least < result["duration_s"] < most
+    assert any("the duration is a guess" in warning for warning in result["warnings"])
+    sure = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n"))
+    assert sure["duration_range_s"] == [sure["duration_s"], sure["duration_s"]]
+
+
+def test_what_to_look_at_again() -> None:
+    grids = "sigma_deg = [30]\nbeta_deg = [0, 90]\n"
+    assert any("open beam" in each for each in checked_plan(planned(f"open_beam = true\n{grids}"))["warnings"])
+    slow = checked_plan(planned(f"readings = 100\ndark_every_s = 5\n{grids}"))
+    assert any("a dark gets" in each for each in slow["warnings"])
+    red = make_plan(parse_schedule(f"{HEAD}gains_v_per_a = [1e8]\nwavelength_nm = [700, 720]\n{grids}", "x"), VIRTUAL)
+    assert any("above 710 nm (1 wavelengths)" in each for each in checked_plan(red)["warnings"])
+
+
+def test_the_back_is_as_hidden_as_the_front() -> None:
+    counts = [
+        [(each.directions, len(each.hidden_deg), each.hides_specular) for each in seen]
+        for seen in (
+            directions_seen(plan.schedule.file, VIRTUAL.file, plan.made.mountings[1][0].poses.angles)
+            for plan in (
+                planned(f'side = "{side}"\nsigma_deg = [0, 20, 40]\nbeta_deg = [0, 90, 180]\n') for side in ("front", "back")
+            )
+            if plan.made is not None
+        )
+    ]
+    assert counts[0] == counts[1][::-1]
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    sigma=st.one_of(st.floats(0.0, 87.0), st.floats(93.0, 180.0)),
+    gamma=st.floats(0.0, 360.0),
+    angles=st.lists(st.tuples(st.floats(0.0, 180.0), st.floats(0.0, 360.0)), min_size=1, max_size=30),
+    near=st.floats(-8.0, 8.0),
+)
+def test_what_is_called_clear_at_a_glance_no_ray_finds_hidden(
+    sigma: float, gamma: float, angles: list[tuple[float, float]], near: float
+) -> None:
+    instrument = believed_instrument(VIRTUAL.file)
+    zenith, azimuth = np.array([*angles, (abs(sigma + near), 0.0), (abs(sigma - near), near)]).T
+    directions = arc_direction(zenith, azimuth)
+    clear = certainly_clear(instrument, VIRTUAL.file.geometry.shadow_margin_deg, sigma, directions)
+    visible = visible_fraction(instrument, sigma, directions, gamma_deg=gamma)
+    assert np.all(visible[clear] > 1.0 - 1e-9)
+    assert not shadowed(VIRTUAL.file, sigma, zenith, azimuth, gamma)[clear].any()
+    assert shadowed(VIRTUAL.file, sigma, zenith, azimuth, gamma)[visible < 1.0 - 1e-9].all()
+
+
+def test_a_hundred_thousand_rows_are_checked_within_seconds() -> None:
+    """Within one on an idle machine: see `benchmarks/planner.py`. Here others may be busy."""
+    (found,) = [each for each in checking(VIRTUAL, {"100,000 rows": GREAT["100,000 rows"]}) if each["rows"] > 100_000]
+    assert found["check_s"] < 10.0

@@ -1,0 +1,105 @@
+"""Automatic gains: a row is read at every gain that some photodiode needs, and at no other."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.campaign.campaign import resume_campaign, run_campaign
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.row import Row
+from app.campaign.running.gains import SATURATED, Gains, clipped
+from app.campaign.schedule.file import read_schedule
+from app.rig import read_rig
+from protocols import adam
+from tests.app.campaign.measuring_bench import QUIET, carried_out, with_rows
+from tests.app.campaign.test_resume import stopped_at, values
+from tests.conftest import Writer
+
+ALL_GAINS = ("[1e8, 1e10]", "[1e6, 1e8, 1e10, 1e11]")
+BRIGHT = ("[twin.light]", "[twin.light]\nradiance = {radiance}")
+
+
+def automatic(row: Row) -> Row:
+    return replace(row, automatic=True) if row.kind == "measure" else row
+
+
+@pytest.fixture
+def plan(write_rig: Writer, write_schedule: Writer) -> Plan:
+    return with_rows(make_plan(read_schedule(write_schedule(ALL_GAINS)), read_rig(write_rig(*QUIET))), automatic)
+
+
+def test_the_etalon_needs_the_highest_gain_alone_and_a_lobe_the_lower_ones_too(plan: Plan, tmp_path: Path) -> None:
+    run = carried_out(plan, tmp_path / "a.journal")
+    gains = {
+        sample: [[reading.gain_v_per_a for reading in each.data.readings] for each in run.of("measure", sample)]
+        for sample in ("etalon", "gaussian-5")
+    }
+    assert gains["etalon"] == [[1e11], [1e11]]
+    # The peak is 2.8 nA: 28 V at 1e10 V/A, 0.28 V at 1e8.
+    assert gains["gaussian-5"] == [[1e8, 1e10, 1e11]] * 2
+    assert all(each.data.flags == () for each in run.rows)
+
+
+def test_every_gain_but_the_last_left_some_photodiode_clipped_and_the_last_none(plan: Plan, tmp_path: Path) -> None:
+    for each in carried_out(plan, tmp_path / "a.journal").of("measure"):
+        lowest, *higher = each.data.readings
+        assert not clipped(lowest.counts).any()
+        assert all(clipped(reading.counts).any() for reading in higher)
+
+
+def test_the_bsdf_is_that_of_all_gains(plan: Plan, tmp_path: Path) -> None:
+    everything = with_rows(plan, lambda row: replace(row, automatic=False))
+    found = []
+    for name, each in (("some", plan), ("all", everything)):
+        run_campaign(each, tmp_path / f"{name}.journal")
+        with Journal.open(tmp_path / f"{name}.journal") as journal:
+            found.append(reduce_journal(journal).samples["gaussian-5"])
+    assert np.array_equal(found[0].bsdf, found[1].bsdf, equal_nan=True)
+    assert not found[0].clipped.any()
+
+
+def test_what_is_over_the_range_at_the_lowest_gain_too_is_flagged(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    rig = write_rig(*QUIET, (BRIGHT[0], BRIGHT[1].format(radiance="2e5")))
+    schedule = write_schedule(("[1e8, 1e10]", "[1e8, 1e10, 1e11]"))
+    run = carried_out(with_rows(make_plan(read_schedule(schedule), read_rig(rig)), automatic), tmp_path / "a.journal")
+    assert [each.data.flags for each in run.of("measure", "gaussian-5")] == [(SATURATED,)] * 2
+    assert [each.data.flags for each in run.of("measure", "etalon")] == [()] * 2
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+def test_a_resumed_campaign_takes_the_same_gains(plan: Plan, tmp_path: Path, share: float) -> None:
+    run_campaign(plan, tmp_path / "whole.journal")
+    whole = values(tmp_path / "whole.journal")
+    stopped_at(plan, tmp_path / "a.journal", share * plan.seconds)
+    resume_campaign(tmp_path / "a.journal")
+    assert values(tmp_path / "a.journal") == whole
+
+
+def test_with_700_times_the_light_a_lobe_is_read_at_all_gains_and_unclipped(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """A peak of 2 uA beside photodiodes in the dark."""
+    rig = write_rig(*QUIET, (BRIGHT[0], BRIGHT[1].format(radiance="1.4e6")))
+    run = carried_out(
+        with_rows(make_plan(read_schedule(write_schedule(ALL_GAINS)), read_rig(rig)), automatic), tmp_path / "a.journal"
+    )
+    lobe = run.of("measure", "gaussian-5")
+    assert [[reading.gain_v_per_a for reading in each.data.readings] for each in lobe] == [[1e6, 1e8, 1e10, 1e11]] * 2
+    assert all(each.data.flags == () for each in lobe)
+
+
+def test_without_automatic_gains_all_are_read_from_the_lowest_on() -> None:
+    row = Row(0, "a", "measure", "a", gains=(0, 2), readings=1)
+    gains = Gains(row, 3)
+    order = []
+    for gain in gains:
+        order.append(gain)
+        gains.read(np.array([[100, 200, adam.FULL_SCALE if gain else 300]], dtype=np.uint16))
+    assert order == [0, 2]
+    assert gains.flags == ()

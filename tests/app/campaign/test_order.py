@@ -1,0 +1,165 @@
+"""The order: every nest visits every point once, none beats the bound, and the fastest is taken."""
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.campaign.planning.bound import least_moving_seconds
+from app.campaign.planning.lattice import Lattice
+from app.campaign.planning.moves import Moves
+from app.campaign.planning.nesting import Nest, moving_seconds, swept, visited
+from app.campaign.planning.order import fastest_order
+from app.campaign.schedule.file import ScheduleFile
+from app.rig import AXES, RigFile, arc_clearance, axis_settings, parse_rig
+from tests.conftest import RIG
+
+Floats = npt.NDArray[np.float64]
+TEXT = RIG.read_text(encoding="utf-8")
+PLAIN = parse_rig(TEXT, RIG.parent, "plain").file
+PLAY = parse_rig(
+    TEXT.replace("lower_deg = 0.0", "lower_deg = -5.0\nbacklash_deg = 0.2").replace(
+        "encoder = false", 'encoder = false\nbacklash_deg = 0.1\napproach_from = "above"', 1
+    ),
+    RIG.parent,
+    "with backlash",
+).file
+
+
+def schedule(**keys: object) -> ScheduleFile:
+    return ScheduleFile.model_validate(
+        {
+            "name": "n", "samples": ["a"], "etalon": "e", "sigma_deg": [0.0], "beta_deg": [0.0], "wavelength_nm": [550.0],
+            "gains_v_per_a": [1e8], **keys,
+        }
+    )  # fmt: skip
+
+
+def grid(*axes: list[float]) -> Floats:
+    return np.array(list(itertools.product(*axes)))
+
+
+@st.composite
+def lattices(draw: st.DrawFn, most: int = 40) -> Lattice:
+    """Some poses of a small grid, at one to three wavelengths."""
+
+    def values(highest: float, count: int) -> st.SearchStrategy[list[float]]:
+        return st.lists(st.integers(0, round(10 * highest)).map(lambda k: k / 10), min_size=1, max_size=count, unique=True)
+
+    poses = grid(*(draw(values(highest, count)) for highest, count in ((90.0, 2), (85.0, 3), (180.0, 4), (5.0, 4))))
+    chosen = draw(st.lists(st.integers(0, len(poses) - 1), min_size=1, max_size=most, unique=True))
+    wavelengths = draw(st.lists(st.sampled_from([400.0, 410.0, 550.0, 700.0]), min_size=1, max_size=3, unique=True))
+    return Lattice(poses[chosen], np.array(wavelengths))
+
+
+@st.composite
+def nests(draw: st.DrawFn, lattice: Lattice) -> Nest:
+    columns = tuple(draw(st.permutations(lattice.active)))
+    return Nest(columns, tuple(draw(st.booleans()) for _ in columns))
+
+
+rigs = st.sampled_from([PLAIN, PLAY])
+
+
+@settings(deadline=None)
+@given(data=st.data(), lattice=lattices(), rig=rigs)
+def test_every_nest_visits_every_point_once_and_none_beats_the_bound(
+    data: st.DataObject, lattice: Lattice, rig: RigFile
+) -> None:
+    moves = Moves(rig)
+    order = visited(lattice, data.draw(nests(lattice)), moves)
+    assert sorted(order.tolist()) == list(range(len(lattice)))
+    least = least_moving_seconds(lattice, moves)
+    assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[order]) + 1e-9
+    anyhow = data.draw(st.permutations(range(len(lattice))))
+    assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[list(anyhow)]) + 1e-9
+
+
+@settings(deadline=None, max_examples=30)
+@given(lattice=lattices(most=6), rig=rigs)
+def test_no_order_at_all_beats_the_bound(lattice: Lattice, rig: RigFile) -> None:
+    if len(lattice) > 6:
+        return
+    moves = Moves(rig)
+    least = least_moving_seconds(lattice, moves)
+    for order in itertools.permutations(range(len(lattice))):
+        assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[list(order)]) + 1e-9
+
+
+@settings(deadline=None)
+@given(lattice=lattices(), rig=rigs)
+def test_the_fastest_of_what_was_tried_is_taken(lattice: Lattice, rig: RigFile) -> None:
+    moves = Moves(rig)
+    order = fastest_order(lattice, schedule(), moves, arc_clearance(rig))
+    assert order.seconds == min(order.tried.values())
+    assert order.seconds == pytest.approx(moving_seconds(moves, arc_clearance(rig), lattice.points[order.sequence]))
+
+
+def test_an_even_grid_is_measured_as_fast_as_can_be() -> None:
+    lattice = Lattice(grid([0.0], [0.0, 30.0, 60.0], [0.0, 5.0, 10.0, 15.0], [0.0, 0.5, 1.0]), np.arange(400.0, 500.0, 10.0))
+    moves = Moves(PLAIN)
+    order = fastest_order(lattice, schedule(), moves, arc_clearance(PLAIN))
+    assert order.nest == Nest((1, 2, 3, 4), (True,) * 4)
+    assert order.seconds == pytest.approx(least_moving_seconds(lattice, moves))
+
+
+def test_with_backlash_a_long_loop_always_goes_the_same_way() -> None:
+    moves = Moves(PLAY)
+    lattice = Lattice(grid([0.0], [30.0], [0.0, 5.0], np.arange(0.0, 5.0, 0.5).tolist()), np.array([550.0]))
+    order = fastest_order(lattice, schedule(), moves, arc_clearance(PLAY))
+    shift = lattice.points[order.sequence][:10, 3]
+    assert order.nest == Nest((2, 3), (True, False))
+    assert np.all(np.diff(shift) < 0.0), "this axis has to arrive from above"
+
+
+def test_an_order_that_the_schedule_states_is_kept() -> None:
+    lattice = Lattice(grid([0.0], [0.0, 30.0], [0.0, 5.0], [0.0, 1.0]), np.array([500.0, 600.0]))
+    stated = schedule(order=["shift", "beta", "gamma", "sigma", "wavelength"], back_and_forth=False)
+    points = lattice.points[fastest_order(lattice, stated, Moves(PLAIN), arc_clearance(PLAIN)).sequence]
+    assert points[:, [4, 1, 2, 3]].tolist() == grid([500.0, 600.0], [0.0, 30.0], [0.0, 5.0], [0.0, 1.0]).tolist()
+
+
+def test_an_order_that_would_sweep_through_the_beam_is_not_taken() -> None:
+    """From beta 250 to 290 only with the shift at 0: there the loop over the shift has to end, so it begins at 4."""
+    lattice = Lattice(grid([0.0], [30.0], [250.0, 290.0], [0.0, 4.0]), np.array([550.0]))
+    points = lattice.points[fastest_order(lattice, schedule(), Moves(PLAIN), arc_clearance(PLAIN)).sequence]
+    assert points[:, [2, 3]].tolist() == [[250.0, 4.0], [250.0, 0.0], [290.0, 0.0], [290.0, 4.0]]
+    never_low = Lattice(grid([0.0], [30.0], [250.0, 290.0], [3.0, 4.0]), np.array([550.0]))
+    assert fastest_order(never_low, schedule(), Moves(PLAIN), arc_clearance(PLAIN)).seconds == float("inf")
+
+
+@settings(deadline=None)
+@given(
+    points=st.lists(st.tuples(st.integers(0, 72), st.integers(0, 10)), min_size=2, max_size=20).map(
+        lambda pairs: np.array([(0.0, 30.0, 5.0 * beta, 0.5 * shift, 550.0) for beta, shift in pairs])
+    )
+)
+def test_sweeps_are_what_the_interlock_forbids(points: Floats) -> None:
+    clearance = arc_clearance(PLAIN)
+    forbidden = [clearance.veto((a[2], b[2]), (a[3], b[3])) is not None for a, b in itertools.pairwise(points)]
+    assert swept(clearance, points).tolist() == forbidden
+
+
+@settings(deadline=None)
+@given(
+    axis=st.integers(0, 3),
+    here=st.floats(-5.0, 180.0),
+    there=st.floats(-5.0, 180.0),
+    rig=rigs,
+)
+def test_a_turn_takes_what_its_ramps_take(axis: int, here: float, there: float, rig: RigFile) -> None:
+    """And besides them the same for every way, once for each leg."""
+    settings_ = axis_settings(rig)[AXES[axis]]
+    moves = Moves(rig)
+    before, after = np.zeros((2, 1, 5))
+    before[0, axis], after[0, axis] = here, there
+    took = float(moves.seconds(before, after)[0])
+    if here == there:
+        assert took == 0.0
+        return
+    legs = len(settings_.legs(here, there))
+    beside = took - settings_.seconds_between(here, there) - settings_.settling_s
+    assert beside == pytest.approx(legs * 0.002 + (5 + 2 * (legs - 1)) * moves.exchange_s, abs=1e-9)

@@ -1,0 +1,291 @@
+"""Plans: which rows follow from a schedule, what is between them, and what the rig cannot do."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.campaign.planning.least import least_seconds
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.planning.timing import Timing
+from app.campaign.row import NOTHING, Row
+from app.campaign.schedule.file import parse_schedule, read_schedule
+from app.campaign.schedule.grids import grid_values
+from app.errors import UserError
+from app.rig import read_rig
+from benchmarks.planner import EXAMPLES, NAMED, nested_like_the_paper
+from tests.conftest import RIG
+from twin.optics import arc_direction, specular_direction
+
+VIRTUAL = read_rig(RIG)
+HEAD = """
+name = "small"
+samples = ["gaussian-5"]
+etalon = "etalon"
+gains_v_per_a = [1e8, 1e10]
+"""
+GRIDS = "sigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\nshift_deg = [0, 2]\nwavelength_nm = [500, 600]\n"
+
+
+def planned(text: str = "", grids: str = GRIDS) -> Plan:
+    return make_plan(parse_schedule(HEAD + grids + text, "small.toml"), VIRTUAL)
+
+
+def measured(plan: Plan, sample: str = "gaussian-5") -> list[Row]:
+    return [row for row in plan.rows if row.kind == "measure" and row.sample == sample]
+
+
+def poses(plan: Plan, sample: str = "gaussian-5") -> set[tuple[float, ...]]:
+    return {row.pose for row in measured(plan, sample) if row.pose is not None}
+
+
+def refused(text: str, grids: str = GRIDS) -> str:
+    with pytest.raises(UserError) as caught:
+        planned(text, grids)
+    message = str(caught.value)
+    assert message.startswith("small.toml: ")
+    assert "\n" not in message
+    return message
+
+
+def test_each_sample_is_measured_at_every_pose_and_wavelength_once() -> None:
+    plan = planned()
+    for sample in ("etalon", "gaussian-5"):
+        rows = measured(plan, sample)
+        assert len(rows) == len({(row.pose, row.wavelength_nm) for row in rows}) == 2 * 3 * 2 * 2
+    assert "gaussian-5/sigma 30/gamma 0/beta 90/shift 2/600 nm" in {row.identity for row in plan.rows}
+    assert [row.number for row in plan.rows] == list(range(len(plan.rows)))
+
+
+orders = st.one_of(
+    st.just("fastest"), st.permutations(["gamma", "sigma", "beta", "shift", "wavelength"]).map(lambda names: list(names))
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(order=orders, both=st.booleans(), extra=st.sampled_from(["", "repeats = 2\n", "signature = true\nopen_beam = true\n"]))
+def test_the_rows_are_the_same_in_whatever_order(order: str | list[str], both: bool, extra: str) -> None:
+    said = f"order = {order!r}\nback_and_forth = {str(both).lower()}\n".replace("'", '"')
+    plan, usual = planned(said + extra), planned(extra)
+    names = {row.identity for row in plan.rows if row.kind == "measure"}
+    assert names == {row.identity for row in usual.rows if row.kind == "measure"}
+    assert len(names) == plan.rows.kinds["measure"]  # type: ignore[attr-defined]
+    assert least_seconds(plan) <= min(plan.seconds, usual.seconds) <= plan.seconds
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "repeats = 2\nsignature = true\nopen_beam = true\n", "dark_every_s = 10\n", 'side = "both"\nlight = "both"\n',
+        '[drift]\nevery_s = 20\nsigma_deg = 45\nbeta_deg = 90\nwavelength_nm = 550\n[warm_up]\npercent_per_10min = 1\n',
+        "[averaging]\nrelative_uncertainty = 0.01\n",
+    ],
+)  # fmt: skip
+def test_a_rows_duration_is_the_timings(text: str) -> None:
+    plan, timing = planned(text), Timing(VIRTUAL.file)
+    for row in plan.rows:
+        assert row.seconds == pytest.approx(timing.row_seconds(row), abs=1e-9), row.identity
+    assert plan.seconds == pytest.approx(sum(row.seconds for row in plan.rows))
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_the_named_schedules_are_within_five_percent_of_the_bound_and_never_slower_than_the_paper(name: str) -> None:
+    schedule = read_schedule(EXAMPLES / "schedules" / f"{name}.toml")
+    plan = make_plan(schedule, VIRTUAL)
+    least = least_seconds(plan)
+    assert least <= plan.seconds <= 1.05 * least
+    for both in (False, True):
+        paper = make_plan(nested_like_the_paper(schedule, back_and_forth=both), VIRTUAL)
+        assert least <= plan.seconds <= paper.seconds + 1e-6
+
+
+def test_the_paper_s_order_is_the_file_s_own() -> None:
+    plan = make_plan(read_schedule(EXAMPLES / "schedules" / "paper-order.toml"), VIRTUAL)
+    rows = [(row.wavelength_nm, *row.pose) for row in measured(plan) if row.pose is not None]
+    assert rows == sorted(rows, key=lambda row: (row[0], row[2], row[1], row[3], row[4]))
+
+
+# ---- sides, light, symmetry ----
+
+
+def test_light_from_behind_turns_the_mirror_unit_beyond_ninety_degrees() -> None:
+    assert {pose[1] for pose in poses(planned('side = "back"\n'))} == {180.0, 150.0}
+    assert {pose[1] for pose in poses(planned('side = "both"\n'))} == {0.0, 30.0, 180.0, 150.0}
+
+
+def test_for_transmitted_light_the_etalon_is_lit_from_the_other_side() -> None:
+    plan = planned('light = "transmitted"\n')
+    assert {pose[1] for pose in poses(plan)} == {0.0, 30.0}
+    assert {pose[1] for pose in poses(plan, "etalon")} == {180.0, 150.0}
+    assert {pose[1] for pose in poses(planned('light = "both"\n'), "etalon")} == {0.0, 30.0, 180.0, 150.0}
+
+
+ROUND = "sigma_deg = [30]\ngamma_deg = [0, 90, 180, 270]\nbeta_deg = [0, 90, 180, 225, 315]\nwavelength_nm = [550]\n"
+
+
+def test_an_isotropic_sample_needs_one_gamma_and_half_the_betas() -> None:
+    plan = planned(grids=ROUND)
+    assert {pose[::2] for pose in poses(plan)} == {(0.0, 0.0), (0.0, 90.0), (0.0, 180.0), (0.0, 225.0), (0.0, 315.0)}
+    twice = planned(grids=ROUND.replace("[0, 90, 180, 225, 315]", "[0, 135, 225, 180]"))
+    assert {pose[2] for pose in poses(twice)} == {0.0, 135.0, 180.0}
+    assert twice.made is not None
+    assert twice.made.mountings[1][0].poses.left_out == 4 * 4 - 3
+
+
+def test_a_plane_symmetric_sample_needs_one_of_each_pair_of_mirror_images() -> None:
+    found = {pose[::2] for pose in poses(planned('symmetry = "plane-symmetric"\n', ROUND))}
+    for gamma, beta in ((gamma, beta) for gamma in (0.0, 90.0, 180.0, 270.0) for beta in (0.0, 90.0, 180.0, 225.0, 315.0)):
+        image = (-gamma % 360.0, -beta % 360.0)
+        assert ((gamma, beta) in found) != (image in found) or (gamma, beta) == image
+
+
+def test_an_anisotropic_sample_needs_all_of_them() -> None:
+    assert len(poses(planned('symmetry = "anisotropic"\n', ROUND))) == 20
+
+
+def test_a_check_of_the_symmetry_measures_mirror_images_under_names_of_their_own() -> None:
+    plan = planned("[symmetry_check]\npoints = 2\n")
+    mirrored = [row for row in measured(plan) if row.identity.endswith("/mirrored")]
+    assert len(mirrored) == 2 * 2
+    usual = poses(planned())
+    for row in mirrored:
+        assert row.pose is not None
+        gamma, sigma, beta, shift = row.pose
+        assert gamma == 90.0
+        assert (0.0, sigma, -beta % 360.0, shift) in usual
+    assert {row.pose for row in mirrored} <= poses(plan, "etalon")
+
+
+# ---- near the specular direction, overlaps, the open beam ----
+
+NEAR = "[near_specular]\nwithin_deg = 6\nshift_deg = { start = 0, stop = 4, step = 1 }\nbeta_step_deg = 2\n"
+COARSE = "sigma_deg = [30]\nbeta_deg = { start = 0, stop = 180, step = 20 }\nwavelength_nm = [550]\n"
+
+
+@pytest.mark.parametrize(("text", "arc"), [("", "upper"), ('light = "transmitted"\n', "lower")])
+def test_finer_poses_are_where_some_photodiode_looks_near_the_peak(text: str, arc: str) -> None:
+    base = poses(planned(text, COARSE))
+    found = poses(planned(text + NEAR, COARSE))
+    assert base < found
+    polar = np.array(VIRTUAL.file.photodiodes.upper_deg)
+    peak = specular_direction(30.0) if arc == "upper" else specular_direction(30.0) * [1, 1, -1]
+
+    def closest(beta: float, shift: float) -> float:
+        looking = arc_direction(polar + shift, beta, lower=arc == "lower")
+        return float(np.degrees(np.arccos(np.max(looking @ peak))))
+
+    assert all(closest(*pose[2:]) <= 6.0 + 1e-6 for pose in found - base)
+    every = {(beta, shift) for beta in np.arange(0.0, 181.0, 2.0) for shift in range(5) if closest(beta, shift) <= 6.0}
+    assert {pose[2:] for pose in found} == every | {pose[2:] for pose in base}
+
+
+def test_overlapping_poses_put_photodiodes_where_their_neighbours_look() -> None:
+    plan = planned("[overlap]\npoints = 2\n", COARSE)
+    assert {pose[2:] for pose in poses(plan)} - {pose[2:] for pose in poses(planned(grids=COARSE))} == {
+        (0.0, 5.0),
+        (180.0, 5.0),
+    }
+
+
+def test_the_open_beam_meets_a_photodiode_of_the_far_arc() -> None:
+    plan = planned('open_beam = true\nside = "both"\n', "sigma_deg = [0, 32]\nbeta_deg = [0]\nwavelength_nm = [500, 600]\n")
+    rows = [row for row in plan.rows if row.kind == "measure" and row.sample == NOTHING]
+    assert all(row.identity.startswith("nothing/open beam/") for row in rows)
+    assert Counter(row.pose for row in rows) == {
+        (0.0, 0.0, 180.0, 0.0): 2, (0.0, 32.0, 180.0, 2.0): 2, (0.0, 180.0, 180.0, 0.0): 2, (0.0, 148.0, 180.0, 2.0): 2,
+    }  # fmt: skip
+    assert [row.sample for row in plan.rows if row.kind == "mount"] == ["etalon", "gaussian-5", NOTHING]
+
+
+def test_the_signature_is_every_pose_with_nothing_mounted_and_repeats_are_whole_passes() -> None:
+    plan = planned("signature = true\nrepeats = 2\n")
+    assert poses(plan, NOTHING) == poses(plan)
+    rows = measured(plan, NOTHING)
+    again = [row for row in rows if row.identity.endswith("/repeat 2")]
+    assert len(again) == len(rows) / 2
+    assert rows[len(again) :] == again
+
+
+# ---- between the measurements ----
+
+
+def test_darks_are_as_young_as_the_schedule_says() -> None:
+    plan = planned("dark_every_s = 15\n")
+    age = oldest = 0.0
+    for row in plan.rows:
+        age = 0.0 if row.kind in ("dark", "mount") else age + row.seconds
+        oldest = max(oldest, age)
+    assert 10.0 < oldest <= 15.0
+    kinds = [row.kind for row in plan.rows]
+    assert kinds[:2] == ["mount", "dark"]
+    assert kinds[-1] == "dark"
+
+
+def test_drift_checks_come_in_time_at_the_beginning_and_at_the_end_of_each_sample() -> None:
+    text = "signature = true\n[drift]\nevery_s = 20\nsigma_deg = 45\nbeta_deg = 90\nwavelength_nm = 550\n"
+    plan = planned(text)
+    since = 0.0
+    for row in plan.rows:
+        since = 0.0 if row.kind in ("drift", "mount") else since + row.seconds
+        assert since <= 20.0 + 4.0 * (row.kind == "dark") or row.sample == NOTHING
+    for sample in ("etalon", "gaussian-5"):
+        kinds = [row.kind for row in plan.rows if row.sample == sample]
+        assert kinds[:3] == ["mount", "dark", "drift"]
+        assert kinds[-2:] == ["drift", "dark"]
+    drifts = [row for row in plan.rows if row.kind == "drift"]
+    assert {row.pose for row in drifts} == {(0.0, 45.0, 90.0, 0.0)}
+    assert NOTHING not in {row.sample for row in drifts}
+
+
+def test_the_lamp_warms_up_first() -> None:
+    first = planned("[warm_up]\npercent_per_10min = 0.5\nlongest_s = 900\n").rows[0]
+    assert (first.kind, first.sample, first.target, first.longest_s) == ("warm-up", NOTHING, 0.005, 900.0)
+
+
+def test_automatic_gains_are_all_that_the_rig_has() -> None:
+    plan = make_plan(parse_schedule(HEAD.replace("[1e8, 1e10]", '"automatic"') + GRIDS, "small.toml"), VIRTUAL)
+    assert {(row.kind, row.automatic, row.gains) for row in plan.rows if row.kind != "mount"} == {
+        ("dark", False, (0, 1, 2, 3)), ("measure", True, (0, 1, 2, 3)),
+    }  # fmt: skip
+
+
+def test_the_next_sample_begins_where_the_last_one_ended() -> None:
+    plan = planned()
+    ends = [measured(plan, "etalon")[-1], measured(plan)[0]]
+    assert (ends[0].pose, ends[0].wavelength_nm) == (ends[1].pose, ends[1].wavelength_nm)
+
+
+# ---- what the rig cannot do ----
+
+
+def test_what_the_rig_cannot_do_names_key_reason_and_remedy() -> None:
+    assert "near_specular.shift_deg: 6 deg is outside" in refused("[near_specular]\nwithin_deg = 5\nshift_deg = [6]\n")
+    assert "drift.beta_deg: 400 deg is outside" in refused(
+        "[drift]\nevery_s = 60\nsigma_deg = 0\nbeta_deg = 400\nwavelength_nm = 550\n"
+    )
+    assert "symmetry_check.points: 99, but the rig reaches the mirror images of 6 poses; take fewer" in refused(
+        "[symmetry_check]\npoints = 99\n"
+    )
+    assert "change beta_deg or shift_deg" in refused("", GRIDS.replace("[0, 90, 180]", "[0, 270]").replace("[0, 2]", "[3, 4]"))
+    assert "near_specular: " in refused(
+        "[near_specular]\nwithin_deg = 60\nbeta_step_deg = 0.001\nshift_deg = { start = 0, stop = 5, step = 0.001 }\n"
+    )
+
+
+def test_what_comes_beyond_the_grids_counts_too() -> None:
+    message = refused(
+        "[near_specular]\nwithin_deg = 60\nbeta_step_deg = 0.5\nshift_deg = { start = 0, stop = 5, step = 0.01 }\n",
+        GRIDS.replace("[0, 30]", "{ start = 0, stop = 80, step = 10 }"),
+    )
+    assert "poses x 2 wavelengths x 1 passes" in message
+    assert "more than 1000000" in message
+
+
+def test_a_plan_that_was_made_equals_its_rows_read_back() -> None:
+    plan = planned()
+    assert plan.rows == tuple(plan.rows)
+    assert plan.rows[-1].number == len(plan.rows) - 1
+    assert plan.rows[:2] == tuple(plan.rows)[:2]
+    assert grid_values(plan.schedule.file.sigma_deg) == (0.0, 30.0)

@@ -1,0 +1,164 @@
+"""The twin that a real rig's file describes."""
+
+from pathlib import Path
+
+import pytest
+import tomlkit
+
+from app.errors import UserError
+from app.rig import AXES, RigDescription, axis_settings, open_rig, parse_rig
+from app.rig.described_twin import Described, described_twin
+from protocols.clock import VirtualClock
+from tests.conftest import RIG, Change, changed
+from twin import TwinModel
+
+
+def real_rig(*changes: Change) -> RigDescription:
+    """The example rig's file as that of a real rig, with changes."""
+    document = tomlkit.parse(changed(RIG.read_text(encoding="utf-8"), changes))
+    document.remove("twin")
+    document.remove("simulated")
+    text = tomlkit.dumps(document).replace("twin://virtual/axes", "/dev/ttyACM0").replace("twin://virtual/mono", "/dev/ttyUSB0")
+    for k in range(5):
+        text = text.replace(f"twin://virtual/adc-{k}", f"adam-{k}:502")
+    return parse_rig(text.replace("twin://virtual/monitor", "1313:8078:P0012345"), Path(), "real.toml")
+
+
+def described(*changes: Change, **models: str) -> Described:
+    return described_twin(real_rig(*changes), "etalon", ["paper"], models)
+
+
+def model(found: Described) -> TwinModel:
+    made = found.rig.model()
+    assert made is not None
+    return made
+
+
+def test_its_mechanics_are_what_the_operator_believes() -> None:
+    believed = "[axes.sigma]\nsense = -1\nzero_offset_deg = 12.5\nbacklash_deg = 0.05\nencoder_counts = 40000"
+    found = model(described(("[axes.sigma]", believed)))
+    sigma = found.axes["sigma"]
+    assert (sigma.motor, sigma.gear, sigma.sense, sigma.zero_deg) == (4, 36.0, -1, 12.5)
+    assert (sigma.backlash_deg, sigma.encoder_counts, sigma.encoder) == (0.05, 40_000, True)
+    assert found.axes["shift"].encoder is False
+
+
+def test_its_photodiodes_speeds_and_geometry_are_what_the_operator_believes() -> None:
+    found = model(
+        described(
+            ("upper_deg = [0, 5,", "upper_deg = [1, 5,"),
+            ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e5, 1e7]\nconversions_per_s = 10"),
+            ("baudrate = 9600", "baudrate = 9600\nslew_nm_per_s = 90.0\nshutter_s = 0.4"),
+            ("arc_radius_mm = 300.0", "arc_radius_mm = 320.0\nfield_deg = 1.5"),
+        )
+    )
+    assert found.photodiodes.upper_deg[:2] == (1.0, 5.0)
+    assert found.electronics.gains_v_per_a == (1e5, 1e7)
+    assert found.electronics.conversions_per_s == 10
+    assert (found.monochromator.slew_nm_per_s, found.monochromator.shutter_s) == (90.0, 0.4)
+    assert (found.instrument.arc_radius_mm, found.instrument.field_deg) == (320.0, 1.5)
+
+
+@pytest.mark.parametrize("change", [[], [("[axes.sigma]", "[axes.sigma]\nsense = -1"), ("gear = 36.0 ", "gear = 35.0 ")]])
+def test_whatever_the_operator_believes_an_axis_goes_where_it_is_sent(change: list[Change]) -> None:
+    """So a wrong sense or gear cannot be found by it: the docstring says so."""
+    found = described(*change)
+    with open_rig(found.rig, VirtualClock()) as opened:
+        opened.connect()
+        axis = opened.rig.axes["sigma"]
+        pending = axis.start(30.0)
+        while not pending.poll():
+            opened.rig.clock.sleep_until(pending.due)
+        assert opened.virtual is not None
+        assert opened.virtual.plant.angle_deg("sigma", opened.rig.clock.now()) == pytest.approx(30.0, abs=0.001)
+
+
+def test_what_the_file_does_not_say_is_told() -> None:
+    found = described()
+    assert [each.partition(" ")[0] for each in found.assumed] == ["lamp,", "etalon", "paper"]
+    assert "Gaussian of 5 deg" in found.assumed[2]
+    assert "--sample paper=MODEL" in found.assumed[2]
+    assert "reflectance of 0.99" in found.assumed[1]
+
+
+def test_what_somebody_has_said_of_a_sample_is_not_assumed() -> None:
+    found = described(paper="lambertian:reflectance=0.5+gaussian:width_deg=3,reflectance=0.3")
+    assert not any("paper" in each for each in found.assumed)
+    assert model(found).samples["paper"].name == "lambertian 0.5 + gaussian 3 deg one_over_e luminance"
+
+
+@pytest.mark.parametrize("words", ["plaster", "gaussian:width=3", "table:"])
+def test_a_model_that_is_none_is_refused(words: str) -> None:
+    with pytest.raises(UserError, match="--sample"):
+        described(paper=words)
+
+
+def test_its_file_is_a_whole_rig_file() -> None:
+    """A rehearsal's journal has it, and can be reduced by whoever gets it."""
+    found = described(paper="gaussian:width_deg=2,form=half_width")
+    again = parse_rig(found.rig.text, found.rig.folder, "again")
+    assert again.simulated
+    assert again.model_hash() == found.rig.model_hash()
+    assert all(address.startswith("twin://") for address in again.file.addresses)
+    believed = axis_settings(real_rig().file)
+    assert {name: axis_settings(again.file)[name] for name in AXES} == believed
+
+
+def test_a_virtual_rig_stays_what_it_is() -> None:
+    virtual = parse_rig(RIG.read_text(encoding="utf-8"), RIG.parent, str(RIG))
+    assert described_twin(virtual, "etalon", ["gaussian-5"], {}) == Described(virtual, ())
+    other = described_twin(virtual, "etalon", ["gaussian-5"], {"gaussian-5": "gaussian:width_deg=7"})
+    assert other.assumed == ()
+    assert other.rig.file.twin is not None
+    assert virtual.file.twin is not None
+    assert other.rig.file.twin.axes == virtual.file.twin.axes
+    assert other.rig.file.twin.samples["etalon"] == virtual.file.twin.samples["etalon"]
+
+
+def test_limit_switches_stand_beyond_the_soft_limits_and_stop_nothing() -> None:
+    switches = "[axes.beta]\nswitches = true\nright_polarity = 1\nleft_polarity = 1"
+    found = described(("[axes.beta]", switches))
+    beta = model(found).axes["beta"]
+    assert (beta.lower_switch_deg, beta.upper_switch_deg) == (-6.0, 361.0)
+    assert sum("beta's limit switches" in each for each in found.assumed) == 2
+    with open_rig(found.rig, VirtualClock()) as opened:
+        opened.connect()
+        switched = opened.rig.axes["beta"].switches()
+        assert not switched.right
+        assert not switched.left
+
+
+def test_what_the_twin_has_in_one_kind_only_is_of_that_kind_and_told() -> None:
+    found = described(
+        ("baudrate = 9600", "baudrate = 19200"),
+        ("range_a = 500e-9", 'range_a = 50e-9\ndialect = "b2980"'),
+        ("gain_uncertainty = 0.001", "conversions_per_s = 60.0"),
+    )
+    told = " ".join(found.assumed)
+    assert all(each in told for each in ("9600 Bd", "PM100D", "2.8e-07 A", "100 conversions"))
+    with open_rig(found.rig, VirtualClock()) as opened:
+        opened.connect()
+
+
+def test_modules_of_one_motor_each_share_a_bus() -> None:
+    changes = [
+        (f"motor = {motor}\ngear", f"motor = 0\nmodule = {module}\ngear") for module, motor in ((1, 3), (2, 4), (3, 5), (4, 0))
+    ]
+    found = described(*changes)
+    controller = model(found).controller
+    assert (controller.kind, controller.wire) == ("tmcm-1240", "rs485")
+    with open_rig(found.rig, VirtualClock()) as opened:
+        opened.connect()
+
+
+def test_converters_on_a_serial_line_are_such() -> None:
+    units = ", ".join(f'"twin://virtual/adc-{k}"' for k in range(5))
+    lines = ", ".join(f'"rtu:/dev/ttyUSB1?unit={k + 1}&baudrate=19200"' for k in range(5))
+    found = described(
+        (f"units = [{units}]", f"units = [{lines}]"),
+        ('kind = "adam-6017"', 'kind = "adam-4117"'),
+        ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e10]"),
+    )
+    assert (model(found).electronics.module, model(found).electronics.baudrate) == ("adam-4117", 19200)
+    with open_rig(found.rig, VirtualClock()) as opened:
+        opened.connect()

@@ -1,0 +1,60 @@
+"""`goniotwin rehearse`, as people and programs call it, and a campaign in real time against its rehearsal."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import RIG, Writer
+from tests.system.conftest import Serve
+from tests.system.test_command import answer, goniotwin
+
+
+def test_a_rehearsal_is_one_json_object_and_its_points_are_a_csv(write_schedule: Writer, tmp_path: Path) -> None:
+    schedule, kept, points = write_schedule(), tmp_path / "kept.journal", tmp_path / "points.csv"
+    found = answer(goniotwin("rehearse", schedule, "--rig", RIG, "--out", kept, "--points", points, "--json"))
+    assert found["simulated"] is True
+    assert found["rows"] == found["planned"]
+    assert kept.stat().st_size == found["journal_bytes"]
+    assert points.read_text(encoding="utf-8").startswith("# SIMULATED")
+
+
+def test_it_tells_a_person_the_same_and_that_it_is_simulated(write_schedule: Writer) -> None:
+    done = goniotwin("rehearse", write_schedule(), "--rig", RIG)
+    assert done.returncode == 0
+    assert done.stdout.startswith("SIMULATED: small rehearsed on virtual goniophotometer")
+    for word in ("duration", "axes", "counts", "uncertainty", "lamp", "journal"):
+        assert f"\n  {word}" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (["--sample", "paper=lambertian"], "has no such sample"),
+        (["--sample", "gaussian-5"], "write NAME=MODEL"),
+        (["--sample", "gaussian-5=plaster"], "there is no model 'plaster'"),
+        (["--sample", "etalon=lambertian", "--sample", "etalon=lambertian"], "is given twice"),
+    ],
+)
+def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[str], told: str) -> None:
+    done = goniotwin("rehearse", write_schedule(), "--rig", RIG, *given)
+    assert done.returncode == 2
+    assert told in " ".join(done.stderr.split())
+    assert done.stdout == ""
+
+
+@pytest.mark.long
+def test_a_campaign_in_real_time_takes_as_long_as_its_rehearsal(serve: Serve, write_schedule: Writer, tmp_path: Path) -> None:
+    """Over pseudo-terminals, TCP and USB/IP, at the speed of a real rig; rows of some seconds, as they usually are.
+
+    What is longer in real time is an exchange with a busy process, a millisecond or two in place of 0.4 ms.
+    """
+    usual = (("sigma_deg = [30]", "sigma_deg = [0, 30, 60]"), ("[0, 1]", "[0]"), ("[1e8, 1e10]", "[1e8]"))
+    schedule = write_schedule(*usual, ("readings = 2", "readings = 12"), ("dark_readings = 4", "dark_readings = 16"))
+    rig = tmp_path / "served.toml"
+    rehearsed = answer(goniotwin("rehearse", schedule, "--rig", RIG, "--json"))
+    serve(RIG, "--speed", 1, "--write-rig", rig)
+    done = answer(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "real.journal", "--json"))
+    assert done["state"] == "done"
+    assert done["duration_s"] == pytest.approx(rehearsed["duration_s"], rel=0.02)
+    again = answer(goniotwin("rehearse", schedule, "--rig", rig, "--json"))  # by what the served rig's file describes
+    assert again["duration_s"] == pytest.approx(done["duration_s"], rel=0.02)

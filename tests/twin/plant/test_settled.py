@@ -1,0 +1,91 @@
+"""What has settled is not computed again for each reading; and nothing that is changed, however, is overlooked by that."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.rig import read_rig
+from tests.conftest import RIG
+from twin import TwinModel
+from twin.plant import Plant
+from twin.plant.motion import moving
+from twin.plant.shaft import Leash
+from twin.plant.timeline import Timeline
+
+STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
+"""Between two questions, s: several within a conversion, and long enough for everything to be at rest."""
+
+
+@pytest.fixture(scope="module")
+def model() -> TwinModel:
+    made = read_rig(RIG).model()
+    assert made is not None
+    return made
+
+
+def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
+    """Changes something, or nothing; now and then in the past, as a module does whose host has been silent."""
+    match kind:
+        case 0:
+            plant.gain[choice % plant.modules].set(t, choice % 4)
+        case 1:
+            plant.shutter_open.set(t, choice % 5 > 0)
+        case 2:
+            plant.wavelength_nm.slew(t, t + 0.1 * (choice % 10), (500.0, 550.0, 600.0)[choice % 3])
+        case 3:
+            plant.mount(("etalon", "gaussian-5", None)[choice % 3], t)
+        case 4:
+            plant.tilt_sample((0.0, 0.05)[choice % 2], t)
+        case 5:
+            shaft = list(plant.shafts.values())[choice % 4]
+            begun = t - (0.0, 0.4)[choice % 2]
+            here = shaft.drive(begun).counter(begun)
+            way = moving(begun, here, 0.0, here + 40.0 * (choice - 500), 3e4, 6e4, 6e4)
+            shaft.follow(begun, way, 6e4, Leash(t + (0.1, 60.0)[choice % 2]))
+        case 6:
+            plant.fade(choice % 36, 0.9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from(STEPS), st.integers(0, 9), st.integers(0, 1000)), min_size=20, max_size=60),
+)
+def test_every_reading_is_that_of_a_plant_that_remembers_nothing(
+    model: TwinModel, history: list[tuple[float, int, int]]
+) -> None:
+    kept, fresh, t = Plant(model), Plant(model), 3.0
+    for plant in (kept, fresh):
+        plant.mount("etalon", 0.0)
+        plant.shutter_open.set(0.0, True)
+    for step, kind, choice in history:
+        t += step
+        for plant in (kept, fresh):
+            disturb(plant, t, kind, choice)
+        fresh._lit = ((), np.zeros(0))
+        module = choice % kept.modules
+        np.testing.assert_array_equal(kept.volts(module, t), fresh.volts(module, t))
+
+
+def test_a_leash_that_runs_out_after_a_reading_shows_in_the_next(model: TwinModel) -> None:
+    plant = Plant(replace(model, noise=False))
+    plant.mount("gaussian-5", 0.0)
+    plant.shutter_open.set(0.0, True)
+    before = plant.volts(0, 10.0)
+    sigma = plant.shafts["sigma"]
+    sigma.follow(10.0, moving(10.0, 0.0, 0.0, 153_600.0, 51_200.0, 51_200.0, 51_200.0), 51_200.0, Leash(11.0))
+    moved = plant.volts(0, 30.0)
+    assert np.abs(moved - before).max() > 1e-5
+    sigma.follow(11.0, moving(11.0, sigma.drive(11.0).counter(11.0), 0.0, 0.0, 51_200.0, 51_200.0, 51_200.0))  # in the past
+    np.testing.assert_allclose(plant.volts(0, 30.0), before, atol=1e-6)  # the lamp drifts
+
+
+def test_since_when_a_value_holds() -> None:
+    line = Timeline("a", keep=2)
+    assert line.held_since(0.0) == float("-inf")
+    line.set(1.0, "b")
+    line.set(2.0, "c")
+    assert [line.held_since(t) for t in (0.0, 1.5, 2.0, 9.0)] == [1.0, 1.0, 2.0, 2.0]
+    assert (line.newest, line.last_change) == ("c", 2.0)
