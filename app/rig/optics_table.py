@@ -23,6 +23,7 @@ class OpticsTable(Table):
     pupil_radius_mm: PositiveFloat = 5.0
     mirror_distance_mm: PositiveFloat = 200.0
     mirror_side_mm: PositiveFloat = 20.0
+    mirror_mount_mm: Annotated[float, Field(ge=0.0)] = 0.0
     mirror_reflectance: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
     spot_side_mm: PositiveFloat = 5.0
     arc_radius_mm: PositiveFloat = 300.0

@@ -209,6 +209,7 @@ class GeometryTable(Table):
 
     mirror_distance_mm: PositiveFloat = 200.0
     mirror_side_mm: PositiveFloat = 20.0
+    mirror_mount_mm: Annotated[float, Field(ge=0.0)] = 0.0
     spot_side_mm: PositiveFloat = 5.0
     arc_radius_mm: PositiveFloat = 300.0
     detector_diameter_mm: PositiveFloat = 5.0

@@ -92,7 +92,7 @@ def trace(
             meet_nothing(buffer, count)
             if stage.obstruction:
                 for m in range(3):
-                    meet_mirror(buffer, count, stage.mirrors[m], stage.mirror_half)
+                    meet_mirror(buffer, count, stage.mirrors[m], stage.blocking_half)
             if stage.gap > 0.0:
                 meet_frame(buffer, count, stage.hole_half, stage.gap)
             if detectors > 0:

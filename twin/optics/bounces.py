@@ -1,8 +1,8 @@
 """What becomes of light after its first scattering: mirrors, frames and the sample again, until it leaves or is absorbed.
 
 Few paths come here, so each is traced by itself and in double precision. Mirrors reflect on their front and absorb on their
-back; frames keep their share of the paths, with their whole weight; the sample scatters to its lobes. After three interactions
-a path goes on with the share of its weight that the sample left it, and with its former weight.
+back, their mounts absorb; frames keep their share of the paths, with their whole weight; the sample scatters to its lobes.
+After three interactions a path goes on with the share of its weight that the sample left it, and with its former weight.
 """
 
 import math
@@ -28,13 +28,14 @@ NEAR = 1e-6
 
 
 class Stage(NamedTuple):
-    """What light can meet, in the sample's frame, mm: `mirrors` (3, 4, 3) and their half side, of which there are none for
-    scattered light without `obstruction`; their `reflectance` (91,) at incidences of 0 to 90 deg; half sides of hole and
-    frames, the gap and the frames' reflectance; `most` interactions of a path.
+    """What light can meet, in the sample's frame, mm: `mirrors` (3, 4, 3), their half side and that with the mount, of which
+    there are none for scattered light without `obstruction`; their `reflectance` (91,) at incidences of 0 to 90 deg; half
+    sides of hole and frames, the gap and the frames' reflectance; `most` interactions of a path.
     """
 
     mirrors: Floats
     mirror_half: float
+    blocking_half: float
     obstruction: bool
     reflectance: Floats
     hole_half: float
@@ -52,7 +53,7 @@ def next_surface(
     surface, nearest = NOTHING, math.inf
     if stage.obstruction:
         for m in range(3):
-            distance = distance_to(stage.mirrors, m, stage.mirror_half, px, py, pz, dx, dy, dz)
+            distance = distance_to(stage.mirrors, m, stage.blocking_half, px, py, pz, dx, dy, dz)
             if NEAR < distance < nearest:
                 surface, nearest = m, distance
     # Without a gap all three are in one plane, and what the light meets first is the frame on its own side.
@@ -65,6 +66,15 @@ def next_surface(
         if out <= stage.frame_half and (sheet == 1 or out > stage.hole_half):
             surface, nearest = UPPER + sheet, distance
     return surface, nearest
+
+
+@njit(cache=True, error_model="numpy")
+def on_mount(stage: Stage, m: int, px: float, py: float, pz: float) -> bool:
+    """Whether a place in the plane of mirror m is beyond its edges."""
+    x, y, z = px - stage.mirrors[m, 0, 0], py - stage.mirrors[m, 0, 1], pz - stage.mirrors[m, 0, 2]
+    u = x * stage.mirrors[m, 2, 0] + y * stage.mirrors[m, 2, 1] + z * stage.mirrors[m, 2, 2]
+    v = x * stage.mirrors[m, 3, 0] + y * stage.mirrors[m, 3, 1] + z * stage.mirrors[m, 3, 2]
+    return bool(max(abs(u), abs(v)) > stage.mirror_half)
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,7 +115,7 @@ def bounce(
         if mirrored:
             nx, ny, nz = stage.mirrors[surface, 1, 0], stage.mirrors[surface, 1, 1], stage.mirrors[surface, 1, 2]
             along = dx * nx + dy * ny + dz * nz
-            if along >= 0.0:
+            if along >= 0.0 or on_mount(stage, surface, px, py, pz):
                 return
             weight *= at_angle(stage.reflectance, -along)
             dx, dy, dz = dx - 2.0 * along * nx, dy - 2.0 * along * ny, dz - 2.0 * along * nz

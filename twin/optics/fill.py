@@ -15,7 +15,7 @@ from twin.optics.wide_aperture import wide_apertures
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_nodes(
     centres: Floats, axes: Floats, sizes: Floats, wide: bool, cone: Floats, side: Floats, hole: Floats, hexagon: Floats,
-    pupil: Floats, mirrors: Floats, half: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
+    pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
 ) -> None:  # fmt: skip
     """Fills `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
 
@@ -36,9 +36,9 @@ def fill_nodes(
         for k in range(first, last):
             status[k] = PARTLY if clipped else FREE
             if obstruction and w[k - first + M] > 0.0:
-                mirrors_near(mirrors, half, centres[k], sizes, near)
+                mirrors_near(mirrors, blocking, centres[k], sizes, near)
                 if near[0] + near[1] + near[2] > 0.0:
-                    status[k] = max(status[k], shadow(mirrors, near, half, centres[k], axes[k], sizes))
+                    status[k] = max(status[k], shadow(mirrors, near, blocking, centres[k], axes[k], sizes))
             if status[k] == HIDDEN:
                 for j in range(NODES):
                     rays[0, j * count + k] = 0.0
@@ -47,18 +47,21 @@ def fill_nodes(
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_rays(
     centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, mirrors: Floats, images: Floats,
-    half: float, obstruction: bool, clipped: bool, rays: Floats,
+    half: float, blocking: float, obstruction: bool, clipped: bool, rays: Floats,
 ) -> None:  # fmt: skip
-    """Fills `rays` (7, bundle) with a whole bundle of one detector, those that a mirror cuts weighing nothing."""
+    """Fills `rays` (7, bundle) with a whole bundle of one detector, those that a mirror cuts weighing nothing.
+
+    `half` is a mirror's half side, mm, and `blocking` that with its mount.
+    """
     axes, near = np.zeros((4, 3)), np.zeros(3)
     view(centre, d, axes)
     if obstruction:
-        mirrors_near(mirrors, half, centre, sizes, near)
+        mirrors_near(mirrors, blocking, centre, sizes, near)
     crowded = near[0] + near[1] + near[2] > 0.0
     share = 4.0 * sizes[1] * sizes[1] / bundle.shape[0]
     for j in range(bundle.shape[0]):
         weight, px, py, wx, wy, wz, length = detector_ray(axes, bundle, slopes, j, sizes)
-        if weight > 0.0 and crowded and hidden(mirrors, near, half, length, px, py, wx, wy, wz):
+        if weight > 0.0 and crowded and hidden(mirrors, near, blocking, length, px, py, wx, wy, wz):
             weight = 0.0
         lx, ly, lz, gain = arrival(px, py, bundle[j, 4], bundle[j, 5], pupil, images, half, clipped)
         rays[0, j] = share * weight * gain

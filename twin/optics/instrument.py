@@ -20,8 +20,8 @@ class Instrument:
     diameter with an acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of
     0.7 deg (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
 
-    `field_deg` is the full width of a detector's acceptance cone. `obstruction` says whether the mirrors hide
-    directions from the detectors.
+    `field_deg` is the full width of a detector's acceptance cone. `obstruction` says whether the mirrors, and the mounts that
+    reach `mirror_mount_mm` beyond their edges all round and are black, hide directions from the detectors.
 
     Without a `sensor` detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count what is within the
     cone. With one each detector is such a unit, its lens where the disc was, and these two are the lens' diameter and the
@@ -39,6 +39,7 @@ class Instrument:
     pupil_to_mirror_mm: float = 200.0
     mirror_distance_mm: float = 200.0
     mirror_side_mm: float = 20.0
+    mirror_mount_mm: float = 0.0
     mirror_reflectance: float | Reflectance = 0.95
     spot_side_mm: float = 5.0
     arc_radius_mm: float = 300.0
@@ -55,6 +56,8 @@ class Instrument:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if entry.name in ("obstruction", "deviations", "sensor") or isinstance(value, Reflectance):
+                continue
+            if entry.name == "mirror_mount_mm" and value == 0.0:
                 continue
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{entry.name} is {value!r}: give a positive, finite number")
@@ -82,6 +85,11 @@ class Instrument:
                 "use the forward estimator, which traces lens, diaphragm and detector"
             )
         return replace(self, sensor=None)
+
+    @property
+    def blocking_side_mm(self) -> float:
+        """Side of the square that is in the light's way: a mirror with its mount."""
+        return self.mirror_side_mm + 2.0 * self.mirror_mount_mm
 
     @property
     def pupil_distance_mm(self) -> float:

@@ -128,5 +128,5 @@ def visible_fraction(
         instrument = replace(instrument, sensor=None, field_deg=instrument.sensor.widest_deg)
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     centres, axes = scene.detectors(instrument, directions)
-    half = 0.5 * instrument.mirror_side_mm
+    half = 0.5 * instrument.blocking_side_mm
     return np.asarray(visible(centres, axes, ray_bundle(rays), aperture_sizes(instrument), scene.mirrors, half))

@@ -143,7 +143,7 @@ class _Score:
         self._cone, self._side, self._hole_nodes, partly = rule
         self._sizes = aperture_sizes(instrument)
         self._wide = bool(self._sizes[2] * instrument.arc_radius_mm > WIDE * self._sizes[0])
-        self._half = 0.5 * instrument.mirror_side_mm
+        self._half, self._blocking = 0.5 * instrument.mirror_side_mm, 0.5 * instrument.blocking_side_mm
         self._obstruction = instrument.obstruction
         self._bundle = ray_bundle(partly if rays is None else rays)
         self._slopes = cone(self._bundle, self._sizes)
@@ -168,7 +168,7 @@ class _Score:
             rays, status = np.empty((7, NODES * count)), np.empty(count, dtype=np.int64)
             fill_nodes(
                 centres, axes, self._sizes, self._wide, self._cone, self._side, self._hole_nodes, HEXAGON, scene.pupil,
-                scene.mirrors, self._half, self._obstruction, scene.clipped, rays, status,
+                scene.mirrors, self._blocking, self._obstruction, scene.clipped, rays, status,
             )  # fmt: skip
             for lobe, row in zip(self._lobes, sums, strict=True):
                 if lobe.kind not in TABULATED:
@@ -201,7 +201,7 @@ class _Score:
         for k in rest:
             fill_rays(
                 centres[k], axes[k], self._bundle, self._slopes, self._sizes, scene.pupil, scene.mirrors, scene.images,
-                self._half, self._obstruction, scene.clipped, rays,
+                self._half, self._blocking, self._obstruction, scene.clipped, rays,
             )  # fmt: skip
             whole = rays[0].sum()
             share = 1.0 if taken is None else taken[k] / whole if whole > 0.0 else 0.0
@@ -215,5 +215,5 @@ class _Score:
         seen = np.ones_like(row)
         lit = np.flatnonzero(row) if self._obstruction else np.empty(0, dtype=np.int64)
         if lit.size:
-            seen[lit] = visible(centres[lit], axes[lit], self._bundle, self._sizes, self._scene.mirrors, self._half)
+            seen[lit] = visible(centres[lit], axes[lit], self._bundle, self._sizes, self._scene.mirrors, self._blocking)
         return seen

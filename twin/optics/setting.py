@@ -90,6 +90,7 @@ def set_up(
         Stage(
             scene.mirrors,
             0.5 * instrument.mirror_side_mm,
+            0.5 * instrument.blocking_side_mm,
             instrument.obstruction,
             share_reflected(instrument.mirror_reflectance, wavelength_nm, np.arange(91.0)),
             beam.hole_half,

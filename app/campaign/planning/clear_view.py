@@ -34,7 +34,7 @@ def certainly_clear(instrument: Instrument, margin_deg: float, sigma_deg: float,
 def _near(instrument: Instrument, light_mm: float, centre: Floats, directions: Floats) -> Flags:
     along = directions @ centre
     nearest = np.clip(along, 0.0, instrument.arc_radius_mm)
-    reach = light_mm + math.sqrt(0.5) * instrument.mirror_side_mm
+    reach = light_mm + math.sqrt(0.5) * instrument.blocking_side_mm
     return np.asarray(float(centre @ centre) - 2.0 * nearest * along + nearest * nearest <= reach * reach)
 
 
@@ -60,7 +60,7 @@ def _passes(
                 [share, share * (way @ u) - float((centre - begin) @ u), share * (way @ v) - float((centre - begin) @ v)]
             )
         low, high = np.minimum(low, met), np.maximum(high, met)
-    half = 0.5 * instrument.mirror_side_mm
+    half = 0.5 * instrument.blocking_side_mm
     beyond_an_edge = (low[1:] > half).any(axis=0) | (high[1:] < -half).any(axis=0)
     between = (low[0] > 0.0) & (high[0] < 1.0)
     return np.asarray((between & beyond_an_edge) | (high[0] < 0.0) | (low[0] > 1.0))

@@ -5,9 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from twin.optics import Instrument, from_specular, light_direction, throughput, visible_fraction
+from tests.twin.optics.agreement import agree
+from twin.optics import Instrument, forward, from_specular, light_direction, throughput, visible_fraction
+from twin.optics.bounces import on_mount
+from twin.optics.holder import SampleFrames
 from twin.optics.mirrors import ALONG_Y
 from twin.optics.scattering import lambertian
+from twin.optics.setting import set_up
 
 SIGMA = 30.0
 
@@ -65,3 +69,38 @@ def test_what_is_hidden_is_missing_from_the_throughput() -> None:
     without = throughput(Instrument(obstruction=False), SIGMA, directions, lambertian(), rays=1024)
     # The same rays; what the two differ by is how a beam of 0.7 deg weighs them, at most 1 % of a ray.
     assert with_mirrors / without == pytest.approx(share, abs=3e-3)
+
+
+def test_a_mount_hides_as_a_larger_mirror_does_and_neither_adds_to_the_beam_nor_takes_from_it() -> None:
+    mounted, larger = Instrument(mirror_mount_mm=10.0), Instrument(mirror_side_mm=40.0)
+    directions = from_specular(SIGMA, 2.0 * SIGMA + np.arange(-8.0, 8.0, 0.5), 0.0)
+    seen = visible_fraction(mounted, SIGMA, directions)
+    np.testing.assert_array_equal(seen, visible_fraction(larger, SIGMA, directions))
+    assert np.count_nonzero(seen < 1.0) > np.count_nonzero(visible_fraction(Instrument(), SIGMA, directions) < 1.0)
+    np.testing.assert_allclose(
+        throughput(mounted, SIGMA, directions, lambertian()), throughput(larger, SIGMA, directions, lambertian()), rtol=1e-12
+    )
+    small = Instrument(mirror_side_mm=7.0, mirror_mount_mm=20.0, obstruction=False)
+    bare = Instrument(mirror_side_mm=7.0, obstruction=False)
+    far = from_specular(SIGMA, np.arange(10.0, 40.0, 5.0), 90.0)
+    np.testing.assert_array_equal(throughput(small, SIGMA, far, lambertian()), throughput(bare, SIGMA, far, lambertian()))
+
+
+def test_both_estimators_know_mounts() -> None:
+    mounted = Instrument(mirror_mount_mm=15.0, detector_diameter_mm=20.0, field_deg=4.0)
+    directions = from_specular(SIGMA, 2.0 * SIGMA + np.arange(-16.0, 16.1, 4.0), 0.0)
+    traced = forward(mounted, SIGMA, directions, lambertian(), 8_000_000, seed=5)
+    visible = visible_fraction(mounted, SIGMA, directions)
+    seen = visible == 1.0
+    assert 2 <= np.count_nonzero(seen) < seen.size
+    agree(traced.single_m2sr[seen], traced.single_error[seen], throughput(mounted, SIGMA, directions, lambertian())[seen], 0.0)
+    assert not np.any(traced.single_m2sr[visible == 0.0])
+
+
+@pytest.mark.parametrize("mirror", [0, 1, 2])
+def test_light_that_meets_a_mount_ends_there(mirror: int) -> None:
+    instrument = Instrument(mirror_mount_mm=5.0)
+    stage = set_up(instrument, SIGMA, [[0.0, 0.0, 1.0]], lambertian(), 0.0, None, None, 8, SampleFrames()).stage
+    centre, _, along, across = stage.mirrors[mirror]
+    for u, v, mount in ((0.0, 0.0, False), (9.9, -9.9, False), (10.1, 0.0, True), (0.0, -10.1, True), (-14.9, 14.9, True)):
+        assert on_mount(stage, mirror, *(centre + u * along + v * across)) is mount
