@@ -19,8 +19,6 @@ from twin.optics.meeting import distance_to
 from twin.optics.mirrors import mirrors_at, placed, pupil, unfolding
 
 UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
-SLACK_DEG = 10.0
-"""Beyond its range a mirror unit may stand by what an axis overshoots or a sample leans."""
 SCENES_KEPT = 64
 """A campaign has hundreds of poses of the arc for each place of the mirror unit."""
 
@@ -81,12 +79,10 @@ class Scene:
 def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -> Scene:
     """The instrument with its mirror unit at `sigma_deg` and its sample unit at `gamma_deg`.
 
-    Raises ValueError for angles that are not finite, and for a sigma far from 0 to 180.
+    A mirror unit whose axis was told wrong may stand anywhere. Raises ValueError for angles that are not finite.
     """
     if not (math.isfinite(sigma_deg) and math.isfinite(gamma_deg)):
         raise ValueError(f"sigma_deg is {sigma_deg!r}, gamma_deg {gamma_deg!r}: give both in degrees")
-    if not -SLACK_DEG <= sigma_deg <= 180.0 + SLACK_DEG:
-        raise ValueError(f"sigma_deg is {sigma_deg:g}: the mirror unit turns from 0 to 180 deg")
     back = math.cos(math.radians(sigma_deg)) < 0.0
     to_sample, origin = _sample_frame(instrument.deviation("sample"), gamma_deg, back)
     own = np.eye(4)
