@@ -24,6 +24,7 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Key = tuple[str, float | None, float, float, float]
 DARKS_KEPT = 8
+CUTS_KEPT = 512
 GRID_DEG = 0.5
 
 
@@ -56,7 +57,7 @@ class LiveCut:
     plan: Plan
     _key: Key | None = None
     _row: Row | None = None
-    _points: list[Points] = field(default_factory=list)
+    _cuts: dict[Key, list[Points]] = field(default_factory=dict)
     _spans: tuple[tuple[float, float], ...] = ()
     _darks: deque[Committed] = field(default_factory=lambda: deque(maxlen=DARKS_KEPT))
     _etalon: dict[tuple[object, ...], Signal] = field(default_factory=dict)
@@ -65,14 +66,18 @@ class LiveCut:
         """Takes a row in. Raises UserError where it cannot be reduced."""
         row = event.row
         if row.kind == "measure" and _key(row) != self._key:
-            self._key, self._row, self._points = _key(row), row, []
+            self._key, self._row = _key(row), row
             self._spans = _hidden_spans(self.plan.rig, row)
+            # A plan may come back to a cut after others: what has been seen of it is shown again.
+            self._cuts[self._key] = self._cuts.pop(self._key, [])
+            if len(self._cuts) > CUTS_KEPT:
+                del self._cuts[next(iter(self._cuts))]
         if isinstance(event, RowCommitted):
             committed = Committed(row, event.data)
             if row.kind == "dark":
                 self._darks.append(committed)
             elif row.kind == "measure" and event.data.readings and self._has_etalon(row):
-                self._points.append(self._reduced(committed))
+                self._cuts[_key(row)].append(self._reduced(committed))
 
     def _has_etalon(self, row: Row) -> bool:
         return row.sample == self.plan.schedule.file.etalon or (row.wavelength_nm, row.pose) in self._etalon
@@ -96,7 +101,7 @@ class LiveCut:
             y_label="photocurrent / monitor" if etalon else "BSDF (1/sr)",
             range_deg=(float(np.min(ends)), float(np.max(ends))),
             spans_deg=self._spans,
-            points=_sorted(self._points),
+            points=_sorted(self._cuts[_key(row)]),
         )
 
     def _reduced(self, committed: Committed) -> Points:

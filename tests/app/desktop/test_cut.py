@@ -50,6 +50,31 @@ def test_live_values_are_those_of_the_finished_journal(tmp_path: Path, write_rig
     assert inside == cut.points.hidden.tolist()
 
 
+def test_a_cut_to_which_the_plan_comes_back_is_shown_whole(tmp_path: Path, write_rig: Writer, write_schedule: Writer) -> None:
+    """With sigma inside, each cut is visited once for each of its betas."""
+    rig = read_rig(write_rig(*QUIET))
+    nested = 'readings = 2\norder = ["sigma", "shift", "beta", "gamma", "wavelength"]'
+    angles = ("sigma_deg = [30]", "sigma_deg = [30, 60]"), ("beta_deg = [180]", "beta_deg = [0, 180]")
+    plan = make_plan(read_schedule(write_schedule(*angles, ("\nreadings = 2", f"\n{nested}"))), rig)
+    live = LiveCut(plan)
+    with open_rig(rig, VirtualClock()) as opened, Journal.create(tmp_path / "a.journal", plan, {}) as journal:
+        opened.connect()
+        assert opened.virtual is not None
+
+        def heed(event: Event) -> None:
+            if isinstance(event, RowStarted | RowCommitted):
+                live.heed(event)
+
+        assert Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [heed]).run() is State.DONE
+        found = reduce_journal(journal).samples["gaussian-5"]
+    cut = live.cut()
+    assert cut is not None
+    last = next(row for row in reversed(plan.rows) if row.pose is not None)
+    assert last.pose is not None
+    here = found.where(found.sigma_deg == last.pose[1])
+    assert cut.points.x_deg == pytest.approx(np.sort(signed_theta(here)), abs=1e-9)
+
+
 @pytest.fixture
 def plot(qtbot: QtBot) -> CutPlot:
     plot = CutPlot(LIGHT)
