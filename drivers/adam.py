@@ -14,8 +14,8 @@ What the wires let one detect, and what they do not:
   readings, whose scatter shows one that does not belong.
 * A module that has reset and forgotten gain and ranges answers as if nothing had been. A canary shows it, one exchange
   after each group of readings: the outputs where one is on, else the ranges. After each change of gain, which would hide
-  a reset before it, both are read. (It holds if the outputs' power-on values are left at off.) At intervals name, ranges,
-  outputs and enabled channels are all read back.
+  a reset before it, both are, once the readings are there. (It holds if the outputs' power-on values are left at off.) At
+  intervals name, ranges, outputs and enabled channels are all read back.
 
 A read, and the writing of a setting to a value, are repeated once after a fault. Five timeouts are the most that a call
 takes, and that only with the first fault.
@@ -31,10 +31,11 @@ from protocols.clock import Clock
 
 WRITE_COILS, WRITE_REGISTERS = 15, 16
 CHECK_EVERY_S = 60.0
+Check = Callable[[], None]
 
 
 class AdamModule(AdamWire):
-    """One module. All its calls take one exchange, unless something goes wrong; only connect and reconnect take several."""
+    """One module. Its calls take one exchange, unless something goes wrong; only connect, reconnect and check take several."""
 
     def __init__(self, name: str, unit: ModbusUnit, model: adam.Model, range_code: int, clock: Clock) -> None:
         super().__init__(name, unit, model)
@@ -42,7 +43,7 @@ class AdamModule(AdamWire):
         self._ranges = [range_code] * adam.CHANNELS
         self._clock = clock
         self._outputs: list[bool] | None = None
-        self._written = False
+        self._written = self._proved = False
         self._set_up = False
         self._forgotten: str | None = None
         self._checked = clock.now()
@@ -76,10 +77,10 @@ class AdamModule(AdamWire):
         return self._registers(adam.AI_VALUE, adam.CHANNELS)
 
     def set_outputs(self, outputs: list[bool]) -> None:
-        """The digital outputs, lowest first; `check_outputs` makes sure. Raises DeviceError."""
+        """The digital outputs, lowest first; the checks make sure. Raises DeviceError."""
         doing = f"set its outputs to {_bits(outputs)}"
         call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
-        self._outputs, self._written = list(outputs), False
+        self._outputs, self._written, self._proved = list(outputs), False, False
         self._twice(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
         self._written = True
 
@@ -91,18 +92,30 @@ class AdamModule(AdamWire):
         """Reads the ranges back. Raises Forgotten where they are not what they were set to."""
         self._check_ranges(self._read_ranges)
 
-    def check(self) -> None:
-        """The canary, and now and then all settings. Raises DeviceError, Forgotten where the module has lost some."""
+    def checks(self) -> list[Check]:
+        """What readings have to be followed by before they are believed, an exchange each.
+
+        It is the canary; after a change of the outputs these and the ranges; now and then all settings. Each raises
+        DeviceError, and Forgotten where the module has lost its settings.
+        """
         if self._clock.now() - self._checked >= CHECK_EVERY_S:
-            self._check_name()
-            self._check_enabled()
-            self.check_ranges()
-            self.check_outputs()
-            self._checked = self._clock.now()
-        elif self._outputs is not None and any(self._outputs):
-            self.check_outputs()
-        else:
-            self.check_ranges()
+            return [self.check_outputs, self._prove, self._check_name, self._review]
+        if self._outputs is not None and not self._proved:
+            return [self.check_outputs, self._prove]
+        return [self.check_outputs if self._outputs is not None and any(self._outputs) else self.check_ranges]
+
+    def check(self) -> None:
+        """All of that at once. Raises DeviceError."""
+        for each in self.checks():
+            each()
+
+    def _prove(self) -> None:
+        self.check_ranges()
+        self._proved = True
+
+    def _review(self) -> None:
+        self._check_enabled()
+        self._checked = self._clock.now()
 
     def _check_outputs(self, read: Callable[[], list[bool]]) -> None:
         if self._outputs is not None and self._written and self._differs(read, self._outputs):

@@ -6,11 +6,12 @@ and the settings list that one.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.adam import AdamModule
+from drivers.adam import AdamModule, Check
 from drivers.errors import DeviceError, NoAnswer, Refused
 from drivers.modbus import ModbusUnit, explain, explain_rtu
 from drivers.pending import Pending, Until
@@ -76,22 +77,17 @@ class PhotodiodeSettings:
 
     @property
     def gain_seconds(self) -> float:
-        """Setting the gain, reading it back, and the ranges, of all modules; nothing where it is fixed."""
-        return 3 * self.modules * self.exchange_s if self.model.outputs else 0.0
+        """Setting the gain of all modules; nothing where it is fixed."""
+        return self.modules * self.exchange_s if self.model.outputs else 0.0
 
-    @property
-    def fetching_seconds(self) -> float:
-        """The last reading and the canary, of all modules."""
-        return 2 * self.modules * self.exchange_s
+    def fetching_seconds(self, *, after_change: bool) -> float:
+        """The last reading and what has to follow it, of all modules: after a change of the gain one question more."""
+        return (3 if after_change and self.model.outputs else 2) * self.modules * self.exchange_s
 
     @property
     def range(self) -> adam.Range:
         """The input range of all channels."""
         return adam.RANGES[self.range_code]
-
-    def reading_seconds(self, readings: int) -> float:
-        """From the trigger to the last of so many readings, settling included."""
-        return self.wait_s + (readings - 1) * self.period_s + self.fetching_seconds
 
 
 class PhotodiodeArray:
@@ -132,8 +128,9 @@ class PhotodiodeArray:
             module.close()
 
     def start_gain(self, gain: int) -> Pending:
-        """Has all amplifiers use the gain of that number in the settings' list; done when all outputs are read back.
+        """Has all amplifiers use the gain of that number in the settings' list; done when all modules have confirmed it.
 
+        That they have it is read back with the next readings, and these are not good before.
         Raises Refused for a gain that is not in the list.
         """
         if not 0 <= gain < len(self.settings.gains_v_per_a):
@@ -141,11 +138,7 @@ class PhotodiodeArray:
         outputs = [bool(gain >> bit & 1) for bit in range(self.settings.model.outputs)]
         if not outputs:
             return Until(self._clock, self._clock.now())
-        steps: list[Callable[[], None]] = []
-        for module in self._linked("set the gain"):
-            # Outputs that are set again hide that they were forgotten, and the ranges with them: these are read too.
-            steps += [lambda each=module: each.set_outputs(outputs), module.check_outputs, module.check_ranges]  # type: ignore[misc]
-        return Steps(self._clock, steps)
+        return Steps(self._clock, [partial(module.set_outputs, outputs) for module in self._linked("set the gain")])
 
     def start_readings(self, readings: int) -> "Readings":
         """Reads all channels so many times, once a conversion, after the settling time. Raises NoAnswer."""
@@ -198,7 +191,7 @@ class Readings:
         self._clock = clock
         self._row: list[int] = []
         self._row_started = 0.0
-        self._checked = 0
+        self._checks: list[Check] | None = None
         self._taken = 0
         self._counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
         self.due = self._first = clock.now() + settings.wait_s
@@ -228,12 +221,12 @@ class Readings:
         return np.where(self.clipped.any(axis=0), np.nan, mean)
 
     def poll(self) -> bool:
-        """Asks one module: its counts, or in the end its canary. Raises DeviceError; no reading is invented."""
+        """Asks one module: its counts, or in the end its settings. Raises DeviceError; no reading is invented."""
         if self._taken == len(self._counts):
-            if self._checked < len(self._modules):
-                self._modules[self._checked].check()
-                self._checked += 1
-            return self._checked >= len(self._modules)
+            if self._checks is None:
+                self._checks = [check for module in self._modules for check in module.checks()]
+            self._checks.pop(0)()
+            return not self._checks
         at = len(self._row) // adam.CHANNELS
         if at == 0:
             self._row_started = self._clock.now()

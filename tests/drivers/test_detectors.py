@@ -54,7 +54,9 @@ def test_readings_are_a_conversion_apart_and_all_new(opened: RigOpener) -> None:
     start = rig.clock.now()
     readings = rig.photodiodes.start_readings(32)
     wait(rig.clock, [readings])
-    assert rig.clock.now() - start == pytest.approx(rig.photodiodes.settings.reading_seconds(32), abs=0.01)
+    settings = rig.photodiodes.settings
+    expected = settings.wait_s + 31 * settings.period_s + settings.fetching_seconds(after_change=True)
+    assert rig.clock.now() - start == pytest.approx(expected, abs=0.01)
     repeated = np.all(readings.counts[1:] == readings.counts[:-1], axis=1)
     assert not repeated.any()
 

@@ -1,37 +1,15 @@
 """What stands between a Modbus wire and the modules on it: requests cut from the bytes as they come, and answered.
 
-Any split of the bytes gives the same requests. Framing, checksums and PDUs are pymodbus's; what its own server would do
-with a request (functions that these modules lack, foreign units, pipelined or malformed requests) differs from the
-modules, so the answers are made here. Both stations look like a device on a line to their doors (`twin.devices.line`).
+Any split of the bytes gives the same requests. Cut and answered they are here, byte by byte, as the Modbus specification has
+them: pymodbus, on the other side of the wire, is then the independent reader, and what its own server would do with a request
+(functions that these modules lack, foreign units, pipelined or malformed requests) differs from the modules anyway. Both
+stations look like a device on a line to their doors (`twin.devices.line`).
 """
 
 from collections import deque
-from struct import unpack
+from struct import Struct, unpack
 
-from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerRTU, FramerSocket
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
-from pymodbus.pdu.bit_message import (
-    ReadCoilsRequest,
-    ReadCoilsResponse,
-    ReadDiscreteInputsRequest,
-    ReadDiscreteInputsResponse,
-    WriteMultipleCoilsRequest,
-    WriteMultipleCoilsResponse,
-    WriteSingleCoilRequest,
-    WriteSingleCoilResponse,
-)
-from pymodbus.pdu.diag_message import ReturnQueryDataRequest, ReturnQueryDataResponse
-from pymodbus.pdu.register_message import (
-    ReadHoldingRegistersRequest,
-    ReadHoldingRegistersResponse,
-    ReadInputRegistersRequest,
-    ReadInputRegistersResponse,
-    WriteMultipleRegistersRequest,
-    WriteMultipleRegistersResponse,
-    WriteSingleRegisterRequest,
-    WriteSingleRegisterResponse,
-)
+from pymodbus.framer import FramerRTU
 
 from protocols import adam
 from twin.devices.adam import AdamModule, ModbusFault
@@ -43,6 +21,13 @@ GAP_CHARACTERS = 3.5
 BITS_A_BYTE = 10
 BROADCAST = 0
 COIL_VALUES = (0x0000, 0xFF00)
+HEADER = Struct(">HHHB")
+"""Of a TCP frame: transaction, protocol, bytes from the unit on, unit."""
+WORDS = Struct(">HH")
+EIGHT_WORDS = Struct(">8H")
+READS = (1, 2, 3, 4)
+ECHOES = (5, 6, 8, 15, 16)
+"""Functions that are confirmed with the first four bytes of the request, or all of them."""
 
 
 class TcpStation:
@@ -53,7 +38,6 @@ class TcpStation:
     def __init__(self, device: AdamModule) -> None:
         self.device = device
         self.outbox: deque[tuple[float, bytes]] = deque()
-        self._framer = FramerSocket(DecodePDU(is_server=True))
         self._buffer = b""
         self._free = 0.0
 
@@ -61,7 +45,7 @@ class TcpStation:
         """Bytes of which the last has arrived at `t`. What is not Modbus empties the buffer."""
         self._buffer += data
         while len(self._buffer) >= MBAP + 1:
-            transaction, protocol, length, unit = unpack(">HHHB", self._buffer[:MBAP])
+            transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
             if protocol != 0 or not 2 <= length <= LONGEST_TCP - MBAP + 1:
                 self._buffer = b""
                 return
@@ -72,9 +56,8 @@ class TcpStation:
             if unit == self.device.unit and not self.device.silent:
                 self._free = max(self._free, t)
                 answer = answered(self.device, frame[MBAP:], self._free)
-                answer.transaction_id, answer.dev_id = transaction, unit
                 self._free += 0.5 * self.device.latency_s  # the other half is the way here
-                self.outbox.append((self._free, self._framer.buildFrame(answer)))
+                self.outbox.append((self._free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
 
     def reset(self, t: float) -> None:
         """The module loses its power for a moment, and with it what has been half said and half heard."""
@@ -92,8 +75,6 @@ class RtuStation:
         self.devices = devices
         self.baudrate = baudrate
         self.outbox: deque[tuple[float, bytes]] = deque()
-        self._decoder = DecodePDU(is_server=True)
-        self._framer = FramerRTU(self._decoder)
         self._byte_s = BITS_A_BYTE / baudrate
         self._quiet_s = GAP_CHARACTERS * self._byte_s
         self._gap_s = self._quiet_s if gap_s is None else gap_s
@@ -140,13 +121,10 @@ class RtuStation:
 
     def _size(self) -> int | None:
         """Of the frame that begins the buffer: 0 while its count is missing, None where only its end will tell."""
-        if self._buffer[1] not in REQUESTS:
-            return None
-        try:
-            kind = self._decoder.lookupPduClass(self._buffer)
-            return kind.calculateRtuFrameSize(self._buffer) if kind is not None else None
-        except (ModbusException, LookupError):
-            return None
+        function = self._buffer[1]
+        if function in (15, 16):
+            return 9 + self._buffer[6] if len(self._buffer) > 6 else 0
+        return 8 if function in READS or function in ECHOES else None
 
     def _hear(self, frame: bytes, t: float) -> None:
         unit, pdu = frame[0], frame[1:-2]
@@ -156,8 +134,8 @@ class RtuStation:
             begins = t + self._quiet_s
             answer = answered(device, pdu, begins)
             if unit != BROADCAST:
-                answer.dev_id = unit
-                self.outbox.append((begins + device.latency_s, self._framer.buildFrame(answer)))
+                body = bytes([unit]) + answer
+                self.outbox.append((begins + device.latency_s, body + FramerRTU.compute_CRC(body).to_bytes(2, "big")))
 
 
 def checked(frame: bytes) -> bool:
@@ -183,57 +161,44 @@ def well_formed(pdu: bytes) -> bool:
     return 1 <= number <= (1968 if function == 15 else 123) and length == 6 + size and pdu[5] == size
 
 
-def answered(device: AdamModule, request: bytes, t: float) -> ModbusPDU:
-    """The response of a module to the PDU of a request that arrives at `t`, an exception response where it refuses."""
+def answered(device: AdamModule, request: bytes, t: float) -> bytes:
+    """The PDU with which a module answers that of a request that arrives at `t`: an exception where it refuses."""
     function = request[0]
     try:
-        if function not in REQUESTS or (function == 8 and request[1:3] != b"\0\0"):
+        if (function not in READS and function not in ECHOES) or (function == 8 and request[1:3] != b"\0\0"):
             raise ModbusFault(adam.ILLEGAL_FUNCTION)
         if not well_formed(request):
             raise ModbusFault(adam.ILLEGAL_VALUE)
-        pdu = REQUESTS[function]()
-        pdu.decode(request[1:])
-        return _response(device, pdu, t)
+        return _read(device, request, t) if function in READS else _written(device, request, t)
     except ModbusFault as fault:
-        return ExceptionResponse(function & 0x7F, fault.code)
+        return bytes([0x80 | function, fault.code])
 
 
-REQUESTS: dict[int, type[ModbusPDU]] = {
-    1: ReadCoilsRequest,
-    2: ReadDiscreteInputsRequest,
-    3: ReadHoldingRegistersRequest,
-    4: ReadInputRegistersRequest,
-    5: WriteSingleCoilRequest,
-    6: WriteSingleRegisterRequest,
-    8: ReturnQueryDataRequest,
-    15: WriteMultipleCoilsRequest,
-    16: WriteMultipleRegistersRequest,
-}
+def _read(device: AdamModule, request: bytes, t: float) -> bytes:
+    function = request[0]
+    address, count = WORDS.unpack_from(request, 1)
+    if function >= 3:
+        values = device.registers(address, count, t)
+        packed = EIGHT_WORDS.pack(*values) if count == adam.CHANNELS else b"".join(each.to_bytes(2, "big") for each in values)
+    else:
+        bits = sum(1 << place for place, on in enumerate(device.coils(address, count, t)) if on)
+        packed = bits.to_bytes(-(-count // 8), "little")
+    return bytes([function, len(packed)]) + packed
 
 
-def _response(device: AdamModule, request: ModbusPDU, t: float) -> ModbusPDU:
-    address, count = request.address, request.count
-    match request.function_code:
-        case 1:
-            return ReadCoilsResponse(bits=device.coils(address, count, t))
-        case 2:
-            return ReadDiscreteInputsResponse(bits=device.coils(address, count, t))
-        case 3:
-            return ReadHoldingRegistersResponse(registers=device.registers(address, count, t))
-        case 4:
-            return ReadInputRegistersResponse(registers=device.registers(address, count, t))
+def _written(device: AdamModule, request: bytes, t: float) -> bytes:
+    function = request[0]
+    if function == 8:
+        return request
+    address, number = WORDS.unpack_from(request, 1)
+    match function:
         case 5:
-            device.write_coils(address, [bool(request.bits[0])], t)
-            return WriteSingleCoilResponse(address=address, bits=request.bits[:1])
+            device.write_coils(address, [number != 0], t)
         case 6:
-            device.write_registers(address, list(request.registers[:1]), t)
-            return WriteSingleRegisterResponse(address=address, registers=request.registers[:1])
-        case 8:
-            return ReturnQueryDataResponse(message=getattr(request, "message", b""))
+            device.write_registers(address, [number], t)
         case 15:
-            device.write_coils(address, [bool(bit) for bit in request.bits[:count]], t)
-            return WriteMultipleCoilsResponse(address=address, count=count)
+            bits = int.from_bytes(request[6:], "little")
+            device.write_coils(address, [bool(bits >> place & 1) for place in range(number)], t)
         case 16:
-            device.write_registers(address, list(request.registers), t)
-            return WriteMultipleRegistersResponse(address=address, count=len(request.registers))
-    raise ModbusFault(adam.ILLEGAL_FUNCTION)
+            device.write_registers(address, [*unpack(f">{number}H", request[6:])], t)
+    return request[:5]

@@ -86,8 +86,7 @@ def duration_range(plan: Plan) -> tuple[float, float]:
     assert plan.made is not None
     assert isinstance(plan.rows, PlannedRows)
     timing, row = Timing(plan.rig.file), plan.made.measuring.row("")
-    timing.readings(row)  # the first sets the gain
-    likely = timing.readings(row)
+    likely = timing.usual_readings(row)
     measured = sum(plan.rows.kinds.get(kind, 0) for kind in ("measure", "drift"))
     warm_up = plan.schedule.file.warm_up
     waiting = 0.0 if warm_up is None else max(0.0, warm_up.longest_s - LEAST_WARM_UP_S)

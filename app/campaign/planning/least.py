@@ -28,8 +28,7 @@ def _mounted(plan: Plan, passes: list[Pass], moving: dict[Lattice, float], timin
     assert plan.made is not None
     measuring = plan.made.measuring
     row = measuring.row(passes[0].sample)
-    timing.readings(row)
-    reading = timing.readings(row) + timing.readback_s
+    reading = timing.usual_readings(row) + timing.readback_s
     measured = sum(len(each.lattice) * reading + moving[each.lattice] for each in passes)
     drifts = 0
     if file.drift is not None and passes[0].sample != NOTHING:
@@ -38,4 +37,4 @@ def _mounted(plan: Plan, passes: list[Pass], moving: dict[Lattice, float], timin
     darks = math.ceil(measured / file.dark_every_s) + 1
     shutters = timing.shutter(opened=True) + timing.shutter(opened=False)
     dark = measuring.dark("", 0)
-    return measured + darks * timing.readings(dark) + (darks - 1) * shutters
+    return measured + darks * timing.usual_readings(dark) + (darks - 1) * shutters

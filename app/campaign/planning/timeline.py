@@ -78,15 +78,15 @@ class Timeline:
         """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards."""
         points = of.lattice.points[sequence]
         timing, row = self.timing, self.measuring.row(of.sample)
-        reading = timing.readings(row) + timing.readback_s
+        reading = timing.usual_readings(row) + timing.readback_s
         moving = timing.moves.seconds(np.concatenate([timing.here[None], points[:-1]]), points)
         seconds = moving + reading
         ends = np.cumsum(seconds)
         begin = 0
         checked = darkened = False
         while begin < len(points):
-            # What came between has closed the shutter, or left the axes elsewhere.
-            first = timing.shutter_seconds(opened=True)
+            # What came between has closed the shutter, or left the axes elsewhere, or the amplifiers at another gain.
+            first = timing.shutter_seconds(opened=True) + timing.readings_from_here(row) - timing.usual_readings(row)
             if checked:
                 back = timing.moves.seconds(timing.here[None], points[begin : begin + 1])
                 first += float(back[0] - moving[begin])
@@ -106,6 +106,7 @@ class Timeline:
                 end = begin + 1  # it takes longer than a dark may be old
             timing.shutter(opened=True)
             timing.here = points[end - 1]
+            timing.pass_by(row, end - begin)
             taken = seconds[begin:end].copy()
             taken[0] += first
             self._pass_by(float(taken.sum()))

@@ -7,6 +7,7 @@ import numpy as np
 from app.campaign.planning.lattice import WAVELENGTH
 from app.campaign.planning.moves import Floats, Moves
 from app.campaign.row import Row
+from app.campaign.running.gains import in_order
 from app.campaign.running.performing import MONITORED_S
 from app.campaign.running.warming import EVERY_S, LEAST
 from app.rig import AXES, RigFile, axis_settings, monochromator_settings, photodiode_settings
@@ -56,27 +57,49 @@ class Timing:
         row has been read. It is taken to need its two highest gains, and between the fewest and the most readings the
         geometric mean.
         """
-        most = self._most_readings(row)
-        gains = row.gains[-LIKELY_GAINS:] if row.automatic else row.gains
-        return self._reading(gains, round(math.sqrt(row.readings * most)))
+        seconds = self.readings_from_here(row)
+        self.pass_by(row, 1)
+        return seconds
+
+    def readings_from_here(self, row: Row) -> float:
+        """The same for a row that only might come next."""
+        return self._reading(self._likely(row, self._gain), self._likely_readings(row), self._gain)
+
+    def usual_readings(self, row: Row) -> float:
+        """The same for a row that comes after one like it."""
+        before = self._likely(row, None)[-1]
+        return self._reading(self._likely(row, before), self._likely_readings(row), before)
+
+    def pass_by(self, row: Row, rows: int) -> None:
+        """The amplifiers are where so many such rows leave them."""
+        for _ in range(2 - rows % 2 if rows else 0):  # every second one leaves them alike
+            self._gain = self._likely(row, self._gain)[-1]
 
     def readings_range(self, row: Row) -> tuple[float, float]:
-        """The least and the most that `readings` could turn out to be."""
-        least = row.gains[-1:] if row.automatic else row.gains
-        return self._reading(least, row.readings), self._reading(row.gains, self._most_readings(row))
+        """The least and the most that `usual_readings` could turn out to be."""
+        gains = in_order(row, max(row.gains))
+        least = gains[:1] if row.automatic else gains
+        return self._reading(least, row.readings, gains[0]), self._reading(gains, self._most_readings(row), gains[-1])
+
+    def _likely(self, row: Row, before: int | None) -> tuple[int, ...]:
+        gains = in_order(row, before)
+        return gains[:LIKELY_GAINS] if row.automatic else gains
+
+    def _likely_readings(self, row: Row) -> int:
+        return round(math.sqrt(row.readings * self._most_readings(row)))
 
     def _most_readings(self, row: Row) -> int:
         return row.readings if row.target is None else max(row.readings, int(row.longest_s / self._photodiodes.period_s))
 
-    def _reading(self, gains: tuple[int, ...], readings: int) -> float:
+    def _reading(self, gains: tuple[int, ...], readings: int, before: int | None) -> float:
         settings = self._photodiodes
         seconds = 0.0
         for gain in gains:
-            if gain != self._gain:
-                seconds += settings.gain_seconds
-                self._gain = gain
-            fetching = max(settings.fetching_seconds, ANSWER_MARGIN_S + 4 * USB_LATENCY_S)
-            seconds += settings.wait_s + (readings - 1) * settings.period_s + fetching
+            changed = gain != before
+            before = gain
+            fetching = max(settings.fetching_seconds(after_change=changed), ANSWER_MARGIN_S + 4 * USB_LATENCY_S)
+            seconds += (settings.gain_seconds if changed else 0.0) + settings.wait_s
+            seconds += (readings - 1) * settings.period_s + fetching
         return seconds
 
     def shutter(self, *, opened: bool) -> float:

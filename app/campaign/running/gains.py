@@ -25,19 +25,27 @@ def clipped(counts: Counts) -> Flags:
     return ends
 
 
-class Gains:
-    """Those of one row, in the order in which it is read. `waiting` are the photodiodes that were clipped so far."""
+def in_order(row: Row, now: int | None) -> tuple[int, ...]:
+    """A row's gains as they are read: beginning with the one that the amplifiers have `now`, where it is an outermost one.
 
-    def __init__(self, row: Row, photodiodes: int) -> None:
+    Every change of gain wears a relay; two rows in turns share one. But from the highest downwards wherever it is up to the
+    counts which are needed, or how many readings: a photodiode that is done at a higher gain needs nothing at a lower one.
+    """
+    downwards = row.automatic or row.target is not None or (bool(row.gains) and now == max(row.gains))
+    return tuple(sorted(row.gains, reverse=downwards))
+
+
+class Gains:
+    """Those of one row, in order. `waiting` are the photodiodes that were clipped so far."""
+
+    def __init__(self, row: Row, photodiodes: int, now: int | None) -> None:
         self._row = row
+        self._gains = in_order(row, now)
         self.waiting: Flags = np.ones(photodiodes, dtype=bool)
 
     def __iter__(self) -> Iterator[int]:
-        row = self._row
-        # Averaging has to know for whom: a photodiode that is done at a higher gain needs nothing at a lower one.
-        downwards = row.automatic or row.target is not None
-        for gain in sorted(row.gains, reverse=downwards):
-            if row.automatic and not self.waiting.any():
+        for gain in self._gains:
+            if self._row.automatic and not self.waiting.any():
                 return
             yield gain
 

@@ -122,7 +122,7 @@ class Performer:
 
     def _read(self, row: Row) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
         """All photodiodes at each gain that is needed, and the flags of the row."""
-        gains = Gains(row, self._rig.photodiodes.settings.count)
+        gains = Gains(row, self._rig.photodiodes.settings.count, self._gain)
         taken = {}
         for gain in gains:
             reading = self._averaged(row, gain, gains.waiting)

@@ -32,7 +32,7 @@ def test_it_answers_with_rows_duration_order_shadows_and_warnings() -> None:
     assert result["duration_s"] == pytest.approx(plan.seconds)
     assert result["least_s"] <= result["duration_s"] <= 1.05 * result["least_s"]
     assert result["order"] == ["shift", "sigma", "beta"]
-    assert result["why"].startswith("shift inside: 4 min 42 s; ")
+    assert result["why"].startswith("shift inside: 4 min 41 s; ")
     assert result["kinds"] == {"mount": 2, "dark": 8, "measure": 120}
     assert result["axes_deg"]["beta"] == [0.0, 180.0]
     assert (result["directions"], result["shadowed"]) == (1077, 45)

@@ -11,7 +11,7 @@ from app.campaign.journal.writing import Journal
 from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.reducing.reduction import reduce_journal
 from app.campaign.row import Row
-from app.campaign.running.gains import SATURATED, Gains, clipped
+from app.campaign.running.gains import SATURATED, Gains, clipped, in_order
 from app.campaign.schedule.file import read_schedule
 from app.rig import read_rig
 from protocols import adam
@@ -94,12 +94,28 @@ def test_with_700_times_the_light_a_lobe_is_read_at_all_gains_and_unclipped(
     assert all(each.data.flags == () for each in lobe)
 
 
-def test_without_automatic_gains_all_are_read_from_the_lowest_on() -> None:
-    row = Row(0, "a", "measure", "a", gains=(0, 2), readings=1)
-    gains = Gains(row, 3)
+@pytest.mark.parametrize(
+    ("now", "expected"), [(None, [0, 2, 3]), (0, [0, 2, 3]), (2, [0, 2, 3]), (3, [3, 2, 0]), (1, [0, 2, 3])]
+)
+def test_without_automatic_gains_all_are_read_beginning_with_the_one_that_is_set(now: int | None, expected: list[int]) -> None:
+    gains = Gains(Row(0, "a", "measure", "a", gains=(0, 2, 3), readings=1), 3, now)
     order = []
     for gain in gains:
         order.append(gain)
         gains.read(np.array([[100, 200, adam.FULL_SCALE if gain else 300]], dtype=np.uint16))
-    assert order == [0, 2]
+    assert order == expected
     assert gains.flags == ()
+
+
+@pytest.mark.parametrize("now", [None, 0, 2])
+def test_automatic_gains_and_averaging_go_downwards_whatever_is_set(now: int | None) -> None:
+    assert in_order(Row(0, "a", "measure", "a", gains=(0, 2), readings=1, automatic=True), now) == (2, 0)
+    assert in_order(Row(0, "a", "measure", "a", gains=(0, 2), readings=1, target=0.01), now) == (2, 0)
+
+
+def test_from_row_to_row_the_amplifiers_are_switched_once(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    run = carried_out(make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET))), tmp_path / "a.journal")
+    firsts = [
+        min(each.data.readings, key=lambda reading: reading.first_s).gain_v_per_a for each in run.of("measure", "gaussian-5")
+    ]
+    assert firsts == [1e8, 1e10] or firsts == [1e10, 1e8]
