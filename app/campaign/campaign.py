@@ -71,7 +71,7 @@ def resume_campaign(
     with _alone(journal_path, begun.plan), Journal.reopen(journal_path) as journal:
         rest = rest_of(journal, rig)
         with open_rig(rest.plan.rig, clock_of(rest.plan.rig.file, rest.start_s), transcript) as opened:
-            operator = _ready(opened, rest.plan, ask)
+            operator = _ready(opened, rest.plan, ask, homing=True)
             return _carried_out(opened, rest.plan, journal, operator, listeners, rest.work)
 
 
@@ -85,11 +85,11 @@ def _alone(journal_path: Path, plan: Plan) -> Iterator[None]:
         lock.release()
 
 
-def _ready(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None) -> Operator:
-    """Connects the rig, and finds who mounts."""
+def _ready(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None, *, homing: bool = False) -> Operator:
+    """Connects the rig, and finds who mounts; with `homing`, axes that can look for their reference will."""
     operator = operator_for(opened, plan.rig.file, ask)
     opened.connect()
-    refuse_lost_axes(opened, plan.rig.name)
+    refuse_lost_axes(opened, plan.rig.name, homing=homing)
     return operator
 
 
@@ -104,9 +104,13 @@ def _carried_out(
     return Outcome(state, rows, of, journal.seconds, faults, plan.rig.simulated)
 
 
-def refuse_lost_axes(opened: OpenRig, rig_name: str) -> None:
-    """Raises UserError where it is in doubt where an axis of a connected rig is."""
-    doubts = {name: axis.doubt for name, axis in opened.rig.axes.items() if axis.doubt}
+def refuse_lost_axes(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:
+    """Raises UserError where it is in doubt where an axis of a connected rig is; with `homing`, only of one that cannot."""
+    doubts = {
+        name: axis.doubt
+        for name, axis in opened.rig.axes.items()
+        if axis.doubt and not (homing and axis.settings.homing is not None)
+    }
     if doubts:
         told = "; ".join(f"{name}: {doubt}" for name, doubt in doubts.items())
         raise UserError(

@@ -6,6 +6,8 @@ from typing import Literal
 Kind = Literal["mount", "dark", "measure", "drift", "warm-up"]
 NOTHING = "nothing"
 """The name of no sample: what a row says that is done with the sample unit empty."""
+RESUMED = "resumed "
+"""What the identity of a row begins with that nobody has planned: a campaign that is gone on with begins with such rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,3 +34,8 @@ class Row:
     automatic: bool = False
     target: float | None = None
     longest_s: float = 0.0
+
+    @property
+    def added(self) -> bool:
+        """Whether it belongs to the beginning of a resumed session, and not to the plan."""
+        return self.identity.startswith(RESUMED)

@@ -5,7 +5,9 @@ way of the light after the beam splitter, photodiodes, amplifiers, the sample.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from app.rig import RigFile, photodiode_settings
 LIGHT = 5.0
 """A photodiode whose signal is below so many standard uncertainties says nothing about the light."""
 CERTAIN = 4.0
+AT_RESUME = 0.005
+"""The limit, a share, where a campaign without drift checks is gone on with."""
+SignalOf = Callable[[], Signal]
 
 
 @dataclass(frozen=True)
@@ -73,27 +78,58 @@ def compared(first: Signal, now: Signal, rig: RigFile, limit: float) -> Check:
     return Check(change, math.sqrt(1.0 / float(np.sum(weight)) + monitor), abs(change) > limit, alone)
 
 
+class Reference:
+    """What drift checks are compared with: the first since a mounting. Where a campaign was gone on with, the mounting before
+    counts, and where it has no drift checks what was measured last is measured again.
+    """
+
+    def __init__(self, rig: RigFile, limit: float | None) -> None:
+        self._rig = rig
+        self._limit = limit
+        self._first: Signal | None = None
+        self._last: tuple[Row, SignalOf] | None = None
+
+    def check(self, row: Row, signal_of: SignalOf) -> Check | None:
+        """A row with readings, or a mounting, in order of time; for a drift row after the first what it says."""
+        if row.kind == "mount" and not row.added:
+            self._first = self._last = None
+        elif row.kind == "measure":
+            self._last = (row, signal_of)
+        elif row.kind == "drift":
+            return self._compared(row, signal_of)
+        return None
+
+    def _compared(self, row: Row, signal_of: SignalOf) -> Check | None:
+        if self._limit is None:
+            # A pose that nobody chose for it: it may be dark there, and what noise does is no drift.
+            if self._last is None or (self._last[0].pose, self._last[0].wavelength_nm) != (row.pose, row.wavelength_nm):
+                return None
+            found = compared(self._last[1](), signal_of(), self._rig, AT_RESUME)
+            return replace(found, beyond=abs(found.change) - CERTAIN * found.u_change > AT_RESUME)
+        now = signal_of()
+        if self._first is not None:
+            return compared(self._first, now, self._rig, self._limit)
+        self._first = now
+        return None
+
+
 class DriftWatch:
     """Compares while the run goes on, with the darks that there are by then."""
 
-    def __init__(self, table: DriftTable, rig: RigFile) -> None:
-        self._table = table
-        self._rig = rig
+    def __init__(self, table: DriftTable | None, rig: RigFile) -> None:
+        self._reference = Reference(rig, None if table is None else table.limit)
         self._settings = photodiode_settings(rig)
         self._darks: list[Committed] = []
-        self._first: Signal | None = None
 
     def add(self, row: Row, data: RowData) -> Check | None:
-        """A row that has been committed; for a drift row after the first since a mounting, what it says. Raises UserError."""
-        if row.kind == "mount":
-            self._first = None
-        elif row.kind == "dark":
+        """A row that has been committed; for a drift row that has something to be compared with, what it says.
+
+        Raises UserError.
+        """
+        if row.kind == "dark":
             self._darks.append(Committed(row, data))
-        elif row.kind == "drift" and data.readings:
-            now = signal(data, darks_by_gain(self._darks, self._settings), self._settings)
-            if self._first is not None:
-                return compared(self._first, now, self._rig, self._table.limit)
-            self._first = now
+        if row.kind == "mount" or data.readings:
+            return self._reference.check(row, lambda: signal(data, darks_by_gain(self._darks, self._settings), self._settings))
         return None
 
 
@@ -117,10 +153,12 @@ class Drift:
         return f"flagged for drift: what was measured from {self.begin_s:.0f} s to {until}; {self.told}"
 
 
-def drifts(rows: list[Committed], signals: dict[int, Signal], rig: RigFile, limit: float) -> list[Drift]:
-    """All of a campaign. `rows` in order of time, the `signals` of drift rows by their numbers."""
+def drifts(rows: list[Committed], signals: dict[int, Signal], rig: RigFile, limit: float | None) -> list[Drift]:
+    """All of a campaign. `rows` in order of time, the `signals` of drift rows and measurements by their numbers; the `limit`
+    of the schedule's drift checks, None where it has none.
+    """
     found: list[Drift] = []
-    first: Signal | None = None
+    reference = Reference(rig, limit)
     before, last = -math.inf, ("", np.zeros(len(rig.photodiodes.upper_deg) + len(rig.photodiodes.lower_deg), dtype=bool))
     well = last
 
@@ -129,14 +167,16 @@ def drifts(rows: list[Committed], signals: dict[int, Signal], rig: RigFile, limi
             found.append(Drift(before, end, last[1] | then[1], last[0] or then[0]))
 
     for each in rows:
-        now = each.data.started_s
-        if each.row.kind == "mount":
+        now, row = each.data.started_s, each.row
+        mounted = row.kind == "mount"
+        if not mounted and row.number not in signals:
+            continue
+        check = reference.check(row, partial(signals.__getitem__, row.number))
+        if mounted and not row.added:
             between(now, well)
-            first, before, last = None, now, well
-        elif each.row.kind == "drift" and each.row.number in signals:
-            check = None if first is None else compared(first, signals[each.row.number], rig, limit)
-            first = first or signals[each.row.number]
-            said = well if check is None or not check.excess else (f"{each.row.identity}: {check}", check.spoiled)
+            before, last = now, well
+        elif row.kind == "drift":
+            said = well if check is None or not check.excess else (f"{row.identity}: {check}", check.spoiled)
             between(now, said)
             before, last = now, said
     between(math.inf, well)

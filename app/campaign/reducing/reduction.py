@@ -124,7 +124,7 @@ def _measured(rows: list[Committed], schedule: ScheduleFile, rig: RigDescription
     since = dead_since(rows, settings)
     lit = [each for each in rows if each.row.kind in ("measure", "drift") and each.data.readings]
     signals = {each.row.number: with_tracing_error(signal(each.data, darks, settings), rig.file) for each in lit}
-    found = [] if schedule.drift is None else drifts(rows, signals, rig.file, schedule.drift.limit)
+    found = drifts(rows, signals, rig.file, None if schedule.drift is None else schedule.drift.limit)
     none = np.zeros(settings.count, dtype=bool)
     measured = [
         Measured(

@@ -14,7 +14,7 @@ class Endings:
 
     def __init__(self, schedule: ScheduleFile, rig: RigFile) -> None:
         self._table = schedule.stop or StopTable()
-        self._drift = DriftWatch(schedule.drift, rig) if schedule.drift is not None else None
+        self._drift = DriftWatch(schedule.drift, rig)
         self._ends_by_drift = schedule.drift is not None and schedule.drift.on_excess == "stop"
         self._lamp_a: dict[float | None, float] = {}
         self._skipped = 0
@@ -22,8 +22,7 @@ class Endings:
 
     def recall(self, row: Row, data: RowData) -> None:
         """A row of an earlier session."""
-        if self._drift is not None:
-            self._drift.add(row, data)
+        self._drift.add(row, data)
         self._lamp(row, data)
 
     def look(self, row: Row, data: RowData) -> tuple[str, str] | None:
@@ -40,7 +39,7 @@ class Endings:
             return "stop", f"{row.identity}: the lamp is at {100 * share:.1f} % of what it was; look after it, then go on"
         if table.longest_s is not None and data.ended_s - self.begun_s >= table.longest_s:
             return "stop", f"the session has lasted {data.ended_s - self.begun_s:.0f} s, as long as it may; go on when you like"
-        check = self._drift.add(row, data) if self._drift is not None else None
+        check = self._drift.add(row, data)
         if check is None:
             return None
         ends = check.excess and self._ends_by_drift

@@ -6,6 +6,7 @@ Plain Python for one thread; pause, resume and stop may come from any other. It 
 import contextlib
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import accumulate
 from typing import TypeVar
 
@@ -81,6 +82,7 @@ class Engine:
         try:
             session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, versions())
             self._recall()
+            self._reference()
             self._do_rows()
             self._under_policies("the end", self._close_shutter)
         except (Stopped, KeyboardInterrupt):
@@ -128,14 +130,20 @@ class Engine:
         return failures
 
     def _recall(self) -> None:
-        """What earlier sessions have measured, where something is compared with it."""
-        file = self._plan.schedule.file
-        if self._work is self._plan.rows or not (file.averaging or file.drift or file.stop):
+        """What earlier sessions have measured, for what is compared with it."""
+        if self._work is self._plan.rows:
             return
         for each in self._journal.rows():
             self._endings.recall(each.row, each.data)
             if each.row.kind == "dark":
                 self._performer.remember(each.data)
+
+    def _reference(self) -> None:
+        """Where a campaign is gone on with, axes that have lost themselves meanwhile look for their reference first."""
+        lost = [] if self._work is self._plan.rows else self._recovery.lost_axes
+        for axis in lost:
+            self._note("home", f"{axis.name}: {axis.doubt}")
+            self._under_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
 
     def _do_rows(self) -> None:
         before, planned = 0, len(self._plan.rows)

@@ -62,15 +62,17 @@ class Recovery:
 
         self._wait(Poll(clock, clock.now(), LOOK_S, rests))
 
-    def _home(self) -> list[DeviceError]:
-        errors: list[DeviceError] = []
-        for axis in self._rig.axes.values():
-            if axis.doubt and axis.settings.homing is not None:
-                errors += self._tried(partial(self._homes, axis))
-        return errors
+    @property
+    def lost_axes(self) -> list[Axis]:
+        """Those in doubt that can look for their reference."""
+        return [axis for axis in self._rig.axes.values() if axis.doubt and axis.settings.homing is not None]
 
-    def _homes(self, axis: Axis) -> None:
+    def home(self, axis: Axis) -> None:
+        """Has it look for its reference. Raises DeviceError."""
         self._wait(self._halt.start(axis.start_homing))
+
+    def _home(self) -> list[DeviceError]:
+        return [error for axis in self.lost_axes for error in self._tried(partial(self.home, axis))]
 
     @staticmethod
     def _tried(action: Callable[[], object]) -> list[DeviceError]:

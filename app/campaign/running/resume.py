@@ -9,7 +9,7 @@ from app.campaign.journal.reading import Recorded
 from app.campaign.journal.writing import Journal
 from app.campaign.planning.plan import Plan
 from app.campaign.planning.timing import Timing
-from app.campaign.row import Row
+from app.campaign.row import NOTHING, RESUMED, Row
 from app.campaign.schedule.file import parse_schedule
 from app.errors import UserError
 from app.rig import RigDescription, parse_rig
@@ -28,8 +28,8 @@ PORTS = (
 
 @dataclass(frozen=True)
 class Rest:
-    """What is left of a campaign. `work` begins with rows that nobody has planned: what was mounted is mounted again, and
-    its dark is taken. `start_s` is when it goes on, on the rig's clock.
+    """What is left of a campaign. `work` begins with rows that nobody has planned: what was mounted is mounted again, its
+    dark is taken, and the light compared with what it was. `start_s` is when it goes on, on the rig's clock.
     """
 
     plan: Plan
@@ -39,7 +39,7 @@ class Rest:
     @property
     def added(self) -> tuple[Row, ...]:
         """The rows that nobody has planned."""
-        return tuple(row for row in self.work if row.number >= len(self.plan.rows))
+        return tuple(row for row in self.work if row.added)
 
 
 def rest_of(journal: Journal, rig: RigDescription | None) -> Rest:
@@ -56,7 +56,7 @@ def rest_of(journal: Journal, rig: RigDescription | None) -> Rest:
     left = [row for row in plan.rows if row.number not in done]
     if not left:
         raise UserError(f"{journal.path}: all of its {len(plan.rows)} rows are measured; there is nothing to go on with")
-    added = _added(journal, plan, left[0]) if done else []
+    added = _added(journal, plan, done, left[0]) if done else []
     return Rest(plan, (*added, *left), _start(journal, plan.rig))
 
 
@@ -106,18 +106,42 @@ def _differences(old: dict[str, Any], new: dict[str, Any], place: str = "") -> l
     return found
 
 
-def _added(journal: Recorded, plan: Plan, first: Row) -> list[Row]:
-    """What has to be done before the first row that is left: its sample may be out, and its last dark is old."""
+def _added(journal: Recorded, plan: Plan, done: set[int], first: Row) -> list[Row]:
+    """What has to be done before the first row that is left: its sample may be out, its last dark is old, and the light may
+    have changed.
+    """
+    if first.kind == "mount":
+        return []
+    sample = first.sample
+    added = [Row(0, "mount", "mount", sample)]
+    dark = next((row for row in plan.rows if row.kind == "dark"), None)
+    if dark is not None and first.kind != "dark":
+        added.append(replace(dark, identity="dark", sample=sample))
+        if (again := _compared_with(plan, done, first)) is not None:
+            added.append(replace(again, identity="drift", kind="drift"))
     number, session = journal.last_number() + 1, len(journal.sessions()) + 1
-    added = []
-    if first.kind != "mount":
-        added.append(Row(number, f"resumed {session}/{first.sample}/mount", "mount", first.sample))
-        dark = next((row for row in plan.rows if row.kind == "dark"), None)
-        if dark is not None and first.kind != "dark":
-            identity = f"resumed {session}/{first.sample}/dark"
-            added.append(replace(dark, number=number + 1, identity=identity, sample=first.sample))
     timing = Timing(plan.rig.file)
-    return [replace(row, seconds=timing.row_seconds(row)) for row in added]
+    return [
+        replace(row, number=number + k, identity=f"{RESUMED}{session}/{sample}/{row.identity}", seconds=timing.row_seconds(row))
+        for k, row in enumerate(added)
+    ]
+
+
+def _compared_with(plan: Plan, done: set[int], first: Row) -> Row | None:
+    """The row that is done again to see whether the light has changed: the last drift check since the sample was mounted, or
+    where there are none the last measurement. None where there is neither, or it comes next anyway.
+    """
+    if first.sample == NOTHING or first.kind == "drift":
+        return None
+    latest: Row | None = None
+    for row in plan.rows[: first.number]:
+        if row.kind == "mount":
+            latest = None
+        elif row.number in done and (
+            row.kind == "drift" or (row.kind == "measure" and (latest is None or latest.kind == "measure"))
+        ):
+            latest = row
+    return latest
 
 
 def _start(journal: Recorded, rig: RigDescription) -> float:

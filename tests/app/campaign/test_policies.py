@@ -190,7 +190,7 @@ def test_after_a_break_the_lamp_is_compared_with_what_it_was_at_first(
     stopped_at(plan, tmp_path / "a.journal", 11.5)
     assert resume_campaign(tmp_path / "a.journal").state is State.IDLE
     with Journal.open(tmp_path / "a.journal") as journal:
-        before, after = (each for each in journal.rows() if each.row.kind == "measure")
+        before, after = (each for each in journal.rows() if each.data.positions)
     assert after.data.readings[0].monitor_a < 0.6 * before.data.readings[0].monitor_a
 
 

@@ -105,9 +105,9 @@ def _resumed_and_stopped(path: Path, t: float) -> None:
             engine.run()
 
 
-def test_before_it_goes_on_the_sample_is_mounted_and_a_dark_taken(steady: Plan, tmp_path: Path) -> None:
+def test_before_it_goes_on_the_sample_is_mounted_a_dark_taken_and_the_light_compared(steady: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
-    stopped_at(steady, path, 0.8 * steady.seconds)
+    stopped_at(steady, path, 0.9 * steady.seconds)
     done, planned = values(path), len(steady.rows)
     resume_campaign(path)
     database = sqlite3.connect(path)
@@ -117,10 +117,10 @@ def test_before_it_goes_on_the_sample_is_mounted_and_a_dark_taken(steady: Plan, 
     order = [number for (number,) in database.execute("SELECT number FROM attempt ORDER BY started_s")]
     database.close()
     sample = done[-1][0].split("/")[0]
-    assert added == [(f"resumed 2/{sample}/mount", "mount", sample, 2), (f"resumed 2/{sample}/dark", "dark", sample, 2)]
+    assert added == [(f"resumed 2/{sample}/{kind}", kind, sample, 2) for kind in ("mount", "dark", "drift")]
     first = order.index(planned)
     assert order[:first] == list(range(first))
-    assert order[first : first + 3] == [planned, planned + 1, first]
+    assert order[first : first + 4] == [planned, planned + 1, planned + 2, first]
 
 
 def test_a_finished_campaign_has_nothing_to_go_on_with(plan: Plan, tmp_path: Path) -> None:

@@ -1,0 +1,122 @@
+"""What a campaign that is gone on with does first: axes that are lost are homed, and the light is compared with what it was."""
+
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.running.engine import Engine
+from app.campaign.running.events import State
+from app.campaign.running.resume import rest_of
+from app.campaign.schedule.file import read_schedule
+from app.errors import UserError
+from app.rig import OpenRig, open_rig, read_rig
+from drivers.pending import wait
+from tests.app.campaign.test_resume import STEADY, stopped_at
+from tests.app.test_homing_command import HOMES
+from tests.conftest import SMALL, Writer
+
+MORE = SMALL.replace("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3]")
+CHECKED = MORE + "\n[drift]\nevery_s = 600\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
+FADED = 0.9
+
+
+def gone_on(path: Path, meanwhile: Callable[[OpenRig], None]) -> tuple[State, list[tuple[str, str]]]:
+    """As `resume_campaign`, after something has happened to the rig; how it ended, and the session's events."""
+    with Journal.reopen(path) as journal:
+        rest = rest_of(journal, None)
+        with open_rig(rest.plan.rig, clock_of(rest.plan.rig.file, rest.start_s)) as opened:
+            opened.connect()
+            meanwhile(opened)
+            operator = operator_for(opened, rest.plan.rig.file, None)
+            state = Engine(opened.rig, rest.plan, journal, operator, work=rest.work).run()
+    return state, events(path)
+
+
+def events(path: Path) -> list[tuple[str, str]]:
+    connection = sqlite3.connect(path)
+    try:
+        return connection.execute("SELECT kind, text FROM event ORDER BY rowid").fetchall()
+    finally:
+        connection.close()
+
+
+def less_light(opened: OpenRig) -> None:
+    """Behind the beam splitter, where the monitor does not see it."""
+    assert opened.virtual is not None
+    for photodiode in range(36):
+        opened.virtual.plant.fade(photodiode, FADED)
+
+
+def nothing(_: OpenRig) -> None:
+    """Undisturbed."""
+
+
+def half_done(plan: Plan, path: Path) -> None:
+    """Stopped in the middle of the sample, the last that is mounted."""
+    seconds = np.cumsum([row.seconds for row in plan.rows])
+    last = [k for k, row in enumerate(plan.rows) if row.kind == "measure"][-2]
+    stopped_at(plan, path, float(seconds[last - 1]) + 0.5 * plan.rows[last].seconds)
+
+
+@pytest.fixture(params=[MORE, CHECKED], ids=["without drift checks", "with drift checks"])
+def plan(request: pytest.FixtureRequest, write_rig: Writer, write_schedule: Writer) -> Plan:
+    return make_plan(read_schedule(write_schedule(text=request.param)), read_rig(write_rig(*STEADY)))
+
+
+def test_light_that_has_changed_meanwhile_is_told_and_what_comes_after_flagged(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    half_done(plan, path)
+    state, said = gone_on(path, less_light)
+    assert state is State.DONE
+    told = [text for kind, text in said if kind == "drift" and text.startswith("resumed 2/")]
+    assert len(told) == 1
+    assert "beyond the limit: the light has changed by -" in told[0]
+    change = float(told[0].split("changed by ")[1].split(" %")[0])
+    assert change == pytest.approx(100.0 * (FADED - 1.0), abs=0.1)
+    with Journal.open(path) as journal:
+        resumed_at = journal.sessions()[1].started_s
+        points = reduce_journal(journal).samples["gaussian-5"]
+        late = {each.row.pose for each in journal.rows() if each.row.kind == "measure" and each.data.started_s > resumed_at}
+    assert 0 < len(late) < 4
+    assert points.drifted.any()
+    assert not points.good[points.drifted].any()
+
+
+def test_light_that_has_not_changed_is_told_too_and_nothing_flagged(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    half_done(plan, path)
+    state, said = gone_on(path, nothing)
+    assert state is State.DONE
+    (told,) = [text for kind, text in said if kind == "drift" and text.startswith("resumed 2/")]
+    assert ": the light has changed by +0.0" in told or ": the light has changed by -0.0" in told
+    with Journal.open(path) as journal:
+        assert not reduce_journal(journal).samples["gaussian-5"].drifted.any()
+
+
+def test_an_axis_that_is_lost_is_homed_before_it_goes_on(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    needs_homing = (
+        "settling_s = 0.2\npower_up_at_reference = true\n\n" + HOMES[0][1],
+        "settling_s = 0.2\nhoming_required = true\n\n" + HOMES[0][1],
+    )
+    plan = make_plan(read_schedule(write_schedule(text=MORE)), read_rig(write_rig(*STEADY, *HOMES, needs_homing)))
+    path = tmp_path / "a.journal"
+    with pytest.raises(UserError, match="sigma"):
+        run_campaign(plan, path)  # a campaign that begins asks first
+    with open_rig(plan.rig, clock_of(plan.rig.file)) as opened, Journal.create(path, plan, {}) as journal:
+        opened.connect()
+        wait(opened.rig.clock, [opened.rig.axes["sigma"].start_homing()])
+        engine = Engine(opened.rig, plan, journal, operator_for(opened, plan.rig.file, None))
+        opened.rig.clock.at(opened.rig.clock.now() + 0.8 * plan.seconds, engine.stop)
+        assert engine.run() is State.IDLE
+    assert resume_campaign(path).state is State.DONE
+    assert [text.split(":")[0] for kind, text in events(path) if kind == "home"] == ["sigma"]
+    with Journal.open(path) as journal:
+        sigmas = {each.data.positions["sigma"] for each in journal.rows() if each.data.positions}
+    assert all(sigma == pytest.approx(30.0, abs=0.01) or sigma == pytest.approx(0.0, abs=0.01) for sigma in sigmas)
