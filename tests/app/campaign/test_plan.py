@@ -199,6 +199,14 @@ def test_the_open_beam_meets_a_photodiode_of_the_far_arc() -> None:
     assert [row.sample for row in plan.rows if row.kind == "mount"] == ["etalon", "gaussian-5", NOTHING]
 
 
+@pytest.mark.parametrize("light", ["reflected", "transmitted", "both"])
+def test_the_signature_is_taken_wherever_the_etalon_is(light: str) -> None:
+    plan = planned(f'signature = true\nlight = "{light}"\n')
+    assert poses(plan, NOTHING) == poses(plan, "etalon")
+    if light != "transmitted":
+        assert poses(plan, NOTHING) >= poses(plan)
+
+
 def test_the_signature_is_every_pose_with_nothing_mounted_and_repeats_are_whole_passes() -> None:
     plan = planned("signature = true\nrepeats = 2\n")
     assert poses(plan, NOTHING) == poses(plan)

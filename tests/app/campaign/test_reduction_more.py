@@ -207,6 +207,27 @@ def test_reflection_and_transmission_of_both_sides_come_back(write_rig: Writer, 
     assert "transmitted" in text
 
 
+def test_transmitted_light_is_scaled_by_an_etalon_without_the_signature(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """The frames' light is a tenth of a dark etalon's, and would make the sample seem darker by as much."""
+    dark = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.05\nside = "both"')
+    factor = ("radiance_factor = 0.99", "radiance_factor = 0.05")
+    tables = (("[twin.samples.etalon]", f"{GLASS}[twin.samples.etalon]"), ("[twin.light]", f"{STRAY}[twin.light]"))
+    rig = read_rig(write_rig(*QUIET, dark, factor, *tables))
+    changes = (("gaussian-5", "glass"), ("[1e8, 1e10]", "[1e10, 1e11]"))
+    medians = []
+    for signature in ("false", "true"):
+        text = f'{SMALL}light = "transmitted"\nsignature = {signature}\n'
+        journal = tmp_path / f"{signature}.journal"
+        run_campaign(make_plan(read_schedule(write_schedule(*changes, text=text)), rig), journal)
+        points = reduced(journal).samples["glass"]
+        points = points.where(points.good & points.transmitted)
+        medians.append(float(np.median(points.bsdf)) / (0.3 / np.pi))
+    assert medians[0] < 0.97
+    assert medians[1] == pytest.approx(1.0, abs=0.03)
+
+
 def test_a_front_measured_alone_has_no_transmitted_points(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     run_campaign(grey_plan(write_rig, write_schedule), tmp_path / "a.journal")
     points = reduced(tmp_path / "a.journal").samples["grey"]
