@@ -50,7 +50,7 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     endings = ["", *(f"/repeat {k}" for k in range(2, file.repeats + 1))]
     found = [[Pass(file.etalon, of_etalon, etalon_lattice, ending=ending) for ending in endings]]
     found += [[Pass(sample, of_samples, lattice, ending=ending) for ending in endings] for sample in file.samples]
-    # The etalon's poses hold those of samples whose reflected light is measured; transmitted light has no signature but the beam.
+    # The poses of the etalon hold those at which reflected light is measured; in transmitted light the beam itself is seen.
     empty = [Pass(NOTHING, of_etalon, etalon_lattice, ending=ending) for ending in endings] if file.signature else []
     if file.open_beam:
         beam = open_beam_poses(file, rig)
