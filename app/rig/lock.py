@@ -12,10 +12,11 @@ from typing import IO
 
 from app.errors import UserError
 from app.rig.place import place_of
-from protocols.clock import calendar_stamp
+from protocols.clock import RealClock, calendar_stamp
 
 FOLDER = "goniotwin-locks"
 LONGEST_NOTE = 400
+A_LOOK_S = 0.05
 
 
 class Held(UserError):
@@ -56,7 +57,7 @@ class RigLock:
             file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+", encoding="utf-8")
         except OSError as error:
             raise UserError(f"{path}: the lock of {address} cannot be made: {error.strerror}; check that folder") from None
-        if not _locked(file):
+        if not _locked(file) and not _locked_soon(file):
             file.seek(0)
             holder = file.read(LONGEST_NOTE).strip() or "another program"
             file.close()
@@ -75,6 +76,13 @@ def holder_of(address: str) -> str | None:
     except Held as held:
         return held.holder
     return None
+
+
+def _locked_soon(file: IO[str]) -> bool:
+    """Somebody who only looks who has it holds it for an instant."""
+    clock = RealClock()
+    clock.sleep_until(clock.now() + A_LOOK_S)
+    return _locked(file)
 
 
 def _user() -> str:

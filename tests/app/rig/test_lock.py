@@ -9,11 +9,13 @@ import pytest
 
 from app.errors import UserError
 from app.rig.lock import RigLock
+from protocols.clock import RealClock
 
 HOLD = """
 import sys
 from pathlib import Path
 from app.rig.lock import RigLock
+from protocols.clock import RealClock
 lock = RigLock(["/dev/axes"], "measuring paint", Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()
@@ -51,3 +53,9 @@ def test_the_lock_dies_with_its_process(tmp_path: Path) -> None:
     holder.stdin.close()
     holder.stdout.close()
     RigLock(["/dev/axes"], "mine", tmp_path).release()
+
+
+def test_who_only_looks_keeps_nobody_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looker = RigLock(["COM4"], "looking who has it", tmp_path)
+    monkeypatch.setattr(RealClock, "sleep_until", lambda *_: looker.release())
+    RigLock(["COM4"], "first", tmp_path).release()
