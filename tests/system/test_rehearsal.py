@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import RIG, Writer
+from tests.conftest import RIG, Change, Writer
 from tests.system.conftest import Serve
 from tests.system.test_command import answer, goniotwin
 
@@ -42,14 +42,23 @@ def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[s
     assert done.stdout == ""
 
 
+SIGMAS: tuple[Change, ...] = (
+    ("sigma_deg = [30]", "sigma_deg = [0, 30, 60]"), ("[0, 1]", "[0]"), ("[1e8, 1e10]", "[1e8]"),
+    ("readings = 2", "readings = 12"),
+)  # fmt: skip
+SHIFTS: tuple[Change, ...] = (("[0, 1]", "{ start = 0.0, stop = 4.5, step = 0.5 }"), ("readings = 2", "readings = 4"))
+
+
 @pytest.mark.long
-def test_a_campaign_in_real_time_takes_as_long_as_its_rehearsal(serve: Serve, write_schedule: Writer, tmp_path: Path) -> None:
-    """Over pseudo-terminals, TCP and USB/IP, at the speed of a real rig; rows of some seconds, as they usually are.
+@pytest.mark.parametrize("rows", [SIGMAS, SHIFTS], ids=["rows of some seconds", "rows of a second"])
+def test_a_campaign_in_real_time_takes_as_long_as_its_rehearsal(
+    serve: Serve, write_schedule: Writer, tmp_path: Path, rows: tuple[Change, ...]
+) -> None:
+    """Over pseudo-terminals, TCP and USB/IP, at the speed of a real rig.
 
     What is longer in real time is an exchange with a busy process, a millisecond or two in place of 0.4 ms.
     """
-    usual = (("sigma_deg = [30]", "sigma_deg = [0, 30, 60]"), ("[0, 1]", "[0]"), ("[1e8, 1e10]", "[1e8]"))
-    schedule = write_schedule(*usual, ("readings = 2", "readings = 12"), ("dark_readings = 4", "dark_readings = 16"))
+    schedule = write_schedule(*rows, ("dark_readings = 4", "dark_readings = 16"))
     rig = tmp_path / "served.toml"
     rehearsed = answer(goniotwin("rehearse", schedule, "--rig", RIG, "--json"))
     serve(RIG, "--speed", 1, "--write-rig", rig)
