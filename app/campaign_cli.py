@@ -66,6 +66,7 @@ def run(
     journal, after the sample has been mounted again and a dark taken.
     """
     from app.campaign.campaign import resume_campaign, run_campaign
+    from app.campaign.reducing.verdicts import checked_in
     from app.campaign.running.events import State
     from app.rig import read_rig
 
@@ -92,12 +93,14 @@ def run(
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
     }
+    if (checks := checked_in(journal)) is not None:
+        result["checks"] = checks.as_dict()
     for fault in outcome.faults:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
     mark = "SIMULATED, " if outcome.simulated else ""
     rows = f"{outcome.rows} of {outcome.of} rows in {outcome.seconds:.1f} s of the rig's time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
-    answer(as_json, result, lambda: print(text))
+    answer(as_json, result, lambda: print("\n".join([text, *(checks.lines if checks is not None else [])])))
     if outcome.state is not State.DONE:
         if outcome.rows < outcome.of:
             errors.print(f"go on with: goniotwin run --resume {journal}", markup=False)

@@ -6,6 +6,8 @@ from typing import Literal
 Kind = Literal["mount", "dark", "measure", "drift", "warm-up"]
 NOTHING = "nothing"
 """The name of no sample: what a row says that is done with the sample unit empty."""
+MIRRORED = "/mirrored"
+"""What the identity of a row has in it that only checks the stated symmetry. No name has a slash in it."""
 RESUMED = "resumed "
 """What the identity of a row begins with that nobody has planned: a campaign that is gone on with begins with such rows."""
 
@@ -34,6 +36,11 @@ class Row:
     automatic: bool = False
     target: float | None = None
     longest_s: float = 0.0
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it is there to check the symmetry: a mirror image of another row."""
+        return MIRRORED in self.identity
 
     @property
     def added(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from app.campaign.planning.crosschecks import open_beam_poses
 from app.campaign.planning.lattice import Ints, Lattice
 from app.campaign.planning.poses import Poses, etalon_poses, sample_poses
-from app.campaign.row import NOTHING
+from app.campaign.row import MIRRORED, NOTHING
 from app.campaign.schedule.file import ScheduleFile
 from app.campaign.schedule.grids import grid_values
 from app.rig import RigFile
@@ -30,7 +30,7 @@ class Pass:
             f"{self.sample}{self.purpose}/sigma {sigma:.9g}/gamma {gamma:.9g}/beta {beta:.9g}/shift {shift:.9g}/"
             for gamma, sigma, beta, shift in self.poses.angles.tolist()
         ]
-        endings = [f" nm{'/mirrored' if mirrored else ''}{self.ending}" for mirrored in self.poses.mirrored.tolist()]
+        endings = [f" nm{MIRRORED if mirrored else ''}{self.ending}" for mirrored in self.poses.mirrored.tolist()]
         return poses, [f"{wavelength:.9g}" for wavelength in self.lattice.wavelengths_nm.tolist()], endings
 
     def identities(self, points: Ints) -> list[str]:

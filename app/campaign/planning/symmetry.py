@@ -18,7 +18,7 @@ TURN_DEG = 360.0
 
 def one_of_each(poses: Floats, symmetry: Symmetry) -> Flags:
     """Which of poses (n, 4) to measure: the first of each set of mirror images, and of what stands there twice."""
-    columns = [np.unique(column, return_inverse=True)[1] for column in _canonical(poses, symmetry).T]
+    columns = [np.unique(column, return_inverse=True)[1] for column in canonical(poses, symmetry).T]
     key = np.zeros(len(poses), dtype=np.int64)
     for ranks in columns:
         key = key * (int(ranks.max(initial=0)) + 1) + ranks
@@ -42,8 +42,8 @@ def turned(angles_deg: Floats) -> Floats:
     return np.asarray(np.where(found == TURN_DEG, 0.0, found))
 
 
-def _canonical(poses: Floats, symmetry: Symmetry) -> Floats:
-    """The same for all poses that are mirror images of each other."""
+def canonical(poses: Floats, symmetry: Symmetry) -> Floats:
+    """The same pose (n, 4) for all that are mirror images of each other."""
     found = poses.copy()
     gamma, beta = turned(poses[:, 0]), turned(poses[:, 2])
     if symmetry == "isotropic":

@@ -38,6 +38,7 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
         columns[column + unit] = np.concatenate([getattr(points, column) for points in chosen.values()])
     for column, word in (("side", _sides), ("light", _lights)):
         columns[column] = np.concatenate([word(points) for points in chosen.values()])
+    columns["check"] = np.concatenate([np.where(points.mirrored, "mirrored", "") for points in chosen.values()])
     columns["signature_share"] = np.concatenate([points.signature for points in chosen.values()])
     columns["flags"] = np.concatenate([_flags(points) for points in chosen.values()])
     about = [
@@ -45,6 +46,7 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
         "sigma: incidence; theta, phi: observation about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr; luminance_factor is pi times bsdf",
         "side: front or back, which is lit; light: reflected or transmitted",
+        "check: mirrored, where a direction was measured only to check the stated symmetry",
         "signature_share: of the signal, the instrument's own light, which has been subtracted; nothing where not measured",
         "flags: shadowed (by the mirror unit), clipped (over the range at every gain), no-etalon (no signal to divide by),",
         "dead (the photodiode), uncertified (the etalon's certificate says nothing there), drift (beyond its limit),",
@@ -64,6 +66,7 @@ def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
             raise UserError(f"{path}: a .ddr has one sample, and the journal has: {known}; name one with --sample")
         sample = next(iter(reduced.samples))
     points = _points(reduced, sample).front
+    points = points.where(~points.mirrored)
     if np.unique(points.gamma_deg).size > 1:
         raise UserError(f"{path}: {sample} was measured at several gamma, which .ddr export does not do yet; use csv")
     wavelengths = np.unique(points.wavelength_nm)
@@ -74,7 +77,8 @@ def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
     if len({(grid.bsdf.shape, grid.theta_deg[1], grid.sigma_deg.tobytes()) for grid in grids}) > 1:
         raise UserError(f"{path}: {sample} was not measured in the same directions at all wavelengths; use csv")
     sigmas, bsdf = _covered(grids)
-    about = [*heading(reduced), f"sample: {sample}", *_continued(grids, wavelengths)]
+    checked = [f"symmetry: {reduced.symmetry[sample]}"] if sample in reduced.symmetry else []
+    about = [*heading(reduced), f"sample: {sample}", *checked, *_continued(grids, wavelengths)]
     table = DdrTable(
         source="Measured" if not reduced.simulated else "Generated",
         symmetry="PlaneSymmetrical",

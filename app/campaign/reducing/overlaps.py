@@ -7,11 +7,12 @@ one that formula 1 uses has that of one at the sample and one at the etalon, whe
 never knows it better. But the two values have to agree; a photodiode that moved, or took another's light, shows here.
 """
 
-import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from app.campaign.reducing.agreement import plausible
 from app.campaign.reducing.points import BsdfPoints, Floats
 
 
@@ -29,13 +30,14 @@ class Overlaps:
         said = "agree" if self.agree else "do NOT agree"
         return f"{self.pairs} pairs of photodiodes {said}, chi-square {self.chi_square:.1f}, worst {self.worst:.1f} u"
 
+    def as_dict(self) -> dict[str, Any]:
+        """For programs."""
+        return {"agree": self.agree, "pairs": self.pairs, "chi_square": self.chi_square, "worst": self.worst}
+
     @property
     def agree(self) -> bool:
         """Within five standard deviations of the chi-square distribution, and no pair worse than chance allows."""
-        if not self.pairs:
-            return True
-        most = math.sqrt(2.0 * math.log(self.pairs / 1e-6))  # one in a million for the worst of so many
-        return self.chi_square <= self.pairs + 5.0 * math.sqrt(2.0 * self.pairs) and self.worst <= most
+        return plausible(self.pairs, self.chi_square, self.worst)
 
 
 def overlaps(points: BsdfPoints, common: float) -> Overlaps:

@@ -27,6 +27,7 @@ class BsdfPoints:
     - `under_range`: the sample's signal is lost in its noise: the value is right, and says little.
 
     `signature` is the instrument's own share of the sample's signal, which has been subtracted; NaN where it was not measured.
+    `mirrored`: measured to check the stated symmetry; good, but no part of the table that was asked for.
     """
 
     wavelength_nm: Floats
@@ -51,6 +52,7 @@ class BsdfPoints:
     back: Flags
     transmitted: Flags
     signature: Floats
+    mirrored: Flags
 
     def where(self, chosen: Flags) -> "BsdfPoints":
         """Some of the points."""

@@ -13,7 +13,7 @@ points. Nothing is subtracted from transmitted light: without a sample there is 
 import math
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from app.campaign.reducing.overlaps import Overlaps, overlaps
 from app.campaign.reducing.points import BsdfPoints as BsdfPoints
 from app.campaign.reducing.points import Flags, Floats, joined
 from app.campaign.reducing.signals import Ints, Signal, darks_by_gain, dead_since, mean_signal, middle, signal
+from app.campaign.reducing.symmetry import Symmetrical, SymmetryCheck
 from app.campaign.reducing.traced import tracing_error, with_tracing_error
 from app.campaign.row import NOTHING, Row
 from app.campaign.schedule.certificate import Certificate, constant, parse_certificate
@@ -48,7 +49,8 @@ Key = tuple[float | None, Pose]
 @dataclass(frozen=True)
 class Reduced:
     """What a journal comes to: points by sample, and whether they are simulated. `overlaps` say by sample how well photodiodes
-    agree that saw the same direction; `notes` what a reader has to know about how it was reduced.
+    agree that saw the same direction, `symmetry` whether it has the one that is stated, where that is checked; `notes` what a
+    reader has to know about how it was reduced.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Reduced:
     samples: dict[str, BsdfPoints]
     overlaps: dict[str, Overlaps]
     notes: tuple[str, ...]
+    symmetry: dict[str, Symmetrical] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,25 @@ def reduce_journal(journal: Journal) -> Reduced:
         notes.append(f"the light was traced by the forward estimator, to {traced:.2g} in the median, which the uncertainty has")
     common = float(np.min(certificate.relative_uncertainty))
     seen = {name: overlaps(points, common) for name, points in samples.items()}
-    return Reduced(journal.value("name"), rig, journal.simulated, samples, seen, tuple(notes))
+    verdicts = {}
+    for name, points in samples.items():
+        if (checked := symmetry_check(journal, schedule, rig, name, common)) is not None:
+            checked.add(points)
+            verdicts[name] = checked.verdict()
+    notes += [f"symmetry of {name}: {verdict}" for name, verdict in verdicts.items()]
+    return Reduced(journal.value("name"), rig, journal.simulated, samples, seen, tuple(notes), verdicts)
+
+
+def symmetry_check(
+    journal: Journal, schedule: ScheduleFile, rig: RigDescription, sample: str, common: float
+) -> SymmetryCheck | None:
+    """That of a sample, where the schedule asks for one. `common` is the relative uncertainty that all points share."""
+    if schedule.symmetry_check is None:
+        return None
+    mirrored = np.array([row.pose for row in journal.planned() if row.sample == sample and row.mirrored], dtype=float)
+    monitor = math.sqrt(2.0) * rig.file.monitor.relative_uncertainty
+    angle = schedule.symmetry_check.angle_deg
+    return SymmetryCheck(schedule.symmetry, mirrored.reshape(-1, 4), angle, common=common, monitor=monitor)
 
 
 def row_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
@@ -224,6 +245,7 @@ def _arc_points(
         back=np.full(n, view.back),
         transmitted=np.full(n, view.transmitted),
         signature=ratio.signature,
+        mirrored=np.full(n, row.mirrored),
     )
 
 

@@ -18,6 +18,7 @@ from app.campaign.journal.writing import Journal
 from app.campaign.planning.check import checked_plan
 from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.reducing.reduction import BsdfPoints, Reduced, reduce_journal
+from app.campaign.reducing.verdicts import Verdicts
 from app.campaign.rehearsing.warnings import warnings_of
 from app.campaign.rehearsing.watch import Watch
 from app.campaign.running.engine import Engine
@@ -89,6 +90,9 @@ def rehearse(
         if run.state is State.IDLE:
             warnings.append(f"it ends before all rows are measured: {watch.ended}")
         points = {} if reduced is None else reduced.samples
+        checks = None if reduced is None else Verdicts(reduced.symmetry, reduced.overlaps)
+        if checks is not None:
+            warnings += checks.alarming
         result = {
             "simulated": True,
             "state": "failed" if run.state is State.FAILED else "done",
@@ -104,6 +108,7 @@ def rehearse(
                 "share_of_range": {f"{gain:g}": share for gain, share in watch.share_of_range.items()},
             },
             "saturated": watch.saturated,
+            "checks": None if checks is None else checks.as_dict(),
             "relative_uncertainty": {name: _spread(each) for name, each in points.items()},
             "lamp_hours": run.seconds / 3600.0,
             "journal_bytes": path.stat().st_size,

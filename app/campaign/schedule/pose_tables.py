@@ -27,9 +27,12 @@ class NearSpecularTable(Table):
 
 
 class SymmetryCheckTable(Table):
-    """So many poses are measured at their mirror image by the stated symmetry as well."""
+    """So many poses are measured at their mirror image by the stated symmetry as well. `angle_deg` is how well the axes know
+    where they are (standard): where a lobe is steep, so much makes a difference that is none of the sample's.
+    """
 
     points: PositiveInt
+    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.05
 
 
 class OverlapTable(Table):

@@ -29,7 +29,7 @@ def points_of(sigma: float, zenith: np.ndarray, azimuth: np.ndarray, hidden: np.
         photodiode=np.arange(zenith.size), zenith_deg=zenith, azimuth_deg=azimuth, theta_deg=theta, phi_deg=phi,
         bsdf=smooth(zenith, azimuth), u_bsdf=zeros + 0.01, shadowed=none if hidden is None else hidden.ravel(), clipped=none,
         no_etalon=none, dead=none, uncertified=none, drifted=none, under_range=none, back=none, transmitted=none,
-        signature=zeros + np.nan,
+        signature=zeros + np.nan, mirrored=none,
     )  # fmt: skip
 
 

@@ -1,0 +1,57 @@
+"""What a campaign's checks of itself have come to, for whoever has just measured it: symmetry, and overlapping photodiodes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from app.campaign.journal.writing import Journal
+from app.campaign.reducing.overlaps import Overlaps
+from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.reducing.symmetry import Symmetrical
+from app.campaign.schedule.file import parse_schedule
+from app.errors import UserError
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """By sample. `trouble` says why nothing can be said, where that is so."""
+
+    symmetry: Mapping[str, Symmetrical]
+    overlaps: Mapping[str, Overlaps]
+    trouble: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "symmetry": {name: found.as_dict() for name, found in self.symmetry.items()},
+            "overlaps": {name: found.as_dict() for name, found in self.overlaps.items() if found.pairs},
+            "trouble": self.trouble,
+            "told": self.lines,
+        }
+
+    @property
+    def lines(self) -> list[str]:
+        """For people."""
+        told = [f"symmetry of {name}: {found}" for name, found in self.symmetry.items()]
+        told += [f"overlaps of {name}: {found}" for name, found in self.overlaps.items() if found.pairs]
+        return told if not self.trouble else [f"the checks cannot be evaluated: {self.trouble}"]
+
+    @property
+    def alarming(self) -> list[str]:
+        """Those of the lines that say that something is not as it was stated."""
+        told = [f"symmetry of {name}: {found}" for name, found in self.symmetry.items() if found.pairs and not found.holds]
+        return told + [f"overlaps of {name}: {found}" for name, found in self.overlaps.items() if not found.agree]
+
+
+def checked_in(path: Path) -> Verdicts | None:
+    """Of a journal, as far as it goes; None where its schedule asks for no such check."""
+    try:
+        with Journal.open(path) as journal:
+            file = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
+            if file.symmetry_check is None and file.overlap is None:
+                return None
+            reduced = reduce_journal(journal)
+    except UserError as error:
+        return Verdicts({}, {}, str(error).removeprefix(f"{path}: "))
+    return Verdicts(reduced.symmetry, reduced.overlaps)
