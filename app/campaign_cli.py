@@ -134,16 +134,14 @@ def rehearse(
     describes; nothing of the rig is opened. What the operator believes wrongly of the rig (a sense, a gear) is wrong in that
     twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault.
     """
-    from app.campaign.rehearsing.rehearsal import prepared, rehearse, write_points
+    from app.campaign.rehearsing.rehearsal import prepared, rehearse
     from app.campaign.rehearsing.shown import in_words
     from app.campaign.schedule.file import read_schedule
     from app.rig import read_rig
 
     plan, assumed = prepared(read_schedule(schedule), read_rig(rig), _models(sample or []))
     with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
-        found = rehearse(plan, assumed, out=out, listeners=[progress])
-    if points is not None:
-        write_points(found, points)
+        found = rehearse(plan, assumed, out=out, points=points, listeners=[progress])
     answer(as_json, found.result, lambda: print(in_words(found)))
     for fault in found.result["faults"]:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)

@@ -10,7 +10,8 @@ many reads of eight registers through its client and its server's framing and PD
 measure that stands for the machine, nine bytes through pyserial's own `loop://`. Compare machines, or versions, by the ratio.
 
 With `--memory` a schedule of so many rows (shifts and wavelengths, one gain, one reading) is rehearsed, each in a process of
-its own: how much more memory that has at the last row than at the thousandth, the plan being there from the beginning (Linux).
+its own, as the command does it, with the forecast of every direction as CSV: how much more memory that has at the most, until
+its very end, than at the thousandth row, the plan being there from the beginning (Linux).
 """
 
 import argparse
@@ -32,7 +33,7 @@ from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from app.campaign.planning.plan import Plan
-from app.campaign.rehearsing.rehearsal import performed, prepared
+from app.campaign.rehearsing.rehearsal import performed, prepared, rehearse
 from app.campaign.rehearsing.watch import Watch
 from app.campaign.running.events import Event, RowCommitted
 from app.campaign.schedule.file import parse_schedule, read_schedule
@@ -42,7 +43,7 @@ from drivers.modbus import ModbusBus
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 RIG = EXAMPLES / "rigs" / "virtual.toml"
 QUICK = EXAMPLES / "schedules" / "quick.toml"
-STATM = Path("/proc/self/statm")
+STATM, STATUS, CLEAR_REFS = (Path("/proc/self") / name for name in ("statm", "status", "clear_refs"))
 FRAME = bytes(9)
 FROM_ROW = 1000
 LONG = """
@@ -180,8 +181,19 @@ def resident_bytes() -> int:
     return int(STATM.read_text(encoding="ascii").split()[1]) * resource.getpagesize()
 
 
+def most_bytes() -> int:
+    """The most that this process has been resident with since `forget_most`. Linux only."""
+    line = next(each for each in STATUS.read_text(encoding="ascii").splitlines() if each.startswith("VmHWM:"))
+    return 1024 * int(line.split()[1])
+
+
+def forget_most() -> None:
+    """Begins to look for the most anew."""
+    CLEAR_REFS.write_text("5", encoding="ascii")
+
+
 def memory(rows: int) -> dict[str, float]:
-    """Rehearses a schedule of about so many rows, without the reduction, in this process."""
+    """Rehearses a schedule of about so many rows in this process, as the command does it."""
     step = WAVELENGTHS_NM / max(1, round(rows / MEASURED) - 1)
     plan, _ = prepared(parse_schedule(LONG.format(step=step), "long.toml"), read_rig(RIG), {})
     at: dict[int, int] = {}
@@ -189,13 +201,18 @@ def memory(rows: int) -> dict[str, float]:
     def weigh(event: Event) -> None:
         if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.of):
             at[event.done] = resident_bytes()
+            if event.done == FROM_ROW:
+                forget_most()
 
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        performed(plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file)), [weigh])
+        rehearse(plan, points=Path(folder) / "points.csv", listeners=[weigh])
     seconds = time.perf_counter() - begun
-    last = len(plan.rows)
-    return {"rows": last, "seconds": seconds, "resident_mb": at[last] / 1e6, "grown_mb": (at[last] - at[FROM_ROW]) / 1e6}
+    last, most = len(plan.rows), most_bytes()
+    return {
+        "rows": last, "seconds": seconds, "most_mb": most / 1e6, "grown_in_rows_mb": (at[last] - at[FROM_ROW]) / 1e6,
+        "grown_mb": (most - at[FROM_ROW]) / 1e6, "bytes_a_row": (most - at[FROM_ROW]) / (last - FROM_ROW),
+    }  # fmt: skip
 
 
 def main() -> None:
@@ -216,8 +233,9 @@ def main() -> None:
         if options.json:
             print(json.dumps({**machine, **found}))
         else:
-            told = f"{found['resident_mb']:.0f} MB at the last, {found['grown_mb']:.1f} MB more than at row {FROM_ROW}"
-            print(f"{found['rows']:.0f} rows in {found['seconds']:.0f} s: {told}")
+            told = f"{found['most_mb']:.0f} MB at the most, {found['grown_mb']:.1f} MB more than at row {FROM_ROW}"
+            each = f"{found['bytes_a_row']:.0f} bytes a row; until the last row {found['grown_in_rows_mb']:.1f} MB more"
+            print(f"{found['rows']:.0f} rows in {found['seconds']:.0f} s: {told}, {each}")
         return
     figures = measured(options.rounds)
     if options.json:

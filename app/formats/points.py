@@ -5,8 +5,9 @@ A missing number is an empty field, never a number. UTF-8, decimal point, comma 
 
 import csv
 import io
+import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,11 +33,31 @@ class Points:
     columns: Mapping[str, NDArray[Any]]
 
 
-def write_points_csv(path: StrPath, header_comments: Sequence[str], columns: Mapping[str, ArrayLike]) -> None:
+def write_points_csv(
+    path: StrPath, header_comments: Sequence[str], columns: Mapping[str, ArrayLike] | Iterable[Mapping[str, ArrayLike]]
+) -> None:
     """Write columns of equal length: floats to nine significant digits, NaN as an empty field, strings as they are.
 
-    The file appears whole or not at all. Raises FormatError for what such a file cannot say.
+    Many points may come in parts, each with the same columns; one part at least. The file appears whole or not at all. Raises
+    FormatError for what such a file cannot say.
     """
+    parts = [columns] if isinstance(columns, Mapping) else columns
+    heading = marked(comment_lines(header_comments, ascii_only=False), "#")
+    write_text(path, itertools.chain(["".join(f"{line}\n" for line in heading)], _lines(path, parts)))
+
+
+def _lines(path: StrPath, parts: Iterable[Mapping[str, ArrayLike]]) -> Iterator[str]:
+    """The header row and the points of the first part, and those of each other."""
+    names: tuple[str, ...] = ()
+    for columns in parts:
+        if names and tuple(columns) != names:
+            raise FormatError(path, f"one part has the columns {', '.join(columns)}", f"give {', '.join(names)} in each")
+        rows = _rows(path, columns)
+        yield "".join(f"{_line(row)}\n" for row in (rows if names else itertools.chain([tuple(columns)], rows)))
+        names = tuple(columns)
+
+
+def _rows(path: StrPath, columns: Mapping[str, ArrayLike]) -> Iterator[tuple[str, ...]]:
     fields = {name: _fields(path, name, np.asanyarray(column)) for name, column in columns.items()}
     for name in fields:
         if not name.strip() or name.startswith("#") or _unwritable(name):
@@ -44,9 +65,7 @@ def write_points_csv(path: StrPath, header_comments: Sequence[str], columns: Map
     lengths = {name: len(column) for name, column in fields.items()}
     if len(set(lengths.values())) != 1:
         raise FormatError(path, f"the columns have the lengths {lengths}", "give columns, all of the same length")
-    lines = marked(comment_lines(header_comments, ascii_only=False), "#")
-    lines += [_line(row) for row in (tuple(fields), *zip(*fields.values(), strict=True))]
-    write_text(path, "\n".join(lines) + "\n")
+    return zip(*fields.values(), strict=True)
 
 
 def _line(row: tuple[str, ...]) -> str:

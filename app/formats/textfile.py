@@ -2,6 +2,7 @@
 
 import codecs
 import re
+from collections.abc import Iterable
 
 from app.formats.errors import FormatError, StrPath
 from app.formats.wholefile import read_whole, write_whole
@@ -32,10 +33,13 @@ def read_text(path: StrPath) -> str:
     return text
 
 
-def write_text(path: StrPath, text: str) -> None:
-    """Write a file as a whole, as `write_whole` does. Raises FormatError if that is impossible."""
+def write_text(path: StrPath, text: str | Iterable[str]) -> None:
+    """Write a file as a whole, as `write_whole` does, at once or in parts. Raises FormatError if that is impossible."""
+    write_whole(path, _encoded(path, text) if isinstance(text, str) else (_encoded(path, part) for part in text))
+
+
+def _encoded(path: StrPath, text: str) -> bytes:
     try:
-        content = text.encode("utf-8")
+        return text.encode("utf-8")
     except UnicodeEncodeError as error:
         raise FormatError(path, "the text holds broken characters", "correct names and comments") from error
-    write_whole(path, content)

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import threading
+from collections.abc import Iterable
 from pathlib import Path
 
 from app.formats.errors import FormatError, StrPath
@@ -21,8 +22,9 @@ def read_whole(path: StrPath) -> bytes:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
 
 
-def write_whole(path: StrPath, content: bytes) -> None:
-    """Write a file as a whole: under another name in the same folder, onto the disk, then renamed to `path`.
+def write_whole(path: StrPath, content: bytes | Iterable[bytes]) -> None:
+    """Write a file as a whole: under another name in the same folder, onto the disk, then renamed to `path`. A large content
+    may come in parts; what is raised while they are made is passed on, and leaves no file.
 
     Raises FormatError if that is impossible; what stood at `path` before is then untouched.
     """
@@ -33,7 +35,8 @@ def write_whole(path: StrPath, content: bytes) -> None:
             raise FormatError(path, "is a folder or a device, not a file", "name a file to write")
         spare = file.parent / f".{os.getpid()}-{threading.get_ident()}.tmp"
         with spare.open("wb") as out:
-            out.write(content)
+            for part in [content] if isinstance(content, bytes) else content:
+                out.write(part)
             out.flush()
             os.fsync(out.fileno())
         spare.replace(file)

@@ -5,18 +5,21 @@ import json
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from app.campaign.journal.listed import measured_rows
 from app.campaign.journal.recorded import Committed, Reading, RowData
-from app.campaign.row import Row
+from app.campaign.row import Kind, Row
 from app.errors import UserError
 
 ROW = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
+LAST = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
 DETAILS = ("gains", "readings", "automatic", "target", "longest_s")
 """What the column `detail` has of a row."""
 
@@ -98,20 +101,32 @@ class Recorded:
         with self._reading():
             return int(self._db.execute("SELECT MAX(number) FROM plan").fetchone()[0])
 
-    def rows(self) -> Iterator[Committed]:
-        """The committed rows in the order in which they were begun, each by its last attempt."""
+    def rows(self, *kinds: Kind) -> Iterator[Committed]:
+        """The committed rows, or those of some kinds, in the order in which they were begun, each by its last attempt."""
         with self._reading():
-            yield from self._rows()
+            chosen = f"AND kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
+            yield from self._rows(f"{LAST} {chosen} ORDER BY started_s, p.number", kinds)
+
+    def rows_of(self, numbers: Iterable[int]) -> Iterator[Committed]:
+        """Committed rows by their numbers, in that order, each by its last attempt."""
+        with self._reading():
+            for number in numbers:
+                yield from self._rows(f"{LAST} AND p.number = ?", (number,))
+
+    def measured_rows(self) -> tuple[npt.NDArray[np.void], list[str]]:
+        """Which measurements have readings, and where they were made: see `LISTED`; and the names of the samples."""
+        with self._reading():
+            return measured_rows(self._db)
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
         with damage_told(self.path):
             yield
 
-    def _rows(self) -> Iterator[Committed]:
+    def _rows(self, which: str, values: Sequence[Any]) -> Iterator[Committed]:
         found = self._db.execute(
-            f"SELECT {ROW}, attempt, started_s, ended_s, positions, flags FROM plan p JOIN attempt a USING (number)"
-            " WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number) ORDER BY started_s, p.number"
+            f"SELECT {ROW}, attempt, started_s, ended_s, positions, flags FROM plan p JOIN attempt a USING (number) {which}",
+            values,
         )
         for *planned, attempt, started, ended, positions, flags in found:
             row = _row(*planned)

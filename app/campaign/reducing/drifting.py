@@ -5,7 +5,7 @@ way of the light after the beam splitter, photodiodes, amplifiers, the sample.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -153,9 +153,11 @@ class Drift:
         return f"flagged for drift: what was measured from {self.begin_s:.0f} s to {until}; {self.told}"
 
 
-def drifts(rows: list[Committed], signals: dict[int, Signal], rig: RigFile, limit: float | None) -> list[Drift]:
-    """All of a campaign. `rows` in order of time, the `signals` of drift rows and measurements by their numbers; the `limit`
-    of the schedule's drift checks, None where it has none.
+def drifts(
+    rows: Iterable[Committed], signal_of: Callable[[Committed], Signal], rig: RigFile, limit: float | None
+) -> list[Drift]:
+    """All of a campaign: mountings, drift checks and measurements in order of time, of which few are kept. `signal_of` one with
+    readings; the `limit` of the schedule's drift checks, None where it has none.
     """
     found: list[Drift] = []
     reference = Reference(rig, limit)
@@ -169,9 +171,9 @@ def drifts(rows: list[Committed], signals: dict[int, Signal], rig: RigFile, limi
     for each in rows:
         now, row = each.data.started_s, each.row
         mounted = row.kind == "mount"
-        if not mounted and row.number not in signals:
+        if not mounted and not (row.kind in ("measure", "drift") and each.data.readings):
             continue
-        check = reference.check(row, partial(signals.__getitem__, row.number))
+        check = reference.check(row, partial(signal_of, each))
         if mounted and not row.added:
             between(now, well)
             before, last = now, well

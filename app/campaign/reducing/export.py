@@ -12,6 +12,8 @@ from app.formats import DdrTable, FormatError, write_ddr, write_points_csv
 
 Exporter = Callable[[Reduced, str | None, Path], int]
 LONGEST_LIST = 2000
+POINTS_AT_ONCE = 20_000
+"""As text a point has a kilobyte or two."""
 SQLITE = b"SQLite format 3\0"
 
 
@@ -28,19 +30,6 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
     chosen = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
     if not chosen:
         raise UserError(f"{path}: no sample has been measured yet, so there is nothing to write")
-    names = np.concatenate([np.full(points.bsdf.size, name) for name, points in chosen.items()])
-    columns: dict[str, np.ndarray] = {"sample": names}
-    for column in (
-        "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg",
-        "theta_deg", "phi_deg", "bsdf", "u_bsdf", "luminance_factor",
-    ):  # fmt: skip
-        unit = "_per_sr" if column in ("bsdf", "u_bsdf") else ""
-        columns[column + unit] = np.concatenate([getattr(points, column) for points in chosen.values()])
-    for column, word in (("side", _sides), ("light", _lights)):
-        columns[column] = np.concatenate([word(points) for points in chosen.values()])
-    columns["check"] = np.concatenate([np.where(points.mirrored, "mirrored", "") for points in chosen.values()])
-    columns["signature_share"] = np.concatenate([points.signature for points in chosen.values()])
-    columns["flags"] = np.concatenate([_flags(points) for points in chosen.values()])
     about = [
         *heading(reduced),
         "sigma: incidence; theta, phi: observation about the specular direction, phi 0 towards the normal; degrees",
@@ -54,8 +43,13 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
         *reduced.notes,
         *(f"overlaps of {name}: {found}" for name, found in reduced.overlaps.items() if name in chosen and found.pairs),
     ]
-    _written(path, lambda: write_points_csv(path, about, columns))
-    return int(names.size)
+    parts = (
+        _columns(name, points.where(np.arange(begin, min(begin + POINTS_AT_ONCE, points.bsdf.size))))
+        for name, points in chosen.items()
+        for begin in range(0, points.bsdf.size, POINTS_AT_ONCE)
+    )
+    _written(path, lambda: write_points_csv(path, about, parts))
+    return sum(points.bsdf.size for points in chosen.values())
 
 
 def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
@@ -141,17 +135,26 @@ def _points(reduced: Reduced, sample: str) -> BsdfPoints:
     return reduced.samples[sample]
 
 
+def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
+    """Of points of one sample, as they stand in a CSV."""
+    columns: dict[str, np.ndarray] = {"sample": np.full(points.bsdf.size, name)}
+    for column in (
+        "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg",
+        "theta_deg", "phi_deg", "bsdf", "u_bsdf", "luminance_factor",
+    ):  # fmt: skip
+        unit = "_per_sr" if column in ("bsdf", "u_bsdf") else ""
+        columns[column + unit] = getattr(points, column)
+    columns["side"] = np.where(points.back, "back", "front")
+    columns["light"] = np.where(points.transmitted, "transmitted", "reflected")
+    columns["check"] = np.where(points.mirrored, "mirrored", "")
+    columns["signature_share"] = points.signature
+    columns["flags"] = _flags(points)
+    return columns
+
+
 def _flags(points: BsdfPoints) -> np.ndarray:
     named = points.flags.items()
     return np.array([" ".join(name for name, flag in named if flag[k]) for k in range(points.bsdf.size)])
-
-
-def _sides(points: BsdfPoints) -> np.ndarray:
-    return np.where(points.back, "back", "front")
-
-
-def _lights(points: BsdfPoints) -> np.ndarray:
-    return np.where(points.transmitted, "transmitted", "reflected")
 
 
 def _is_journal(path: Path) -> bool:

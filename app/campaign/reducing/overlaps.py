@@ -15,6 +15,8 @@ import numpy as np
 from app.campaign.reducing.agreement import plausible
 from app.campaign.reducing.points import BsdfPoints, Floats
 
+HALF_TURN_DEG = 180.0
+
 
 @dataclass(frozen=True)
 class Overlaps:
@@ -40,18 +42,40 @@ class Overlaps:
         return plausible(self.pairs, self.chi_square, self.worst)
 
 
+class OverlapCheck:
+    """Takes a sample's points, in any parts of whole pairs of opposite half planes, and keeps what two photodiodes have seen.
+
+    `common` is the part of the relative uncertainty that all its points share, the certificate's.
+    """
+
+    def __init__(self, common: float) -> None:
+        self._common = common
+        self._kept: list[Floats] = []
+
+    def add(self, points: BsdfPoints) -> None:
+        """Some more points."""
+        good = points.where(points.good)
+        own: Floats = np.sqrt(np.maximum(good.u_bsdf**2 - (self._common * good.bsdf) ** 2, 0.0))
+        azimuth = np.where(good.zenith_deg < 1e-6, 0.0, good.azimuth_deg)
+        plane = np.mod(good.beta_deg, HALF_TURN_DEG)
+        keys = [good.wavelength_nm, good.sigma_deg, good.gamma_deg, plane, good.zenith_deg, azimuth]
+        _, which = np.unique(np.round(np.stack(keys, axis=1), 6), axis=0, return_inverse=True)
+        order = np.lexsort((good.photodiode, which.ravel()))
+        first, second = order[:-1], order[1:]
+        same = (which.ravel()[first] == which.ravel()[second]) & (good.photodiode[first] != good.photodiode[second])
+        first, second = first[same], second[same]
+        spread = np.hypot(own[first], own[second])
+        known = spread > 0.0
+        self._kept.append((good.bsdf[first] - good.bsdf[second])[known] / spread[known])
+
+    def verdict(self) -> Overlaps:
+        """Of all points that were added."""
+        z = np.concatenate(self._kept) if self._kept else np.zeros(0)
+        return Overlaps(z.size, float(np.sum(z**2)), float(np.abs(z).max()) if z.size else 0.0)
+
+
 def overlaps(points: BsdfPoints, common: float) -> Overlaps:
-    """Of one sample. `common` is the part of the relative uncertainty that all its points share, the certificate's."""
-    good = points.where(points.good)
-    own: Floats = np.sqrt(np.maximum(good.u_bsdf**2 - (common * good.bsdf) ** 2, 0.0))
-    azimuth = np.where(good.zenith_deg < 1e-6, 0.0, good.azimuth_deg)
-    keys = np.stack([good.wavelength_nm, good.sigma_deg, good.gamma_deg, good.zenith_deg, azimuth], axis=1)
-    _, which = np.unique(np.round(keys, 6), axis=0, return_inverse=True)
-    order = np.lexsort((good.photodiode, which.ravel()))
-    first, second = order[:-1], order[1:]
-    same = (which.ravel()[first] == which.ravel()[second]) & (good.photodiode[first] != good.photodiode[second])
-    first, second = first[same], second[same]
-    spread = np.hypot(own[first], own[second])
-    known = spread > 0.0
-    z = (good.bsdf[first] - good.bsdf[second])[known] / spread[known]
-    return Overlaps(z.size, float(np.sum(z**2)), float(np.abs(z).max()) if z.size else 0.0)
+    """Of all points of one sample: see `OverlapCheck`."""
+    check = OverlapCheck(common)
+    check.add(points)
+    return check.verdict()

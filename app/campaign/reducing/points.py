@@ -54,8 +54,8 @@ class BsdfPoints:
     signature: Floats
     mirrored: Flags
 
-    def where(self, chosen: Flags) -> "BsdfPoints":
-        """Some of the points."""
+    def where(self, chosen: Flags | npt.NDArray[np.int64]) -> "BsdfPoints":
+        """Some of the points, or all in another order."""
         return BsdfPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     @property

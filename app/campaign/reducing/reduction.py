@@ -11,29 +11,29 @@ points. Nothing is subtracted from transmitted light: without a sample there is 
 """
 
 import math
-from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from app.campaign.journal.recorded import Committed
 from app.campaign.journal.writing import Journal
 from app.campaign.planning.shadow import shadowed
-from app.campaign.reducing.arcs import ArcView, Pose, arc_views
-from app.campaign.reducing.drifting import drifts
-from app.campaign.reducing.overlaps import Overlaps, overlaps
+from app.campaign.reducing.arcs import ArcView, arc_views
+from app.campaign.reducing.checks import Checks
+from app.campaign.reducing.measured import Key, Listed, Measured, Measurements, References, in_half_planes, key_of
+from app.campaign.reducing.overlaps import Overlaps
 from app.campaign.reducing.points import BsdfPoints as BsdfPoints
-from app.campaign.reducing.points import Flags, Floats, joined
-from app.campaign.reducing.signals import Ints, Signal, darks_by_gain, dead_since, mean_signal, middle, signal
-from app.campaign.reducing.symmetry import Symmetrical, SymmetryCheck
-from app.campaign.reducing.traced import tracing_error, with_tracing_error
+from app.campaign.reducing.points import Flags, joined
+from app.campaign.reducing.ratio import Ratio
+from app.campaign.reducing.signals import Ints, Signal
+from app.campaign.reducing.symmetry import Symmetrical
+from app.campaign.reducing.traced import tracing_error
 from app.campaign.row import NOTHING, Row
 from app.campaign.schedule.certificate import Certificate, constant, parse_certificate
 from app.campaign.schedule.file import ScheduleFile, parse_schedule
 from app.errors import UserError
-from app.rig import RigDescription, parse_rig, photodiode_settings
+from app.rig import RigDescription, parse_rig
 
 ETALON_SIGNAL = 5.0
 """An etalon's signal below so many standard uncertainties is none: there is nothing to divide by."""
@@ -42,8 +42,8 @@ BRIGHT = 20.0
 DETECTED = 3.0
 """A sample's signal below so many standard uncertainties is lost in its noise."""
 GRAZING_DEG = 85.0
-DECIMALS = 6
-Key = tuple[float | None, Pose]
+ROWS_AT_ONCE = 256
+"""So many rows have some megabytes of points."""
 
 
 @dataclass(frozen=True)
@@ -63,63 +63,96 @@ class Reduced:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A row, or the mean of several of one pose: its signal, and which of its photodiodes (n,) had drifted, or were dead."""
+class Block:
+    """Some of a sample's `points`, whole pairs of opposite half planes; `rank` (n,) is the place of each one's row in time."""
 
-    row: Row
-    signal: Signal
-    drifted: Flags
-    dead: Flags
+    rank: Ints
+    points: BsdfPoints
+
+
+class Reduction:
+    """A journal while it is reduced, as far as it goes: what belongs to all of it, and its points in blocks, of which nothing
+    is kept. Raises UserError for one that has too little in it.
+    """
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+        self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
+        self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
+        self.certificate = _certificate(journal, self.schedule, self.rig)
+        self._measurements = Measurements(journal, self.schedule, self.rig)
+        self._etalon = References(self._measurements, self.schedule.etalon)
+        if not len(self._etalon):
+            raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
+        self._signature = References(self._measurements, NOTHING)
+        self._transmitted = False
+
+    def blocks(self, sample: str, rows: int = ROWS_AT_ONCE) -> Iterator[Block]:
+        """The points of a sample in the order of wavelength, sigma, gamma, half planes and time; of about so many rows at once,
+        which changes no value. Raises UserError.
+        """
+        listed = self._measurements.listed(sample)
+        order, edges = in_half_planes(listed)
+        begin = 0
+        for end in edges[1:].tolist():
+            if end > begin and (end - begin >= rows or end == len(order)):
+                if (block := self._block(listed, order[begin:end])) is not None:
+                    yield block
+                begin = end
+
+    def checks(self, sample: str) -> Checks:
+        """What is to be given the blocks of a sample, and then knows whether it agrees with itself."""
+        common = float(np.min(self.certificate.relative_uncertainty))
+        return Checks(self.schedule, self.rig.file, self._measurements.listed(sample), common)
+
+    def notes(self) -> list[str]:
+        """What a reader has to know about how it was reduced; once all blocks have been made."""
+        told = [str(drift) for drift in self._measurements.drifts]
+        if len(self._signature):
+            told.append("the instrument's own light was measured without a sample and has been subtracted from reflected light")
+        if self._transmitted:
+            told.append("transmitted light is scaled by what the same photodiode sees of the etalon lit from its own side")
+        certificate = self.schedule.certificate
+        if certificate is not None and certificate.accept_expired_by is not None:
+            who = certificate.accept_expired_by
+            told.append(f"the etalon's certificate holds until {certificate.expires}; {who} answers for it after that")
+        if (traced := tracing_error(self.rig.file)) is not None:
+            told.append(
+                f"the light was traced by the forward estimator, to {traced:.2g} in the median, which the uncertainty has"
+            )
+        return told
+
+    def _block(self, listed: Listed, places: Ints) -> Block | None:
+        rows = list(self._measurements.of(listed["number"][places].tolist()))
+        at_sample, at_etalon = _keys(self.rig, rows)
+        etalon, signature = self._etalon.of(at_etalon), self._signature.of(at_sample + at_etalon)
+        ranks, found = [], []
+        for rank, each in zip(places.tolist(), rows, strict=True):
+            for points in _row_points(self.rig, each, etalon, signature, self.certificate):
+                ranks.append(np.full(points.bsdf.size, rank))
+                found.append(points)
+                self._transmitted |= bool(points.transmitted.any())
+        return Block(np.concatenate(ranks), joined(found)) if found else None
 
 
 def reduce_journal(journal: Journal) -> Reduced:
     """All samples of a journal, as far as it goes. Raises UserError for one that has too little in it."""
-    rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
-    schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
-    certificate = _certificate(journal, schedule, rig)
-    try:
-        measured, notes = _measured(list(journal.rows()), schedule, rig)
-    except UserError as error:
-        raise UserError(f"{journal.path}: {error}") from None
-    etalon = _by_pose(each for each in measured if each.row.sample == schedule.etalon)
-    if not etalon:
-        raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
-    signature = _by_pose(each for each in measured if each.row.sample == NOTHING)
-    samples = {}
-    for sample in schedule.samples:
-        rows = [each for each in measured if each.row.sample == sample]
-        if blocks := [block for each in rows for block in _row_points(rig, each, etalon, signature, certificate)]:
-            samples[sample] = joined(blocks)
-    if signature:
-        notes.append("the instrument's own light was measured without a sample and has been subtracted from reflected light")
-    if any(points.transmitted.any() for points in samples.values()):
-        notes.append("transmitted light is scaled by what the same photodiode sees of the etalon lit from its own side")
-    if schedule.certificate is not None and schedule.certificate.accept_expired_by is not None:
-        who = schedule.certificate.accept_expired_by
-        notes.append(f"the etalon's certificate holds until {schedule.certificate.expires}; {who} answers for it after that")
-    if (traced := tracing_error(rig.file)) is not None:
-        notes.append(f"the light was traced by the forward estimator, to {traced:.2g} in the median, which the uncertainty has")
-    common = float(np.min(certificate.relative_uncertainty))
-    seen = {name: overlaps(points, common) for name, points in samples.items()}
-    verdicts = {}
-    for name, points in samples.items():
-        if (checked := symmetry_check(journal, schedule, rig, name, common)) is not None:
-            checked.add(points)
-            verdicts[name] = checked.verdict()
-    notes += [f"symmetry of {name}: {verdict}" for name, verdict in verdicts.items()]
-    return Reduced(journal.value("name"), rig, journal.simulated, samples, seen, tuple(notes), verdicts)
-
-
-def symmetry_check(
-    journal: Journal, schedule: ScheduleFile, rig: RigDescription, sample: str, common: float
-) -> SymmetryCheck | None:
-    """That of a sample, where the schedule asks for one. `common` is the relative uncertainty that all points share."""
-    if schedule.symmetry_check is None:
-        return None
-    mirrored = np.array([row.pose for row in journal.planned() if row.sample == sample and row.mirrored], dtype=float)
-    monitor = math.sqrt(2.0) * rig.file.monitor.relative_uncertainty
-    angle = schedule.symmetry_check.angle_deg
-    return SymmetryCheck(schedule.symmetry, mirrored.reshape(-1, 4), angle, common=common, monitor=monitor)
+    reduction = Reduction(journal)
+    samples, seen, verdicts = {}, {}, {}
+    for name in reduction.schedule.samples:
+        checks = reduction.checks(name)
+        blocks = []
+        for block in reduction.blocks(name):
+            checks.add(block.points)
+            blocks.append(block)
+        if blocks:
+            in_time = np.argsort(np.concatenate([block.rank for block in blocks]), kind="stable")
+            samples[name] = joined([block.points for block in blocks]).where(in_time)
+            seen[name] = checks.overlaps()
+            if (verdict := checks.symmetry()) is not None:
+                verdicts[name] = verdict
+    notes = reduction.notes() + [f"symmetry of {name}: {verdict}" for name, verdict in verdicts.items()]
+    return Reduced(journal.value("name"), reduction.rig, journal.simulated, samples, seen, tuple(notes), verdicts)
 
 
 def row_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
@@ -138,49 +171,14 @@ def _certificate(journal: Journal, schedule: ScheduleFile, rig: RigDescription) 
     return constant(rig.file.etalon.radiance_factor, rig.file.etalon.relative_uncertainty)
 
 
-def _measured(rows: list[Committed], schedule: ScheduleFile, rig: RigDescription) -> tuple[list[Measured], list[str]]:
-    """Each row that has readings, in order, and what is to be said of drift. Raises UserError."""
-    settings = photodiode_settings(rig.file)
-    darks = darks_by_gain(rows, settings)
-    since = dead_since(rows, settings)
-    lit = [each for each in rows if each.row.kind in ("measure", "drift") and each.data.readings]
-    signals = {each.row.number: with_tracing_error(signal(each.data, darks, settings), rig.file) for each in lit}
-    found = drifts(rows, signals, rig.file, None if schedule.drift is None else schedule.drift.limit)
-    none = np.zeros(settings.count, dtype=bool)
-    measured = [
-        Measured(
-            each.row,
-            signals[each.row.number],
-            np.any([none, *(drift.of(each.data.started_s) for drift in found)], axis=0),
-            since < middle(each.data.readings[0]),
-        )
-        for each in lit
-        if each.row.kind == "measure"
-    ]
-    return measured, [str(drift) for drift in found]
-
-
-def _key(row: Row, pose: Pose) -> Key:
-    """180 deg - sigma is not always what a planner has rounded."""
-    gamma, sigma, beta, shift = (round(angle, DECIMALS) for angle in pose)
-    return (row.wavelength_nm, (gamma, sigma, beta, shift))
-
-
-def _by_pose(measured: Iterable[Measured]) -> dict[Key, Measured]:
-    """The mean of those of one wavelength and pose."""
-    groups: dict[Key, list[Measured]] = defaultdict(list)
-    for each in measured:
+def _keys(rig: RigDescription, rows: list[Measured]) -> tuple[list[Key], list[Key]]:
+    """Where the rows were measured, and where their photodiodes have to have seen the etalon."""
+    own, etalon = [], []
+    for each in rows:
         assert each.row.pose is not None
-        groups[_key(each.row, each.row.pose)].append(each)
-    return {
-        key: Measured(
-            group[0].row,
-            mean_signal([each.signal for each in group]),
-            np.any([each.drifted for each in group], axis=0),
-            np.any([each.dead for each in group], axis=0),
-        )
-        for key, group in groups.items()
-    }
+        own.append(key_of(each.row, each.row.pose))
+        etalon += [key_of(each.row, view.etalon_pose(each.row.pose)) for view in arc_views(rig.file, each.row.pose)]
+    return own, etalon
 
 
 def _row_points(
@@ -192,10 +190,10 @@ def _row_points(
     blocks = []
     for view in arc_views(rig.file, row.pose):
         pose = view.etalon_pose(row.pose)
-        reference = etalon.get(_key(row, pose))
+        reference = etalon.get(key_of(row, pose))
         if reference is not None:
-            own = None if view.transmitted else signature.get(_key(row, row.pose))
-            at_etalon = signature.get(_key(row, pose))
+            own = None if view.transmitted else signature.get(key_of(row, row.pose))
+            at_etalon = signature.get(key_of(row, pose))
             blocks.append(_arc_points(rig, sample, view, reference, (own, at_etalon), certificate))
     return blocks
 
@@ -216,7 +214,7 @@ def _arc_points(
     incidence = 180.0 - etalon.row.pose[1] if etalon.row.pose[1] > 90.0 else etalon.row.pose[1]
     factor, u_factor = certificate.at(row.wavelength_nm, incidence, view.polar, view.azimuth)
     own, at_etalon = (None if each is None else each.signal for each in signature)
-    ratio = _Ratio.of(rig, sample.signal, etalon.signal, own, at_etalon, c=c)
+    ratio = Ratio.of(rig, sample.signal, etalon.signal, own, at_etalon, c=c)
     hidden = shadowed(rig.file, sigma, view.zenith, view.azimuth, gamma)
     no_etalon = np.isfinite(ratio.etalon) & ~(ratio.etalon > ETALON_SIGNAL * np.sqrt(ratio.var_etalon))
     scale = np.where(no_etalon, np.nan, factor / math.pi)
@@ -249,49 +247,7 @@ def _arc_points(
     )
 
 
-@dataclass(frozen=True)
-class _Ratio:
-    """Sample over etalon, both without the signature: `value` with the `variance` of noise and what is relative to it."""
-
-    value: Floats
-    variance: Floats
-    relative_variance: Floats
-    sample: Floats
-    var_sample: Floats
-    etalon: Floats
-    var_etalon: Floats
-    clipped: Flags
-    signature: Floats
-
-    @classmethod
-    def of(
-        cls, rig: RigDescription, sample: Signal, etalon: Signal, own: Signal | None, at_etalon: Signal | None, *, c: Ints
-    ) -> "_Ratio":
-        """Of the photodiodes `c`."""
-        g, var_g, cut_g = _taken(own, c)
-        h, var_h, cut_h = _taken(at_etalon, c)
-        total = sample.ratio[c]
-        s, var_s = total - g, sample.variance[c] + var_g
-        e, var_e = etalon.ratio[c] - h, etalon.variance[c] + var_h
-        value = s / np.where(e == 0.0, np.nan, e)
-        # What is subtracted from both is one and the same error.
-        shared = 2.0 * value * var_g if own is at_etalon else 0.0
-        variance = (var_s + value**2 * var_e - shared) / e**2
-        monitor = 2.0 * rig.file.monitor.relative_uncertainty**2
-        other_gain = sample.gain[c] != etalon.gain[c]
-        gain = np.where(other_gain, 2.0 * rig.file.photodiodes.gain_uncertainty**2, 0.0)
-        clipped = sample.clipped[c] | etalon.clipped[c] | cut_g | cut_h
-        share = np.full(len(c), np.nan) if own is None else g / np.where(total == 0.0, np.nan, total)
-        return cls(value, variance, monitor + gain, s, var_s, e, var_e, clipped, share)
-
-
-def _taken(signature: Signal | None, c: Ints) -> tuple[Floats, Floats, Flags]:
-    if signature is None:
-        return np.zeros(len(c)), np.zeros(len(c)), np.zeros(len(c), dtype=bool)
-    return signature.ratio[c], signature.variance[c], signature.clipped[c]
-
-
-def _dead(ratio: _Ratio, view: ArcView, none: Flags) -> Flags:
+def _dead(ratio: Ratio, view: ArcView, none: Flags) -> Flags:
     """Which of those that see nothing of the etalon should: by what the others see, over the cosine of their zenith angles."""
     cosine = np.cos(np.radians(view.polar))
     lit = (view.polar <= GRAZING_DEG) & (cosine > 0.0)

@@ -74,7 +74,7 @@ class SymmetryCheck:
 
     def __init__(self, stated: Symmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
         self._stated = stated
-        self._poses = np.unique(canonical(mirrored, stated), axis=0)
+        self._poses = {tuple(pose) for pose in np.unique(canonical(mirrored, stated), axis=0).tolist()}
         self._angle_deg = angle_deg
         self._common = common
         self._monitor = monitor
@@ -85,7 +85,7 @@ class SymmetryCheck:
         poses = np.stack([points.gamma_deg, points.sigma_deg, points.beta_deg, points.shift_deg], axis=1)
         same = canonical(poses, self._stated)
         rows, which = np.unique(same, axis=0, return_inverse=True)
-        checked = np.any(np.all(rows[:, None] == self._poses[None], axis=2), axis=1)[which.ravel()]
+        checked = np.array([tuple(row) in self._poses for row in rows.tolist()], dtype=bool)[which.ravel()]
         chosen = checked & points.good
         if not chosen.any():
             return

@@ -1,13 +1,13 @@
 """What a campaign's checks of itself have come to, for whoever has just measured it: symmetry, and overlapping photodiodes."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from app.campaign.journal.writing import Journal
+from app.campaign.reducing.checks import Checks
 from app.campaign.reducing.overlaps import Overlaps
-from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.reducing.reduction import Reduction
 from app.campaign.reducing.symmetry import Symmetrical
 from app.campaign.schedule.file import parse_schedule
 from app.errors import UserError
@@ -17,9 +17,15 @@ from app.errors import UserError
 class Verdicts:
     """By sample. `trouble` says why nothing can be said, where that is so."""
 
-    symmetry: Mapping[str, Symmetrical]
-    overlaps: Mapping[str, Overlaps]
+    symmetry: dict[str, Symmetrical]
+    overlaps: dict[str, Overlaps]
     trouble: str = ""
+
+    def add(self, name: str, checks: Checks) -> None:
+        """What the checks of a sample have come to, which has been given all of its points."""
+        self.overlaps[name] = checks.overlaps()
+        if (symmetry := checks.symmetry()) is not None:
+            self.symmetry[name] = symmetry
 
     def as_dict(self) -> dict[str, Any]:
         """For programs."""
@@ -51,7 +57,13 @@ def checked_in(path: Path) -> Verdicts | None:
             file = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
             if file.symmetry_check is None and file.overlap is None:
                 return None
-            reduced = reduce_journal(journal)
+            found = Verdicts({}, {})
+            reduction = Reduction(journal)
+            for name in file.samples:
+                checks = reduction.checks(name)
+                for block in reduction.blocks(name):
+                    checks.add(block.points)
+                found.add(name, checks)
+            return found
     except UserError as error:
         return Verdicts({}, {}, str(error).removeprefix(f"{path}: "))
-    return Verdicts(reduced.symmetry, reduced.overlaps)

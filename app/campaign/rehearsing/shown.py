@@ -19,7 +19,7 @@ def in_words(rehearsal: Rehearsal) -> str:
         f"  axes        {_ranges(result['axes_deg'])}",
         f"  counts      {_counts(result)}",
         *(f"  uncertainty {name}: {_spread(spread)}" for name, spread in result["relative_uncertainty"].items()),
-        *(f"  check       {each}" for each in (result["checks"] or {}).get("told", [])),
+        *(f"  check       {each}" for each in result["checks"]["told"]),
         f"  lamp        {result['lamp_hours']:.2f} h",
         f"  journal     {_size(result['journal_bytes'])}",
         *(f"  assumed     {each}" for each in result["assumed"]),

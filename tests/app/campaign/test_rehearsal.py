@@ -12,7 +12,7 @@ import serial
 from app.campaign.journal.writing import Journal
 from app.campaign.planning.check import checked_plan
 from app.campaign.planning.plan import make_plan
-from app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse, write_points
+from app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse
 from app.campaign.rehearsing.shown import in_words
 from app.campaign.running.events import Event, RowCommitted
 from app.campaign.schedule.file import read_schedule
@@ -94,13 +94,14 @@ def test_it_says_where_the_axes_have_been_and_how_full_the_converters_were(small
     assert small.result["saturated"] == 0
 
 
-def test_it_foretells_the_uncertainty_of_each_direction(small: Rehearsal, tmp_path: Path) -> None:
-    spread = small.result["relative_uncertainty"]["gaussian-5"]
+def test_it_foretells_the_uncertainty_of_each_direction(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    plan, assumed = prepared(read_schedule(write_schedule()), read_rig(write_rig()), {})
+    spread = rehearse(plan, assumed, points=tmp_path / "points.csv").result["relative_uncertainty"]["gaussian-5"]
     assert 0.0 < spread["p05"] <= spread["p50"] <= spread["p95"]
-    assert write_points(small, tmp_path / "points.csv") == spread["directions"]
     found = read_points_csv(tmp_path / "points.csv")
     assert found.comments[0].startswith("SIMULATED")
     columns = found.columns
+    assert columns["bsdf_per_sr"].size == spread["directions"]
     peak = (columns["zenith_deg"] == 30.0) & (columns["azimuth_deg"] == 180.0)
     # Noise is small there: what is left is the etalon's certificate, the monitor's and the gains' uncertainty.
     assert columns["relative_uncertainty"][peak] == pytest.approx(0.0025, abs=0.0008)

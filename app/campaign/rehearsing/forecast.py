@@ -1,0 +1,120 @@
+"""What a rehearsal's journal foretells: the uncertainty of each direction, and the checks. In blocks that are not kept."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.campaign.journal.writing import Journal
+from app.campaign.reducing.points import BsdfPoints, Floats
+from app.campaign.reducing.reduction import ROWS_AT_ONCE, Reduction
+from app.campaign.reducing.verdicts import Verdicts
+from app.errors import UserError
+from app.formats import FormatError, write_points_csv
+
+PERCENTILES = (5, 50, 95)
+WELL_KNOWN = 0.1
+OF_POINTS = (
+    "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg", "theta_deg",
+    "phi_deg",
+)  # fmt: skip
+ABOUT = (
+    "in the order of wavelength, sigma, gamma and half planes",
+    "relative_uncertainty: the standard uncertainty foretold for a value, over the value; nothing where there is no value",
+    "trusted: 0 where a direction is hidden, or its value otherwise not to be trusted",
+)
+
+
+@dataclass
+class Spread:
+    """Of one sample: how many directions there are, how many may be trusted, and the relative uncertainties of those of them
+    that have a value above zero.
+    """
+
+    directions: int = 0
+    trusted: int = 0
+    known: list[Floats] = field(default_factory=list)
+
+    def add(self, points: BsdfPoints) -> None:
+        """Some more points."""
+        good = points.good
+        found = relative(points)[good]
+        self.directions += int(points.bsdf.size)
+        self.trusted += int(good.sum())
+        self.known.append(found[np.isfinite(found)])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Percentiles, and how many are known to a tenth of their value."""
+        known = np.concatenate(self.known)
+        found = np.percentile(known, PERCENTILES).tolist() if known.size else [None] * len(PERCENTILES)
+        return {
+            **{f"p{each:02d}": value for each, value in zip(PERCENTILES, found, strict=True)},
+            "directions": self.directions,
+            "trusted": self.trusted,
+            "above_zero": int(known.size),
+            "to_a_tenth": int(np.sum(known <= WELL_KNOWN)),
+        }
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """`spread` by sample; `trouble` says why there is none."""
+
+    spread: dict[str, dict[str, Any]]
+    verdicts: Verdicts
+    trouble: str = ""
+
+
+def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = ROWS_AT_ONCE) -> Forecast:
+    """Of a journal; each direction is written to the CSV `points`, with the comments `about`. Raises UserError where that
+    cannot be, or has nothing in it.
+    """
+    spreads: dict[str, Spread] = {}
+    verdicts = Verdicts({}, {})
+    try:
+        with Journal.open(path) as journal:
+            parts = _parts(Reduction(journal), spreads, verdicts, rows_at_once)
+            first = next(parts, None)
+            if points is None or first is None:
+                for _ in parts:
+                    pass
+            else:
+                write_points_csv(points, [*about, *ABOUT], itertools.chain([first], parts))
+    except FormatError as error:
+        raise UserError(str(error)) from None
+    except UserError as error:
+        trouble = str(error).removeprefix(f"{path}: ")
+        if points is not None:
+            raise UserError(f"{points}: no sample has come to a value, so there is nothing to write: {trouble}") from None
+        return Forecast({}, Verdicts({}, {}, trouble), trouble)
+    if points is not None and not spreads:
+        raise UserError(f"{points}: no sample has come to a value, so there is nothing to write")
+    return Forecast({name: spread.as_dict() for name, spread in spreads.items()}, verdicts)
+
+
+def relative(points: BsdfPoints) -> Floats:
+    """Relative standard uncertainties; NaN where there is no value above zero."""
+    value = np.where(points.bsdf > 0.0, points.bsdf, np.nan)
+    found: Floats = points.u_bsdf / value
+    return found
+
+
+def _parts(
+    reduction: Reduction, spreads: dict[str, Spread], verdicts: Verdicts, rows_at_once: int
+) -> Iterator[dict[str, npt.NDArray[Any]]]:
+    """The columns of a CSV, block by block; fills `spreads` and `verdicts`."""
+    for name in reduction.schedule.samples:
+        checks = reduction.checks(name)
+        for block in reduction.blocks(name, rows_at_once):
+            found = block.points
+            spreads.setdefault(name, Spread()).add(found)
+            checks.add(found)
+            columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(found.bsdf.size, name)}
+            columns |= {column: getattr(found, column) for column in OF_POINTS}
+            yield columns | {"bsdf_per_sr": found.bsdf, "relative_uncertainty": relative(found), "trusted": found.good}
+        if name in spreads:
+            verdicts.add(name, checks)

@@ -1,0 +1,99 @@
+"""A journal reduced in blocks: the same numbers, bit for bit, whatever the size of a block, in little memory."""
+
+import gc
+import tracemalloc
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.campaign.campaign import run_campaign
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import make_plan
+from app.campaign.reducing.points import BsdfPoints, joined
+from app.campaign.reducing.reduction import Reduction, reduce_journal
+from app.campaign.rehearsing.forecast import forecast
+from app.campaign.rehearsing.rehearsal import prepared, rehearse
+from app.campaign.schedule.file import read_schedule
+from app.rig import read_rig
+from tests.conftest import SMALL, Writer
+
+WHITE = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')
+GLASS = '[twin.samples.glass]\nmodel = "lambertian"\nreflectance = 0.4\ntransmittance = 0.3\nside = "both"\n\n'
+SIZES = (1, 7, 40, 10**9)
+EVERYTHING = (
+    SMALL + 'side = "both"\nlight = "both"\nsignature = true\nrepeats = 2\n'
+    "[drift]\nevery_s = 60\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
+    "[symmetry_check]\npoints = 2\n[overlap]\npoints = 2\n"
+)  # fmt: skip
+
+
+@pytest.fixture
+def journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Path:
+    """Both sides and both lights of two samples, with everything beside that the reduction heeds."""
+    changes = (
+        ('["gaussian-5"]', '["glass", "gaussian-5"]'), ("beta_deg = [180]", "beta_deg = [0, 45, 180]"), ("[30]", "[30, 45]"),
+        ("[550]", "[500, 550]"),
+    )  # fmt: skip
+    rig = write_rig(WHITE, ("[twin.samples.etalon]", f"{GLASS}[twin.samples.etalon]"))
+    run_campaign(make_plan(read_schedule(write_schedule(*changes, text=EVERYTHING)), read_rig(rig)), tmp_path / "a.journal")
+    return tmp_path / "a.journal"
+
+
+def bits(points: BsdfPoints) -> list[bytes]:
+    return [getattr(points, field.name).tobytes() for field in fields(points)]
+
+
+def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path) -> None:
+    with Journal.open(journal) as opened:
+        reduction, whole = Reduction(opened), reduce_journal(opened)
+        for sample in ("glass", "gaussian-5"):
+            found = {}
+            for size in SIZES:
+                blocks = list(reduction.blocks(sample, size))
+                points = joined([block.points for block in blocks])
+                found[size] = bits(points)
+                ranks = np.concatenate([block.rank for block in blocks])
+                assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
+                assert max(np.unique(block.rank).size for block in blocks) < size + 2 * 2 * 3 * 2  # a pair of half planes more
+            assert all(each == found[1] for each in found.values())
+    assert whole.samples["glass"].transmitted.any()
+    assert whole.samples["glass"].back.any()
+
+
+def test_a_forecast_is_the_same_whatever_the_size_of_a_block(journal: Path, tmp_path: Path) -> None:
+    found = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in SIZES]
+    assert all(each.spread == found[0].spread for each in found)
+    assert all(each.verdicts.as_dict() == found[0].verdicts.as_dict() for each in found)
+    assert len({(tmp_path / f"{size}.csv").read_bytes() for size in SIZES}) == 1
+    with Journal.open(journal) as opened:
+        whole = reduce_journal(opened)
+    for name, points in whole.samples.items():
+        assert found[0].spread[name]["directions"] == points.bsdf.size
+        positive = points.good & (points.bsdf > 0.0)
+        median = float(np.percentile((points.u_bsdf / np.where(positive, points.bsdf, np.nan))[positive], 50))
+        assert found[0].spread[name]["p50"] == median
+        assert found[0].verdicts.symmetry[name] == whole.symmetry[name]
+        assert found[0].verdicts.overlaps[name] == whole.overlaps[name]
+    assert whole.symmetry["glass"].pairs > 0
+    assert whole.overlaps["glass"].pairs > 0
+
+
+def test_what_a_forecast_holds_grows_by_much_less_than_a_kilobyte_a_row(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    rig, held, rows = read_rig(write_rig()), [], []
+    for step in (4.0, 1.0):
+        many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")
+        plan, _ = prepared(read_schedule(write_schedule(many, ("[1e8, 1e10]", "[1e8]"), ("[180]", "[0, 90, 180]"))), rig, {})
+        path = tmp_path / f"{step}.journal"
+        rehearse(plan, out=path)
+        gc.collect()
+        tracemalloc.start()
+        forecast(path, tmp_path / "a.csv", rows_at_once=16)
+        held.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        rows.append(len(plan.rows))
+    # All points at once, as text, would be 20 kB a row.
+    assert (held[1] - held[0]) / (rows[1] - rows[0]) < 600.0
