@@ -9,6 +9,7 @@ from app.campaign.reducing.overlaps import OverlapCheck, Overlaps
 from app.campaign.reducing.points import BsdfPoints
 from app.campaign.reducing.symmetry import Symmetrical, SymmetryCheck
 from app.campaign.schedule.file import ScheduleFile
+from app.campaign.schedule.pose_tables import ANGLE_DEG
 from app.rig import RigFile
 
 
@@ -16,12 +17,12 @@ class Checks:
     """Of one sample, whose measurements are `listed`. `common` is the relative uncertainty that all its points share."""
 
     def __init__(self, schedule: ScheduleFile, rig: RigFile, listed: Listed, common: float) -> None:
-        self._overlaps = OverlapCheck(common)
+        monitor = math.sqrt(2.0) * rig.monitor.relative_uncertainty
+        self._overlaps = OverlapCheck(common, monitor, ANGLE_DEG if schedule.overlap is None else schedule.overlap.angle_deg)
         self._symmetry: SymmetryCheck | None = None
         if schedule.symmetry_check is not None:
             mirrored = listed[listed["mirrored"]]
             poses = np.stack([mirrored[name] for name in PLACE[1:]], axis=1)
-            monitor = math.sqrt(2.0) * rig.monitor.relative_uncertainty
             angle = schedule.symmetry_check.angle_deg
             self._symmetry = SymmetryCheck(schedule.symmetry, poses, angle, common=common, monitor=monitor)
 

@@ -105,6 +105,28 @@ class Reduction:
         common = float(np.min(self.certificate.relative_uncertainty))
         return Checks(self.schedule, self.rig.file, self._measurements.listed(sample), common)
 
+    @property
+    def calibrates(self) -> bool:
+        """Whether values are multiplied by what overlaps say of their photodiodes."""
+        return self.schedule.overlap is not None and self.schedule.overlap.calibrate
+
+    def finished(self, points: BsdfPoints, found: Overlaps | None) -> BsdfPoints:
+        """Points of a sample as they are to be used, by what its overlaps have come to."""
+        return found.factors.applied(points) if self.calibrates and found is not None else points
+
+    def overlaps(self, sample: str, rows: int = ROWS_AT_ONCE) -> Overlaps | None:
+        """Of a sample, if they are needed to finish its points: that takes all blocks once more. Raises UserError."""
+        if not self.calibrates:
+            return None
+        checks = self.checks(sample)
+        for block in self.blocks(sample, rows):
+            checks.add(block.points)
+        return checks.overlaps()
+
+    def calibration_told(self, found: Overlaps) -> list[str]:
+        """What is to be said of the factors that a sample's overlaps come to, where the schedule has overlaps on purpose."""
+        return [] if self.schedule.overlap is None else list(found.factors.told(self.calibrates))
+
     def notes(self) -> list[str]:
         """What a reader has to know about how it was reduced; once all blocks have been made."""
         told = [str(drift) for drift in self._measurements.drifts]
@@ -147,11 +169,13 @@ def reduce_journal(journal: Journal) -> Reduced:
             blocks.append(block)
         if blocks:
             in_time = np.argsort(np.concatenate([block.rank for block in blocks]), kind="stable")
-            samples[name] = joined([block.points for block in blocks]).where(in_time)
             seen[name] = checks.overlaps()
+            samples[name] = reduction.finished(joined([block.points for block in blocks]).where(in_time), seen[name])
             if (verdict := checks.symmetry()) is not None:
                 verdicts[name] = verdict
-    notes = reduction.notes() + [f"symmetry of {name}: {verdict}" for name, verdict in verdicts.items()]
+    notes = reduction.notes()
+    notes += [f"symmetry of {name}: {verdict}" for name, verdict in verdicts.items()]
+    notes += [f"overlaps of {name}: {each}" for name, found in seen.items() for each in reduction.calibration_told(found)]
     return Reduced(journal.value("name"), reduction.rig, journal.simulated, samples, seen, tuple(notes), verdicts)
 
 

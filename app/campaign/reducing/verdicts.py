@@ -15,11 +15,14 @@ from app.errors import UserError
 
 @dataclass(frozen=True)
 class Verdicts:
-    """By sample. `trouble` says why nothing can be said, where that is so."""
+    """By sample; the overlaps as they are before any calibration, and whether the values have been `calibrated` by them.
+    `trouble` says why nothing can be said, where that is so.
+    """
 
     symmetry: dict[str, Symmetrical]
     overlaps: dict[str, Overlaps]
     trouble: str = ""
+    calibrated: bool = False
 
     def add(self, name: str, checks: Checks) -> None:
         """What the checks of a sample have come to, which has been given all of its points."""
@@ -32,6 +35,7 @@ class Verdicts:
         return {
             "symmetry": {name: found.as_dict() for name, found in self.symmetry.items()},
             "overlaps": {name: found.as_dict() for name, found in self.overlaps.items() if found.pairs},
+            "calibrated": self.calibrated,
             "trouble": self.trouble,
             "told": self.lines,
         }
@@ -40,7 +44,11 @@ class Verdicts:
     def lines(self) -> list[str]:
         """For people."""
         told = [f"symmetry of {name}: {found}" for name, found in self.symmetry.items()]
-        told += [f"overlaps of {name}: {found}" for name, found in self.overlaps.items() if found.pairs]
+        for name, found in self.overlaps.items():
+            told += [f"overlaps of {name}: {found}"] if found.pairs else []
+            if listed := ", ".join(f"{k} by {found.factors.of(k):.4f}" for k in found.factors.significant):
+                done = "multiplied" if self.calibrated else "to be multiplied (overlap.calibrate is false, so they are not)"
+                told.append(f"overlaps of {name}: values {done}: of photodiode {listed}")
         return told if not self.trouble else [f"the checks cannot be evaluated: {self.trouble}"]
 
     @property
@@ -57,8 +65,8 @@ def checked_in(path: Path) -> Verdicts | None:
             file = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
             if file.symmetry_check is None and file.overlap is None:
                 return None
-            found = Verdicts({}, {})
             reduction = Reduction(journal)
+            found = Verdicts({}, {}, calibrated=reduction.calibrates)
             for name in file.samples:
                 checks = reduction.checks(name)
                 for block in reduction.blocks(name):

@@ -74,10 +74,11 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
     cannot be, or has nothing in it.
     """
     spreads: dict[str, Spread] = {}
-    verdicts = Verdicts({}, {})
     try:
         with Journal.open(path) as journal:
-            parts = _parts(Reduction(journal), spreads, verdicts, rows_at_once)
+            reduction = Reduction(journal)
+            verdicts = Verdicts({}, {}, calibrated=reduction.calibrates)
+            parts = _parts(reduction, spreads, verdicts, rows_at_once)
             first = next(parts, None)
             if points is None or first is None:
                 for _ in parts:
@@ -108,11 +109,11 @@ def _parts(
 ) -> Iterator[dict[str, npt.NDArray[Any]]]:
     """The columns of a CSV, block by block; fills `spreads` and `verdicts`."""
     for name in reduction.schedule.samples:
-        checks = reduction.checks(name)
+        checks, overlaps = reduction.checks(name), reduction.overlaps(name, rows_at_once)
         for block in reduction.blocks(name, rows_at_once):
-            found = block.points
+            checks.add(block.points)
+            found = reduction.finished(block.points, overlaps)
             spreads.setdefault(name, Spread()).add(found)
-            checks.add(found)
             columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(found.bsdf.size, name)}
             columns |= {column: getattr(found, column) for column in OF_POINTS}
             yield columns | {"bsdf_per_sr": found.bsdf, "relative_uncertainty": relative(found), "trusted": found.good}

@@ -7,6 +7,8 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from app.campaign.schedule.grids import Grid
 from app.tables import Table
 
+ANGLE_DEG = 0.05
+"""As far as counter and encoder of an axis may be apart at rest where nobody has said otherwise."""
 Symmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
 
 
@@ -32,10 +34,17 @@ class SymmetryCheckTable(Table):
     """
 
     points: PositiveInt
-    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.05
+    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = ANGLE_DEG
 
 
 class OverlapTable(Table):
-    """At each sigma so many poses at which photodiodes look where their neighbours look at the first shift of the grid."""
+    """At each sigma so many poses at which photodiodes look where their neighbours look at the first shift of the grid.
+
+    `calibrate`: the values are brought together by a factor for each photodiode, from all directions that two have seen; else
+    the factors are only told. `angle_deg` is how well it is known where a photodiode looks (standard): a steep lobe says the
+    less of a ratio.
+    """
 
     points: PositiveInt
+    calibrate: bool = False
+    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = ANGLE_DEG

@@ -25,7 +25,7 @@ SIZES = (1, 7, 40, 10**9)
 EVERYTHING = (
     SMALL + 'side = "both"\nlight = "both"\nsignature = true\nrepeats = 2\n'
     "[drift]\nevery_s = 60\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
-    "[symmetry_check]\npoints = 2\n[overlap]\npoints = 2\n"
+    "[symmetry_check]\npoints = 2\n[overlap]\npoints = 2\ncalibrate = true\n"
 )  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path) -> 
             found = {}
             for size in SIZES:
                 blocks = list(reduction.blocks(sample, size))
-                points = joined([block.points for block in blocks])
+                points = reduction.finished(joined([block.points for block in blocks]), reduction.overlaps(sample, size))
                 found[size] = bits(points)
                 ranks = np.concatenate([block.rank for block in blocks])
                 assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
