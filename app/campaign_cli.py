@@ -58,12 +58,13 @@ def run(
     """Measure a campaign, or go on with one.
 
     Checks schedule and rig first and refuses what cannot work (status 2, no journal). A row is on the disk before the next
-    begins. Ends with status 0 when all rows are done, 1 after a fault, 130 after Ctrl-C: the journal then has what was
-    measured until then.
+    begins. Ends with status 0 when all rows are done, 1 after a fault or when rows were skipped for faults, 3 where the
+    schedule has ended it ([stop], or a drift beyond its limit), 130 after Ctrl-C: the journal has what was measured until
+    then, and --resume goes on.
 
     With --resume the journal says what is to be measured and on which rig; --rig is only needed where the devices are reached
-    at other ports than before, and anything else that differs is refused. It goes on at the first row that is not in the
-    journal, after the sample has been mounted again and a dark taken.
+    at other ports than before, and anything else that differs is refused. It goes on with the rows that are not in the
+    journal, or were skipped, after the sample has been mounted again, a dark taken and the light compared with what it was.
     """
     from app.campaign.campaign import resume_campaign, run_campaign
     from app.campaign.running.events import State
@@ -86,7 +87,9 @@ def run(
     result = {
         "journal": str(journal),
         "state": "stopped" if outcome.state is State.IDLE else str(outcome.state),
+        "reason": outcome.ended_by_schedule,
         "rows": outcome.rows,
+        "skipped": outcome.skipped,
         "planned": outcome.of,
         "duration_s": outcome.seconds,
         "simulated": outcome.simulated,
@@ -95,13 +98,16 @@ def run(
     for fault in outcome.faults:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
     mark = "SIMULATED, " if outcome.simulated else ""
-    rows = f"{outcome.rows} of {outcome.of} rows in {outcome.seconds:.1f} s of the rig's time"
+    skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
+    rows = f"{outcome.rows} of {outcome.of} rows{skipped} in {outcome.seconds:.1f} s of the rig's time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
     answer(as_json, result, lambda: print(text))
-    if outcome.state is not State.DONE:
-        if outcome.rows < outcome.of:
-            errors.print(f"go on with: goniotwin run --resume {journal}", markup=False)
-        raise typer.Exit(130 if outcome.state is State.IDLE else 1)
+    if outcome.ended_by_schedule:
+        errors.print(f"goniotwin: the schedule has ended it: {outcome.ended_by_schedule}", style="yellow", markup=False)
+    if outcome.rows < outcome.of:
+        errors.print(f"go on with: goniotwin run --resume {journal}", markup=False)
+    if outcome.state is not State.DONE or outcome.skipped:
+        raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
 
 
 def rehearse(

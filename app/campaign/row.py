@@ -6,6 +6,8 @@ from typing import Literal
 Kind = Literal["mount", "dark", "measure", "drift", "warm-up"]
 NOTHING = "nothing"
 """The name of no sample: what a row says that is done with the sample unit empty."""
+SKIPPED = "skipped"
+"""The flag of a row that was left out for a fault."""
 RESUMED = "resumed "
 """What the identity of a row begins with that nobody has planned: a campaign that is gone on with begins with such rows."""
 
