@@ -135,7 +135,8 @@ def rehearse(
 
     The same drivers, bytes and plan as in the campaign itself. For a real rig's file the twin is built that the file
     describes; nothing of the rig is opened. What the operator believes wrongly of the rig (a sense, a gear) is wrong in that
-    twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault.
+    twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault, 3 where the schedule's own [stop]
+    lets it come no further.
     """
     from app.campaign.rehearsing.rehearsal import prepared, rehearse, write_points
     from app.campaign.rehearsing.shown import in_words
@@ -151,7 +152,7 @@ def rehearse(
     for fault in found.result["faults"]:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
     if not found.done:
-        raise typer.Exit(1)
+        raise typer.Exit(3 if found.result["state"] == "stopped" else 1)
 
 
 def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
