@@ -9,7 +9,7 @@ from app.campaign.planning.doubts import doubts, duration_range
 from app.campaign.planning.least import least_seconds
 from app.campaign.planning.plan import Made, Plan
 from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.reasons import loops, sample_order, why
+from app.campaign.planning.reasons import filter_changes, loops, sample_order, why
 from app.campaign.row import Row
 from app.campaign.spoken import clock_time
 from app.rig import AXES
@@ -21,8 +21,8 @@ __all__ = ["checked_plan", "clock_time", "in_words"]
 def checked_plan(plan: Plan) -> dict[str, Any]:
     """rows, duration_s, from what to what it may turn out and what no order could beat, the order and why, rows by kind, the
     range of each axis, how many directions there are, how many of them are hidden and which, how many two photodiodes share,
-    how many poses the symmetry leaves out, warnings, and which axes have to be referenced after a power-up. Of a plan that was
-    just made.
+    how many poses the symmetry leaves out, how often the filter changes, warnings, and which axes have to be referenced after
+    a power-up. Of a plan that was just made.
     """
     made, rows = plan.made, plan.rows
     assert made is not None
@@ -51,6 +51,7 @@ def checked_plan(plan: Plan) -> dict[str, Any]:
         ],
         "overlaps": sum(each.shared for each in seen),
         "left_out": made.mountings[1][0].poses.left_out,
+        "filter_changes": filter_changes(plan)[0],
         "warnings": doubts(plan, made, seen),
         "mountings": [passes[0].sample for passes in made.mountings],
         "unreferenced": _to_be_referenced(plan),
