@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 
 from app.campaign.journal.recorded import Counts, Reading, RowData
-from app.campaign.row import Row
+from app.campaign.row import NOTHING, Row
 from app.campaign.running.averaging import LEAST, Floats, readings_needed
-from app.campaign.running.gains import Flags, Gains, clipped
+from app.campaign.running.gains import UNDER_RANGE, Flags, Gains, clipped, shows_light
 from app.campaign.running.halt import Halt
 from app.campaign.running.operator import Operator
 from app.campaign.running.standstill import Standstill
@@ -139,7 +139,15 @@ class Performer:
             reading = self._averaged(row, gain, gains.waiting)
             taken[gain] = reading
             gains.read(reading.counts)
-        return tuple(taken[gain] for gain in sorted(taken)), gains.flags
+        readings = tuple(taken[gain] for gain in sorted(taken))
+        return readings, (*gains.flags, *self._under_range(row, readings))
+
+    def _under_range(self, row: Row, readings: tuple[Reading, ...]) -> tuple[str, ...]:
+        """Its flag, where the row should show light and does not. Without a dark nothing is said."""
+        if row.kind == "dark" or row.sample == NOTHING or not readings:
+            return ()
+        dark = self._darks.get(readings[-1].gain_v_per_a)
+        return () if dark is None or shows_light(readings[-1].counts, dark) else (UNDER_RANGE,)
 
     def _averaged(self, row: Row, gain: int, wanted: Flags) -> Reading:
         """At one gain: as many readings as the row says, or as its target needs."""
