@@ -143,6 +143,7 @@ def rehearse(
     from app.campaign.schedule.file import read_schedule
     from app.rig import read_rig
 
+    _refuse_unwritable(points, out)
     plan, assumed = prepared(read_schedule(schedule), read_rig(rig), _models(sample or []))
     with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         found = rehearse(plan, assumed, out=out, listeners=[progress])
@@ -199,6 +200,23 @@ def _models(given: list[str]) -> dict[str, str]:
             raise UserError(f"--sample {name.strip()}: is given twice; leave one of them")
         models[name.strip()] = model.strip()
     return models
+
+
+def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
+    """Raises UserError for files that could not be written when the rehearsal is over."""
+    from app.formats import FormatError
+    from app.formats.wholefile import refuse_unwritable
+
+    if out is not None and out.exists():
+        raise UserError(f"--out {out}: is there already, and no journal is ever overwritten; choose another name")
+    if points is not None and out is not None and points.resolve() == out.resolve():
+        raise UserError(f"--points {points}: is the journal of --out; choose another name for one of them")
+    for option, path in (("--points", points), ("--out", out)):
+        if path is not None:
+            try:
+                refuse_unwritable(path)
+            except FormatError as error:
+                raise UserError(f"{option} {error}") from None
 
 
 def _check_what_is_given(schedule: Path | None, rig: Path | None, out: Path | None, resume: Path | None) -> None:

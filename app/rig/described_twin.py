@@ -165,8 +165,8 @@ def _usual(file: RigFile, name: str, etalon: str) -> tuple[dict[str, Any], str]:
         return sample_table(USUAL_SAMPLE), f"{name} scatters as a Gaussian of 5 deg with a reflectance of 0.9; {say}"
     reflectance = min(1.0, file.etalon.radiance_factor)
     return (
-        sample_table(f"lambertian:reflectance={reflectance!r}"),
-        f"{name} is an ideal diffuser with a reflectance of {reflectance:g}, the etalon's radiance factor; {say}",
+        sample_table(f"lambertian:reflectance={reflectance!r},side=both"),
+        f"{name} is an ideal diffuser on both sides with a reflectance of {reflectance:g}, the etalon's radiance factor; {say}",
     )
 
 

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from app.rig.filter_tables import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
+from app.rig.radiance_factor import refuse_percentage
 from app.rig.twin_table import TwinTable
 from app.tables import Table
 from protocols import adam
@@ -243,6 +244,12 @@ class EtalonTable(Table):
 
     radiance_factor: PositiveFloat = 1.0
     relative_uncertainty: Share = 0.0
+
+    @field_validator("radiance_factor")
+    @classmethod
+    def _no_percentage(cls, factor: float) -> float:
+        refuse_percentage(factor)
+        return factor
 
 
 class RigFile(Table):

@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator
 
+from app.campaign.planning.coverage import uncovered
 from app.campaign.planning.crosschecks import overlapping_step_deg
 from app.campaign.planning.directions import Seen
+from app.campaign.planning.lightless import lightless
 from app.campaign.planning.plan import Made, Plan
 from app.campaign.planning.planned_rows import PlannedRows
 from app.campaign.planning.sides import incidence_deg
 from app.campaign.planning.timing import LEAST_WARM_UP_S, Timing
+from app.campaign.planning.watching import unwatched
 from app.campaign.schedule.grids import grid_values
 from app.campaign.spoken import clock_time
 from app.rig import monochromator_settings
@@ -18,15 +21,30 @@ SECOND_ORDER_NM = 710.0
 
 def doubts(plan: Plan, made: Made, seen: list[Seen]) -> list[str]:
     """All of them."""
-    return [*_hidden(seen), *_overlaps(plan, seen), *_darks(plan, made), *_light(plan), *_guessed(plan)]
+    return [
+        *_hidden(seen),
+        *uncovered(plan.schedule, seen),
+        *lightless(plan, seen),
+        *unwatched(plan, seen),
+        *_overlaps(plan, seen),
+        *_darks(plan, made),
+        *_light(plan),
+        *_guessed(plan),
+    ]
 
 
 def _hidden(seen: list[Seen]) -> Iterator[str]:
     for each in seen:
-        if each.hides_specular:
+        if each.hides_specular and not each.transmitted:
             yield (
                 f"at sigma {each.sigma_deg:g} deg the mirror unit hides the specular direction, "
                 f"{incidence_deg(each.sigma_deg):g} deg from the normal: what is measured there is no value of the sample"
+            )
+        elif each.hides_specular:
+            yield (
+                f"at sigma {each.sigma_deg:g} deg the mirror unit hides the direction straight through, "
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal, when the etalon is lit from that side: what is "
+                "measured there has no scale; take a sigma at which it is free"
             )
 
 

@@ -13,7 +13,7 @@ points. Nothing is subtracted from transmitted light: without a sample there is 
 import math
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,9 @@ from app.campaign.reducing.overlaps import Overlaps, overlaps
 from app.campaign.reducing.points import BsdfPoints as BsdfPoints
 from app.campaign.reducing.points import Flags, Floats, joined
 from app.campaign.reducing.signals import Ints, Signal, darks_by_gain, dead_since, mean_signal, middle, signal
+from app.campaign.reducing.subtracted import Key, subtracted
 from app.campaign.reducing.traced import tracing_error, with_tracing_error
+from app.campaign.reducing.watching import in_words, unseen, unwatched
 from app.campaign.row import NOTHING, Row
 from app.campaign.schedule.certificate import Certificate, constant, parse_certificate
 from app.campaign.schedule.file import ScheduleFile, parse_schedule
@@ -42,13 +44,13 @@ DETECTED = 3.0
 """A sample's signal below so many standard uncertainties is lost in its noise."""
 GRAZING_DEG = 85.0
 DECIMALS = 6
-Key = tuple[float | None, Pose]
 
 
 @dataclass(frozen=True)
 class Reduced:
     """What a journal comes to: points by sample, and whether they are simulated. `overlaps` say by sample how well photodiodes
-    agree that saw the same direction; `notes` what a reader has to know about how it was reduced.
+    agree that saw the same direction; `notes` what a reader has to know about how it was reduced; `unwatched`, by what was
+    mounted, the photodiodes of which its drift checks could tell nothing.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Reduced:
     samples: dict[str, BsdfPoints]
     overlaps: dict[str, Overlaps]
     notes: tuple[str, ...]
+    unwatched: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ def reduce_journal(journal: Journal) -> Reduced:
     schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
     certificate = _certificate(journal, schedule, rig)
     try:
-        measured, notes = _measured(list(journal.rows()), schedule, rig)
+        measured, notes, blind = _measured(list(journal.rows()), schedule, rig)
     except UserError as error:
         raise UserError(f"{journal.path}: {error}") from None
     etalon = _by_pose(each for each in measured if each.row.sample == schedule.etalon)
@@ -87,8 +90,7 @@ def reduce_journal(journal: Journal) -> Reduced:
         rows = [each for each in measured if each.row.sample == sample]
         if blocks := [block for each in rows for block in _row_points(rig, each, etalon, signature, certificate)]:
             samples[sample] = joined(blocks)
-    if signature:
-        notes.append("the instrument's own light was measured without a sample and has been subtracted from reflected light")
+    notes += subtracted(samples, etalon, signature)
     if any(points.transmitted.any() for points in samples.values()):
         notes.append("transmitted light is scaled by what the same photodiode sees of the etalon lit from its own side")
     if schedule.certificate is not None and schedule.certificate.accept_expired_by is not None:
@@ -96,9 +98,11 @@ def reduce_journal(journal: Journal) -> Reduced:
         notes.append(f"the etalon's certificate holds until {schedule.certificate.expires}; {who} answers for it after that")
     if (traced := tracing_error(rig.file)) is not None:
         notes.append(f"the light was traced by the forward estimator, to {traced:.2g} in the median, which the uncertainty has")
+    unseen_by = unwatched(blind, samples, schedule.etalon)
+    notes += [in_words(name, photodiodes) for name, photodiodes in unseen_by.items()]
     common = float(np.min(certificate.relative_uncertainty))
     seen = {name: overlaps(points, common) for name, points in samples.items()}
-    return Reduced(journal.value("name"), rig, journal.simulated, samples, seen, tuple(notes))
+    return Reduced(journal.value("name"), rig, journal.simulated, samples, seen, tuple(notes), unseen_by)
 
 
 def row_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
@@ -117,8 +121,10 @@ def _certificate(journal: Journal, schedule: ScheduleFile, rig: RigDescription) 
     return constant(rig.file.etalon.radiance_factor, rig.file.etalon.relative_uncertainty)
 
 
-def _measured(rows: list[Committed], schedule: ScheduleFile, rig: RigDescription) -> tuple[list[Measured], list[str]]:
-    """Each row that has readings, in order, and what is to be said of drift. Raises UserError."""
+def _measured(
+    rows: list[Committed], schedule: ScheduleFile, rig: RigDescription
+) -> tuple[list[Measured], list[str], dict[str, Flags]]:
+    """Rows that have readings, in order; what is to be said of drift; what drift checks did not see. Raises UserError."""
     settings = photodiode_settings(rig.file)
     darks = darks_by_gain(rows, settings)
     since = dead_since(rows, settings)
@@ -136,7 +142,7 @@ def _measured(rows: list[Committed], schedule: ScheduleFile, rig: RigDescription
         for each in lit
         if each.row.kind == "measure"
     ]
-    return measured, [str(drift) for drift in found]
+    return measured, [str(drift) for drift in found], unseen(rows, signals)
 
 
 def _key(row: Row, pose: Pose) -> Key:
@@ -196,7 +202,9 @@ def _arc_points(
     factor, u_factor = certificate.at(row.wavelength_nm, incidence, view.polar, view.azimuth)
     own, at_etalon = (None if each is None else each.signal for each in signature)
     ratio = _Ratio.of(rig, sample.signal, etalon.signal, own, at_etalon, c=c)
-    hidden = shadowed(rig.file, sigma, view.zenith, view.azimuth, gamma)
+    # For transmitted light the mirror unit is elsewhere at the etalon, and hides other directions there.
+    ways = {sigma, etalon.row.pose[1]}
+    hidden = np.any([shadowed(rig.file, there, view.zenith, view.azimuth, gamma) for there in ways], axis=0)
     no_etalon = np.isfinite(ratio.etalon) & ~(ratio.etalon > ETALON_SIGNAL * np.sqrt(ratio.var_etalon))
     scale = np.where(no_etalon, np.nan, factor / math.pi)
     bsdf = ratio.value * scale

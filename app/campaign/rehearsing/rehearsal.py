@@ -20,6 +20,7 @@ from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.reducing.reduction import BsdfPoints, Reduced, reduce_journal
 from app.campaign.rehearsing.warnings import warnings_of
 from app.campaign.rehearsing.watch import Watch
+from app.campaign.rehearsing.worthless import worthless
 from app.campaign.running.engine import Engine
 from app.campaign.running.events import Listener, State
 from app.campaign.running.operator import BackDoor
@@ -97,6 +98,8 @@ def rehearse(
         elif run.sessions > 1:
             warnings.append(f"the schedule's [stop] ends it {run.sessions - 1} times; each time goniotwin run --resume goes on")
         points = {} if reduced is None else reduced.samples
+        if reduced is not None:
+            warnings += worthless(plan.schedule.file, reduced)
         result = {
             "simulated": True,
             "state": "stopped" if run.state is State.IDLE else str(run.state),
