@@ -58,12 +58,13 @@ def run(
     """Measure a campaign, or go on with one.
 
     Checks schedule and rig first and refuses what cannot work (status 2, no journal). A row is on the disk before the next
-    begins. Ends with status 0 when all rows are done, 1 after a fault, 130 after Ctrl-C: the journal then has what was
-    measured until then.
+    begins. Ends with status 0 when all rows are done, 1 after a fault or when rows were skipped for faults, 3 where the
+    schedule has ended it ([stop], or a drift beyond its limit), 130 after Ctrl-C: the journal has what was measured until
+    then, and --resume goes on.
 
     With --resume the journal says what is to be measured and on which rig; --rig is only needed where the devices are reached
-    at other ports than before, and anything else that differs is refused. It goes on at the first row that is not in the
-    journal, after the sample has been mounted again and a dark taken.
+    at other ports than before, and anything else that differs is refused. It goes on with the rows that are not in the
+    journal, or were skipped, after the sample has been mounted again, a dark taken and the light compared with what it was.
     """
     from app.campaign.campaign import resume_campaign, run_campaign
     from app.campaign.reducing.verdicts import checked_in
@@ -87,7 +88,9 @@ def run(
     result = {
         "journal": str(journal),
         "state": "stopped" if outcome.state is State.IDLE else str(outcome.state),
+        "reason": outcome.ended_by_schedule,
         "rows": outcome.rows,
+        "skipped": outcome.skipped,
         "planned": outcome.of,
         "duration_s": outcome.seconds,
         "simulated": outcome.simulated,
@@ -98,13 +101,16 @@ def run(
     for fault in outcome.faults:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
     mark = "SIMULATED, " if outcome.simulated else ""
-    rows = f"{outcome.rows} of {outcome.of} rows in {outcome.seconds:.1f} s of the rig's time"
+    skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
+    rows = f"{outcome.rows} of {outcome.of} rows{skipped} in {outcome.seconds:.1f} s of the rig's time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
     answer(as_json, result, lambda: print("\n".join([text, *(checks.lines if checks is not None else [])])))
-    if outcome.state is not State.DONE:
-        if outcome.rows < outcome.of:
-            errors.print(f"go on with: goniotwin run --resume {journal}", markup=False)
-        raise typer.Exit(130 if outcome.state is State.IDLE else 1)
+    if outcome.ended_by_schedule:
+        errors.print(f"goniotwin: the schedule has ended it: {outcome.ended_by_schedule}", style="yellow", markup=False)
+    if outcome.rows < outcome.of:
+        errors.print(f"go on with: goniotwin run --resume {journal}", markup=False)
+    if outcome.state is not State.DONE or outcome.skipped:
+        raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
 
 
 def rehearse(
@@ -132,13 +138,15 @@ def rehearse(
 
     The same drivers, bytes and plan as in the campaign itself. For a real rig's file the twin is built that the file
     describes; nothing of the rig is opened. What the operator believes wrongly of the rig (a sense, a gear) is wrong in that
-    twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault.
+    twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault, 3 where the schedule's own [stop]
+    lets it come no further.
     """
     from app.campaign.rehearsing.rehearsal import prepared, rehearse
     from app.campaign.rehearsing.shown import in_words
     from app.campaign.schedule.file import read_schedule
     from app.rig import read_rig
 
+    _refuse_unwritable(points, out)
     plan, assumed = prepared(read_schedule(schedule), read_rig(rig), _models(sample or []))
     with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         found = rehearse(plan, assumed, out=out, points=points, listeners=[progress])
@@ -146,7 +154,7 @@ def rehearse(
     for fault in found.result["faults"]:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
     if not found.done:
-        raise typer.Exit(1)
+        raise typer.Exit(3 if found.result["state"] == "stopped" else 1)
 
 
 def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
@@ -193,6 +201,23 @@ def _models(given: list[str]) -> dict[str, str]:
             raise UserError(f"--sample {name.strip()}: is given twice; leave one of them")
         models[name.strip()] = model.strip()
     return models
+
+
+def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
+    """Raises UserError for files that could not be written when the rehearsal is over."""
+    from app.formats import FormatError
+    from app.formats.wholefile import refuse_unwritable
+
+    if out is not None and out.exists():
+        raise UserError(f"--out {out}: is there already, and no journal is ever overwritten; choose another name")
+    if points is not None and out is not None and points.resolve() == out.resolve():
+        raise UserError(f"--points {points}: is the journal of --out; choose another name for one of them")
+    for option, path in (("--points", points), ("--out", out)):
+        if path is not None:
+            try:
+                refuse_unwritable(path)
+            except FormatError as error:
+                raise UserError(f"{option} {error}") from None
 
 
 def _check_what_is_given(schedule: Path | None, rig: Path | None, out: Path | None, resume: Path | None) -> None:

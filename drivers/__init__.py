@@ -8,7 +8,9 @@ from drivers.axis import Axis, AxisSettings, Homing
 from drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
 from drivers.interlock import ArcClearance
 from drivers.monitor import Monitor, MonitorSettings
-from drivers.monochromator import Monochromator, MonochromatorSettings
+from drivers.monochromator import Monochromator
+from drivers.monochromator_settings import MonochromatorSettings
+from drivers.order_filters import FilterWheel, OrderFilter
 from drivers.pending import Pending, Poll, Until, wait
 from drivers.photodiodes import PhotodiodeArray, PhotodiodeSettings
 from drivers.rig import Rig
@@ -21,6 +23,7 @@ __all__ = [
     "AxisSettings",
     "BadAnswer",
     "DeviceError",
+    "FilterWheel",
     "Forgotten",
     "Homing",
     "LimitError",
@@ -29,6 +32,7 @@ __all__ = [
     "Monochromator",
     "MonochromatorSettings",
     "NoAnswer",
+    "OrderFilter",
     "Pending",
     "PhotodiodeArray",
     "PhotodiodeSettings",

@@ -10,7 +10,7 @@ from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import BadAnswer, DeviceError, NoAnswer, Refused
-from drivers.modbus import WIRE_FAULTS, ModbusUnit
+from drivers.modbus import WIRE_FAULTS, ModbusUnit, in_words
 from protocols import adam
 
 T = TypeVar("T")
@@ -64,7 +64,7 @@ class AdamWire:
         try:
             there = self._bus.open(self)
         except WIRE_FAULTS as error:
-            raise DeviceError(self.name, "open the connection", str(error), "check the address in the rig file") from None
+            raise DeviceError(self.name, "open the connection", in_words(error), "check the address in the rig file") from None
         if not there:
             raise NoAnswer(self.name, "connect", "nobody is there", CHECK_WIRING)
 
@@ -124,7 +124,7 @@ class AdamWire:
             answer = self._bus.ask(call, self._tap)
         except WIRE_FAULTS as error:
             self._doubtful = self._bus.stale = True
-            raise NoAnswer(self.name, doing, str(error) or type(error).__name__, CHECK_WIRING) from None
+            raise NoAnswer(self.name, doing, in_words(error), CHECK_WIRING) from None
         if answer.function_code & 0x7F != function or answer.dev_id != self._unit:
             self._distrust(doing, f"function {answer.function_code} of unit {answer.dev_id} answers instead of {function}")
         if answer.isError():
@@ -152,7 +152,7 @@ class AdamWire:
         try:
             there = self._bus.renew()
         except WIRE_FAULTS as error:
-            raise NoAnswer(self.name, doing, str(error) or type(error).__name__, CHECK_WIRING) from None
+            raise NoAnswer(self.name, doing, in_words(error), CHECK_WIRING) from None
         if not there:
             raise NoAnswer(self.name, doing, "nobody is there", CHECK_WIRING)
         self._marker = (self._marker + 1) % 4

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pymodbus.client.base import ModbusBaseSyncClient
-from pymodbus.exceptions import ModbusException
+from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
@@ -27,6 +27,16 @@ WIRE_FAULTS = (ModbusException, OSError, ValueError, LookupError, struct.error)
 """What pymodbus throws when a wire fails, or carries what it cannot read."""
 QUIET_S = 0.1
 DRAINED_CHUNKS = 8
+
+
+def in_words(error: Exception) -> str:
+    """What has happened to the wire, without the library's advice to programmers."""
+    if isinstance(error, ModbusIOException):
+        told = error.string.removeprefix("[Input/Output] ").removeprefix("ERROR: ")
+        return "no answer" if told.startswith("No response") else told
+    if isinstance(error, ConnectionException):
+        return "the connection cannot be made, or is gone"
+    return str(error) or type(error).__name__
 
 
 class ModbusBus:

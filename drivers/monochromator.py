@@ -14,54 +14,25 @@ What ASCII without a checksum cannot show, and what limits the damage:
   mode it shows where it is of another kind than the answer expected, and after each timeout the line is drained and two
   markers are asked. In that poorest dialect a reset between two moves shows only by the question after the next one;
 - a reset: handshake mode is off then, so the canary is read with each exchange (its status line is missing).
-To be confirmed on hardware: error 7 (already there), the statements of slits and labels, steps.
+The filter wheel is asked where it is before it is turned, and left alone where it is there already.
+To be confirmed on hardware: error 7 (already there), the statements of slits and labels, steps, the wheel's way round.
 """
 
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from drivers.cornerstone_wire import CHECK_LINE, NAME, CornerstoneWire
 from drivers.errors import BadAnswer, DeviceError, Refused
 from drivers.monochromator_move import ABORT, STATUS_MARGIN_S, Move
+from drivers.monochromator_settings import MonochromatorSettings
 from drivers.pending import Pending
 from drivers.tap import Tap, no_tap
 from drivers.tmcl import PortOpener
 from protocols.clock import Clock
 from protocols.cornerstone import NO_ERROR, Grating, Statement, StatementError, decode_number, encode_nm
 
-__all__ = ["STATUS_MARGIN_S", "Monochromator", "MonochromatorSettings"]
-
-UNIT_THINKS_S = 2.0e-3
-
-
-@dataclass(frozen=True)
-class MonochromatorSettings:
-    """What the operator believes of the monochromator; `tolerance_nm` is how far from its target a grating may rest."""
-
-    baudrate: int = 9600
-    lowest_nm: float = 380.0
-    highest_nm: float = 780.0
-    slew_nm_per_s: float = 175.0
-    slew_settle_s: float = 0.1
-    shutter_s: float = 0.15
-    filter_s: float = 1.0
-    grating_s: float = 8.0
-    slit_um_per_s: float = 500.0
-    tolerance_nm: float = 0.05
-
-    def slew_seconds(self, way_nm: float) -> float:
-        """How long a change of wavelength takes."""
-        return abs(way_nm) / self.slew_nm_per_s + self.slew_settle_s if way_nm else 0.0
-
-    def statement_seconds(self, text: str) -> float:
-        """How long a statement, its echo and the status after it are on the wire."""
-        return 10.0 * (2 * len(text) + len("\n\r\n00\r\n")) / self.baudrate
-
-    def question_seconds(self, text: str, answer: str) -> float:
-        """How long a question takes, with echo, answer and status."""
-        return self.statement_seconds(text) + 10.0 * len(answer + "\r\n") / self.baudrate + UNIT_THINKS_S
+__all__ = ["STATUS_MARGIN_S", "Monochromator"]
 
 
 class Monochromator:
@@ -154,10 +125,22 @@ class Monochromator:
         )  # fmt: skip
 
     def start_filter(self, position: int) -> Pending:
-        """Turns the filter wheel. Raises DeviceError."""
+        """Turns the filter wheel, unless it is there already. Raises DeviceError."""
+
+        def seconds() -> float | None:
+            here = self.filter()
+            if here == 0:
+                raise DeviceError(
+                    NAME, f"turn the filter wheel to {position}", "it has none", "remove monochromator.filters of the rig file"
+                )
+            if here == position:
+                return None
+            self._believed.pop("FILTER", None)
+            return abs(position - here) * self.settings.filter_s
+
         return self._start(
-            Statement("FILTER", parameter=str(position)), self.settings.filter_s, "FILTER", str(position),
-            lambda: self.filter() == position,
+            Statement("FILTER", parameter=str(position)), 0.0, "FILTER", str(position), lambda: self.filter() == position,
+            seconds,
         )  # fmt: skip
 
     def start_grating(self, number: int) -> Pending:
@@ -206,11 +189,13 @@ class Monochromator:
         return self._move is not None and not self._move.done
 
     def _start(
-        self, statement: Statement, seconds: float, word: str, target: str | None, arrived: Callable[[], bool]
-    ) -> Pending:
+        self, statement: Statement, seconds: float, word: str, target: str | None, arrived: Callable[[], bool],
+        ask_first: Callable[[], float | None] | None = None,
+    ) -> Pending:  # fmt: skip
         with self._lock:
             before = self._move if self.moving else None
-            self._believed.pop(word, None)
+            if ask_first is None:
+                self._believed.pop(word, None)
 
             def confirmed() -> bool:
                 if target is not None:
@@ -222,7 +207,9 @@ class Monochromator:
 
             text = str(statement)
             on_the_wire = self.settings.statement_seconds(text) + STATUS_MARGIN_S
-            move = Move(self._wire, self._clock, statement, seconds, on_the_wire, confirmed, before, lambda: self._stops)
+            move = Move(
+                self._wire, self._clock, statement, seconds, on_the_wire, confirmed, before, lambda: self._stops, ask_first
+            )
             self._move = move
             return move
 
@@ -233,7 +220,7 @@ class Monochromator:
         statement = Statement(word, query=True)
         with self._lock:
             move = self._move
-            if move is not None and not move.done and not move.confirming:
+            if move is not None and not move.done and move.silent:
                 if not move.aborted:
                     raise DeviceError(NAME, str(statement), "it moves, and answers only when it has arrived", "wait for it")
                 move.done = True

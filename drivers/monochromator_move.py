@@ -1,7 +1,8 @@
 """A statement of the monochromator that takes its time: sent, waited for without holding anybody up, and checked.
 
 With handshake mode the status says that it is over; without, the answer to an `STB?` sent behind it. What got lost on the
-way is found out by bringing the line into step and asking where the unit is: nothing is sent a second time.
+way is found out by bringing the line into step and asking where the unit is: nothing is sent a second time. Where it is told
+to ask first, it sends nothing at all if the unit is there already.
 """
 
 from collections.abc import Callable
@@ -21,7 +22,11 @@ ALREADY_THERE = f"error {int(Error.ACCESSORY_ALREADY_THERE)},"
 
 
 class Move:
-    """Under way: `due` when to ask next; `before` is what was started earlier and nobody has waited for."""
+    """Under way: `due` when to ask next; `before` is what was started earlier and nobody has waited for.
+
+    `ask_first`, where there is one, asks the unit just before the statement is sent how many `seconds` it will take, in
+    their place; None: it is there already.
+    """
 
     def __init__(
         self,
@@ -33,6 +38,7 @@ class Move:
         confirmed: Callable[[], bool],
         before: "Move | None",
         stops: Callable[[], int],
+        ask_first: Callable[[], float | None] | None = None,
     ) -> None:
         self._wire = wire
         self._clock = clock
@@ -41,22 +47,36 @@ class Move:
         self._on_the_wire_s = on_the_wire_s
         self._confirmed = confirmed
         self._before = before
+        self._ask_first = ask_first
         self._stops, self._since = stops, stops()
         self._lost = False
-        self.done = self.aborted = self.confirming = False
+        self._failure: DeviceError | None = None
+        self.done = self.aborted = self.asking = False
         self.due: float = before.due if before is not None else clock.now()
         if before is None:
             self._begin()
 
     def poll(self) -> bool:
-        """Looks whether it is over, and checks that it led to where it should. Raises DeviceError where it did not."""
+        """Looks whether it is over, and checks that it led to where it should. Raises DeviceError where it did not.
+
+        That as often as it is asked: what was started after it asks, too, and goes on.
+        """
+        if self._failure is not None:
+            raise self._failure
         if self.done:
             return True
         try:
             return self._poll()
-        except DeviceError:
-            self.done = True
+        except DeviceError as error:
+            self.done, self._failure = True, error
             raise
+
+    @property
+    def silent(self) -> bool:
+        """Whether the unit moves, for this or for the one before, so that it answers no question."""
+        if self._before is not None:
+            return self._before.silent
+        return not (self.done or self.asking)
 
     def _poll(self) -> bool:
         if self._before is not None:
@@ -86,6 +106,9 @@ class Move:
     def _begin(self) -> None:
         self._wire.ready()  # which may take a second, where the line is out of step
         self._heed()
+        if self._ask_first is not None and self._is_there(self._ask_first):
+            self.done, self.due = True, self._clock.now()
+            return
         self._wire.send(self._statement)
         if self._stops() != self._since:  # from another thread, in the very moment
             self._wire.send_now(ABORT)
@@ -95,9 +118,20 @@ class Move:
         self._asked = self._wire.handshake
         self.due = self._begun + self._seconds + self._on_the_wire_s
 
+    def _is_there(self, ask_first: Callable[[], float | None]) -> bool:
+        """Whether there is nothing to be sent. Raises DeviceError."""
+        self.asking = True
+        try:
+            seconds = ask_first()
+        finally:
+            self.asking = False
+        self._heed()
+        self._seconds = seconds or 0.0
+        return seconds is None
+
     def _heed(self) -> None:
         """Raises Interrupted where there has been a stop since this was started."""
-        if self._stops() != self._since:
+        if self.aborted or self._stops() != self._since:
             self.done = True
             raise Interrupted(NAME, str(self._statement), "a stop has come first")
 
@@ -163,13 +197,13 @@ class Move:
         return True
 
     def _confirm(self) -> bool:
-        self.confirming = True
+        self.asking = True
         try:
             if not self._confirmed():
                 raise NoAnswer(
                     NAME, str(self._statement), "it is not where it was sent", "send it again, where that may happen twice"
                 )
         finally:
-            self.confirming = False
+            self.asking = False
         self.done = True
         return True

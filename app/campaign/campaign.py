@@ -15,16 +15,20 @@ from app.campaign.running.operator import BackDoor, Operator, Person, ServedBack
 from app.campaign.running.resume import rest_of
 from app.errors import UserError
 from app.rig import OpenRig, RigDescription, RigFile, open_rig
-from app.rig.lock import RigLock
+from app.rig.lock import Held, RigLock
 from protocols.clock import Clock, RealClock, VirtualClock
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a campaign ended: the engine's state, planned rows that are committed and all of them, the rig's time in s."""
+    """How a campaign ended: the engine's state, and by which words of the schedule, where it was that; planned rows that are
+    done, those left out for faults, and all of them; the rig's time in s.
+    """
 
     state: State
+    ended_by_schedule: str
     rows: int
+    skipped: int
     of: int
     seconds: float
     faults: tuple[str, ...]
@@ -51,7 +55,7 @@ def run_campaign(
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # says why not
         operator = _ready(opened, plan, ask)
-        with Journal.create(journal_path, plan, versions()) as journal:
+        with Journal.create(journal_path, plan, versions()) as journal, _alone(journal_path, plan, file=True):
             return _carried_out(opened, plan, journal, operator, listeners, plan.rows)
 
 
@@ -68,7 +72,8 @@ def resume_campaign(
     """
     with Journal.open(journal_path) as looked_at:
         begun = rest_of(looked_at, rig)
-    with _alone(journal_path, begun.plan), Journal.reopen(journal_path) as journal:
+    plan = begun.plan
+    with _alone(journal_path, plan), _alone(journal_path, plan, file=True), Journal.reopen(journal_path) as journal:
         rest = rest_of(journal, rig)
         with open_rig(rest.plan.rig, clock_of(rest.plan.rig.file, rest.start_s), transcript) as opened:
             operator = _ready(opened, rest.plan, ask, homing=True)
@@ -76,9 +81,19 @@ def resume_campaign(
 
 
 @contextlib.contextmanager
-def _alone(journal_path: Path, plan: Plan) -> Iterator[None]:
-    """No other program works on the journal meanwhile. Raises UserError that says who does."""
-    lock = RigLock([str(journal_path.absolute())], f"{plan.schedule.file.name} ({journal_path})")
+def _alone(journal_path: Path, plan: Plan, *, file: bool = False) -> Iterator[None]:
+    """No other program works on the journal meanwhile, under this name or, as a `file` that is there, under any other.
+
+    Raises UserError that says who does.
+    """
+    place = str(journal_path.absolute())
+    if file:
+        about = journal_path.stat()
+        place = f"/goniotwin-journal/{about.st_dev}/{about.st_ino}"
+    try:
+        lock = RigLock([place], f"{plan.schedule.file.name} ({journal_path})")
+    except Held as held:
+        raise Held(str(journal_path), held.holder) from None
     try:
         yield
     finally:
@@ -98,10 +113,10 @@ def _carried_out(
 ) -> Outcome:
     engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
     state = engine.run()
-    rows, of = journal.counted()
+    (rows, of), skipped = journal.counted(), len(journal.skipped())
     trouble = opened.transcript_trouble
     faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
-    return Outcome(state, rows, of, journal.seconds, faults, plan.rig.simulated)
+    return Outcome(state, engine.ended_by_schedule, rows, skipped, of, journal.seconds, faults, plan.rig.simulated)
 
 
 def refuse_lost_axes(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:

@@ -8,6 +8,8 @@ NOTHING = "nothing"
 """The name of no sample: what a row says that is done with the sample unit empty."""
 MIRRORED = "/mirrored"
 """What the identity of a row has in it that only checks the stated symmetry. No name has a slash in it."""
+SKIPPED = "skipped"
+"""The flag of a row that was left out for a fault."""
 RESUMED = "resumed "
 """What the identity of a row begins with that nobody has planned: a campaign that is gone on with begins with such rows."""
 

@@ -1,4 +1,6 @@
-"""Times as people say them."""
+"""Times and lists of numbers as people say them."""
+
+from collections.abc import Iterable
 
 
 def clock_time(seconds: float) -> str:
@@ -6,3 +8,14 @@ def clock_time(seconds: float) -> str:
     whole = round(seconds)
     hours, minutes = whole // 3600, whole // 60 % 60
     return f"{hours} h {minutes:02d} min {whole % 60:02d} s" if hours else f"{minutes} min {whole % 60:02d} s"
+
+
+def numbers(values: Iterable[int]) -> str:
+    """Whole numbers in order, such as `0 to 4, 7, 9`."""
+    runs: list[list[int]] = []
+    for value in sorted(values):
+        if runs and value == runs[-1][-1] + 1:
+            runs[-1].append(value)
+        else:
+            runs.append([value])
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)

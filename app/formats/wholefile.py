@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import tempfile
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,6 +21,25 @@ def read_whole(path: StrPath) -> bytes:
         return file.read_bytes()
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
+
+
+def refuse_unwritable(path: StrPath) -> None:
+    """Raises FormatError where `write_whole` certainly could not write, so that nobody works for hours to find out."""
+    try:
+        file = Path(os.path.realpath(path))
+        if file.exists() and not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "name a file to write")
+        if not file.parent.is_dir():
+            raise FormatError(path, f"there is no folder {file.parent}", "make it first")
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
+    except OSError as error:
+        wrong = f"nothing can be written into {file.parent} ({error.strerror})"
+        raise FormatError(path, wrong, "check its permissions and the space on the disk") from error
+    except ValueError as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(path, "is not a possible file name", "check the name") from error
 
 
 def write_whole(path: StrPath, content: bytes | Iterable[bytes]) -> None:

@@ -17,7 +17,7 @@ from app.rig.modbus_units import RTU, rtu_address
 from app.rig.opening import TWIN, RigDescription, parse_rig
 from app.rig.sample_words import sample_table
 from app.rig.schema import AXES, AxisTable, RigFile
-from twin.plant import Electronics, Monitor, MonochromatorDrive
+from twin.plant import Electronics, Monitor, MonochromatorDrive, WheelFilter
 from twin.plant.converter import SETTLED
 
 NAME = "described"
@@ -74,6 +74,12 @@ def _twin(file: RigFile, assumed: list[str]) -> dict[str, Any]:
         "lamp, monitor, dark currents, the amplifiers' noise, the exit pupil and what mirrors reflect are the twin's own: the "
         "file says nothing of them"
     )
+    filters = [each for each in drive.filters if each.cut_on_nm is not None]
+    if drive.filters:
+        assumed.append(
+            f"filters that have a cut_on_nm let {WheelFilter.transmittance:g} of the light through from there on, and the "
+            "grating has no second order that they could hold back"
+        )
     geometry = file.geometry.model_dump(exclude={"shadow_margin_deg"})
     return {
         "axes": {name: _mechanics(name, getattr(file.axes, name), assumed) for name in AXES},
@@ -85,6 +91,7 @@ def _twin(file: RigFile, assumed: list[str]) -> dict[str, Any]:
             "slew_nm_per_s": drive.slew_nm_per_s, "settle_s": drive.slew_settle_s, "shutter_s": drive.shutter_s,
             "filter_s": drive.filter_s, "grating_s": drive.grating_s,
         },
+        "filters": [{"position": each.position, "cut_on_nm": each.cut_on_nm} for each in filters],
         "samples": {},
     }  # fmt: skip
 
@@ -158,8 +165,8 @@ def _usual(file: RigFile, name: str, etalon: str) -> tuple[dict[str, Any], str]:
         return sample_table(USUAL_SAMPLE), f"{name} scatters as a Gaussian of 5 deg with a reflectance of 0.9; {say}"
     reflectance = min(1.0, file.etalon.radiance_factor)
     return (
-        sample_table(f"lambertian:reflectance={reflectance!r}"),
-        f"{name} is an ideal diffuser with a reflectance of {reflectance:g}, the etalon's radiance factor; {say}",
+        sample_table(f"lambertian:reflectance={reflectance!r},side=both"),
+        f"{name} is an ideal diffuser on both sides with a reflectance of {reflectance:g}, the etalon's radiance factor; {say}",
     )
 
 

@@ -4,6 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
+from app.rig.filter_tables import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
+from app.rig.radiance_factor import refuse_percentage
 from app.rig.twin_table import TwinTable
 from app.tables import Table
 from protocols import adam
@@ -128,7 +130,10 @@ class AxesTable(Table):
 
 
 class MonochromatorTable(Table):
-    """The monochromator and its timing."""
+    """The monochromator and its timing; `filter_s` is that of the filter wheel from a position to the next.
+
+    With `filters` the wheel is turned with the wavelength; without any nothing turns it.
+    """
 
     kind: Literal["cornerstone"]
     port: str
@@ -142,6 +147,14 @@ class MonochromatorTable(Table):
     grating_s: Annotated[float, Field(ge=0.0)] = 8.0
     slit_um_per_s: PositiveFloat = 500.0
     tolerance_nm: PositiveFloat = 0.05
+    filters: list[OrderFilterTable] = []
+
+    @model_validator(mode="after")
+    def _one_filter_at_every_wavelength(self) -> "MonochromatorTable":
+        if self.filters:
+            refuse_positions_taken_twice(self.filters)
+            refuse_bands(self.filters, self.lowest_nm, self.highest_nm)
+        return self
 
 
 class PhotodiodesTable(Table):
@@ -231,6 +244,12 @@ class EtalonTable(Table):
 
     radiance_factor: PositiveFloat = 1.0
     relative_uncertainty: Share = 0.0
+
+    @field_validator("radiance_factor")
+    @classmethod
+    def _no_percentage(cls, factor: float) -> float:
+        refuse_percentage(factor)
+        return factor
 
 
 class RigFile(Table):

@@ -1,5 +1,6 @@
 """From the operator's part of a rig file to the drivers' settings and the geometry that plans are made with."""
 
+from app.rig.filter_tables import filter_wheel
 from app.rig.schema import AXES, AxisTable, RigFile
 from drivers import ArcClearance, AxisSettings, Homing, MonitorSettings, MonochromatorSettings, PhotodiodeSettings
 from protocols import adam
@@ -13,7 +14,8 @@ def axis_settings(file: RigFile) -> dict[str, AxisSettings]:
 
 def monochromator_settings(file: RigFile) -> MonochromatorSettings:
     """Of the monochromator."""
-    return MonochromatorSettings(**file.monochromator.model_dump(exclude={"kind", "port"}))
+    table = file.monochromator
+    return MonochromatorSettings(**table.model_dump(exclude={"kind", "port", "filters"}), wheel=filter_wheel(table.filters))
 
 
 def photodiode_settings(file: RigFile) -> PhotodiodeSettings:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from app.rig.filter_tables import WheelFilterTable, refuse_positions_taken_twice
 from app.rig.optics_table import DeviationTable, FramesTable, OpticsTable, SensorTable, built
 from app.rig.sample_table import SampleTable, scatterer
 from app.tables import Table
@@ -20,6 +21,7 @@ from twin.plant import (
     Mechanics,
     Monitor,
     MonochromatorDrive,
+    OrderSorting,
     Photodiodes,
     TwinModel,
 )
@@ -109,7 +111,11 @@ class ElectronicsTable(Table):
 
 
 class DriveTable(Table):
-    """The monochromator as it is: its speeds, whether its line echoes, whether it knows handshake mode."""
+    """The monochromator as it is: its speeds, whether its line echoes, whether it knows handshake mode.
+
+    `filters` is how many positions its wheel has, `filter_s` the time from one to the next. `second_order` is the share of
+    light of half the wavelength set that passes as well; up to 710 nm the lamp has none.
+    """
 
     echo: bool = True
     handshake: bool = True
@@ -119,6 +125,7 @@ class DriveTable(Table):
     filter_s: NotNegative = 1.0
     filters: Annotated[int, Field(ge=0, le=6)] = 6
     grating_s: NotNegative = 8.0
+    second_order: Share = 0.0
 
 
 class TwinTable(Table):
@@ -135,11 +142,23 @@ class TwinTable(Table):
     photodiodes: DiodesTable = DiodesTable()
     electronics: ElectronicsTable = ElectronicsTable()
     monochromator: DriveTable = DriveTable()
+    filters: list[WheelFilterTable] = []
     controller: ControllerTable = ControllerTable()
 
     @model_validator(mode="after")
     def _can_be_built(self) -> "TwinTable":
         built(self.optics, self.deviations, self.sensor)
+        return self
+
+    @model_validator(mode="after")
+    def _filters_have_their_places(self) -> "TwinTable":
+        refuse_positions_taken_twice(self.filters)
+        for each in self.filters:
+            if each.position > self.monochromator.filters:
+                raise ValueError(
+                    f"filters: there is no position {each.position} in a wheel of {self.monochromator.filters}; take another, "
+                    "or mend monochromator.filters"
+                )
         return self
 
     @model_validator(mode="after")
@@ -164,10 +183,11 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
         photodiodes=Photodiodes(**_tuples(table.photodiodes)),
         electronics=Electronics(**_tuples(table.electronics)),
         monitor=Monitor(),
-        monochromator=MonochromatorDrive(**table.monochromator.model_dump()),
+        monochromator=MonochromatorDrive(**table.monochromator.model_dump(exclude={"second_order"})),
         controller=AxisController(**table.controller.model_dump()),
         noise=table.noise,
         estimator=table.optics.chosen(),
+        order_sorting=OrderSorting(table.monochromator.second_order, tuple(each.filter() for each in table.filters)),
     )
 
 
@@ -177,6 +197,8 @@ def model_hash(model: TwinModel) -> str:
     for part in (model.axes, model.instrument, model.frames, model.light, model.photodiodes, model.electronics, model.monitor):
         digest.update(repr(part).encode())
     digest.update(repr((model.monochromator, model.controller, model.noise, model.estimator)).encode())
+    if model.order_sorting != OrderSorting():  # so that journals of rigs without it keep their fingerprint
+        digest.update(repr(model.order_sorting).encode())
     for key, sample in sorted(model.samples.items()):
         digest.update(f"{key} {len(sample.lobes)} {sample.spectrum is None}".encode())
         if sample.spectrum is not None:

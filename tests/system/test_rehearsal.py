@@ -42,6 +42,29 @@ def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[s
     assert done.stdout == ""
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (["--points", "absent/x.csv"], "--points absent/x.csv: there is no folder"),
+        (["--points", "."], "--points .: is a folder"),
+        (["--out", "absent/x.journal"], "--out absent/x.journal: there is no folder"),
+        (["--out", "rig.toml"], "--out rig.toml: is there already"),
+        (["--points", "same", "--out", "./same"], "--points same: is the journal of --out"),
+    ],
+)
+def test_files_that_cannot_be_written_are_refused_before_the_first_row(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], told: str
+) -> None:
+    rig, schedule = write_rig(), write_schedule()
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.chdir(tmp_path)
+    done = goniotwin("rehearse", schedule, "--rig", rig, *given)
+    assert done.returncode == 2
+    assert told in " ".join(done.stderr.split())
+    assert "rows" not in done.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
 SIGMAS: tuple[Change, ...] = (
     ("sigma_deg = [30]", "sigma_deg = [0, 30, 60]"), ("[0, 1]", "[0]"), ("[1e8, 1e10]", "[1e8]"),
     ("readings = 2", "readings = 12"),

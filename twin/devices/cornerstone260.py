@@ -4,7 +4,7 @@ While something moves it hears but does not answer, as the classic unit does: wh
 order. Only ABORT is heard at once; it stops what moves, and what waited behind comes next. Echo and handshake mode as on
 RS232. Assumed where the manual is silent (to be confirmed on hardware): the echo of what waits comes when it is its turn;
 an aborted statement ends like any other, with its status in handshake mode; filters, slits and gratings take their
-time and pass all the light.
+time, the wheel from one position to the next, and an aborted wheel stops at the nearest. Slits and gratings pass all light.
 """
 
 import re
@@ -82,6 +82,7 @@ class Cornerstone260:
         self._busy_until = t
         self._state = self._state.after_power_on()
         self._plant.shutter_open.set(t, False)
+        self._plant.wheel.set(t, 1.0)
 
     def _echo(self, t: float) -> None:
         heard, self._unechoed = self._unechoed, b""
@@ -138,6 +139,7 @@ class Cornerstone260:
             self.outbox.pop()
         self._turns.clear()
         self._plant.wavelength_nm.stop(t)
+        self._plant.wheel.set(t, float(self._plant.filter_position(t)))
         self._plant.shutter_open.set(t, self._plant.shutter_open.at(t))
         return [turn.line for turn in waiting]
 

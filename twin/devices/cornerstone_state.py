@@ -32,7 +32,6 @@ class State:
     gratings: tuple[GratingData, ...]
     filter_labels: tuple[str, ...]
     grating: int = 1
-    filter: int = 1
     outport: int = 1
     slits_um: tuple[float, ...] = (200.0,) * SLITS
     bandpass_nm: float = 5.0

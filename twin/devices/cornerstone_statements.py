@@ -72,7 +72,7 @@ class Statements:
             case "SHUTTER":
                 answer = "O" if self._plant.shutter_open.at(t) else "C"
             case "FILTER":
-                answer = str(state.filter if self._drive.filters else 0)
+                answer = str(self._plant.filter_position(t) if self._drive.filters else 0)
             case "GRAT":
                 answer = Grating(state.grating, grating.lines_per_mm, grating.label).encode()
             case "OUTPORT":
@@ -190,9 +190,12 @@ class Statements:
             raise Refused(Error.ACCESSORY_NOT_PRESENT)
         if not 1 <= position <= self._drive.filters:
             raise Refused(Error.DESTINATION_NOT_ALLOWED)
-        if position == state.filter and self._drive.already_there_is_error:
+        way = abs(position - self._plant.filter_position(t))
+        if not way and self._drive.already_there_is_error:
             raise Refused(Error.ACCESSORY_ALREADY_THERE)
-        return Done(replace(state, filter=position), t + abs(position - state.filter) * self._drive.filter_s)
+        if way:
+            self._plant.wheel.slew(t, t + way * self._drive.filter_s, float(position))
+        return Done(state, t + way * self._drive.filter_s)
 
     def _outport(self, state: State, text: str, t: float) -> Done:
         if _integer(text) not in OUTPORTS:

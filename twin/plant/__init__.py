@@ -11,6 +11,7 @@ from twin.plant.model import (
     Photodiodes,
     TwinModel,
 )
+from twin.plant.order_sorting import OrderSorting, WheelFilter
 from twin.plant.plant import Plant
 
 __all__ = [
@@ -21,7 +22,9 @@ __all__ = [
     "Mechanics",
     "Monitor",
     "MonochromatorDrive",
+    "OrderSorting",
     "Photodiodes",
     "Plant",
     "TwinModel",
+    "WheelFilter",
 ]

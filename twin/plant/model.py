@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from twin.optics import Instrument, SampleFrames, Scatterer
+from twin.plant.order_sorting import OrderSorting
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class Monitor:
 
 @dataclass(frozen=True)
 class MonochromatorDrive:
-    """How fast grating, shutter, filter wheel and slits are, whether the wire echoes and knows handshake mode.
+    """How fast grating, shutter, filter wheel (a position) and slits are, whether the wire echoes and knows handshake mode.
 
     `nm_per_step` is that of a grating of 1200 lines a mm; `gratings` are (lines a mm, label); 0 `filters` is no wheel.
     `already_there_is_error`: whether a filter wheel sent to where it is reports error 7 (to be confirmed on hardware).
@@ -192,3 +193,4 @@ class TwinModel:
     controller: AxisController = field(default_factory=AxisController)
     noise: bool = True
     estimator: Estimator = field(default_factory=Estimator)
+    order_sorting: OrderSorting = field(default_factory=OrderSorting)

@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 MODULE_CHANNELS = 8
 ONE_BY_ONE = tuple((channel, channel + 1) for channel in range(MODULE_CHANNELS))
 MONITOR_PIECES = 16
-"""Into so many a mean of the monitor is cut where shutter or wavelength change during it."""
+"""Into so many a mean of the monitor is cut where shutter, wavelength or filter change during it."""
 
 
 class Plant:
@@ -29,6 +29,7 @@ class Plant:
         self.model = model
         self.shafts = {name: Shaft(mechanics) for name, mechanics in model.axes.items()}
         self.wavelength_nm = Slewing(model.monochromator.start_nm)
+        self.wheel = Slewing(1.0)
         self.shutter_open: Timeline[bool] = Timeline(False)
         self.sample: Timeline[str | None] = Timeline(None)
         self.tilt_deg: Timeline[float] = Timeline(0.0)
@@ -46,7 +47,7 @@ class Plant:
         self._radiance = light.radiance * light.band_nm * light.throughput / mirrors
         self._lamp_spectrum = np.transpose(light.spectrum)
         self._responsivity = np.transpose(self.model.photodiodes.responsivity)
-        light_path = (self.wavelength_nm, self.shutter_open, self.sample, self.tilt_deg)
+        light_path = (self.wavelength_nm, self.wheel, self.shutter_open, self.sample, self.tilt_deg)
         self._deciding: tuple[Changing, ...] = (*light_path, *self.shafts.values())
         # The photocurrents of what has settled last. What decides on them and is no line of time (`fade`) has to forget them.
         self._lit: tuple[tuple[object, ...], Floats] = ((), np.zeros(0))
@@ -120,10 +121,18 @@ class Plant:
         shaft = self.shafts.get(axis)
         return shaft.angle_deg(t) if shaft is not None else 0.0
 
-    def throughputs_m2sr(self, t: float) -> Floats:
-        """What each photodiode would get of the exit pupil's radiance at the pose of `t`: shape (photodiodes,)."""
+    def filter_position(self, t: float) -> int:
+        """The position of the filter wheel that is in the beam at `t`, the nearest one while it turns."""
+        return round(self.wheel.at(t))
+
+    def throughputs_m2sr(self, t: float, wavelength_nm: float | None = None) -> Floats:
+        """What each photodiode would get of the exit pupil's radiance at the pose of `t`: shape (photodiodes,).
+
+        At the wavelength that is set then, or at another one.
+        """
         axes = (self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
-        return self.view.throughputs_m2sr(Aspect(self.sample.at(t), self.tilt_deg.at(t), self.wavelength_nm.at(t), *axes))
+        wavelength = self.wavelength_nm.at(t) if wavelength_nm is None else wavelength_nm
+        return self.view.throughputs_m2sr(Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, *axes))
 
     def warm_up(self) -> None:
         """Computes everything once, for the kernels compile when they are first used, and a device must not wait for that.
@@ -138,15 +147,16 @@ class Plant:
 
     def pupil_radiance(self, t: float) -> float:
         """Of the exit pupil for a lamp of level 1, W m^-2 sr^-1; 0 behind the closed shutter."""
-        return self._radiance * self._spectrum(t) if self.shutter_open.at(t) else 0.0
+        return self._radiance * sum(light for _, light in self._light(t)) if self.shutter_open.at(t) else 0.0
 
     def photocurrents_a(self, t: float) -> Floats:
         """Of all channels for a lamp of level 1, without dark current, at the pose and wavelength of `t`."""
         currents = np.zeros(self.modules * MODULE_CHANNELS)
-        radiance = self.pupil_radiance(t)
-        if radiance > 0.0:
-            responsivity = float(np.interp(self.wavelength_nm.at(t), *self._responsivity))
-            currents[: self.model.photodiodes.count] = responsivity * radiance * self.throughputs_m2sr(t)
+        for wavelength, light in self._light(t) if self.shutter_open.at(t) else ():
+            if light > 0.0:
+                responsivity = float(np.interp(wavelength, *self._responsivity))
+                seen = self.throughputs_m2sr(t, wavelength)
+                currents[: self.model.photodiodes.count] += responsivity * (self._radiance * light) * seen
         return currents * self._faded
 
     def volts(self, module: int, t: float) -> Floats:
@@ -173,21 +183,23 @@ class Plant:
         """Mean current of the monitor photodiode over [start, end], A."""
         monitor = self.model.monitor
         current = monitor.dark_a
-        changing = max(self.wavelength_nm.last_change, self.shutter_open.last_change) > start
+        changing = max(each.last_change for each in (self.wavelength_nm, self.wheel, self.shutter_open)) > start
         pieces = MONITOR_PIECES if changing else 1
         for k in range(pieces):
             begun, ended = (start + (end - start) * each / pieces for each in (k, k + 1))
             middle = 0.5 * (begun + ended)
             if self.shutter_open.at(middle):
                 level = lamp_mean(begun, ended, *self._lamp)
-                current += monitor.current_a * self._spectrum(middle) * level / pieces
+                current += monitor.current_a * sum(light for _, light in self._light(middle)) * level / pieces
         if self.model.noise:
             key = process_key(self.model.seed, "monitor")
             current *= 1.0 + monitor.noise * normal(key, np.int64(math.floor(end * monitor.samples_per_s)))
         return current
 
-    def _spectrum(self, t: float) -> float:
-        return float(np.interp(self.wavelength_nm.at(t), *self._lamp_spectrum))
+    def _light(self, t: float) -> list[tuple[float, float]]:
+        """Wavelengths in nm that pass the monochromator at `t`, each with the lamp's relative radiance that passes."""
+        passing = self.model.order_sorting.passing(self.wavelength_nm.at(t), self.filter_position(t))
+        return [(nm, share * float(np.interp(nm, *self._lamp_spectrum))) for nm, share in passing]
 
     def _settled(self, t: float) -> tuple[object, ...] | None:
         """What decides on the photocurrents, each thing as it was set last; None where any of it has changed after `t`."""

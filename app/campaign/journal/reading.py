@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from app.campaign.journal.listed import measured_rows
 from app.campaign.journal.recorded import Committed, Reading, RowData
-from app.campaign.row import Kind, Row
+from app.campaign.row import SKIPPED, Kind, Row
 from app.errors import UserError
 
 ROW = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
@@ -77,11 +77,9 @@ class Recorded:
             ]
 
     def counted(self) -> tuple[int, int]:
-        """How many of the planned rows are committed, and how many there are."""
-        done = self._db.execute(
-            "SELECT COUNT(DISTINCT number) FROM attempt JOIN plan USING (number) WHERE plan.session IS NULL"
-        ).fetchone()[0]
-        return int(done), int(self._db.execute("SELECT COUNT(*) FROM plan WHERE session IS NULL").fetchone()[0])
+        """How many of the planned rows are done, and how many there are."""
+        planned = self._planned_numbers()
+        return len(self.committed() & planned), len(planned)
 
     def planned(self) -> tuple[Row, ...]:
         """The planned rows, without those that sessions have added."""
@@ -94,7 +92,25 @@ class Recorded:
     def committed(self) -> set[int]:
         """Numbers of the rows that are done."""
         with self._reading():
-            return {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
+            begun = {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
+        return begun - self._skipped()
+
+    def skipped(self) -> set[int]:
+        """Numbers of the planned rows that were left out for a fault, and not done since."""
+        return self._skipped() & self._planned_numbers()
+
+    def _skipped(self) -> set[int]:
+        with self._reading():
+            found = self._db.execute(
+                "SELECT number, flags FROM attempt a WHERE flags LIKE ?"
+                " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = a.number)",
+                (f"%{SKIPPED}%",),
+            )
+            return {number for number, flags in found if SKIPPED in json.loads(flags)}
+
+    def _planned_numbers(self) -> set[int]:
+        with self._reading():
+            return {number for (number,) in self._db.execute("SELECT number FROM plan WHERE session IS NULL")}
 
     def last_number(self) -> int:
         """Of all rows, added ones too."""
@@ -183,7 +199,8 @@ def damage_told(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
-        raise UserError(f"{path}: is damaged: {error}; use a copy of it, if there is one") from None
+        told, *more = str(error).splitlines() or [type(error).__name__]
+        raise UserError(f"{path}: is damaged: {told}{' ...' if more else ''}; use a copy of it, if there is one") from None
 
 
 def _row(*columns: Any) -> Row:

@@ -23,7 +23,10 @@ class Reading:
 
 @dataclass(frozen=True)
 class RowData:
-    """What a row came to: times on the rig's clock, read-back positions and encoders in degrees, readings by gain."""
+    """What a row came to: times on the rig's clock, read-back positions and encoders in degrees, readings by gain.
+
+    Among the positions is the filter wheel's, `filter`, where the rig file has filters.
+    """
 
     started_s: float
     ended_s: float

@@ -13,13 +13,15 @@ SUFFIX = ".journal"
 @dataclass(frozen=True)
 class Campaign:
     """A journal in short. `state` is done, stopped, failed or killed (its program ended without a word), running where a
-    program has it, empty where nothing was begun. `seconds_left` is the rig's time foretold for the rows that are left.
+    program has it, empty where nothing was begun. `rows` are done; `skipped` were left out for faults and not done since.
+    `seconds_left` is the rig's time foretold for the rows that are left, skipped ones too.
     """
 
     journal: str
     name: str
     state: str
     rows: int
+    skipped: int
     planned: int
     seconds: float
     seconds_left: float
@@ -48,6 +50,7 @@ def campaign_of(path: Path) -> Campaign:
             name=journal.value("name"),
             state="running" if held else "empty" if last is None else last.outcome or "killed",
             rows=len(planned) - len(left),
+            skipped=len(journal.skipped()),
             planned=len(planned),
             seconds=journal.seconds,
             seconds_left=sum(row.seconds for row in left),

@@ -23,7 +23,7 @@ def show(console: Console, folder: Path, campaigns: list[Campaign]) -> None:
         table.add_row(
             Path(each.journal).name,
             f"{each.name}{' (SIMULATED)' if each.simulated else ''}",
-            f"[{STYLE[each.state]}]{each.state}[/]",
+            f"[{STYLE[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
             f"{each.rows}/{each.planned}",
             clock_time(each.seconds_left) if each.rows < each.planned else "",
             each.begun or "",

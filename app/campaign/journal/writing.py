@@ -216,15 +216,17 @@ def _unwritable(path: Path, error: Exception) -> UserError:
 def _known_version(path: Path) -> int:
     """The schema of a journal. Raises UserError for a file that is none, or too new."""
     if not path.is_file():
-        raise UserError(f"{path}: there is no such journal; check the name")
+        what = "is a folder, and no journal" if path.is_dir() else "there is no such journal"
+        raise UserError(f"{path}: {what}; check the name")
     try:
         with contextlib.closing(opened_for_reading(path)) as db:
             found = db.execute("PRAGMA application_id").fetchone()[0]
             version = int(db.execute("PRAGMA user_version").fetchone()[0])
     except (sqlite3.Error, OSError) as error:
         raise UserError(f"{path}: is not a journal: {error}; is it the right file?") from None
-    if found != APPLICATION_ID:
-        raise UserError(f"{path}: is an SQLite file, but not a journal of goniotwin; is it the right file?")
+    if found != APPLICATION_ID or version < 1:
+        what = "is an SQLite file, but not a journal of goniotwin" if path.stat().st_size > 1 else "is empty"
+        raise UserError(f"{path}: {what}; is it the right file?")
     if version > SCHEMA_VERSION:
         raise UserError(f"{path}: has schema {version}, newer than {SCHEMA_VERSION}; use a newer goniotwin")
     return version

@@ -2,14 +2,15 @@
 
 Any order is a path through all points, so it is one of the trees that connect them, and costs no less than the cheapest of
 these. A move from one point to another takes no less than the slowest of its axes alone does, and an axis no less than the
-costliest gap between neighbouring values on its way. With these underestimates the cheapest tree is found without building
+costliest gap between neighbouring values on its way; a change of filter, whose price is not that of a way along the wavelength,
+counts as much as the cheapest that leads over the gap. With these underestimates the cheapest tree is found without building
 it: at a cost c all points are connected that lie between the same gaps costlier than c, on every axis; that leaves n(c)
 islands, and the tree costs the integral of n(c) - 1 over c. See docs/decisions/0013.
 """
 
 import numpy as np
 
-from app.campaign.planning.lattice import Floats, Ints, Lattice
+from app.campaign.planning.lattice import WAVELENGTH, Floats, Ints, Lattice
 from app.campaign.planning.moves import Moves
 
 TINY_S = 1e-9
@@ -33,10 +34,21 @@ def least_moving_seconds(lattice: Lattice, moves: Moves) -> float:
 
 
 def _gap_seconds(values: Floats, moves: Moves, column: int) -> Floats:
-    """Of each gap between neighbouring values, whichever way is quicker."""
-    seconds = moves.one_step(column)
-    cheaper = np.minimum(seconds(values[:-1], values[1:]), seconds(values[1:], values[:-1]))
+    """Of each gap between neighbouring values, whichever way is quicker: what a move over the gap takes at least."""
+    cheaper = _either_way(values[:-1], values[1:], moves, column)
+    if column == WAVELENGTH:
+        # Between two filters the neighbours need not be the cheapest: the wheel may be quicker from the filter before to the
+        # one after. Whatever changes the filter goes at least from one filter's last wavelength to the other's first.
+        changes = np.flatnonzero(np.diff(moves.filter_numbers(values)))
+        for k in changes:
+            below, above = np.meshgrid(values[changes[changes <= k]], values[changes[changes >= k] + 1])
+            cheaper[k] = _either_way(below.ravel(), above.ravel(), moves, column).min()
     return np.asarray(np.floor(cheaper / TINY_S) * TINY_S)
+
+
+def _either_way(here: Floats, there: Floats, moves: Moves, column: int) -> Floats:
+    seconds = moves.one_step(column)
+    return np.minimum(seconds(here, there), seconds(there, here))
 
 
 def _islands(costs: Floats, level: float) -> Ints:

@@ -9,7 +9,8 @@ from app.campaign.planning.doubts import doubts, duration_range
 from app.campaign.planning.least import least_seconds
 from app.campaign.planning.plan import Made, Plan
 from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.reasons import loops, sample_order, why
+from app.campaign.planning.reasons import filter_changes, loops, sample_order, why
+from app.campaign.planning.sides import lit_arc
 from app.campaign.row import Row
 from app.campaign.spoken import clock_time
 from app.rig import AXES
@@ -20,9 +21,9 @@ __all__ = ["checked_plan", "clock_time", "in_words"]
 
 def checked_plan(plan: Plan) -> dict[str, Any]:
     """rows, duration_s, from what to what it may turn out and what no order could beat, the order and why, rows by kind, the
-    range of each axis, how many directions there are, how many of them are hidden and which, how many two photodiodes share,
-    how many poses the symmetry leaves out, warnings, and which axes have to be referenced after a power-up. Of a plan that was
-    just made.
+    range of each axis, how many directions there are, how many of them are hidden, only at the etalon, and which, how many
+    two photodiodes share, how many poses the symmetry leaves out, how often the filter changes, warnings, and which axes have
+    to be referenced after a power-up. Of a plan that was just made.
     """
     made, rows = plan.made, plan.rows
     assert made is not None
@@ -39,10 +40,12 @@ def checked_plan(plan: Plan) -> dict[str, Any]:
         "axes_deg": _ranges(made, rows),
         "directions": sum(each.directions for each in seen),
         "shadowed": sum(len(each.hidden_deg) for each in seen),
+        "shadowed_only_for_etalon": sum(each.only_etalon for each in seen),
         "shadowed_deg": [
             {
                 "sigma": each.sigma_deg,
                 "arc": each.arc,
+                "only_for_etalon": each.only_etalon,
                 "specular": each.hides_specular,
                 "zenith_azimuth": each.hidden_deg.tolist(),
             }
@@ -51,6 +54,7 @@ def checked_plan(plan: Plan) -> dict[str, Any]:
         ],
         "overlaps": sum(each.shared for each in seen),
         "left_out": made.mountings[1][0].poses.left_out,
+        "filter_changes": filter_changes(plan)[0],
         "warnings": doubts(plan, made, seen),
         "mountings": [passes[0].sample for passes in made.mountings],
         "unreferenced": _to_be_referenced(plan),
@@ -71,7 +75,8 @@ def in_words(plan: Plan, result: dict[str, Any]) -> str:
         f"  order       from the inside: {', '.join(result['order']) or 'one pose, one wavelength'}",
         f"              {result['why']}",
         f"  axes        {ranges} deg",
-        f"  hidden      {result['shadowed']} of {result['directions']} directions of {_light(plan)}, by the mirror unit",
+        f"  hidden      {result['shadowed']} of {result['directions']} directions of {_light(plan)}, by the mirror unit"
+        f"{_only_for_etalon(result)}",
         *_hidden_where(result),
         f"  overlaps    {result['overlaps']} directions are seen by two photodiodes",
     ]
@@ -93,14 +98,27 @@ def _light(plan: Plan) -> str:
     ]
 
 
+def _only_for_etalon(result: dict[str, Any]) -> str:
+    only = result["shadowed_only_for_etalon"]
+    return f", {only} of them only for the etalon, which is lit from the photodiodes' own side" if only else ""
+
+
 def _hidden_where(result: dict[str, Any]) -> list[str]:
     """By sigma, the first few."""
     told = [
-        f"{len(each['zenith_azimuth'])} at sigma {each['sigma']:g}{' with the specular one' if each['specular'] else ''}"
+        f"{len(each['zenith_azimuth'])} at sigma {each['sigma']:g}{f' with the {_straight(each)}' if each['specular'] else ''}"
         for each in result["shadowed_deg"]
     ]
     more = [f"and {len(told) - MOST_TOLD} sigmas more"] if len(told) > MOST_TOLD else []
     return [f"              {', '.join([*told[:MOST_TOLD], *more])}"] if told else []
+
+
+def _of_arc(each: dict[str, Any]) -> str:
+    return f" of the {each['arc']} arc"
+
+
+def _straight(each: dict[str, Any]) -> str:
+    return "specular one" if each["arc"] == lit_arc(each["sigma"]) else "one straight through"
 
 
 def _ranges(made: Made, rows: PlannedRows) -> dict[str, list[float]]:

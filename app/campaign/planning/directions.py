@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.campaign.planning.shadow import may_be_shadowed, shadowed
-from app.campaign.planning.sides import HALF_TURN_DEG, Arc, incidence_deg, lit_arc, looking_arcs, polar_deg
+from app.campaign.planning.sides import HALF_TURN_DEG, Arc, incidence_deg, lighting_deg, looking_arcs, polar_deg
 from app.campaign.planning.symmetry import turned
 from app.campaign.schedule.file import ScheduleFile
 from app.campaign.schedule.grids import DECIMALS
@@ -15,21 +15,44 @@ from app.rig import RigFile
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
 AWAY_FROM_THE_LIGHT_DEG = 180.0
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What one arc sees at one sigma: distinct directions and those of them that two photodiodes see; angles of the hidden
-    ones (n, 2), zenith from the arc's own pole and azimuth in degrees; whether the specular direction is among them.
+    """What one arc sees at one sigma: the distinct directions (n, 2), zenith from the arc's own pole and azimuth in degrees;
+    how many of them two photodiodes see; which are hidden (n,) at the sample, and which at the etalon that scales them;
+    whether the specular direction is among them, or, on the far side, the one straight through.
     """
 
     sigma_deg: float
     arc: Arc
-    directions: int
+    angles_deg: Floats
     shared: int
-    hidden_deg: Floats
+    at_sample: Flags
+    at_etalon: Flags
     hides_specular: bool
+
+    @property
+    def directions(self) -> int:
+        """How many there are."""
+        return len(self.angles_deg)
+
+    @property
+    def hidden_deg(self) -> Floats:
+        """Those that the sample's pose hides or the etalon's."""
+        return self.angles_deg[self.at_sample | self.at_etalon]
+
+    @property
+    def only_etalon(self) -> int:
+        """How many of them the sample's pose leaves free."""
+        return int((self.at_etalon & ~self.at_sample).sum())
+
+    @property
+    def transmitted(self) -> bool:
+        """Whether the arc is on the far side of the light."""
+        return lighting_deg(self.sigma_deg, self.arc) != self.sigma_deg
 
 
 def directions_seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> list[Seen]:
@@ -42,15 +65,18 @@ def _seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> Iterator[Seen]:
         at = poses[poses[:, 1] == sigma]
         for arc in looking_arcs(file, sigma):
             zenith, azimuth, seen_by = _distinct(at[:, 2], at[:, 3], np.array(polar_deg(rig, arc)))
-            hidden = _hidden(rig, sigma, arc, zenith, azimuth)
-            specular = arc == lit_arc(sigma) and bool(
-                _hidden(rig, sigma, arc, np.array([incidence_deg(sigma)]), np.array([AWAY_FROM_THE_LIGHT_DEG]))[0]
-            )
-            angles = np.stack([zenith[hidden], azimuth[hidden]], axis=1)
-            yield Seen(sigma, arc, len(zenith), int((seen_by > 1).sum()), angles, specular)
+            angles = np.stack([zenith, azimuth], axis=1)
+            straight = np.array([incidence_deg(sigma)]), np.array([AWAY_FROM_THE_LIGHT_DEG])
+            there = lighting_deg(sigma, arc)
+            at_sample = at_etalon = _hidden(rig, sigma, arc, zenith, azimuth)
+            hides = bool(_hidden(rig, sigma, arc, *straight)[0])
+            if there != sigma:
+                at_etalon = _hidden(rig, there, arc, zenith, azimuth)
+                hides |= bool(_hidden(rig, there, arc, *straight)[0])
+            yield Seen(sigma, arc, angles, int((seen_by > 1).sum()), at_sample, at_etalon, hides)
 
 
-def _hidden(rig: RigFile, sigma_deg: float, arc: Arc, zenith_deg: Floats, azimuth_deg: Floats) -> npt.NDArray[np.bool_]:
+def _hidden(rig: RigFile, sigma_deg: float, arc: Arc, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
     from_the_front = zenith_deg if arc == "upper" else HALF_TURN_DEG - zenith_deg
     hidden = may_be_shadowed(rig, sigma_deg, from_the_front, azimuth_deg)
     hidden[hidden] = shadowed(rig, sigma_deg, from_the_front[hidden], azimuth_deg[hidden])

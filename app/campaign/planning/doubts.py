@@ -2,14 +2,18 @@
 
 from collections.abc import Iterator
 
+from app.campaign.planning.coverage import uncovered
 from app.campaign.planning.crosschecks import overlapping_step_deg
 from app.campaign.planning.directions import Seen
+from app.campaign.planning.lightless import lightless
 from app.campaign.planning.plan import Made, Plan
 from app.campaign.planning.planned_rows import PlannedRows
 from app.campaign.planning.sides import incidence_deg
 from app.campaign.planning.timing import LEAST_WARM_UP_S, Timing
+from app.campaign.planning.watching import unwatched
 from app.campaign.schedule.grids import grid_values
 from app.campaign.spoken import clock_time
+from app.rig import monochromator_settings
 
 SECOND_ORDER_NM = 710.0
 """Beyond this the grating's second order lets light of half the wavelength through that the lamp's bulb does not absorb."""
@@ -17,15 +21,30 @@ SECOND_ORDER_NM = 710.0
 
 def doubts(plan: Plan, made: Made, seen: list[Seen]) -> list[str]:
     """All of them."""
-    return [*_hidden(seen), *_overlaps(plan, seen), *_darks(plan, made), *_light(plan), *_guessed(plan)]
+    return [
+        *_hidden(seen),
+        *uncovered(plan.schedule, seen),
+        *lightless(plan, seen),
+        *unwatched(plan, seen),
+        *_overlaps(plan, seen),
+        *_darks(plan, made),
+        *_light(plan),
+        *_guessed(plan),
+    ]
 
 
 def _hidden(seen: list[Seen]) -> Iterator[str]:
     for each in seen:
-        if each.hides_specular:
+        if each.hides_specular and not each.transmitted:
             yield (
                 f"at sigma {each.sigma_deg:g} deg the mirror unit hides the specular direction, "
                 f"{incidence_deg(each.sigma_deg):g} deg from the normal: what is measured there is no value of the sample"
+            )
+        elif each.hides_specular:
+            yield (
+                f"at sigma {each.sigma_deg:g} deg the mirror unit hides the direction straight through, "
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal, when the etalon is lit from that side: what is "
+                "measured there has no scale; take a sigma at which it is free"
             )
 
 
@@ -57,12 +76,28 @@ def _light(plan: Plan) -> Iterator[str]:
             f"the open beam is the strongest light that there is, and gains_v_per_a leaves out the rig's lowest, "
             f"{min(gains):g} V/A: it may be clipped"
         )
-    beyond = [each for each in grid_values(file.wavelength_nm) if each > SECOND_ORDER_NM]
-    if beyond:
+    yield from _second_order(plan)
+
+
+def _second_order(plan: Plan) -> Iterator[str]:
+    """Where no filter of the rig is known to hold it back."""
+    wheel = monochromator_settings(plan.rig.file).wheel
+    beyond = [each for each in grid_values(plan.schedule.file.wavelength_nm) if each > SECOND_ORDER_NM]
+    open_to_it = [each for each in beyond if (there := wheel.at(each)) is None or not there.blocks(0.5 * each)]
+    if not open_to_it:
+        return
+    begin = f"above {SECOND_ORDER_NM:g} nm ({len(open_to_it)} wavelengths) light of half the wavelength passes, too"
+    if not wheel:
         yield (
-            f"above {SECOND_ORDER_NM:g} nm ({len(beyond)} wavelengths) light of half the wavelength passes, too, and nothing "
-            "turns the filter wheel yet: put an order-sorting filter into the beam"
+            f"{begin}: put order-sorting filters into the wheel, and say in the rig file, in [[monochromator.filters]], which "
+            "stands where and for what: position, name, from_nm, to_nm, cut_on_nm"
         )
+        return
+    names = dict.fromkeys(f"{there.name!r}" for each in open_to_it if (there := wheel.at(each)) is not None)
+    yield (
+        f"{begin}, for the rig file does not say that {' or '.join(names)} holds it back: in [[monochromator.filters]] give "
+        f"cut_on_nm, above {0.5 * max(open_to_it):g}, or put another filter in for these"
+    )
 
 
 def _guessed(plan: Plan) -> Iterator[str]:

@@ -9,20 +9,26 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 WAVELENGTH = 4
 """The column of the wavelength; before it come gamma, sigma, beta, shift."""
+FILTER = 5
+"""The column of the order-sorting filter, which the wavelength decides: a loop of it goes around that of the wavelength."""
 ROOMY = 8
 """A table of so many places a point finds the distinct numbers faster than sorting does."""
 
 
 class Lattice:
-    """All pairs of `poses` (n, 4) and `wavelengths` (w,); a point's number is its pose's times w, and its wavelength's."""
+    """All pairs of `poses` (n, 4) and `wavelengths` (w,); a point's number is its pose's times w, and its wavelength's.
 
-    def __init__(self, poses: Floats, wavelengths_nm: Floats) -> None:
+    `filters` (w,) are the numbers of the filters that the wavelengths have; all one where they are not given.
+    """
+
+    def __init__(self, poses: Floats, wavelengths_nm: Floats, filters: Ints | None = None) -> None:
         self.poses = poses
         self.wavelengths_nm = wavelengths_nm
-        found = [np.unique(column, return_inverse=True) for column in (*poses.T, wavelengths_nm)]
+        filters = np.zeros(len(wavelengths_nm), dtype=np.int64) if filters is None else filters
+        found = [np.unique(column, return_inverse=True) for column in (*poses.T, wavelengths_nm, filters)]
         self.values = [values for values, _ in found]
         self._pose_ranks = [np.asarray(ranks, dtype=np.int64) for _, ranks in found[:WAVELENGTH]]
-        self._wavelength_ranks = np.asarray(found[WAVELENGTH][1], dtype=np.int64)
+        self._wavelength_ranks, self._filter_ranks = (np.asarray(ranks, dtype=np.int64) for _, ranks in found[WAVELENGTH:])
 
     def __len__(self) -> int:
         return len(self.poses) * len(self.wavelengths_nm)
@@ -39,17 +45,23 @@ class Lattice:
     def ranks(self) -> list[Ints]:
         """By column, the place of each point's value among the column's."""
         outer = [np.repeat(ranks, len(self.wavelengths_nm)) for ranks in self._pose_ranks]
-        return [*outer, np.tile(self._wavelength_ranks, len(self.poses))]
+        return [*outer, *(np.tile(ranks, len(self.poses)) for ranks in (self._wavelength_ranks, self._filter_ranks))]
 
     @property
     def active(self) -> tuple[int, ...]:
-        """The columns that change at all."""
-        return tuple(column for column, values in enumerate(self.values) if len(values) > 1)
+        """The columns that change at all; the filter is none of them, for it changes with the wavelength."""
+        return tuple(column for column, values in enumerate(self.values[:FILTER]) if len(values) > 1)
+
+    @property
+    def grouped(self) -> bool:
+        """Whether there are several filters, and several wavelengths to one of them."""
+        return 1 < len(self.values[FILTER]) < len(self.values[WAVELENGTH])
 
     def distinct(self, labels: dict[int, Ints]) -> int:
         """How many points differ in some column, where the values of each have the `labels`; other columns do not count."""
-        waves = int(labels[WAVELENGTH].max()) + 1 if WAVELENGTH in labels else 1
-        columns = [column for column in labels if column != WAVELENGTH]
+        light = WAVELENGTH if WAVELENGTH in labels else FILTER  # the wavelength has told the filter
+        waves = int(labels[light].max()) + 1 if light in labels else 1
+        columns = [column for column in labels if column < WAVELENGTH]
         sizes = [int(labels[column].max()) + 1 for column in columns]
         if len(self.poses) == int(np.prod([len(values) for values in self.values[:WAVELENGTH]])):
             return int(np.prod(sizes)) * waves  # a whole grid

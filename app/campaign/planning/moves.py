@@ -16,7 +16,9 @@ from protocols.cornerstone import Statement, encode_nm
 from protocols.tmcl import FRAME_BYTES
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 CONTROLLER_LATENCY_S = 3.0e-4
+WHEEL_AFTER_POWER_ON = 1
 BEFORE_A_MOVE, AFTER_A_MOVE, BETWEEN_LEGS = 3, 2, 2
 """Exchanges: where it is, the canary, the move; whether it has arrived, the canary; whether it has arrived, the next leg."""
 
@@ -32,6 +34,9 @@ class Moves:
         farthest = encode_nm(self._monochromator.highest_nm)
         told = self._monochromator.statement_seconds(str(Statement("GOWAVE", parameter=farthest)))
         self._words_s = told + STATUS_MARGIN_S + self._monochromator.question_seconds("WAVE?", farthest)
+        self._wheel = self._monochromator.wheel
+        self._ask_wheel_s = self._monochromator.question_seconds("FILTER?", "1")
+        self._tell_wheel_s = self._monochromator.statement_seconds("FILTER 1") + STATUS_MARGIN_S + self._ask_wheel_s
 
     def seconds(self, before: Floats, after: Floats) -> Floats:
         """Seconds (n,) from points (n, 5) to others, all axes at once, until everything is at rest and has settled.
@@ -52,9 +57,20 @@ class Moves:
         slewed = before[:, 4] != after[:, 4]
         if slewed.any():
             way = np.nan_to_num(after[:, 4] - before[:, 4])
-            arrived = begun + self._slewing(way)
+            arrived = begun + self._sorting(before[:, 4], after[:, 4]) + self._slewing(way)
             done = np.where(slewed, np.maximum(done, arrived), done)
         return np.asarray(done + settling)
+
+    def filter_changes(self, wavelengths_nm: Floats) -> tuple[int, float]:
+        """How often the filter changes over wavelengths (n,) in this order, and how many seconds the wheel takes for it all."""
+        if not self._wheel or not len(wavelengths_nm):
+            return 0, 0.0
+        ways = self._wheels_ways(np.concatenate([[np.nan], wavelengths_nm[:-1]]), wavelengths_nm)
+        return int(np.count_nonzero(ways)), float(ways.sum() * self._monochromator.filter_s)
+
+    def filter_numbers(self, wavelengths_nm: Floats) -> Ints:
+        """Which of the filters, counted from 0 by ascending wavelength, each of wavelengths (n,) has."""
+        return self._wheel.numbers(wavelengths_nm)
 
     def one_step(self, column: int) -> Callable[[Floats, Floats], Floats]:
         """Seconds from values to others of one column alone, everything else at rest."""
@@ -68,7 +84,7 @@ class Moves:
 
     def backlash(self, column: int) -> int:
         """The direction, +1 or -1, from which a column's moves have to arrive; 0 where either will do."""
-        if column == len(AXES) or self._axes[column].backlash_deg == 0.0:
+        if column >= len(AXES) or self._axes[column].backlash_deg == 0.0:
             return 0
         return 1 if self._axes[column].approach_from == "below" else -1
 
@@ -81,6 +97,20 @@ class Moves:
         legs = sum(ramp_seconds(way, axis.speed, axis.acceleration) for way in (there + far - here, np.full(len(here), far)))
         detour = legs + 2 * ARRIVED_AFTER_S + BETWEEN_LEGS * self.exchange_s
         return np.asarray(np.where((there - here) * -far >= 0.0, direct, detour))
+
+    def _sorting(self, here_nm: Floats, there_nm: Floats) -> Floats:
+        """Of the filter wheel, before the grating turns; where nobody knows its position it is asked twice."""
+        if not self._wheel:
+            return np.zeros(len(there_nm))
+        ways, unknown = self._wheels_ways(here_nm, there_nm), np.isnan(here_nm)
+        turned = self._ask_wheel_s + self._tell_wheel_s + ways * self._monochromator.filter_s
+        asked = np.where(unknown, self._ask_wheel_s * (1 + (ways == 0)), 0.0)
+        return np.asarray(np.where(ways > 0, turned, 0.0) + asked)
+
+    def _wheels_ways(self, here_nm: Floats, there_nm: Floats) -> Ints:
+        """How many positions the wheel turns by; where nobody knows its position (NaN), from that after a power-up."""
+        here = np.where(np.isnan(here_nm), WHEEL_AFTER_POWER_ON, self._wheel.positions(here_nm))
+        return np.abs(self._wheel.positions(there_nm) - here)
 
     def _slewing(self, way_nm: Floats) -> Floats:
         settings = self._monochromator

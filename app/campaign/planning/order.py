@@ -2,7 +2,8 @@
 
 All nestings are estimated from how often each of their loops steps and what a step costs. Of the best with each loop
 innermost, and of the best with the wavelength outermost, every single move is then added up: these are what the words
-compare, and the fastest of them is taken.
+compare, and the fastest of them is taken. Where wavelengths share filters, there are nests that do one filter after the other,
+too, with poses between the loop over the filters and that over the wavelengths of each.
 """
 
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from app.campaign.planning.lattice import WAVELENGTH, Ints, Lattice
+from app.campaign.planning.lattice import FILTER, WAVELENGTH, Ints, Lattice
 from app.campaign.planning.moves import Moves
 from app.campaign.planning.nesting import Nest, moving_seconds, visited
 from app.campaign.schedule.file import NESTED, ScheduleFile
@@ -69,12 +70,14 @@ def _columns_said(lattice: Lattice, file: ScheduleFile) -> tuple[int, ...] | Non
 
 
 def _contenders(nests: dict[Nest, float], said: tuple[int, ...] | None) -> list[Nest]:
-    """Those whose moves are worth adding up: the best by innermost loop, and with the wavelength outermost."""
+    """Those whose moves are worth adding up: the best by innermost loop, with and without one over the filters, and with the
+    wavelength outermost.
+    """
     ranked = sorted(nests, key=lambda nest: nests[nest])
     chosen: dict[object, Nest] = {}
     for nest in ranked:
         columns = nest.columns
-        chosen.setdefault(("inside", columns[-1:]), nest)
+        chosen.setdefault(("inside", columns[-1:], FILTER in columns), nest)
         if columns[:1] == (WAVELENGTH,):
             chosen.setdefault("wavelength outside", nest)
         if columns == said:
@@ -84,10 +87,11 @@ def _contenders(nests: dict[Nest, float], said: tuple[int, ...] | None) -> list[
 
 def _estimated(lattice: Lattice, back_and_forth: bool, moves: Moves) -> dict[Nest, float]:
     """All nests of the columns that change, with about how long their moves take."""
-    there, back, whole = _step_seconds(lattice, moves)
+    by_filters = {grouped: _step_seconds(lattice, moves, grouped) for grouped in {False, lattice.grouped}}
     distinct = _distinct_prefixes(lattice)
     found = {}
     for nest in _nests(lattice, back_and_forth, moves):
+        there, back, whole = by_filters[FILTER in nest.columns]
         seconds, returning = 0.0, 0.0
         for depth in reversed(range(len(nest.columns))):
             column, both = nest.columns[depth], nest.back_and_forth[depth]
@@ -102,25 +106,39 @@ def _estimated(lattice: Lattice, back_and_forth: bool, moves: Moves) -> dict[Nes
 def _nests(lattice: Lattice, back_and_forth: bool, moves: Moves) -> Iterator[Nest]:
     """Where backlash does not matter going back and forth is never slower; where it does, either may be."""
     for columns in permutations(lattice.active):
-        ways = [(True, False) if moves.backlash(column) else (True,) for column in columns]
-        for both in product(*(way if back_and_forth else (False,) for way in ways)):
-            yield Nest(columns, both)
+        for nested in (columns, *(_around_the_wavelength(columns) if lattice.grouped else ())):
+            ways = [(True, False) if moves.backlash(column) else (True,) for column in nested]
+            for both in product(*(way if back_and_forth else (False,) for way in ways)):
+                yield Nest(nested, both)
 
 
-def _step_seconds(lattice: Lattice, moves: Moves) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
-    """By column: a step in the direction of going, one back, and the whole way back; on average, in seconds."""
+def _around_the_wavelength(columns: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+    """With a loop over the filters, and at least another between it and that over the wavelengths."""
+    for place in range(columns.index(WAVELENGTH)):
+        yield (*columns[:place], FILTER, *columns[place:])
+
+
+def _step_seconds(lattice: Lattice, moves: Moves, grouped: bool) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
+    """By column: a step in the direction of going, one back, and the whole way back; on average, in seconds.
+
+    Where wavelengths are `grouped` by their filters, steps between two filters are those of the loop over the filters.
+    """
     there, back, whole = {}, {}, {}
-    for column in lattice.active:
-        values = lattice.values[column] if moves.backlash(column) >= 0 else lattice.values[column][::-1]
-        seconds = moves.one_step(column)
-        there[column] = float(seconds(values[:-1], values[1:]).mean())
-        back[column] = float(seconds(values[1:], values[:-1]).mean())
+    changes = np.diff(moves.filter_numbers(lattice.values[WAVELENGTH])) != 0
+    for column in (*lattice.active, *((FILTER,) if grouped else ())):
+        own = min(column, WAVELENGTH)
+        values = lattice.values[own] if moves.backlash(column) >= 0 else lattice.values[own][::-1]
+        steps = np.full(len(values) - 1, True) if not grouped or own != WAVELENGTH else changes == (column == FILTER)
+        seconds = moves.one_step(own)
+        there[column] = float(seconds(values[:-1][steps], values[1:][steps]).mean())
+        back[column] = float(seconds(values[1:][steps], values[:-1][steps]).mean())
         whole[column] = float(seconds(values[-1:], values[:1])[0])
     return there, back, whole
 
 
 def _distinct_prefixes(lattice: Lattice) -> dict[frozenset[int], int]:
     """How many points differ in some of the columns, for every set of columns."""
-    labels = {column: np.arange(len(lattice.values[column])) for column in lattice.active}
+    columns = (*lattice.active, FILTER) if lattice.grouped else lattice.active
+    labels = {column: np.arange(len(lattice.values[column])) for column in columns}
     sets = (some for size in range(len(labels) + 1) for some in combinations(labels, size))
     return {frozenset(some): lattice.distinct({column: labels[column] for column in some}) for some in sets}

@@ -11,7 +11,7 @@ from app.campaign.planning.poses import Poses, etalon_poses, sample_poses
 from app.campaign.row import MIRRORED, NOTHING
 from app.campaign.schedule.file import ScheduleFile
 from app.campaign.schedule.grids import grid_values
-from app.rig import RigFile
+from app.rig import RigFile, monochromator_settings
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,9 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     wavelengths = np.array(grid_values(file.wavelength_nm))
     of_samples = sample_poses(file, rig)
     of_etalon = etalon_poses(file, of_samples)
-    lattice = Lattice(of_samples.angles, wavelengths)
-    etalon_lattice = lattice if of_etalon is of_samples else Lattice(of_etalon.angles, wavelengths)
+    filters = monochromator_settings(rig).wheel.numbers(wavelengths)
+    lattice = Lattice(of_samples.angles, wavelengths, filters)
+    etalon_lattice = lattice if of_etalon is of_samples else Lattice(of_etalon.angles, wavelengths, filters)
     endings = ["", *(f"/repeat {k}" for k in range(2, file.repeats + 1))]
     found = [[Pass(file.etalon, of_etalon, etalon_lattice, ending=ending) for ending in endings]]
     found += [[Pass(sample, of_samples, lattice, ending=ending) for ending in endings] for sample in file.samples]
@@ -55,5 +56,5 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     if file.open_beam:
         beam = open_beam_poses(file, rig)
         poses = Poses(beam, np.zeros(len(beam), dtype=bool), 0)
-        empty.append(Pass(NOTHING, poses, Lattice(beam, wavelengths), purpose="/open beam"))
+        empty.append(Pass(NOTHING, poses, Lattice(beam, wavelengths, filters), purpose="/open beam"))
     return [*found, empty] if empty else found

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from app.campaign.planning.coverage import refuse_uncertified
 from app.campaign.planning.lattice import Ints, Lattice
 from app.campaign.planning.limits import (
     MOST_ROWS,
@@ -67,6 +68,7 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
     except ValueError as error:
         raise UserError(f"{schedule.name}: {error}") from None
     _refuse_too_many_after_all(schedule, mounted)
+    refuse_uncertified(schedule, rig.file, mounted[1][0].poses.angles)
     timeline = Timeline(file, measuring, Timing(rig.file))
     orders: dict[Lattice, Order] = {}
     timeline.warm_up(float(np.median(mounted[0][0].lattice.wavelengths_nm)))

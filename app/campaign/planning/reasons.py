@@ -1,11 +1,18 @@
 """Why a plan measures in the order that it does, in words."""
 
-from app.campaign.planning.lattice import WAVELENGTH, Lattice
+import numpy as np
+
+from app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
+from app.campaign.planning.moves import Moves
 from app.campaign.planning.nesting import Nest
 from app.campaign.planning.order import Order
 from app.campaign.planning.plan import Made, Plan
+from app.campaign.planning.planned_rows import PlannedRows
+from app.campaign.planning.timeline import Run
 from app.campaign.schedule.file import NESTED
 from app.campaign.spoken import clock_time
+
+LOOPS = (*NESTED, "filter")
 
 
 def sample_order(made: Made) -> tuple[Lattice, Order]:
@@ -16,28 +23,46 @@ def sample_order(made: Made) -> tuple[Lattice, Order]:
 
 def loops(order: Order) -> list[str]:
     """The loops, the innermost first."""
-    return [NESTED[column] for column in reversed(order.nest.columns)]
+    return [LOOPS[column] for column in reversed(order.nest.columns)]
 
 
 def why(plan: Plan, made: Made) -> str:
-    """The nestings that were compared, the one taken first, with about how long the whole campaign takes in each."""
+    """The nestings that were compared, the one taken first, with about how long the whole campaign takes in each; and how often
+    the filter changes.
+    """
     lattice, order = sample_order(made)
     passes = sum(each.lattice is lattice for mounted in made.mountings for each in mounted)
     seconds: dict[str, float] = {}
     for nest in sorted(order.tried, key=lambda nest: (nest != order.nest, order.tried[nest])):
         if order.tried[nest] < float("inf"):
             whole = plan.seconds + (order.tried[nest] - order.seconds) * passes
-            for words in _called(nest):
+            for words in _called(nest, order.nest):
                 seconds.setdefault(words, whole)
+    count, wheel_s = filter_changes(plan)
+    filters = f"; filter changes: {count}, {clock_time(wheel_s)}" if count else ""
     told = "; ".join(f"{words}: {clock_time(whole)}" for words, whole in seconds.items())
     if plan.schedule.file.order != "fastest":
-        return f"as the schedule says. {told}"
-    return told if len(seconds) > 1 else "there is one loop only"
+        return f"as the schedule says. {told}{filters}"
+    return f"{told if len(seconds) > 1 else 'there is one loop only'}{filters}"
 
 
-def _called(nest: Nest) -> list[str]:
-    """What tells a nest from the others."""
+def filter_changes(plan: Plan) -> tuple[int, float]:
+    """How often a plan that was just made changes the filter, and how many seconds the wheel turns for it."""
+    assert isinstance(plan.rows, PlannedRows)
+    moves, wavelengths = Moves(plan.rig.file), []
+    for piece in plan.rows.pieces:
+        if isinstance(piece, Run):
+            known = piece.of.lattice.wavelengths_nm
+            wavelengths.append(known[piece.points % len(known)])
+        elif piece.wavelength_nm is not None:
+            wavelengths.append(np.array([piece.wavelength_nm]))
+    return moves.filter_changes(np.concatenate(wavelengths))
+
+
+def _called(nest: Nest, taken: Nest) -> list[str]:
+    """What tells a nest from the others; only of one with the innermost loop of the `taken` also whether it goes by filters."""
     if len(nest.columns) < 2:
         return ["one loop"]
     outside = ["wavelength outside"] if nest.columns[0] == WAVELENGTH else []
-    return [f"{NESTED[nest.columns[-1]]} inside", *outside]
+    by_filter = ", filter by filter" if FILTER in nest.columns and nest.columns[-1] == taken.columns[-1] else ""
+    return [f"{LOOPS[nest.columns[-1]]} inside{by_filter}", *outside]

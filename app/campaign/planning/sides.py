@@ -55,10 +55,14 @@ def polar_deg(rig: RigFile, arc: Arc) -> tuple[float, ...]:
     return tuple(rig.photodiodes.upper_deg if arc == "upper" else rig.photodiodes.lower_deg)
 
 
+def lighting_deg(there_deg: float, arc: Arc) -> float:
+    """Where the mirror unit goes for the etalon that scales what an arc sees at a sigma: to the arc's own side."""
+    return rig_sigma_deg(incidence_deg(there_deg), "front" if arc == "upper" else "back")
+
+
 def etalon_sigmas_deg(file: ScheduleFile, there_deg: float) -> tuple[float, ...]:
     """Where the mirror unit goes for the etalon that scales what is measured at a sigma.
 
     The etalon only reflects. So it is lit on the side of each arc that looks: for transmitted light from the other side.
     """
-    straight = incidence_deg(there_deg)
-    return tuple(rig_sigma_deg(straight, "front" if arc == "upper" else "back") for arc in looking_arcs(file, there_deg))
+    return tuple(lighting_deg(there_deg, arc) for arc in looking_arcs(file, there_deg))

@@ -20,6 +20,8 @@ from app.rig import RigFile, photodiode_settings
 LIGHT = 5.0
 """A photodiode whose signal is below so many standard uncertainties says nothing about the light."""
 CERTAIN = 4.0
+LIKELY = 2.0
+"""By so many standard uncertainties a photodiode alone (there are many), and the mean of all, have to be beyond a limit."""
 AT_RESUME = 0.005
 """The limit, a share, where a campaign without drift checks is gone on with."""
 SignalOf = Callable[[], Signal]
@@ -75,7 +77,8 @@ def compared(first: Signal, now: Signal, rig: RigFile, limit: float) -> Check:
     alone[light] |= own
     weight = np.where(own, 0.0, 1.0 / variance) if own.sum() <= own.size / 2 else 1.0 / variance
     change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
-    return Check(change, math.sqrt(1.0 / float(np.sum(weight)) + monitor), abs(change) > limit, alone)
+    u_change = math.sqrt(1.0 / float(np.sum(weight)) + monitor)
+    return Check(change, u_change, abs(change) - LIKELY * u_change > limit, alone)
 
 
 class Reference:

@@ -18,6 +18,7 @@ from app.campaign.reducing.drifting import drifts
 from app.campaign.reducing.points import Flags, Floats
 from app.campaign.reducing.signals import Ints, Signal, darks_by_gain, dead_since, mean_signal, middle, signal
 from app.campaign.reducing.traced import with_tracing_error
+from app.campaign.reducing.watching import unseen
 from app.campaign.row import Row
 from app.campaign.schedule.file import ScheduleFile
 from app.errors import UserError
@@ -61,6 +62,7 @@ class Measurements:
         del darks
         self._listed, self._names = journal.measured_rows()
         limit = None if schedule.drift is None else schedule.drift.limit
+        self.unseen = unseen(journal.rows("drift"), self._signal)
         some = next(journal.rows("drift"), None) is not None
         rows = journal.rows("mount", "measure", "drift") if some else iter(())
         self.drifts = drifts(rows, self._signal, rig.file, limit)
@@ -96,9 +98,9 @@ class References:
     def __init__(self, measurements: Measurements, sample: str) -> None:
         self._measurements = measurements
         listed = measurements.listed(sample)
-        places = np.stack([np.round(listed[name], DECIMALS) for name in PLACE], axis=1)
-        self._columns = [np.unique(column) for column in places.T]
-        codes = self._codes(places)
+        self.places: Floats = np.stack([np.round(listed[name], DECIMALS) for name in PLACE], axis=1)
+        self._columns = [np.unique(column) for column in self.places.T]
+        codes = self._codes(self.places)
         order = np.argsort(codes, kind="stable")
         self._sorted, self._numbers = codes[order], listed["number"][order]
 
@@ -117,6 +119,10 @@ class References:
             if end > begin:
                 found[key] = _mean(list(self._measurements.of(self._numbers[begin:end].tolist())))
         return found
+
+    def meets(self, other: "References") -> bool:
+        """Whether anything was measured at a wavelength and pose of the other's."""
+        return bool(np.any(self._codes(other.places) >= 0)) if len(self) else False
 
     def _codes(self, places: Floats) -> Ints:
         """A number for each of the places (n, 5); -1 where nothing was measured."""

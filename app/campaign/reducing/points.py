@@ -18,7 +18,8 @@ class BsdfPoints:
     direction (of transmitted light: about the direction straight on). `back`: the light came from behind, sigma is beyond 90
     deg. `bsdf` and its standard uncertainty `u_bsdf` in 1/sr; NaN where there is no value, and then a flag says why:
 
-    - `shadowed` by the mirror unit, wholly or in part: a value where there was light, but not of the sample alone;
+    - `shadowed` by the mirror unit, wholly or in part, at the sample or at the etalon that scales it: a value where there was
+      light, but not the sample's;
     - `clipped`: over the range at every gain, of sample, etalon or signature;
     - `no_etalon`: the etalon gave nothing to divide by;
     - `dead`: although it should have, or the photodiode's dark current is gone;

@@ -27,8 +27,11 @@ from app.campaign.reducing.points import BsdfPoints as BsdfPoints
 from app.campaign.reducing.points import Flags, joined
 from app.campaign.reducing.ratio import Ratio
 from app.campaign.reducing.signals import Ints, Signal
+from app.campaign.reducing.subtracted import subtracted
 from app.campaign.reducing.symmetry import Symmetrical
+from app.campaign.reducing.tally import Tally
 from app.campaign.reducing.traced import tracing_error
+from app.campaign.reducing.watching import in_words, unwatched
 from app.campaign.row import NOTHING, Row
 from app.campaign.schedule.certificate import Certificate, constant, parse_certificate
 from app.campaign.schedule.file import ScheduleFile, parse_schedule
@@ -50,7 +53,8 @@ ROWS_AT_ONCE = 256
 class Reduced:
     """What a journal comes to: points by sample, and whether they are simulated. `overlaps` say by sample how well photodiodes
     agree that saw the same direction, `symmetry` whether it has the one that is stated, where that is checked; `notes` what a
-    reader has to know about how it was reduced.
+    reader has to know about how it was reduced; `unwatched`, by what was mounted, the photodiodes of which its drift checks
+    could tell nothing.
     """
 
     name: str
@@ -60,6 +64,7 @@ class Reduced:
     overlaps: dict[str, Overlaps]
     notes: tuple[str, ...]
     symmetry: dict[str, Symmetrical] = field(default_factory=dict)
+    unwatched: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ class Reduction:
         if not len(self._etalon):
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = References(self._measurements, NOTHING)
-        self._transmitted = False
+        self.tallies: dict[str, Tally] = {}
 
     def blocks(self, sample: str, rows: int = ROWS_AT_ONCE) -> Iterator[Block]:
         """The points of a sample in the order of wavelength, sigma, gamma, half planes and time; of about so many rows at once,
@@ -93,10 +98,12 @@ class Reduction:
         """
         listed = self._measurements.listed(sample)
         order, edges = in_half_planes(listed)
+        self.tallies.pop(sample, None)
         begin = 0
         for end in edges[1:].tolist():
             if end > begin and (end - begin >= rows or end == len(order)):
                 if (block := self._block(listed, order[begin:end])) is not None:
+                    self.tallies.setdefault(sample, Tally()).add(block.points)
                     yield block
                 begin = end
 
@@ -130,9 +137,10 @@ class Reduction:
     def notes(self) -> list[str]:
         """What a reader has to know about how it was reduced; once all blocks have been made."""
         told = [str(drift) for drift in self._measurements.drifts]
-        if len(self._signature):
-            told.append("the instrument's own light was measured without a sample and has been subtracted from reflected light")
-        if self._transmitted:
+        transmitted = any(tally.transmitted for tally in self.tallies.values())
+        freed = any(tally.freed for tally in self.tallies.values())
+        told += subtracted(reflected=freed, scale=transmitted and self._signature.meets(self._etalon))
+        if transmitted:
             told.append("transmitted light is scaled by what the same photodiode sees of the etalon lit from its own side")
         certificate = self.schedule.certificate
         if certificate is not None and certificate.accept_expired_by is not None:
@@ -142,7 +150,12 @@ class Reduction:
             told.append(
                 f"the light was traced by the forward estimator, to {traced:.2g} in the median, which the uncertainty has"
             )
-        return told
+        return told + [in_words(name, photodiodes) for name, photodiodes in self.unwatched().items()]
+
+    def unwatched(self) -> dict[str, tuple[int, ...]]:
+        """By what was mounted, the photodiodes of which its drift checks could tell nothing; once all blocks have been made."""
+        trusted = {name: tally.trusted for name, tally in self.tallies.items()}
+        return unwatched(self._measurements.unseen, trusted, self.schedule.etalon)
 
     def _block(self, listed: Listed, places: Ints) -> Block | None:
         rows = list(self._measurements.of(listed["number"][places].tolist()))
@@ -153,7 +166,6 @@ class Reduction:
             for points in _row_points(self.rig, each, etalon, signature, self.certificate):
                 ranks.append(np.full(points.bsdf.size, rank))
                 found.append(points)
-                self._transmitted |= bool(points.transmitted.any())
         return Block(np.concatenate(ranks), joined(found)) if found else None
 
 
@@ -176,7 +188,8 @@ def reduce_journal(journal: Journal) -> Reduced:
     notes = reduction.notes()
     notes += [f"symmetry of {name}: {verdict}" for name, verdict in verdicts.items()]
     notes += [f"overlaps of {name}: {each}" for name, found in seen.items() for each in reduction.calibration_told(found)]
-    return Reduced(journal.value("name"), reduction.rig, journal.simulated, samples, seen, tuple(notes), verdicts)
+    told = (tuple(notes), verdicts, reduction.unwatched())
+    return Reduced(journal.value("name"), reduction.rig, journal.simulated, samples, seen, *told)
 
 
 def row_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
@@ -239,7 +252,9 @@ def _arc_points(
     factor, u_factor = certificate.at(row.wavelength_nm, incidence, view.polar, view.azimuth)
     own, at_etalon = (None if each is None else each.signal for each in signature)
     ratio = Ratio.of(rig, sample.signal, etalon.signal, own, at_etalon, c=c)
-    hidden = shadowed(rig.file, sigma, view.zenith, view.azimuth, gamma)
+    # For transmitted light the mirror unit is elsewhere at the etalon, and hides other directions there.
+    ways = {sigma, etalon.row.pose[1]}
+    hidden = np.any([shadowed(rig.file, there, view.zenith, view.azimuth, gamma) for there in ways], axis=0)
     no_etalon = np.isfinite(ratio.etalon) & ~(ratio.etalon > ETALON_SIGNAL * np.sqrt(ratio.var_etalon))
     scale = np.where(no_etalon, np.nan, factor / math.pi)
     bsdf = ratio.value * scale

@@ -33,6 +33,6 @@ def steepness(points: BsdfPoints) -> Floats:
     which = which.ravel()
     logs = np.bincount(which, weights=np.log(here.bsdf)) / np.bincount(which)
     same = np.all(places[1:, :-1] == places[:-1, :-1], axis=1)
-    slope = np.where(same, np.abs(np.diff(logs)) / np.diff(places[:, -1], prepend=np.nan)[1:], 0.0)
+    slope = np.abs(np.diff(logs)) / np.where(same, np.diff(places[:, -1]), np.inf)
     found[usable] = np.maximum(np.append(slope, 0.0), np.insert(slope, 0, 0.0))[which]
     return found

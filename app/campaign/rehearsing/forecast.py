@@ -12,6 +12,7 @@ import numpy.typing as npt
 from app.campaign.journal.writing import Journal
 from app.campaign.reducing.points import BsdfPoints, Floats
 from app.campaign.reducing.reduction import ROWS_AT_ONCE, Reduction
+from app.campaign.reducing.tally import Tally
 from app.campaign.reducing.verdicts import Verdicts
 from app.errors import UserError
 from app.formats import FormatError, write_points_csv
@@ -62,11 +63,15 @@ class Spread:
 
 @dataclass(frozen=True)
 class Forecast:
-    """`spread` by sample; `trouble` says why there is none."""
+    """`spread` and `tallies` by sample; `trouble` says why there are none. `unwatched` are photodiodes, by what was mounted, of
+    which drift checks could tell nothing.
+    """
 
     spread: dict[str, dict[str, Any]]
     verdicts: Verdicts
     trouble: str = ""
+    tallies: dict[str, Tally] = field(default_factory=dict)
+    unwatched: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = ROWS_AT_ONCE) -> Forecast:
@@ -85,6 +90,7 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
                     pass
             else:
                 write_points_csv(points, [*about, *ABOUT], itertools.chain([first], parts))
+            unwatched = reduction.unwatched()
     except FormatError as error:
         raise UserError(str(error)) from None
     except UserError as error:
@@ -94,7 +100,8 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
         return Forecast({}, Verdicts({}, {}, trouble), trouble)
     if points is not None and not spreads:
         raise UserError(f"{points}: no sample has come to a value, so there is nothing to write")
-    return Forecast({name: spread.as_dict() for name, spread in spreads.items()}, verdicts)
+    spread = {name: spread.as_dict() for name, spread in spreads.items()}
+    return Forecast(spread, verdicts, tallies=reduction.tallies, unwatched=unwatched)
 
 
 def relative(points: BsdfPoints) -> Floats:

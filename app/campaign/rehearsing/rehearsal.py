@@ -17,9 +17,11 @@ from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.rehearsing.forecast import forecast
 from app.campaign.rehearsing.warnings import warnings_of
 from app.campaign.rehearsing.watch import Watch
+from app.campaign.rehearsing.worthless import worthless
 from app.campaign.running.engine import Engine
 from app.campaign.running.events import Listener, State
 from app.campaign.running.operator import BackDoor
+from app.campaign.running.resume import Rest, rest_of
 from app.campaign.schedule.file import ScheduleDescription
 from app.errors import UserError
 from app.rig import OpenRig, RigDescription, open_rig, photodiode_settings
@@ -37,14 +39,19 @@ class Rehearsal:
     @property
     def done(self) -> bool:
         """Whether it came to its end."""
-        return bool(self.result["state"] != State.FAILED)
+        return bool(self.result["state"] == State.DONE)
 
 
 @dataclass(frozen=True)
 class Run:
-    """How it ended, how many of the rig's seconds it took, what went wrong, and what was assumed of the axes."""
+    """How it ended, and by which words of the schedule; the planned rows that were done, in how many sessions and of the rig's
+    seconds; what went wrong, and what was assumed of the axes.
+    """
 
     state: State
+    ended_by_schedule: str
+    rows: int
+    sessions: int
     seconds: float
     faults: tuple[str, ...]
     assumed: tuple[str, ...]
@@ -82,13 +89,17 @@ def rehearse(
         if foretold.trouble:
             warnings.append(f"nothing can be foretold of the uncertainty: {foretold.trouble}")
         if run.state is State.IDLE:
-            warnings.append(f"it ends before all rows are measured: {watch.ended}")
+            warnings.append(f"it ends before all rows are measured: {run.ended_by_schedule}")
+        elif run.sessions > 1:
+            warnings.append(f"the schedule's [stop] ends it {run.sessions - 1} times; each time goniotwin run --resume goes on")
         warnings += foretold.verdicts.alarming
+        warnings += worthless(plan.schedule.file, foretold.tallies, foretold.unwatched) if not foretold.trouble else []
         result = {
             "simulated": True,
-            "state": "failed" if run.state is State.FAILED else "done",
+            "state": "stopped" if run.state is State.IDLE else str(run.state),
+            "sessions": run.sessions,
             "faults": list(run.faults),
-            "rows": sum(block.rows for block in watch.blocks),
+            "rows": run.rows,
             "planned": len(plan.rows),
             "duration_s": run.seconds,
             "foretold_s": plan.seconds,
@@ -110,17 +121,30 @@ def rehearse(
 
 
 def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -> Run:
-    """The plan on its virtual rig, with `watch` and others listening; the journal is there afterwards. Raises as `rehearse`."""
-    with open_rig(plan.rig, VirtualClock()) as opened:
-        opened.connect()
-        referenced = _referenced(opened)
-        assert opened.virtual is not None
-        with Journal.create(path, plan, versions(), durable=False) as journal:
-            engine = Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [watch, *listeners])
-            state = engine.run()
-            if state is State.IDLE and watch.ended == "stopped":
+    """The plan on its virtual rig, with `watch` and others listening; the journal is there afterwards. Raises as `rehearse`.
+
+    Where the schedule ends a session, another one goes on, as long as that comes any further.
+    """
+    faults: list[str] = []
+    with Journal.create(path, plan, versions(), durable=False) as journal:
+        rest: Rest | None = None
+        done = -1
+        while True:
+            with open_rig(plan.rig, VirtualClock(rest.start_s if rest else 0.0)) as opened:
+                opened.connect()
+                referenced = _referenced(opened)
+                assert opened.virtual is not None
+                work = rest.work if rest else None
+                engine = Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [watch, *listeners], work=work)
+                state = engine.run()
+            faults += engine.faults
+            if state is State.IDLE and not engine.ended_by_schedule:
                 raise KeyboardInterrupt
-            return Run(state, journal.seconds, tuple(engine.faults), tuple(referenced))
+            before, (done, _) = done, journal.counted()
+            if state is not State.IDLE or done <= before:
+                sessions = len(journal.sessions())
+                return Run(state, engine.ended_by_schedule, done, sessions, journal.seconds, tuple(faults), tuple(referenced))
+            rest = rest_of(journal, plan.rig)
 
 
 def _referenced(opened: OpenRig) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.campaign.journal.recorded import RowData
-from app.campaign.running.events import Event, RowCommitted, StateChanged
+from app.campaign.running.events import Event, RowCommitted
 from app.campaign.running.gains import clipped
 from app.rig import AXES
 from drivers import PhotodiodeSettings
@@ -37,13 +37,10 @@ class Watch:
         self.saturated = 0
         self.steps: dict[tuple[str, float], Floats] = {}
         self.flagged: dict[str, int] = {}
-        self.ended = ""
 
     def __call__(self, event: Event) -> None:
-        """Heeds the rows, and why it ended."""
-        if isinstance(event, StateChanged):
-            self.ended = event.reason
-        elif isinstance(event, RowCommitted):
+        """Heeds the rows."""
+        if isinstance(event, RowCommitted):
             row, data = event.row, event.data
             if row.kind == "mount" or not self.blocks:
                 self.blocks.append(Block(row.sample))

@@ -2,8 +2,7 @@
 
 from app.campaign.journal.recorded import RowData
 from app.campaign.reducing.drifting import DriftWatch
-from app.campaign.row import Row
-from app.campaign.running.faults import SKIPPED
+from app.campaign.row import SKIPPED, Row
 from app.campaign.schedule.file import ScheduleFile
 from app.campaign.schedule.measuring import StopTable
 from app.rig import RigFile

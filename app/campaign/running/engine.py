@@ -14,10 +14,10 @@ from app.campaign.journal.provenance import versions
 from app.campaign.journal.recorded import RowData
 from app.campaign.journal.writing import Journal, JournalError
 from app.campaign.planning.plan import Plan
-from app.campaign.row import Row
+from app.campaign.row import SKIPPED, Row
 from app.campaign.running.ending import Endings
 from app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
-from app.campaign.running.faults import DONE_ABOUT_IT, SKIPPED, Policies
+from app.campaign.running.faults import DONE_ABOUT_IT, Policies
 from app.campaign.running.halt import Halt, Stopped
 from app.campaign.running.operator import Operator
 from app.campaign.running.performing import Performer
@@ -59,6 +59,7 @@ class Engine:
         self._positions_every_s = positions_every_s
         self._positions_due = 0.0
         self.faults: list[str] = []
+        self.ended_by_schedule = ""
         self._state = State.IDLE
         self._changed = threading.Condition()
         self._pause = False
@@ -76,12 +77,15 @@ class Engine:
         return self._state
 
     def run(self) -> State:
-        """Carries the plan out; returns done, failed, or idle where it was stopped. Blocks."""
-        self._enter(State.RUNNING)
+        """Carries the plan out; returns done, failed, or idle where it was stopped. Blocks.
+
+        Raises UserError, before anything has happened, where the journal of a campaign to be gone on with is damaged.
+        """
         outcome, reason, session = State.DONE, "", 0
+        self._recall()
+        self._enter(State.RUNNING)
         try:
             session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, versions())
-            self._recall()
             self._reference()
             self._do_rows()
             self._under_policies("the end", self._close_shutter)
@@ -89,6 +93,7 @@ class Engine:
             outcome, reason = State.IDLE, "stopped"
         except Ended as ended:
             outcome, reason = State.IDLE, str(ended)
+            self.ended_by_schedule = reason
         except (JournalError, UserError) as error:
             outcome, reason = State.FAILED, str(error)
         except DeviceError as error:

@@ -8,8 +8,6 @@ from drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Ref
 from drivers.errors import Interrupted, Unreferenced
 
 Kind = Literal["wire", "reset", "refused", "axis"]
-SKIPPED = "skipped"
-"""The flag of a row that was left out for a fault."""
 DONE_ABOUT_IT: dict[Policy, str] = {
     "retry": "the row is done again",
     "reconnect": "the devices are connected again, and the row is done again",

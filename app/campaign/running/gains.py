@@ -15,8 +15,20 @@ from app.campaign.row import Row
 from protocols import adam
 
 Flags = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float64]
 SATURATED = "saturated"
 """The flag of a row in which some photodiode is clipped at each gain."""
+
+
+UNDER_RANGE = "under range"
+"""The flag of a row in which no photodiode shows light, at the highest of its gains."""
+LIGHT_STEPS = 4.0
+"""So many steps of the converter over the dark are light."""
+
+
+def shows_light(counts: Counts, dark: Floats) -> bool:
+    """Whether any photodiode's mean of the readings (readings, photodiodes) is another than its dark (photodiodes,)."""
+    return bool(np.any(np.abs(counts.mean(axis=0) - dark) >= LIGHT_STEPS))
 
 
 def clipped(counts: Counts) -> Flags:

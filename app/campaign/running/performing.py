@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 
 from app.campaign.journal.recorded import Counts, Reading, RowData
-from app.campaign.row import Row
+from app.campaign.row import NOTHING, Row
 from app.campaign.running.averaging import LEAST, Floats, readings_needed
-from app.campaign.running.gains import Flags, Gains, clipped
+from app.campaign.running.gains import UNDER_RANGE, Flags, Gains, clipped, shows_light
 from app.campaign.running.halt import Halt
 from app.campaign.running.operator import Operator
 from app.campaign.running.standstill import Standstill
@@ -43,6 +43,7 @@ class Performer:
         """What the devices were told is not to be relied on: with the next row all of it is told again."""
         self._commanded: dict[str, float] = {}
         self._wavelength_nm: float | None = None
+        self._filter: int | None = None
         self._shutter_open: bool | None = None
         self._gain: int | None = None
 
@@ -86,12 +87,17 @@ class Performer:
         return self._shutter_open is not False
 
     def read_back(self) -> dict[str, float | None]:
-        """Counters and encoders of all axes, in degrees. Raises DeviceError where one is lost: there is no row of it then."""
+        """Counters and encoders of all axes, in degrees, and at which position the filter wheel was found when it was set.
+
+        Raises DeviceError where an axis is lost: there is no row of it then.
+        """
         found: dict[str, float | None] = {}
         for name, axis in self._rig.axes.items():
             found[name], encoder = axis.read_back()
             if axis.settings.encoder:
                 found[f"{name}_encoder"] = encoder
+        if self._filter is not None:
+            found["filter"] = float(self._filter)
         return found
 
     def wait(self, *started: Pending) -> None:
@@ -113,7 +119,12 @@ class Performer:
                 settling = max(settling, axis.settings.settling_s)
         wavelength = row.wavelength_nm
         if wavelength is not None and wavelength != self._wavelength_nm:
-            moves.append(self._halt.start(lambda: self._rig.monochromator.start_wavelength(wavelength)))
+            monochromator = self._rig.monochromator
+            sorting = monochromator.settings.wheel.at(wavelength)
+            if sorting is not None and sorting.position != self._filter:
+                moves.append(self._halt.start(partial(monochromator.start_filter, sorting.position)))
+                self._filter = sorting.position
+            moves.append(self._halt.start(lambda: monochromator.start_wavelength(wavelength)))
             self._wavelength_nm = wavelength
         self.wait(*moves)
         self.shutter(opened=True)
@@ -128,7 +139,15 @@ class Performer:
             reading = self._averaged(row, gain, gains.waiting)
             taken[gain] = reading
             gains.read(reading.counts)
-        return tuple(taken[gain] for gain in sorted(taken)), gains.flags
+        readings = tuple(taken[gain] for gain in sorted(taken))
+        return readings, (*gains.flags, *self._under_range(row, readings))
+
+    def _under_range(self, row: Row, readings: tuple[Reading, ...]) -> tuple[str, ...]:
+        """Its flag, where the row should show light and does not. Without a dark nothing is said."""
+        if row.kind == "dark" or row.sample == NOTHING or not readings:
+            return ()
+        dark = self._darks.get(readings[-1].gain_v_per_a)
+        return () if dark is None or shows_light(readings[-1].counts, dark) else (UNDER_RANGE,)
 
     def _averaged(self, row: Row, gain: int, wanted: Flags) -> Reading:
         """At one gain: as many readings as the row says, or as its target needs."""

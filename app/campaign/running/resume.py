@@ -28,8 +28,9 @@ PORTS = (
 
 @dataclass(frozen=True)
 class Rest:
-    """What is left of a campaign. `work` begins with rows that nobody has planned: what was mounted is mounted again, its
-    dark is taken, and the light compared with what it was. `start_s` is when it goes on, on the rig's clock.
+    """What is left of a campaign, rows that were skipped too. In `work` are also rows that nobody has planned: a sample that
+    was mounted is mounted again, its dark taken, and the light compared with what it was. `start_s` is when it goes on, on
+    the rig's clock.
     """
 
     plan: Plan
@@ -48,16 +49,15 @@ def rest_of(journal: Journal, rig: RigDescription | None) -> Rest:
     Raises UserError for a campaign that is done, and for a rig that is not the same.
     """
     recorded = recorded_rig(journal)
-    if rig is not None:
-        refuse_another_rig(journal, recorded, rig)
+    refuse_another_rig(journal, recorded, rig or recorded)
     schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)")
     plan = Plan(schedule, rig or recorded, journal.planned())
     done = journal.committed()
     left = [row for row in plan.rows if row.number not in done]
     if not left:
         raise UserError(f"{journal.path}: all of its {len(plan.rows)} rows are measured; there is nothing to go on with")
-    added = _added(journal, plan, done, left[0]) if done else []
-    return Rest(plan, (*added, *left), _start(journal, plan.rig))
+    work = _work(journal, plan, done, left) if done else left
+    return Rest(plan, tuple(work), _start(journal, plan.rig))
 
 
 def recorded_rig(journal: Recorded) -> RigDescription:
@@ -106,25 +106,42 @@ def _differences(old: dict[str, Any], new: dict[str, Any], place: str = "") -> l
     return found
 
 
-def _added(journal: Recorded, plan: Plan, done: set[int], first: Row) -> list[Row]:
-    """What has to be done before the first row that is left: its sample may be out, its last dark is old, and the light may
-    have changed.
-    """
-    if first.kind == "mount":
-        return []
+def _work(journal: Recorded, plan: Plan, done: set[int], left: list[Row]) -> list[Row]:
+    """The rows that are left, and before those of a sample that has been mounted already what has to be done again."""
+    beginning = f"{RESUMED}{len(journal.sessions()) + 1}"
+    number, timing = journal.last_number() + 1, Timing(plan.rig.file)
+    mounted: str | None = None
+    work: list[Row] = []
+
+    def add(row: Row) -> None:
+        nonlocal number
+        identity = f"{beginning}/{row.sample}/{row.kind}"
+        if any(each.identity == identity for each in work):
+            identity = f"{identity} {number}"
+        work.append(replace(row, number=number, identity=identity, seconds=timing.row_seconds(row)))
+        number += 1
+
+    if plan.rows[0].kind == "warm-up" and plan.rows[0].number in done:
+        add(plan.rows[0])  # the lamp may have been out
+    for row in left:
+        if row.kind not in ("mount", "warm-up") and row.sample != mounted:
+            for each in _again(plan, done, row):
+                add(each)
+        mounted = row.sample
+        work.append(row)
+    return work
+
+
+def _again(plan: Plan, done: set[int], first: Row) -> list[Row]:
+    """Before a row: its sample may be out, its last dark is old, and the light may have changed."""
     sample = first.sample
-    added = [Row(0, "mount", "mount", sample)]
+    added = [Row(0, "", "mount", sample)]
     dark = next((row for row in plan.rows if row.kind == "dark"), None)
     if dark is not None and first.kind != "dark":
-        added.append(replace(dark, identity="dark", sample=sample))
+        added.append(replace(dark, sample=sample))
         if (again := _compared_with(plan, done, first)) is not None:
-            added.append(replace(again, identity="drift", kind="drift"))
-    number, session = journal.last_number() + 1, len(journal.sessions()) + 1
-    timing = Timing(plan.rig.file)
-    return [
-        replace(row, number=number + k, identity=f"{RESUMED}{session}/{sample}/{row.identity}", seconds=timing.row_seconds(row))
-        for k, row in enumerate(added)
-    ]
+            added.append(replace(again, kind="drift"))
+    return added
 
 
 def _compared_with(plan: Plan, done: set[int], first: Row) -> Row | None:

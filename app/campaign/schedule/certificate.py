@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from app.campaign.schedule.measuring import CertificateTable
 from app.errors import UserError
+from app.rig.radiance_factor import refuse_percentage
 from protocols.clock import calendar_stamp
 
 Floats = npt.NDArray[np.float64]
@@ -37,15 +38,26 @@ class Certificate:
 
     def at(self, wavelength_nm: float, incidence_deg: float, zenith_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
         """Radiance factor and relative uncertainty for directions of observation (n,); NaN where it says nothing."""
-        folded = np.mod(azimuth_deg, 360.0)
-        folded = np.minimum(folded, 360.0 - folded)
         n = np.shape(zenith_deg)
-        asked = [np.broadcast_to(each, n) for each in (wavelength_nm, incidence_deg, zenith_deg, folded)]
+        asked = [np.broadcast_to(each, n) for each in (wavelength_nm, incidence_deg, zenith_deg, _folded(azimuth_deg))]
         factor, relative = np.zeros(n), np.zeros(n)
         for place, weight in _corners(self.grid, asked):
             factor += weight * self.factor[place]
             relative += weight * self.relative_uncertainty[place]
         return factor, relative
+
+    def covers(self, axis: str, values: Floats) -> npt.NDArray[np.bool_]:
+        """At which `values` of one of AXES it says something; azimuths at any turn and to either side."""
+        return _within(self.grid[AXES.index(axis)], _folded(values) if axis == "azimuth_deg" else values)
+
+    def __str__(self) -> str:
+        """What it is about: its columns, from where to where."""
+        ranges = [
+            f"{axis} {values[0]:g}{f' to {values[-1]:g}' if values.size > 1 else ' alone'}"
+            for axis, values in zip(AXES, self.grid, strict=True)
+            if values.size
+        ]
+        return ", ".join(ranges) or "all wavelengths and directions"
 
 
 def constant(radiance_factor: float, relative_uncertainty: float) -> Certificate:
@@ -112,6 +124,10 @@ def _numbers(line: str, heading: list[str], where: str) -> dict[str, float]:
         raise UserError(f"{where}: a number is not finite; mend it")
     if found["radiance_factor"] <= 0.0 or not 0.0 <= found["relative_uncertainty"] < 1.0:
         raise UserError(f"{where}: a radiance factor is above 0, its relative uncertainty from 0 to 1; mend it")
+    try:
+        refuse_percentage(found["radiance_factor"], found.get("zenith_deg", 0.0))
+    except ValueError as error:
+        raise UserError(f"{where}: {error}") from None
     return found
 
 
@@ -136,11 +152,23 @@ def _corners(grid: tuple[Floats, ...], asked: list[Floats]) -> list[tuple[tuple[
         if not values.size:
             both = [(np.zeros(wanted.shape, dtype=np.int64), np.ones(wanted.shape))]
         else:
-            outside = (wanted < values[0] - SAME) | (wanted > values[-1] + SAME)
             low = np.clip(np.searchsorted(values, wanted, side="right") - 1, 0, max(0, values.size - 2))
             high = np.minimum(low + 1, values.size - 1)
             step = np.where(high > low, values[high] - values[low], 1.0)
-            share = np.where(outside, np.nan, np.clip((wanted - values[low]) / step, 0.0, 1.0))
+            share = np.where(_within(values, wanted), np.clip((wanted - values[low]) / step, 0.0, 1.0), np.nan)
             both = [(low, 1.0 - share), (high, share)]
         corners = [((*place, each), weight * part) for place, weight in corners for each, part in both]
     return corners
+
+
+def _within(values: Floats, wanted: Floats) -> npt.NDArray[np.bool_]:
+    """Which are between the first and the last of a table's ascending values; all, where it has none."""
+    if not values.size:
+        return np.ones(np.shape(wanted), dtype=bool)
+    return np.asarray((wanted >= values[0] - SAME) & (wanted <= values[-1] + SAME))
+
+
+def _folded(azimuth_deg: Floats) -> Floats:
+    """Azimuths from 0 to 180 deg, both sides of the plane of incidence alike."""
+    turned = np.mod(azimuth_deg, 360.0)
+    return np.asarray(np.minimum(turned, 360.0 - turned))

@@ -9,9 +9,9 @@ import numpy as np
 
 from app.campaign.journal.recorded import Committed
 from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.row import SKIPPED
 from app.campaign.running.engine import Engine
 from app.campaign.running.events import Listener
-from app.campaign.running.faults import SKIPPED
 from app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from app.rig import OpenRig, RigDescription, parse_rig
 from mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script

@@ -8,16 +8,17 @@ import pytest
 
 from app.campaign.campaign import run_campaign
 from app.campaign.journal.writing import Journal
+from app.campaign.planning.check import checked_plan
 from app.campaign.planning.plan import make_plan
 from app.campaign.reducing.reduction import reduce_journal
 from app.campaign.schedule.certificate import constant, parse_certificate, refuse_expired
-from app.campaign.schedule.file import read_schedule
+from app.campaign.schedule.file import ScheduleDescription, read_schedule
 from app.campaign.schedule.measuring import CertificateTable
 from app.errors import UserError
 from app.rig import read_rig
 from protocols.clock import calendar_stamp
 from tests.app.campaign.measuring_bench import QUIET
-from tests.conftest import SMALL, Writer
+from tests.conftest import RIG, SMALL, Change, Writer
 
 GRID = """# Spectralon, by its maker
 wavelength_nm, incidence_deg, zenith_deg, azimuth_deg, radiance_factor, relative_uncertainty
@@ -29,14 +30,14 @@ wavelength_nm, incidence_deg, zenith_deg, azimuth_deg, radiance_factor, relative
 500, 60, 0, 180, 1.10, 0.002
 500, 60, 80, 0, 0.90, 0.004
 500, 60, 80, 180, 1.00, 0.004
-600, 0, 0, 0, 2.00, 0.002
-600, 0, 0, 180, 2.00, 0.002
-600, 0, 80, 0, 1.80, 0.004
-600, 0, 80, 180, 1.90, 0.004
-600, 60, 0, 0, 2.10, 0.002
-600, 60, 0, 180, 2.10, 0.002
-600, 60, 80, 0, 1.90, 0.004
-600, 60, 80, 180, 2.00, 0.004
+600, 0, 0, 0, 1.40, 0.002
+600, 0, 0, 180, 1.40, 0.002
+600, 0, 80, 0, 1.20, 0.004
+600, 0, 80, 180, 1.30, 0.004
+600, 60, 0, 0, 1.50, 0.002
+600, 60, 0, 180, 1.50, 0.002
+600, 60, 80, 0, 1.30, 0.004
+600, 60, 80, 180, 1.40, 0.004
 """
 BY_ZENITH = "zenith_deg, radiance_factor, relative_uncertainty\n0, 1.05, 0.003\n60, 0.85, 0.005\n"
 TABLE = '\n[certificate]\nfile = "etalon.csv"\nexpires = {expires}\n'
@@ -49,9 +50,9 @@ def at(text: str, wavelength: float, incidence: float, zenith: float, azimuth: f
 
 def test_its_lines_come_back_and_between_them_it_is_interpolated() -> None:
     assert at(GRID, 500, 0, 80, 180) == pytest.approx((0.90, 0.004))
-    assert at(GRID, 600, 60, 80, 180) == pytest.approx((2.00, 0.004))
-    assert at(GRID, 550, 0, 0, 0) == pytest.approx((1.5, 0.002))
-    assert at(GRID, 550, 30, 40, 90) == pytest.approx((1.475, 0.003))
+    assert at(GRID, 600, 60, 80, 180) == pytest.approx((1.40, 0.004))
+    assert at(GRID, 550, 0, 0, 0) == pytest.approx((1.2, 0.002))
+    assert at(GRID, 550, 30, 40, 90) == pytest.approx((1.175, 0.003))
 
 
 def test_both_sides_of_the_plane_of_incidence_are_alike() -> None:
@@ -82,6 +83,8 @@ def test_what_it_has_no_column_for_it_holds_for_at_all_values() -> None:
         (BY_ZENITH + "70, 0.8\n", "line 4: has 2 columns, the heading 3"),
         (BY_ZENITH + "70, white, 0.005\n", "line 4: could not convert"),
         (BY_ZENITH + "70, 0.0, 0.005\n", "line 4: a radiance factor is above 0"),
+        (BY_ZENITH + "45, 98, 0.005\n", "line 4: a radiance factor of 98 is above 1.5.* in percent, write 0.98"),
+        (BY_ZENITH + "70, 85, 0.005\n", "line 4: a radiance factor of 85 is above 5"),
         (BY_ZENITH + "70, nan, 0.005\n", "line 4: a number is not finite"),
         (BY_ZENITH.splitlines()[0], "no line below"),
         ("\n".join(GRID.splitlines()[:-1]), "has 15 lines, and 2 x 2 x 2 x 2 combinations"),
@@ -110,6 +113,44 @@ def test_a_schedule_with_an_expired_one_is_refused_before_anything_is_measured(w
     (schedule.parent / "etalon.csv").unlink()
     with pytest.raises(UserError, match=r"etalon\.csv: the etalon's certificate cannot be read"):
         read_schedule(accepted)
+
+
+def certified(write_schedule: Writer, text: str, *changes: Change) -> ScheduleDescription:
+    year = int(calendar_stamp()[:4]) + 1
+    path = write_schedule(*changes, text=SMALL + TABLE.format(expires=f"{year}-01-01"))
+    (path.parent / "etalon.csv").write_text(text)
+    return read_schedule(path)
+
+
+def test_what_it_says_nothing_of_is_told_before_anything_is_measured(write_schedule: Writer) -> None:
+    rig = read_rig(RIG)
+
+    def told(text: str, *changes: Change) -> list[str]:
+        warnings = checked_plan(make_plan(certified(write_schedule, text, *changes), rig))["warnings"]
+        return [each for each in warnings if "etalon.csv" in each]
+
+    (found,) = told(BY_ZENITH)
+    # Of 18 photodiodes at shifts of 0 and 1 deg, those beyond 60 deg: 61, and 65 to 86.
+    assert "says nothing of 11 of 36 directions" in found
+    assert "it holds for zenith_deg 0 to 60" in found
+    (found,) = told(GRID, ("[550]", "[550, 610, 620]"))
+    assert "says nothing of 2 of 3 wavelengths and 3 of 36 directions" in found  # 81, 85 and 86 deg
+    assert not told("radiance_factor, relative_uncertainty\n0.98, 0.005\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [(("[550]", "[610, 620]"), "any of the schedule's wavelengths"), (("[30]", "[61]"), "any of the schedule's directions")],
+)
+def test_one_that_says_nothing_of_anything_is_refused(change: Change, told: str, write_schedule: Writer) -> None:
+    schedule = certified(write_schedule, GRID, change)
+    with pytest.raises(UserError, match=rf"schedule\.toml: certificate\.file: etalon\.csv says nothing of {told}.*500 to 600"):
+        make_plan(schedule, read_rig(RIG))
+
+
+def test_a_percentage_in_the_rig_file_is_refused(write_rig: Writer) -> None:
+    with pytest.raises(UserError, match=r"rig\.toml: etalon\.radiance_factor: .*write 0\.98"):
+        read_rig(write_rig(("radiance_factor = 0.99", "radiance_factor = 98")))
 
 
 def test_the_bsdf_follows_the_certificate_and_the_journal_keeps_it(

@@ -60,9 +60,16 @@ def test_poses_that_the_symmetry_leaves_out_are_counted() -> None:
     assert "left out    1 poses that see the same as others do by the symmetry: isotropic" in in_words(plan, checked_plan(plan))
 
 
-def test_transmitted_light_is_not_hidden_by_the_mirror_unit() -> None:
-    result = checked_plan(planned('light = "transmitted"\nsigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n'))
-    assert result["shadowed"] == 0
+def test_of_transmitted_light_is_hidden_what_the_etalon_hides_that_is_lit_from_the_other_side() -> None:
+    """The sample's own light is all free: the mirror unit is on the other side of it."""
+    plan = planned('light = "transmitted"\nsigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n')
+    result = checked_plan(plan)
+    reflected = checked_plan(planned("sigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n"))
+    assert result["shadowed"] == result["shadowed_only_for_etalon"] == reflected["shadowed"] > 0
+    assert reflected["shadowed_only_for_etalon"] == 0
+    assert "of transmission, by the mirror unit, 2 of them only for the etalon" in in_words(plan, result)
+    assert any("hides the direction straight through" in each for each in result["warnings"])
+    assert not any("specular" in each for each in result["warnings"])
 
 
 def test_a_guess_is_told_to_be_one() -> None:

@@ -11,7 +11,7 @@ from app.campaign.journal.writing import Journal
 from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.reducing.reduction import reduce_journal
 from app.campaign.row import Row
-from app.campaign.running.gains import SATURATED, Gains, clipped, in_order
+from app.campaign.running.gains import SATURATED, UNDER_RANGE, Gains, clipped, in_order
 from app.campaign.schedule.file import read_schedule
 from app.rig import read_rig
 from protocols import adam
@@ -119,3 +119,12 @@ def test_from_row_to_row_the_amplifiers_are_switched_once(write_rig: Writer, wri
         min(each.data.readings, key=lambda reading: reading.first_s).gain_v_per_a for each in run.of("measure", "gaussian-5")
     ]
     assert firsts == [1e8, 1e10] or firsts == [1e10, 1e8]
+
+
+def test_a_row_without_light_is_flagged(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    """The sample reflects so little that its highest gain shows nothing of it."""
+    black = ("[twin.samples.etalon]", '[twin.samples.black]\nmodel = "lambertian"\nreflectance = 1e-5\n\n[twin.samples.etalon]')
+    schedule = write_schedule(("[1e8, 1e10]", "[1e6, 1e8]"), ("gaussian-5", "black"))
+    run = carried_out(make_plan(read_schedule(schedule), read_rig(write_rig(*QUIET, black))), tmp_path / "a.journal")
+    assert [each.data.flags for each in run.of("measure", "black")] == [(UNDER_RANGE,)] * 2
+    assert [each.data.flags for each in run.of("measure", "etalon")] == [()] * 2

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.campaign.planning.bound import least_moving_seconds
-from app.campaign.planning.lattice import Lattice
+from app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
 from app.campaign.planning.moves import Moves
 from app.campaign.planning.nesting import Nest, moving_seconds, swept, visited
 from app.campaign.planning.order import fastest_order
@@ -27,6 +27,20 @@ PLAY = parse_rig(
     RIG.parent,
     "with backlash",
 ).file
+COLOURED = parse_rig(
+    TEXT.replace(
+        "[photodiodes]\n",
+        "".join(
+            f'[[monochromator.filters]]\nposition = {position}\nname = "x"\nfrom_nm = {low}\nto_nm = {high}\n'
+            for position, low, high in ((2, 380, 405), (6, 405, 500), (3, 500, 600), (1, 600, 780))
+        )
+        + "[photodiodes]\n",
+        1,
+    ),
+    RIG.parent,
+    "with filters",
+).file
+"""From the first filter to the third it is nearer than to the second."""
 
 
 def schedule(**keys: object) -> ScheduleFile:
@@ -55,13 +69,18 @@ def lattices(draw: st.DrawFn, most: int = 40) -> Lattice:
     return Lattice(poses[chosen], np.array(wavelengths))
 
 
+def with_filters(lattice: Lattice, moves: Moves) -> Lattice:
+    """The same on a rig."""
+    return Lattice(lattice.poses, lattice.wavelengths_nm, moves.filter_numbers(lattice.wavelengths_nm))
+
+
 @st.composite
 def nests(draw: st.DrawFn, lattice: Lattice) -> Nest:
-    columns = tuple(draw(st.permutations(lattice.active)))
+    columns = tuple(draw(st.permutations((*lattice.active, FILTER) if lattice.grouped else lattice.active)))
     return Nest(columns, tuple(draw(st.booleans()) for _ in columns))
 
 
-rigs = st.sampled_from([PLAIN, PLAY])
+rigs = st.sampled_from([PLAIN, PLAY, COLOURED])
 
 
 @settings(deadline=None)
@@ -70,6 +89,7 @@ def test_every_nest_visits_every_point_once_and_none_beats_the_bound(
     data: st.DataObject, lattice: Lattice, rig: RigFile
 ) -> None:
     moves = Moves(rig)
+    lattice = with_filters(lattice, moves)
     order = visited(lattice, data.draw(nests(lattice)), moves)
     assert sorted(order.tolist()) == list(range(len(lattice)))
     least = least_moving_seconds(lattice, moves)
@@ -84,6 +104,7 @@ def test_no_order_at_all_beats_the_bound(lattice: Lattice, rig: RigFile) -> None
     if len(lattice) > 6:
         return
     moves = Moves(rig)
+    lattice = with_filters(lattice, moves)
     least = least_moving_seconds(lattice, moves)
     for order in itertools.permutations(range(len(lattice))):
         assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[list(order)]) + 1e-9
@@ -93,6 +114,7 @@ def test_no_order_at_all_beats_the_bound(lattice: Lattice, rig: RigFile) -> None
 @given(lattice=lattices(), rig=rigs)
 def test_the_fastest_of_what_was_tried_is_taken(lattice: Lattice, rig: RigFile) -> None:
     moves = Moves(rig)
+    lattice = with_filters(lattice, moves)
     order = fastest_order(lattice, schedule(), moves, arc_clearance(rig))
     assert order.seconds == min(order.tried.values())
     assert order.seconds == pytest.approx(moving_seconds(moves, arc_clearance(rig), lattice.points[order.sequence]))
@@ -113,6 +135,37 @@ def test_with_backlash_a_long_loop_always_goes_the_same_way() -> None:
     shift = lattice.points[order.sequence][:10, 3]
     assert order.nest == Nest((2, 3), (True, False))
     assert np.all(np.diff(shift) < 0.0), "this axis has to arrive from above"
+
+
+def test_a_change_of_filter_counts_as_much_as_the_cheapest_that_leads_over_the_gap() -> None:
+    """At 400, 410 and 550 nm the wheel is at 2, 6 and 3: with the gaps between neighbours, 4 and 3 s, no order would be as
+    fast as the one that goes by way of 550 nm.
+    """
+    moves = Moves(COLOURED)
+    lattice = with_filters(Lattice(grid([0.0], [30.0], [0.0], [0.0]), np.array([400.0, 410.0, 550.0])), moves)
+    least = least_moving_seconds(lattice, moves)
+    fastest = min(
+        moving_seconds(moves, arc_clearance(COLOURED), lattice.points[list(order)])
+        for order in itertools.permutations(range(3))
+    )
+    assert 1.0 + 3.0 < fastest < 3.0 + 4.0
+    assert least <= fastest
+    assert least > 1.0 + 1.0  # two changes, of a position at least
+
+
+def test_where_that_is_quicker_one_filter_is_done_after_the_other() -> None:
+    moves = Moves(COLOURED)
+    shifts = np.arange(0.0, 5.0, 0.5).tolist()
+    lattice = with_filters(Lattice(grid([0.0], [30.0], [0.0], shifts), np.array([510.0, 550.0, 590.0, 610.0, 650.0])), moves)
+    order = fastest_order(lattice, schedule(), moves, arc_clearance(COLOURED))
+    assert order.nest.columns == (FILTER, 3, WAVELENGTH)
+    wavelengths = lattice.points[order.sequence][:, WAVELENGTH]
+    assert (np.diff(moves.filter_numbers(wavelengths)) != 0).sum() == 1
+    assert order.seconds <= 1.02 * least_moving_seconds(lattice, moves)
+    plain = fastest_order(Lattice(lattice.poses, lattice.wavelengths_nm), schedule(), moves, arc_clearance(COLOURED))
+    assert order.seconds < 0.9 * plain.seconds
+    stated = schedule(order=["wavelength", "shift", "beta", "gamma", "sigma"])
+    assert fastest_order(lattice, stated, moves, arc_clearance(COLOURED)).nest.columns == (3, WAVELENGTH)
 
 
 def test_an_order_that_the_schedule_states_is_kept() -> None:

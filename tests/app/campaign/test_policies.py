@@ -9,8 +9,9 @@ from app.campaign.campaign import resume_campaign
 from app.campaign.journal.writing import Journal
 from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.row import SKIPPED
 from app.campaign.running.events import Event, RowCommitted, RowStarted, State, StateChanged
-from app.campaign.running.faults import SKIPPED, Policies, kind_of
+from app.campaign.running.faults import Policies, kind_of
 from app.campaign.schedule.file import read_schedule
 from app.rig import OpenRig, read_rig
 from drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused

@@ -26,7 +26,8 @@ MORE = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2]")
 VALUES = """
 SELECT plan.identity, plan.kind, attempt.positions, attempt.flags, gain_v_per_a, monitor_a, readings, channels, counts
 FROM plan JOIN attempt USING (number) LEFT JOIN reading USING (number, attempt)
-WHERE plan.session IS NULL ORDER BY plan.number, gain_v_per_a
+WHERE plan.session IS NULL AND attempt.attempt = (SELECT MAX(attempt) FROM attempt latest WHERE latest.number = plan.number)
+ORDER BY plan.number, gain_v_per_a
 """
 
 

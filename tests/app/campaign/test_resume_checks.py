@@ -8,23 +8,43 @@ import numpy as np
 import pytest
 
 from app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
+from app.campaign.journal.recorded import RowData
+from app.campaign.journal.runs import campaign_of
 from app.campaign.journal.writing import Journal
 from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.row import Row
 from app.campaign.running.engine import Engine
 from app.campaign.running.events import State
+from app.campaign.running.performing import Performer
 from app.campaign.running.resume import rest_of
 from app.campaign.schedule.file import read_schedule
 from app.errors import UserError
 from app.rig import OpenRig, open_rig, read_rig
-from drivers.pending import wait
-from tests.app.campaign.test_resume import STEADY, stopped_at
+from drivers import NoAnswer, wait
+from tests.app.campaign.test_resume import STEADY, stopped_at, values
 from tests.app.test_homing_command import HOMES
 from tests.conftest import SMALL, Writer
 
 MORE = SMALL.replace("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3]")
 CHECKED = MORE + "\n[drift]\nevery_s = 600\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
 FADED = 0.9
+PAPER = """Source\tMeasured
+Symmetry\tPlaneSymmetrical
+SpectralContent\tMonochrome
+ScatterType\tBRDF
+SampleRotation\t1
+0
+AngleOfIncidence\t3
+0\t30\t60
+ScatterAzimuth\t3
+0\t90\t180
+ScatterRadial\t3
+0\t90\t180
+
+Monochrome
+DataBegin
+"""
 
 
 def gone_on(path: Path, meanwhile: Callable[[OpenRig], None]) -> tuple[State, list[tuple[str, str]]]:
@@ -120,3 +140,59 @@ def test_an_axis_that_is_lost_is_homed_before_it_goes_on(write_rig: Writer, writ
     with Journal.open(path) as journal:
         sigmas = {each.data.positions["sigma"] for each in journal.rows() if each.data.positions}
     assert all(sigma == pytest.approx(30.0, abs=0.01) or sigma == pytest.approx(0.0, abs=0.01) for sigma in sigmas)
+
+
+def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the etalon and of the sample: each is mounted again for its own."""
+    policy = MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n'
+    plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*STEADY)))
+    run_campaign(plan, tmp_path / "whole.journal")
+    failing = [row.number for row in plan.rows if row.kind == "measure" and row.pose is not None and row.pose[3] in (1.0, 3.0)]
+    perform = Performer.perform
+
+    def fails(performer: Performer, row: Row) -> RowData:
+        if row.number in failing:
+            raise NoAnswer("photodiodes", "read", "no answer")
+        return perform(performer, row)
+
+    path = tmp_path / "a.journal"
+    monkeypatch.setattr(Performer, "perform", fails)
+    outcome = run_campaign(plan, path)
+    assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows) - 4, 4)
+    found = campaign_of(path)
+    assert (found.state, found.rows, found.skipped, found.seconds_left > 0.0) == ("done", len(plan.rows) - 4, 4, True)
+    monkeypatch.setattr(Performer, "perform", perform)
+    outcome = resume_campaign(path)
+    assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows), 0)
+    assert values(path) == values(tmp_path / "whole.journal")
+    with Journal.open(path) as journal:
+        mounted = [each.row.sample for each in journal.rows() if each.row.kind == "mount" and each.row.added]
+    assert mounted == ["etalon", "gaussian-5"]
+    with pytest.raises(UserError, match="there is nothing to go on with"):
+        resume_campaign(path)
+
+
+def test_a_warm_up_is_done_again(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    text = MORE + "\n[warm_up]\npercent_per_10min = 50\nlongest_s = 600\n"
+    plan = make_plan(read_schedule(write_schedule(text=text)), read_rig(write_rig(*STEADY)))
+    half_done(plan, tmp_path / "a.journal")
+    assert resume_campaign(tmp_path / "a.journal").state is State.DONE
+    with Journal.open(tmp_path / "a.journal") as journal:
+        added = [each.row.identity for each in journal.rows() if each.row.added]
+    assert added[0] == "resumed 2/nothing/warm-up"
+    assert [identity.split("/")[-1] for identity in added[1:]] == ["mount", "dark", "drift"]
+
+
+def test_a_virtual_rig_whose_samples_have_changed_is_refused(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    table = tmp_path / "paper.bsdf"
+    block = "TIS\t0.628\n" + 3 * "0.2\t0.2\t0.2\n"
+    table.write_text(PAPER + 3 * block + "DataEnd\n", encoding="utf-8")
+    sample = '[twin.samples.paper]\nmodel = "zemax"\nfile = "paper.bsdf"\n\n[twin.samples.etalon]'
+    rig = write_rig(*STEADY, ("[twin.samples.etalon]", sample))
+    plan = make_plan(read_schedule(write_schedule(("gaussian-5", "paper"), text=MORE)), read_rig(rig))
+    half_done(plan, tmp_path / "a.journal")
+    table.write_text(table.read_text(encoding="utf-8").replace("0.2", "0.1"), encoding="utf-8")
+    with pytest.raises(UserError, match="the model's hash differs"):
+        resume_campaign(tmp_path / "a.journal")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from app.campaign.planning.plan import Plan
+from app.campaign.row import SKIPPED
 from app.campaign.running.engine import Engine
 from app.campaign.running.events import Event, RowCommitted, State, StateChanged
-from app.campaign.running.faults import SKIPPED
 from mocks.faults import Fault, Misfortune, Script
 from tests.app.campaign.failing_campaign import FAULTS, POLICIES, Wires, failing_plan, run_with, wrong
 from tests.app.campaign.measuring_bench import Run

@@ -78,7 +78,7 @@ def test_what_the_file_does_not_say_is_told() -> None:
     assert [each.partition(" ")[0] for each in found.assumed] == ["lamp,", "etalon", "paper"]
     assert "Gaussian of 5 deg" in found.assumed[2]
     assert "--sample paper=MODEL" in found.assumed[2]
-    assert "reflectance of 0.99" in found.assumed[1]
+    assert "ideal diffuser on both sides with a reflectance of 0.99" in found.assumed[1]
 
 
 def test_what_somebody_has_said_of_a_sample_is_not_assumed() -> None:

@@ -168,6 +168,26 @@ def test_what_moves_takes_its_time(device: Cornerstone260, command: bytes, secon
     assert answer[0] == pytest.approx(200.0 + seconds, abs=0.01)
 
 
+def test_the_wheel_goes_from_position_to_position_and_an_abort_leaves_it_at_the_nearest(
+    rig: VirtualRig, device: Cornerstone260
+) -> None:
+    say(device, b"FILTER 5\n", 200.0)
+    assert [rig.plant.filter_position(t) for t in (199.9, 200.4, 201.6, 203.4, 203.6, 300.0)] == [1, 1, 3, 4, 5, 5]
+    say(device, b"FILTER 1\n", 210.0)  # it answers only when it is there, unless it is aborted
+    device.receive(b"ABORT\nFILTER?\n", 211.7)
+    assert device.outbox.pop()[1] == b"3\r\n"
+    assert [rig.plant.filter_position(t) for t in (211.0, 211.7, 300.0)] == [4, 3, 3]
+    device.reset(400.0)
+    assert rig.plant.filter_position(400.0) == 1
+
+
+def test_a_filter_that_waited_behind_what_is_aborted_is_put_in_after_it(rig: VirtualRig, device: Cornerstone260) -> None:
+    device.receive(b"GOWAVE 725\nFILTER 3\n", 200.0)
+    device.receive(b"ABORT\n", 200.5)
+    assert rig.plant.wavelength_nm.at(300.0) == pytest.approx(637.5, abs=0.5)
+    assert [rig.plant.filter_position(t) for t in (200.9, 202.0, 203.0)] == [1, 2, 3]
+
+
 def test_a_unit_without_a_filter_wheel_or_handshake_says_so(rig: VirtualRig) -> None:
     rig.plant.model = replace(rig.plant.model, monochromator=replace(rig.plant.model.monochromator, filters=0, handshake=False))
     device = Cornerstone260(rig.plant)

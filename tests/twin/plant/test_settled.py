@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from app.rig import read_rig
 from tests.conftest import RIG
 from twin import TwinModel
-from twin.plant import Plant
+from twin.plant import OrderSorting, Plant, WheelFilter
 from twin.plant.motion import moving
 from twin.plant.shaft import Leash
 from twin.plant.timeline import Timeline
@@ -23,7 +23,7 @@ STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
 def model() -> TwinModel:
     made = read_rig(RIG).model()
     assert made is not None
-    return made
+    return replace(made, order_sorting=OrderSorting(0.3, (WheelFilter(2, 520.0), WheelFilter(3, 350.0, 0.7))))
 
 
 def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
@@ -34,7 +34,7 @@ def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
         case 1:
             plant.shutter_open.set(t, choice % 5 > 0)
         case 2:
-            plant.wavelength_nm.slew(t, t + 0.1 * (choice % 10), (500.0, 550.0, 600.0)[choice % 3])
+            plant.wavelength_nm.slew(t, t + 0.1 * (choice % 10), (500.0, 550.0, 720.0)[choice % 3])
         case 3:
             plant.mount(("etalon", "gaussian-5", None)[choice % 3], t)
         case 4:
@@ -47,6 +47,8 @@ def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
             shaft.follow(begun, way, 6e4, Leash(t + (0.1, 60.0)[choice % 2]))
         case 6:
             plant.fade(choice % 36, 0.9)
+        case 7:
+            plant.wheel.slew(t, t + 0.1 * (choice % 10), 1.0 + choice % 3)
 
 
 @settings(max_examples=25, deadline=None)

@@ -1,0 +1,67 @@
+"""Order-sorting filters in a plan: what their changes take, in which order they come, and what is not sorted."""
+
+from pathlib import Path
+
+import pytest
+
+from app.campaign.campaign import run_campaign
+from app.campaign.planning.check import checked_plan, in_words
+from tests.app.campaign.filter_bench import BELIEVED, plan_with, rig_with
+from tests.conftest import Change
+
+MANY = "{ start = 400, stop = 780, step = 20 }"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        (("shift_deg = [0, 1]", "shift_deg = [0]"), ("beta_deg = [180]", "beta_deg = [0, 180]")),  # wavelength inside
+        (("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 2, step = 0.2 }"),),  # filter by filter
+    ],
+)
+def test_the_foretold_duration_is_that_of_the_run(changes: tuple[Change, ...], tmp_path: Path) -> None:
+    drift = "[drift]\nevery_s = 60\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\nlimit = 0.5\n"
+    plan = plan_with(*changes, wavelengths=MANY, tables=drift)
+    result = checked_plan(plan)
+    assert result["filter_changes"] > 6
+    assert result["least_s"] <= plan.seconds
+    outcome = run_campaign(plan, tmp_path / "a.journal")
+    assert outcome.seconds == pytest.approx(plan.seconds, rel=0.01)
+
+
+def test_the_plan_says_how_often_the_filter_changes_and_goes_filter_by_filter_where_that_is_quicker() -> None:
+    fine = plan_with(("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 2, step = 0.2 }"), wavelengths=MANY)
+    result = checked_plan(fine)
+    assert result["order"] == ["wavelength", "shift", "filter"]
+    assert result["why"].startswith("wavelength inside, filter by filter: ")
+    # Forth through the three filters with the etalon, back with the sample: 3 + 2 positions of a second each way.
+    assert result["filter_changes"] == 4
+    assert result["why"].endswith("; filter changes: 4, 0 min 10 s")
+    assert "filter changes: 4, 0 min 10 s" in in_words(fine, result)
+    far = plan_with(("shift_deg = [0, 1]", "shift_deg = [0]"), ("beta_deg = [180]", "beta_deg = [0, 180]"), wavelengths=MANY)
+    result = checked_plan(far)
+    assert result["order"] == ["wavelength", "beta"]
+    assert "wavelength inside, filter by filter: " in result["why"]
+    assert result["filter_changes"] == 8
+    plain = checked_plan(plan_with(wavelengths=MANY, rig=rig_with()))
+    assert plain["filter_changes"] == 0
+    assert "filter" not in plain["why"]
+
+
+def _second_order_warnings(*changes: Change, wavelengths: str = "[500, 720, 760]") -> list[str]:
+    plan = plan_with(wavelengths=wavelengths, rig=rig_with(*changes))
+    return [each for each in checked_plan(plan)["warnings"] if "half the wavelength" in each]
+
+
+def test_check_warns_of_the_second_order_where_no_filter_holds_it_back() -> None:
+    (alone,) = _second_order_warnings()
+    assert alone.startswith("above 710 nm (2 wavelengths) light of half the wavelength passes, too: put order-sorting filters")
+    assert "[[monochromator.filters]]" in alone
+    assert "cut_on_nm" in alone
+    assert _second_order_warnings(BELIEVED) == []
+    (unsaid,) = _second_order_warnings(BELIEVED, ("cut_on_nm = 610\n", ""))
+    assert "(2 wavelengths)" in unsaid
+    assert "does not say that 'RG610' holds it back: in [[monochromator.filters]] give cut_on_nm, above 380," in unsaid
+    (low,) = _second_order_warnings(BELIEVED, ("cut_on_nm = 610\n", "cut_on_nm = 370\n"))
+    assert "(1 wavelengths)" in low  # 720 nm: half of it is below 370
+    assert _second_order_warnings(wavelengths="[500, 710]") == []

@@ -1,0 +1,27 @@
+"""What a failing Modbus wire is called."""
+
+import pytest
+from pymodbus.exceptions import ConnectionException, ModbusIOException
+
+from drivers.modbus import in_words
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (
+            ModbusIOException("ERROR: No response received of the last requests (default: retries+3), CLOSING CONNECTION."),
+            "no answer",
+        ),
+        (ModbusIOException("No response received after 0 retries, continue with next request"), "no answer"),
+        (ModbusIOException("ERROR: request uses device id=1 but received 2."), "request uses device id=1 but received 2."),
+        (
+            ConnectionException("Client cannot connect (automatic retry continuing) !!"),
+            "the connection cannot be made, or is gone",
+        ),
+        (OSError("broken pipe"), "broken pipe"),
+        (ValueError(), "ValueError"),
+    ],
+)
+def test_a_wire_fault_is_told_without_advice_to_programmers(error: Exception, told: str) -> None:
+    assert in_words(error) == told
