@@ -46,8 +46,10 @@ class Verdicts:
         told = [f"symmetry of {name}: {found}" for name, found in self.symmetry.items()]
         for name, found in self.overlaps.items():
             told += [f"overlaps of {name}: {found}"] if found.pairs else []
+            if self.calibrated and (values := found.factors.values):
+                told.append(f"overlaps of {name}: values have been multiplied by {min(values):.4f} to {max(values):.4f}")
             if listed := ", ".join(f"{k} by {found.factors.of(k):.4f}" for k in found.factors.significant):
-                done = "multiplied" if self.calibrated else "to be multiplied (overlap.calibrate is false, so they are not)"
+                done = "beyond 4 u" if self.calibrated else "to be multiplied (overlap.calibrate is false, so they are not)"
                 told.append(f"overlaps of {name}: values {done}: of photodiode {listed}")
         return told if not self.trouble else [f"the checks cannot be evaluated: {self.trouble}"]
 

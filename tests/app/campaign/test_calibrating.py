@@ -90,6 +90,10 @@ def test_it_is_brought_within_its_uncertainty(write_rig: Writer, write_schedule:
     assert np.all(points.u_bsdf[points.good] / points.bsdf[points.good] > before.u_bsdf[points.good] / before.bsdf[points.good])
     assert any("whose values have been multiplied by 0:" in note for note in after.notes)
     assert any("beyond 4 u from 1: photodiodes 5" in note for note in after.notes)
+    checks = checked_in(path)
+    assert checks is not None
+    assert any("values have been multiplied by 0.99" in line for line in checks.lines)
+    assert checks.as_dict()["overlaps"]["grey"]["calibration"]["significant"] == [FADED]
     export_csv(after, None, tmp_path / "a.csv")
     assert any("have been multiplied by" in each for each in read_points_csv(tmp_path / "a.csv").comments)
 
