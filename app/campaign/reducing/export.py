@@ -39,6 +39,7 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
     for column, word in (("side", _sides), ("light", _lights)):
         columns[column] = np.concatenate([word(points) for points in chosen.values()])
     columns["signature_share"] = np.concatenate([points.signature for points in chosen.values()])
+    columns["u_field_per_sr"] = np.concatenate([points.u_field for points in chosen.values()])
     columns["flags"] = np.concatenate([_flags(points) for points in chosen.values()])
     about = [
         *heading(reduced),
@@ -46,9 +47,10 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
         "bsdf with its standard uncertainty u_bsdf in 1/sr; luminance_factor is pi times bsdf",
         "side: front or back, which is lit; light: reflected or transmitted",
         "signature_share: of the signal, the instrument's own light, which has been subtracted; nothing where not measured",
+        "u_field_per_sr: the part of u_bsdf that is of the finite field of view; nothing where it cannot be told",
         "flags: shadowed (by the mirror unit), clipped (over the range at every gain), no-etalon (no signal to divide by),",
         "dead (the photodiode), uncertified (the etalon's certificate says nothing there), drift (beyond its limit),",
-        "under-range (lost in its noise)",
+        "under-range (lost in its noise), field (what that does to the value cannot be told, and is not in u_bsdf)",
         *reduced.notes,
         *(f"overlaps of {name}: {found}" for name, found in reduced.overlaps.items() if name in chosen and found.pairs),
     ]

@@ -24,9 +24,12 @@ class BsdfPoints:
     - `dead`: although it should have, or the photodiode's dark current is gone;
     - `uncertified`: the etalon's certificate says nothing of this wavelength or direction;
     - `drifted`: between drift checks one of which was beyond its limit; the value is there, and may be wrong;
-    - `under_range`: the sample's signal is lost in its noise: the value is right, and says little.
+    - `under_range`: the sample's signal is lost in its noise, or in what is uncertain of the signature: the value is right, and
+      says little;
+    - `field`: what the finite field of view does to the value cannot be told from those about it, and is not in `u_bsdf`.
 
     `signature` is the instrument's own share of the sample's signal, which has been subtracted; NaN where it was not measured.
+    `u_field` is the field's part of `u_bsdf`, 1/sr; NaN where it cannot be told.
     """
 
     wavelength_nm: Floats
@@ -51,8 +54,9 @@ class BsdfPoints:
     back: Flags
     transmitted: Flags
     signature: Floats
+    u_field: Floats
 
-    def where(self, chosen: Flags) -> "BsdfPoints":
+    def where(self, chosen: Flags | npt.NDArray[np.int64]) -> "BsdfPoints":
         """Some of the points."""
         return BsdfPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
@@ -82,6 +86,7 @@ class BsdfPoints:
             "uncertified": self.uncertified,
             "drift": self.drifted,
             "under-range": self.under_range,
+            "field": self.good & np.isnan(self.u_field),
         }
 
 

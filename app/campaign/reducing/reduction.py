@@ -2,8 +2,8 @@
 
 f = (sample over monitor) / (etalon over monitor) * f of the etalon's certificate (the paper's formula 1, in 1/sr), each
 photodiode against itself. Where the instrument without a sample was measured in the same pose (its signature), that is
-subtracted from both first. The uncertainty is from five parts: dark and noise, monitor, gain, signature, etalon; and of a
-virtual rig whose light was traced, from the paths.
+subtracted from both first. The uncertainty is from six parts: dark and noise, monitor, gain, signature, etalon, field; and of
+a virtual rig whose light was traced, from the paths.
 
 Formula 1 has no etalon for transmitted light. There the same photodiode is compared with what it sees of the etalon when
 that is lit from the photodiode's own side, at 180 deg - sigma; where that was not measured, transmission has no scale and no
@@ -23,6 +23,7 @@ from app.campaign.journal.writing import Journal
 from app.campaign.planning.shadow import shadowed
 from app.campaign.reducing.arcs import ArcView, Pose, arc_views
 from app.campaign.reducing.drifting import drifts
+from app.campaign.reducing.field import with_field
 from app.campaign.reducing.overlaps import Overlaps, overlaps
 from app.campaign.reducing.points import BsdfPoints as BsdfPoints
 from app.campaign.reducing.points import Flags, Floats, joined
@@ -88,7 +89,9 @@ def reduce_journal(journal: Journal) -> Reduced:
         if blocks := [block for each in rows for block in _row_points(rig, each, etalon, signature, certificate)]:
             samples[sample] = joined(blocks)
     if signature:
-        notes.append("the instrument's own light was measured without a sample and has been subtracted from reflected light")
+        known = rig.file.sample_unit.signature_uncertainty
+        taken = "the instrument's own light was measured without a sample and has been subtracted from reflected light"
+        notes.append(f"{taken}; with a sample it is taken to be the same to {100.0 * known:.2g} %")
     if any(points.transmitted.any() for points in samples.values()):
         notes.append("transmitted light is scaled by what the same photodiode sees of the etalon lit from its own side")
     if schedule.certificate is not None and schedule.certificate.accept_expired_by is not None:
@@ -98,6 +101,8 @@ def reduce_journal(journal: Journal) -> Reduced:
         notes.append(f"the light was traced by the forward estimator, to {traced:.2g} in the median, which the uncertainty has")
     common = float(np.min(certificate.relative_uncertainty))
     seen = {name: overlaps(points, common) for name, points in samples.items()}
+    # After the overlaps: what the field does to a value it does to all photodiodes that see the direction.
+    samples = {name: with_field(points, rig.file) for name, points in samples.items()}
     return Reduced(journal.value("name"), rig, journal.simulated, samples, seen, tuple(notes))
 
 
@@ -224,6 +229,7 @@ def _arc_points(
         back=np.full(n, view.back),
         transmitted=np.full(n, view.transmitted),
         signature=ratio.signature,
+        u_field=np.full(n, np.nan),
     )
 
 
@@ -249,8 +255,10 @@ class _Ratio:
         g, var_g, cut_g = _taken(own, c)
         h, var_h, cut_h = _taken(at_etalon, c)
         total = sample.ratio[c]
-        s, var_s = total - g, sample.variance[c] + var_g
-        e, var_e = etalon.ratio[c] - h, etalon.variance[c] + var_h
+        # With a sample in its place the instrument's own light is not quite what it is without.
+        other = rig.file.sample_unit.signature_uncertainty
+        s, var_s = total - g, sample.variance[c] + var_g + (other * g) ** 2
+        e, var_e = etalon.ratio[c] - h, etalon.variance[c] + var_h + (other * h) ** 2
         value = s / np.where(e == 0.0, np.nan, e)
         # What is subtracted from both is one and the same error.
         shared = 2.0 * value * var_g if own is at_etalon else 0.0
