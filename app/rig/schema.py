@@ -218,7 +218,11 @@ class MonitorTable(Table):
 
 
 class GeometryTable(Table):
-    """The geometry that decides which directions the mirror unit hides."""
+    """The geometry that decides which directions the mirror unit hides, and which a value is a mean of.
+
+    `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm` of the exit
+    pupil, seen over the mirrors, is half of the beam's divergence (5 mm: 0.7 deg, assumed).
+    """
 
     mirror_distance_mm: PositiveFloat = 200.0
     mirror_side_mm: PositiveFloat = 20.0
@@ -227,6 +231,7 @@ class GeometryTable(Table):
     arc_radius_mm: PositiveFloat = 300.0
     detector_diameter_mm: PositiveFloat = 5.0
     field_deg: PositiveFloat = 0.5
+    pupil_radius_mm: PositiveFloat = 5.0
     shadow_margin_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.2
 
     @model_validator(mode="after")
@@ -237,6 +242,15 @@ class GeometryTable(Table):
     def instrument(self) -> Instrument:
         """The instrument that the operator believes in. Raises ValueError for dimensions that make none."""
         return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
+
+
+class SampleUnitTable(Table):
+    """What holds the sample. `signature_uncertainty` is the share (standard uncertainty) by which the instrument's own light is
+    otherwise with a sample in its place than without: the sample hides some of it, and sends its own light to the frames. The
+    default is that of frames 0.5 mm off the sample (2 mm: 0.5); of frames that lie on it 0.01 is more than enough.
+    """
+
+    signature_uncertainty: Share = 0.3
 
 
 class EtalonTable(Table):
@@ -262,6 +276,7 @@ class RigFile(Table):
     photodiodes: PhotodiodesTable
     monitor: MonitorTable
     geometry: GeometryTable = GeometryTable()
+    sample_unit: SampleUnitTable = SampleUnitTable()
     etalon: EtalonTable = EtalonTable()
     twin: TwinTable | None = None
 

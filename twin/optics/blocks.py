@@ -29,6 +29,9 @@ from twin.optics.spread import BINS, Spread
 U64 = np.uint64
 COSINE, SHAPE, REST, MODEL, FRAME = range(5)
 """Ways to draw: a Lambertian lobe; a Gaussian's shape, and by the cosine what is left of it; any other lobe; the frame."""
+FRAMES_STREAM = 1 << 16
+"""The frame's paths have their random numbers whatever lobes the sample has: so in a difference of two samples, or of one and
+none, the noise of what the frame itself scatters cancels, as the light does."""
 
 
 class Strata(NamedTuple):
@@ -74,13 +77,14 @@ def trace(
         key = scrambled(start + U64(block) * U64(0xD1342543DE82EF95))
         for k in range(strata.ways.shape[0]):
             count, inside = strata.ways[k, 2], strata.ways[k, 0] != FRAME
+            stream = k if inside else FRAMES_STREAM
             for n in range(4):
-                keys[n] = word_key(key, 4 * k + n)
+                keys[n] = word_key(key, 4 * stream + n)
             arrive(buffer, count, keys, beam, inside, strata.lit)
             if not inside:
                 for i in range(count):
                     if buffer[i + FLUX] > 0.0:
-                        own = path_key(key, k, i)
+                        own = path_key(key, stream, i)
                         dx, dy, dz = by_cosine(True, uniform(own, 0), uniform(own, 1))
                         weight = buffer[i + FLUX] * strata.gains[k, 0]
                         bounce(

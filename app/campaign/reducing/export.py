@@ -37,9 +37,10 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
         "side: front or back, which is lit; light: reflected or transmitted",
         "check: mirrored, where a direction was measured only to check the stated symmetry",
         "signature_share: of the signal, the instrument's own light, which has been subtracted; nothing where not measured",
+        "u_field_per_sr: the part of u_bsdf that is of the finite field of view; nothing where it cannot be told",
         "flags: shadowed (by the mirror unit), clipped (over the range at every gain), no-etalon (no signal to divide by),",
         "dead (the photodiode), uncertified (the etalon's certificate says nothing there), drift (beyond its limit),",
-        "under-range (lost in its noise)",
+        "under-range (lost in its noise), field (what that does to the value cannot be told, and is not in u_bsdf)",
         *reduced.notes,
         *(f"overlaps of {name}: {found}" for name, found in reduced.overlaps.items() if name in chosen and found.pairs),
     ]
@@ -148,6 +149,7 @@ def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
     columns["light"] = np.where(points.transmitted, "transmitted", "reflected")
     columns["check"] = np.where(points.mirrored, "mirrored", "")
     columns["signature_share"] = points.signature
+    columns["u_field_per_sr"] = points.u_field
     columns["flags"] = _flags(points)
     return columns
 

@@ -134,15 +134,15 @@ class References:
         return np.where(known, codes, -1)
 
 
-def in_half_planes(listed: Listed) -> tuple[Ints, Ints]:
+def in_settings(listed: Listed) -> tuple[Ints, Ints]:
     """Measurements in the order of wavelength, sigma, gamma and half planes, each in order of time: their places in the list;
-    and where in that order a pair of opposite half planes begins, ending with the number of all.
+    and where in that order another wavelength, sigma or gamma begins, ending with the number of all.
 
-    Whatever two photodiodes have both seen lies in one such pair, and so does all of an arc.
+    All that tells of a value what its neighbours are lies in one such stretch, and so does what two photodiodes have seen.
     """
     plane = np.round(np.mod(listed["beta_deg"], HALF_TURN_DEG), DECIMALS)
-    keys = [plane, *(listed[name] for name in ("gamma_deg", "sigma_deg", "wavelength_nm"))]
-    order = np.lexsort(keys)
+    keys = [listed[name] for name in ("gamma_deg", "sigma_deg", "wavelength_nm")]
+    order = np.lexsort([plane, *keys])
     changes = np.any([key[order][1:] != key[order][:-1] for key in keys], axis=0) if len(order) else np.zeros(0, dtype=bool)
     return order, np.concatenate([[0], 1 + np.flatnonzero(changes), [len(order)]])
 

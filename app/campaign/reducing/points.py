@@ -25,10 +25,13 @@ class BsdfPoints:
     - `dead`: although it should have, or the photodiode's dark current is gone;
     - `uncertified`: the etalon's certificate says nothing of this wavelength or direction;
     - `drifted`: between drift checks one of which was beyond its limit; the value is there, and may be wrong;
-    - `under_range`: the sample's signal is lost in its noise: the value is right, and says little.
+    - `under_range`: the sample's signal is lost in its noise, or in what is uncertain of the signature: the value is right, and
+      says little;
+    - `field`: what the finite field of view does to the value cannot be told from those about it, and is not in `u_bsdf`.
 
     `signature` is the instrument's own share of the sample's signal, which has been subtracted; NaN where it was not measured.
     `mirrored`: measured to check the stated symmetry; good, but no part of the table that was asked for.
+    `u_field` is the field's part of `u_bsdf`, 1/sr; NaN where it cannot be told.
     """
 
     wavelength_nm: Floats
@@ -54,6 +57,7 @@ class BsdfPoints:
     transmitted: Flags
     signature: Floats
     mirrored: Flags
+    u_field: Floats
 
     def where(self, chosen: Flags | npt.NDArray[np.int64]) -> "BsdfPoints":
         """Some of the points, or all in another order."""
@@ -85,6 +89,7 @@ class BsdfPoints:
             "uncertified": self.uncertified,
             "drift": self.drifted,
             "under-range": self.under_range,
+            "field": self.good & np.isnan(self.u_field),
         }
 
 

@@ -31,8 +31,10 @@ class Ratio:
         g, var_g, cut_g = _taken(own, c)
         h, var_h, cut_h = _taken(at_etalon, c)
         total = sample.ratio[c]
-        s, var_s = total - g, sample.variance[c] + var_g
-        e, var_e = etalon.ratio[c] - h, etalon.variance[c] + var_h
+        # With a sample in its place the instrument's own light is not quite what it is without.
+        other = rig.file.sample_unit.signature_uncertainty
+        s, var_s = total - g, sample.variance[c] + var_g + (other * g) ** 2
+        e, var_e = etalon.ratio[c] - h, etalon.variance[c] + var_h + (other * h) ** 2
         value = s / np.where(e == 0.0, np.nan, e)
         # What is subtracted from both is one and the same error.
         shared = 2.0 * value * var_g if own is at_etalon else 0.0

@@ -2,8 +2,8 @@
 
 f = (sample over monitor) / (etalon over monitor) * f of the etalon's certificate (the paper's formula 1, in 1/sr), each
 photodiode against itself. Where the instrument without a sample was measured in the same pose (its signature), that is
-subtracted from both first. The uncertainty is from five parts: dark and noise, monitor, gain, signature, etalon; and of a
-virtual rig whose light was traced, from the paths.
+subtracted from both first. The uncertainty is from six parts: dark and noise, monitor, gain, signature, etalon, field; and of
+a virtual rig whose light was traced, from the paths.
 
 Formula 1 has no etalon for transmitted light. There the same photodiode is compared with what it sees of the etalon when
 that is lit from the photodiode's own side, at 180 deg - sigma; where that was not measured, transmission has no scale and no
@@ -21,7 +21,8 @@ from app.campaign.journal.writing import Journal
 from app.campaign.planning.shadow import shadowed
 from app.campaign.reducing.arcs import ArcView, arc_views
 from app.campaign.reducing.checks import Checks
-from app.campaign.reducing.measured import Key, Listed, Measured, Measurements, References, in_half_planes, key_of
+from app.campaign.reducing.field import with_field
+from app.campaign.reducing.measured import Key, Listed, Measured, Measurements, References, in_settings, key_of
 from app.campaign.reducing.overlaps import Overlaps
 from app.campaign.reducing.points import BsdfPoints as BsdfPoints
 from app.campaign.reducing.points import Flags, joined
@@ -69,7 +70,9 @@ class Reduced:
 
 @dataclass(frozen=True)
 class Block:
-    """Some of a sample's `points`, whole pairs of opposite half planes; `rank` (n,) is the place of each one's row in time."""
+    """Some of a sample's `points`, all that there are of a wavelength, sigma and gamma; `rank` (n,) is the place of each one's
+    row in time.
+    """
 
     rank: Ints
     points: BsdfPoints
@@ -97,7 +100,7 @@ class Reduction:
         which changes no value. Raises UserError.
         """
         listed = self._measurements.listed(sample)
-        order, edges = in_half_planes(listed)
+        order, edges = in_settings(listed)
         self.tallies.pop(sample, None)
         begin = 0
         for end in edges[1:].tolist():
@@ -118,8 +121,10 @@ class Reduction:
         return self.schedule.overlap is not None and self.schedule.overlap.calibrate
 
     def finished(self, points: BsdfPoints, found: Overlaps | None) -> BsdfPoints:
-        """Points of a sample as they are to be used, by what its overlaps have come to."""
-        return found.factors.applied(points) if self.calibrates and found is not None else points
+        """Points of whole blocks as they are to be used, by what their sample's overlaps have come to."""
+        calibrated = found.factors.applied(points) if self.calibrates and found is not None else points
+        # After the overlaps: what the field does to a value it does to all photodiodes that see the direction.
+        return with_field(calibrated, self.rig.file)
 
     def overlaps(self, sample: str, rows: int = ROWS_AT_ONCE) -> Overlaps | None:
         """Of a sample, if they are needed to finish its points: that takes all blocks once more. Raises UserError."""
@@ -139,7 +144,8 @@ class Reduction:
         told = [str(drift) for drift in self._measurements.drifts]
         transmitted = any(tally.transmitted for tally in self.tallies.values())
         freed = any(tally.freed for tally in self.tallies.values())
-        told += subtracted(reflected=freed, scale=transmitted and self._signature.meets(self._etalon))
+        known = self.rig.file.sample_unit.signature_uncertainty
+        told += subtracted(reflected=freed, scale=transmitted and self._signature.meets(self._etalon), known=known)
         if transmitted:
             told.append("transmitted light is scaled by what the same photodiode sees of the etalon lit from its own side")
         certificate = self.schedule.certificate
@@ -182,7 +188,7 @@ def reduce_journal(journal: Journal) -> Reduced:
         if blocks:
             in_time = np.argsort(np.concatenate([block.rank for block in blocks]), kind="stable")
             seen[name] = checks.overlaps()
-            samples[name] = reduction.finished(joined([block.points for block in blocks]).where(in_time), seen[name])
+            samples[name] = reduction.finished(joined([block.points for block in blocks]), seen[name]).where(in_time)
             if (verdict := checks.symmetry()) is not None:
                 verdicts[name] = verdict
     notes = reduction.notes()
@@ -283,6 +289,7 @@ def _arc_points(
         transmitted=np.full(n, view.transmitted),
         signature=ratio.signature,
         mirrored=np.full(n, row.mirrored),
+        u_field=np.full(n, np.nan),
     )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from app.campaign.planning.plan import Plan
+from app.campaign.rehearsing.field_warning import field_warnings
 from app.campaign.rehearsing.watch import Watch
 from app.campaign.schedule.grids import grid_values
 from twin.optics import Scatterer, arc_direction, evaluate
@@ -18,6 +19,7 @@ HALF = 0.5
 def warnings_of(plan: Plan, watch: Watch) -> Iterator[str]:
     """In words, each with what to do."""
     yield from _narrow_lobes(plan)
+    yield from field_warnings(plan)
     yield from _coarse_gains(plan, watch)
     if watch.saturated:
         yield (

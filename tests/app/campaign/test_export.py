@@ -1,6 +1,7 @@
 """Grids and files from reduced points."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ def points_of(sigma: float, zenith: np.ndarray, azimuth: np.ndarray, hidden: np.
         photodiode=np.arange(zenith.size), zenith_deg=zenith, azimuth_deg=azimuth, theta_deg=theta, phi_deg=phi,
         bsdf=smooth(zenith, azimuth), u_bsdf=zeros + 0.01, shadowed=none if hidden is None else hidden.ravel(), clipped=none,
         no_etalon=none, dead=none, uncertified=none, drifted=none, under_range=none, back=none, transmitted=none,
-        signature=zeros + np.nan, mirrored=none,
+        signature=zeros + np.nan, mirrored=none, u_field=zeros,
     )  # fmt: skip
 
 
@@ -111,6 +112,18 @@ def test_a_csv_has_every_point_and_no_number_where_there_is_none(reduced: Reduce
     assert any("SIMULATED" in comment for comment in points.comments)
     assert len(points.columns["bsdf_per_sr"]) == 360
     assert list(np.unique(points.columns["flags"])) == ["", "shadowed"]
+
+
+def test_a_csv_has_the_fields_part_and_says_where_it_cannot_be_told(reduced: Reduced, tmp_path: Path) -> None:
+    ((name, points),) = reduced.samples.items()
+    known = points.zenith_deg > 20.0
+    told = replace(points, u_field=np.where(known, 0.002, np.nan))
+    export_csv(replace(reduced, samples={name: told}), None, tmp_path / "a.csv")
+    found = read_points_csv(tmp_path / "a.csv")
+    assert np.array_equal(found.columns["u_field_per_sr"], told.u_field, equal_nan=True)
+    flagged = np.array(["field" in flags.split() for flags in found.columns["flags"]])
+    assert np.array_equal(flagged, ~known & points.good)
+    assert any("u_field_per_sr" in comment for comment in found.comments)
 
 
 def test_an_unknown_sample_is_named(reduced: Reduced, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What the reduction subtracts, scales and flags: the signature, the certificate, drift, dead photodiodes, transmission."""
 
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from app.campaign.running.events import Event, RowCommitted, State
 from app.campaign.schedule.file import read_schedule
 from app.rig import OpenRig, read_rig
 from tests.app.campaign.measuring_bench import QUIET, Run, carried_out
-from tests.conftest import RIG, SMALL, Change, Writer
+from tests.conftest import RIG, SMALL, Change, Writer, changed
 from twin.optics import from_specular
 
 GREY = '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.03\n\n'
@@ -47,6 +48,26 @@ def test_the_signature_is_subtracted_where_it_was_measured(write_rig: Writer, wr
     assert float(np.median(points.signature)) == pytest.approx(0.14, abs=0.03)
     assert np.abs((points.bsdf - 0.03 / np.pi) / points.u_bsdf).max() < 3.0
     assert any("without a sample" in note for note in found.notes)
+
+
+def test_what_is_subtracted_is_as_uncertain_as_the_rig_file_says(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    plan = grey_plan(write_rig, write_schedule, "signature = true\n", twin=STRAY)
+    run_campaign(plan, tmp_path / "a.journal")
+    found = reduced(tmp_path / "a.journal")
+    surely = found.samples["grey"].where(found.samples["grey"].good)
+    with sqlite3.connect(tmp_path / "a.journal") as journal:
+        ((rig,),) = journal.execute("SELECT value FROM campaign WHERE key = 'rig'")
+        less = changed(rig, (("signature_uncertainty = 0.01", "signature_uncertainty = 0.3"),))
+        journal.execute("UPDATE campaign SET value = ? WHERE key = 'rig'", (less,))
+    doubtful = reduced(tmp_path / "a.journal").samples["grey"]
+    doubtful = doubtful.where(doubtful.good)
+    taken = surely.signature / (1.0 - surely.signature)  # over what is left
+    added = np.sqrt(doubtful.u_bsdf**2 - surely.u_bsdf**2) / surely.bsdf
+    # The etalon's own share of it, 0.99 to 0.03 less, hardly adds to that.
+    assert added == pytest.approx(np.sqrt(0.3**2 - 0.01**2) * taken, rel=0.01)
+    assert any("the same to 1 %" in note for note in found.notes)
 
 
 def test_without_it_the_same_light_is_in_the_value_and_nothing_says_otherwise(

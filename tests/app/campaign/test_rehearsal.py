@@ -2,6 +2,7 @@
 
 import gc
 import json
+import math
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -103,8 +104,9 @@ def test_it_foretells_the_uncertainty_of_each_direction(write_rig: Writer, write
     columns = found.columns
     assert columns["bsdf_per_sr"].size == spread["directions"]
     peak = (columns["zenith_deg"] == 30.0) & (columns["azimuth_deg"] == 180.0)
-    # Noise is small there: what is left is the etalon's certificate, the monitor's and the gains' uncertainty.
-    assert columns["relative_uncertainty"][peak] == pytest.approx(0.0025, abs=0.0008)
+    # Noise is small there: what is left is the etalon's certificate, the monitor's and the gains' uncertainty, 0.0025, and what
+    # the field takes from the peak of a Gaussian of 5 deg, 2 * 0.0584 / 25.
+    assert columns["relative_uncertainty"][peak] == pytest.approx(math.hypot(0.0025, 0.00467), abs=0.0004)
 
 
 def test_what_it_says_is_json_and_says_that_it_is_simulated(small: Rehearsal) -> None:
@@ -154,6 +156,17 @@ def test_it_warns_of_a_lobe_narrower_than_the_field(write_rig: Writer, write_sch
     assert warned(narrow, "narrower than the photodiodes' field of 0.5 deg (at sigma 30 deg)")
     shiny = rehearsed(write_schedule(), write_rig(), sample="lambertian:reflectance=0.5+regular:reflectance=0.04")
     assert warned(shiny, "regular reflection")
+
+
+def test_it_says_by_how_much_the_field_changes_the_values(write_rig: Writer, write_schedule: Writer) -> None:
+    # In the plane of incidence at theta = 12 deg: half of 0.0584 deg^2 times 4 theta^2 / a^4 - 4 / a^2, which is 2.2 %.
+    (told,) = warned(rehearsed(write_schedule(), write_rig()), "changes the values of gaussian-5")
+    percent = float(told.partition("by up to ")[2].partition(" %")[0])
+    theta = float(told.partition("theta ")[2].partition(" deg")[0])
+    assert 10.0 < theta < 13.2  # a thousandth of the peak is at 13.1 deg
+    assert percent == pytest.approx(100.0 * 0.5 * 0.0584 * (4.0 * theta**2 / 625.0 - 4.0 / 25.0), rel=0.15)
+    wider = rehearsed(write_schedule(), write_rig(), sample="gaussian:width_deg=15,reflectance=0.9")
+    assert not warned(wider, "changes the values of")
 
 
 def test_it_warns_of_a_dark_sample_on_a_coarse_gain(write_rig: Writer, write_schedule: Writer) -> None:

@@ -3,6 +3,7 @@
 `make test-long` prints the table of them. The truth is the BSDF that the virtual rig's sample has.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,19 @@ SMALL_GRID = ("[30]", "[0, 2]")
 LARGE_GRID = ("[10, 30, 60]", "{ start = 0.0, stop = 4.0, step = 1.0 }")
 TABLES = "[drift]\nevery_s = 30\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\nlimit = 0.004\n"
 WRONG_U = 5.0
+STRAY = "[twin.optics]\nstray = true\n\n[twin.frames]\nreflectance = 0.045\n\n[twin.light]"
+FRAMES = (("[twin.light]", STRAY),)
+LIFTED = (("[twin.light]", STRAY.replace("[twin.frames]", "[twin.frames]\ngap_mm = 0.5")),
+          ("signature_uncertainty = 0.01", "signature_uncertainty = 0.3"))
+WIDE = "[1e8, 1e10, 1e11]"
 PLAY = tuple((old, f"{old}, backlash_deg = 0.2") for old in ("motor = 4, gear = 36.0", "beta = { motor = 5, gear = 18.0"))
+
+
+KNOWN_PLAY = (
+    *PLAY,
+    ("speed_deg_s = 10.0\n", "speed_deg_s = 10.0\nbacklash_deg = 0.2\n"),
+    ("lower_deg = -5.0\n", "lower_deg = -5.0\nbacklash_deg = 0.2\n"),
+)
 
 
 @dataclass(frozen=True)
@@ -73,17 +86,21 @@ def fade_all(plant: Plant, _: float) -> None:
 
 CASES = (
     Case("none", "corrected"),
+    Case("none", "corrected", sample="gaussian-15", gains=WIDE),
+    Case("none", "corrected", sample="gaussian-5", gains=WIDE),
     Case("10 % drift of the lamp over the campaign", "corrected", drift_of_all=0.1),
-    Case("14 % instrument signature", "corrected", signature=True, rig=(
-        ("[twin.light]", "[twin.optics]\nstray = true\n\n[twin.frames]\nreflectance = 0.045\n\n[twin.light]"),)),
-    Case("0.2 deg backlash that the rig file knows of", "corrected", sample="gaussian-15", rig=(
-        *PLAY,
-        ("speed_deg_s = 10.0\n", "speed_deg_s = 10.0\nbacklash_deg = 0.2\n"),
-        ("lower_deg = -5.0\n", "lower_deg = -5.0\nbacklash_deg = 0.2\n"),
-    )),
+    Case("10 % drift of the lamp over the campaign", "corrected", sample="gaussian-5", gains=WIDE, drift_of_all=0.1),
+    Case("14 % instrument signature", "corrected", signature=True, rig=FRAMES),
+    Case("14 % instrument signature", "corrected", sample="gaussian-15", gains=WIDE, signature=True, rig=FRAMES),
+    Case("14 % instrument signature", "corrected", sample="gaussian-5", gains=WIDE, signature=True, rig=FRAMES),
+    Case("the same, of frames 0.5 mm off the sample", "corrected", signature=True, rig=LIFTED),
+    Case("the same, of frames 0.5 mm off the sample", "corrected", sample="gaussian-5", gains=WIDE, signature=True, rig=LIFTED),
+    Case("0.2 deg backlash that the rig file knows of", "corrected", sample="gaussian-15", rig=KNOWN_PLAY),
+    Case("0.2 deg backlash that the rig file knows of", "corrected", sample="gaussian-5", gains=WIDE, rig=KNOWN_PLAY),
     Case("0.2 deg backlash that nobody has told", "stopped", sample="gaussian-15", rig=PLAY),
     Case("1 % step of the lamp", "corrected", lambda plant, t: plant.set_lamp(t, level=1.01)),
     Case("1 % loss of light behind the monitor", "flagged", fade_all),
+    Case("1 % loss of light behind the monitor", "flagged", fade_all, sample="gaussian-5", gains=WIDE),
     Case("a photodiode that dies", "flagged", lambda plant, _: plant.fade(7, 0.0)),
     Case("saturation at the peak, one gain", "flagged", sample="gaussian-15", gains="[1e11]"),
     Case("saturation at the peak, automatic gains", "corrected", sample="gaussian-15", gains='"automatic"'),
@@ -104,7 +121,8 @@ class Found:
 
     def __str__(self) -> str:
         came = f"{100 * self.within:5.1f} % within 2 u, worst {self.worst:.1f} u" if self.good else f"the run {self.run.state}"
-        return f"{self.case.name:45} {self.case.expected:10} {self.good:5} {self.flagged:8} {self.silent:7}   {came}"
+        case, counts = self.case, f"{self.good:5} {self.flagged:8} {self.silent:7}"
+        return f"{case.name:45} {case.sample:12} {case.expected:10} {counts}   {came}"
 
 
 def plan_of(case: Case, grid: tuple[str, str], *changes: Change) -> Plan:
@@ -142,12 +160,17 @@ def met(case: Case, grid: tuple[str, str], folder: Path) -> Found:
     if points is None:
         return Found(case, run, 0, 0, 0.0, 0.0, 0)
     expected = theory(plan.rig, case.sample, points)
-    usable = points.good & np.isfinite(expected)
+    usable = points.good & np.isfinite(expected) & ~points.flags["field"]
     z = np.abs(points.bsdf - expected)[usable] / points.u_bsdf[usable]
-    flags = [flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range")]  # of any run
+    flags = [flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range", "field")]  # of any run
     flagged = np.any(flags, axis=0) & ~points.shadowed
     within = float(np.mean(z <= 2.0)) if z.size else 1.0
     return Found(case, run, int(usable.sum()), int(flagged.sum()), within, float(z.max(initial=0.0)), int(np.sum(z > WRONG_U)))
+
+
+def least_within(count: int) -> float:
+    """Of so many normal values 95.45 % are within two standard deviations; chance takes three of a binomial's own from that."""
+    return 0.9545 - 3.0 * math.sqrt(0.9545 * 0.0455 / max(count, 1))
 
 
 def judge(found: Found) -> None:
@@ -158,11 +181,11 @@ def judge(found: Found) -> None:
         assert any("encoder" in fault for fault in found.run.faults)
         return
     assert found.run.state is State.DONE, (case.name, found.run.faults)
-    assert found.within >= 0.95, str(found)
+    assert found.within >= least_within(found.good), str(found)
     assert (found.flagged > 0) or case.expected == "corrected", str(found)
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
+@pytest.mark.parametrize("case", CASES, ids=[f"{case.name}-{case.sample}" for case in CASES])
 def test_each_trouble_is_corrected_or_flagged(case: Case, tmp_path: Path) -> None:
     judge(met(case, SMALL_GRID, tmp_path))
 
@@ -174,7 +197,7 @@ def test_the_table_of_troubles(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (tmp_path / str(k)).mkdir()
         found.append(met(case, LARGE_GRID, tmp_path / str(k)))
     with capsys.disabled():
-        print(f"\n{'trouble':45} {'is to be':10} {'good':>5} {'flagged':>8} {'silent':>7}   came to")
+        print(f"\n{'trouble':45} {'sample':12} {'is to be':10} {'good':>5} {'flagged':>8} {'silent':>7}   came to")
         print("\n".join(str(each) for each in found))
         print(f"silent: good points that are wrong by more than {WRONG_U:g} of their standard uncertainties u")
     for each in found:

@@ -39,6 +39,13 @@ def test_a_lit_frame_scatters_its_share_of_the_light_round_the_hole(sigma_deg: f
     assert found.stray_error[0] < 5e-3 * expected
 
 
+def test_what_a_frame_scatters_is_the_same_light_with_any_sample_and_none() -> None:
+    # Frames that lie on the sample get next to nothing of it: what differs is noise, which is 4 % of a bin, and cancels.
+    none = stray(Instrument(), 30.0, None).values[0]
+    for sample in (gaussian(15.0, reflectance=0.9), lambertian(0.03)):
+        assert stray(Instrument(), 30.0, sample).values[0] == pytest.approx(none, rel=5e-3)
+
+
 def test_without_frames_mirrors_and_a_second_scattering_there_is_no_stray_light() -> None:
     found = forward(ALL, 30.0, [UP], lambertian(), 100_000, seed=1, sample_frames=BLACK)
     assert found.stray_m2sr[0] == 0.0
