@@ -7,7 +7,7 @@ from app.campaign.planning.directions import Seen
 from app.campaign.planning.plan import Made, Plan
 from app.campaign.planning.planned_rows import PlannedRows
 from app.campaign.planning.sides import incidence_deg
-from app.campaign.planning.timing import LEAST_WARM_UP_S, Timing
+from app.campaign.planning.timing import Timing, least_warm_up_seconds
 from app.campaign.schedule.grids import grid_values
 from app.campaign.spoken import clock_time
 
@@ -45,8 +45,8 @@ def _darks(plan: Plan, made: Made) -> Iterator[str]:
     every = plan.schedule.file.dark_every_s
     if made.oldest_dark_s > every:
         yield (
-            f"a dark gets {made.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: "
-            "a single row takes longer; take fewer readings, or allow older darks"
+            f"a dark gets {made.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes longer, "
+            "with its move and its readings; allow older darks, or take fewer readings"
         )
 
 
@@ -89,6 +89,6 @@ def duration_range(plan: Plan) -> tuple[float, float]:
     likely = timing.usual_readings(row)
     measured = sum(plan.rows.kinds.get(kind, 0) for kind in ("measure", "drift"))
     warm_up = plan.schedule.file.warm_up
-    waiting = 0.0 if warm_up is None else max(0.0, warm_up.longest_s - LEAST_WARM_UP_S)
+    waiting = 0.0 if warm_up is None else warm_up.longest_s - least_warm_up_seconds(warm_up.longest_s)
     least, most = (plan.seconds + measured * (seconds - likely) for seconds in timing.readings_range(row))
     return least, most + waiting

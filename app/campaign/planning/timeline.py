@@ -1,5 +1,6 @@
 """Passes laid out in time: mountings, darks, drift checks and the warm-up between the measurements, each when it is due."""
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -53,6 +54,8 @@ class Timeline:
     _drifts: int = 0
     _since_dark: float = 0.0
     _since_drift: float = 0.0
+    _lit_since_dark: bool = False
+    _measured_since_drift: bool = False
 
     def warm_up(self, wavelength_nm: float) -> None:
         """Before anything is mounted."""
@@ -82,28 +85,26 @@ class Timeline:
         moving = timing.moves.seconds(np.concatenate([timing.here[None], points[:-1]]), points)
         seconds = moving + reading
         ends = np.cumsum(seconds)
-        begin = 0
-        checked = darkened = False
+        begin, away = 0, False
         while begin < len(points):
             # What came between has closed the shutter, or left the axes elsewhere, or the amplifiers at another gain.
             first = timing.shutter_seconds(opened=True) + timing.readings_from_here(row) - timing.usual_readings(row)
-            if checked:
+            if away:
                 back = timing.moves.seconds(timing.here[None], points[begin : begin + 1])
                 first += float(back[0] - moving[begin])
-            began = float(ends[begin] - seconds[begin]) - first
             until_dark = self.file.dark_every_s - self._since_dark
             until_drift = self._until_drift(of.sample)
-            end = int(np.searchsorted(ends, began + min(until_dark, until_drift), side="right"))
-            if end <= begin:
-                if until_drift <= until_dark and not checked:
-                    self._drift(of.sample)
-                    checked = True
-                    continue
-                if not darkened:
-                    self._dark(of.sample)
-                    darkened = True
-                    continue
-                end = begin + 1  # it takes longer than a dark may be old
+            next_s = float(seconds[begin]) + first
+            # A row that takes longer than either may be old is done all the same, right after it.
+            if next_s > until_drift and self._measured_since_drift:
+                self._drift(of.sample)
+                away = True
+                continue
+            if next_s > until_dark and self._lit_since_dark:
+                self._dark(of.sample)
+                continue
+            began = float(ends[begin]) - next_s
+            end = max(begin + 1, int(np.searchsorted(ends, began + min(until_dark, until_drift), side="right")))
             timing.shutter(opened=True)
             timing.here = points[end - 1]
             timing.pass_by(row, end - begin)
@@ -111,8 +112,8 @@ class Timeline:
             taken[0] += first
             self._pass_by(float(taken.sum()))
             self.pieces.append(Run(of, sequence[begin:end], taken))
-            begin = end
-            checked = darkened = False
+            self._measured_since_drift = self._lit_since_dark = True
+            begin, away = end, False
 
     def _until_drift(self, sample: str) -> float:
         return float("inf") if self.file.drift is None or sample == NOTHING else self.file.drift.every_s - self._since_drift
@@ -121,20 +122,24 @@ class Timeline:
         self._darks += 1
         self._add(self.measuring.dark(sample, self._darks))
         self._since_dark = 0.0
+        self._lit_since_dark = False
 
     def _drift(self, sample: str) -> None:
         table = self.file.drift
         if table is None or sample == NOTHING:  # which sends no light anywhere that could change
             return
-        self._drifts += 1
         pose = (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg)
         like = self.measuring.row(sample)
-        self._add(
-            Row(
-                0, f"{sample}/drift {self._drifts}", "drift", sample, 0.0, table.wavelength_nm, pose,
-                like.gains, like.readings, like.automatic, like.target, like.longest_s,
-            )
+        row = Row(
+            0, f"{sample}/drift {self._drifts + 1}", "drift", sample, 0.0, table.wavelength_nm, pose,
+            like.gains, like.readings, like.automatic, like.target, like.longest_s,
         )  # fmt: skip
+        taken = copy(self.timing).row_seconds(row)
+        if self._lit_since_dark and self._since_dark + taken > self.file.dark_every_s:
+            self._dark(sample)
+        self._drifts += 1
+        self._add(row)
+        self._lit_since_dark, self._measured_since_drift = True, False
         self._since_drift = 0.0
 
     def _add(self, row: Row) -> None:
@@ -144,7 +149,7 @@ class Timeline:
         self.pieces.append(replace(row, seconds=seconds))
 
     def _pass_by(self, seconds: float) -> None:
-        self._since_dark += seconds
         self._since_drift += seconds
         if self._darks:
+            self._since_dark += seconds
             self.oldest_dark_s = max(self.oldest_dark_s, self._since_dark)

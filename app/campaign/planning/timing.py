@@ -7,6 +7,7 @@ import numpy as np
 from app.campaign.planning.lattice import WAVELENGTH
 from app.campaign.planning.moves import Floats, Moves
 from app.campaign.row import Row
+from app.campaign.running.averaging import LEAST as LEAST_AVERAGED
 from app.campaign.running.gains import in_order
 from app.campaign.running.performing import MONITORED_S
 from app.campaign.running.warming import EVERY_S, LEAST
@@ -16,9 +17,13 @@ from drivers.monochromator import STATUS_MARGIN_S
 
 USB_LATENCY_S = 1.0e-3
 LIKELY_GAINS = 2
-LEAST_WARM_UP_S = (LEAST - 1) * EVERY_S + MONITORED_S
-"""A warm-up ends no sooner than the monitor has been looked at so often; when it does is up to the lamp."""
 UNKNOWN: Floats = np.full(5, np.nan)
+
+
+def least_warm_up_seconds(longest_s: float) -> float:
+    """A warm-up ends no sooner than the monitor has been looked at so often, or its time is up; when it does is the lamp's."""
+    looks = min(LEAST, 1 + math.ceil(max(0.0, longest_s - MONITORED_S) / EVERY_S))
+    return (looks - 1) * EVERY_S + MONITORED_S
 
 
 class Timing:
@@ -48,7 +53,9 @@ class Timing:
         moving = float(self.moves.seconds(before[None], np.nan_to_num(there)[None])[0])
         self.here = there
         opening = moving + self.shutter(opened=True)
-        return opening + (LEAST_WARM_UP_S if row.kind == "warm-up" else self.readings(row) + self.readback_s)
+        return opening + (
+            least_warm_up_seconds(row.longest_s) if row.kind == "warm-up" else self.readings(row) + self.readback_s
+        )
 
     def readings(self, row: Row) -> float:
         """All gains of a row, from where the rows before have left the amplifiers.
@@ -76,20 +83,25 @@ class Timing:
             self._gain = self._likely(row, self._gain)[-1]
 
     def readings_range(self, row: Row) -> tuple[float, float]:
-        """The least and the most that `usual_readings` could turn out to be."""
+        """The least and the most that `usual_readings` could turn out to be: with automatic gains one may do."""
         gains = in_order(row, max(row.gains))
         least = gains[:1] if row.automatic else gains
-        return self._reading(least, row.readings, gains[0]), self._reading(gains, self._most_readings(row), gains[-1])
+        return self._reading(least, _least_readings(row), gains[0]), self._reading(gains, self._most_readings(row), gains[-1])
+
+    def longest_readings(self, row: Row) -> float:
+        """The most that a plan takes such a row to need, wherever the amplifiers are before it."""
+        return self._reading(self._likely(row, None), self._likely_readings(row), None)
 
     def _likely(self, row: Row, before: int | None) -> tuple[int, ...]:
         gains = in_order(row, before)
         return gains[:LIKELY_GAINS] if row.automatic else gains
 
     def _likely_readings(self, row: Row) -> int:
-        return round(math.sqrt(row.readings * self._most_readings(row)))
+        return round(math.sqrt(_least_readings(row) * self._most_readings(row)))
 
     def _most_readings(self, row: Row) -> int:
-        return row.readings if row.target is None else max(row.readings, int(row.longest_s / self._photodiodes.period_s))
+        least = _least_readings(row)
+        return least if row.target is None else max(least, int(row.longest_s / self._photodiodes.period_s))
 
     def _reading(self, gains: tuple[int, ...], readings: int, before: int | None) -> float:
         settings = self._photodiodes
@@ -115,3 +127,8 @@ class Timing:
         asked = self._monochromator.question_seconds("SHUTTER?", "O")
         told = self._monochromator.statement_seconds(f"SHUTTER {'O' if opened else 'C'}")
         return self._monochromator.shutter_s + told + STATUS_MARGIN_S + asked
+
+
+def _least_readings(row: Row) -> int:
+    """At each gain; where their scatter decides, there have to be some to scatter."""
+    return row.readings if row.target is None else max(row.readings, LEAST_AVERAGED)
