@@ -9,10 +9,8 @@ from app.campaign.planning.bound import least_moving_seconds
 from app.campaign.planning.lattice import WAVELENGTH, Lattice
 from app.campaign.planning.passes import Pass
 from app.campaign.planning.plan import Plan
-from app.campaign.planning.timing import Timing, least_warm_up_seconds
+from app.campaign.planning.timing import TINY, Timing, fewest_stretches, least_warm_up_seconds
 from app.campaign.row import NOTHING
-
-TINY = 1e-9
 
 
 def least_seconds(plan: Plan) -> float:
@@ -38,19 +36,14 @@ def _mounted(plan: Plan, passes: list[Pass], moving: dict[Lattice, float], timin
     reading = timing.readings_range(row)[0] + timing.readback_s
     rows = sum(len(each.lattice) for each in passes)
     if file.drift is not None and passes[0].sample != NOTHING:
-        rows += 1 + _stretches(rows, reading, file.drift.every_s)
+        rows += 1 + fewest_stretches(rows, reading, file.drift.every_s)
     measured = rows * reading + sum(moving[each.lattice] for each in passes)
-    stretches = _stretches(rows, reading, file.dark_every_s)
+    stretches = fewest_stretches(rows, reading, file.dark_every_s)
     if _longest_row_seconds(plan, passes, timing) <= file.dark_every_s:
         stretches = max(stretches, math.ceil(measured / file.dark_every_s - TINY))
     shutters = timing.shutter(opened=True) + timing.shutter(opened=False)
     dark = measuring.dark("", 0)
     return measured + (stretches + 1) * timing.usual_readings(dark) + stretches * shutters
-
-
-def _stretches(rows: int, reading_s: float, every_s: float) -> int:
-    """The fewest stretches of rows, none longer than `every_s`, unless it is a single row that takes longer by itself."""
-    return math.ceil(rows / max(1, int(min(rows, every_s / reading_s + TINY))))
 
 
 def _longest_row_seconds(plan: Plan, passes: list[Pass], timing: Timing) -> float:

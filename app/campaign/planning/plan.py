@@ -9,17 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.campaign.planning.lattice import Ints, Lattice
-from app.campaign.planning.limits import (
-    MOST_ROWS,
-    gain_numbers,
-    refuse_beyond_limits,
-    refuse_too_many,
-    refuse_unknown_samples,
-)
+from app.campaign.planning.limits import gain_numbers, refuse_beyond_limits, refuse_unknown_samples
 from app.campaign.planning.nesting import swept
 from app.campaign.planning.order import Order, fastest_order
 from app.campaign.planning.passes import Pass, mountings
 from app.campaign.planning.planned_rows import PlannedRows
+from app.campaign.planning.row_limit import fewest_rows, refuse_too_many, refuse_too_many_beside, refuse_too_many_poses
 from app.campaign.planning.timeline import Measuring, Run, Timeline
 from app.campaign.planning.timing import Timing
 from app.campaign.row import Row
@@ -66,8 +61,9 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
         mounted = mountings(file, rig.file)
     except ValueError as error:
         raise UserError(f"{schedule.name}: {error}") from None
-    _refuse_too_many_after_all(schedule, mounted)
+    refuse_too_many_poses(schedule, mounted)
     timeline = Timeline(file, measuring, Timing(rig.file))
+    refuse_too_many_beside(schedule, fewest_rows(mounted, measuring, timeline.timing), "at least ")
     orders: dict[Lattice, Order] = {}
     timeline.warm_up(float(np.median(mounted[0][0].lattice.wavelengths_nm)))
     for passes in mounted:
@@ -80,9 +76,9 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
                 sequence = _onward(each.lattice, sequence, timeline.timing, rig)
             timeline.measure(each, sequence)
         timeline.dismount(passes[-1].sample)
-    plan = Plan(
-        schedule, rig, PlannedRows(timeline.pieces, measuring), Made(measuring, mounted, orders, timeline.oldest_dark_s)
-    )
+    rows = PlannedRows(timeline.pieces, measuring)
+    refuse_too_many_beside(schedule, rows.kinds)
+    plan = Plan(schedule, rig, rows, Made(measuring, mounted, orders, timeline.oldest_dark_s))
     _refuse_sweeps(plan)
     return plan
 
@@ -100,23 +96,6 @@ def _onward(lattice: Lattice, forth: Ints, timing: Timing, rig: RigDescription) 
         return float(first[0] + timing.moves.seconds(points[:-1], points[1:]).sum())
 
     return min((forth, forth[::-1]), key=seconds)
-
-
-def _refuse_too_many_after_all(schedule: ScheduleDescription, mounted: list[list[Pass]]) -> None:
-    """What comes beyond the grids counts, too."""
-    sums = [
-        (sum(len(each.lattice) for each in passes), passes[0].sample, len(passes[0].lattice.poses), len(passes))
-        for passes in mounted
-    ]
-    rows = sum(count for count, *_ in sums)
-    if rows > MOST_ROWS:
-        wavelengths = len(mounted[0][0].lattice.wavelengths_nm)
-        told = " + ".join(
-            f"{sample}: {poses} poses x {wavelengths} wavelengths x {passes} passes" for _, sample, poses, passes in sums
-        )
-        raise UserError(
-            f"{schedule.name}: {told} = {rows} rows, more than {MOST_ROWS}; take coarser grids, or a narrower near_specular"
-        )
 
 
 def _refuse_sweeps(plan: Plan) -> None:

@@ -16,6 +16,7 @@ from drivers.monitor import ANSWER_MARGIN_S
 from drivers.monochromator import STATUS_MARGIN_S
 
 USB_LATENCY_S = 1.0e-3
+TINY = 1e-9
 LIKELY_GAINS = 2
 UNKNOWN: Floats = np.full(5, np.nan)
 
@@ -132,3 +133,8 @@ class Timing:
 def _least_readings(row: Row) -> int:
     """At each gain; where their scatter decides, there have to be some to scatter."""
     return row.readings if row.target is None else max(row.readings, LEAST_AVERAGED)
+
+
+def fewest_stretches(rows: int, reading_s: float, every_s: float) -> int:
+    """Of rows that each take so long at least: none longer than `every_s`, unless it is a single row that takes longer."""
+    return math.ceil(rows / max(1, int(min(rows, every_s / reading_s + TINY))))
