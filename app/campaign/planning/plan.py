@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.campaign.planning.lattice import Ints, Lattice
+from app.campaign.planning.chaining import Chain
+from app.campaign.planning.lattice import Lattice
 from app.campaign.planning.limits import gain_numbers, refuse_beyond_limits, refuse_unknown_samples
 from app.campaign.planning.nesting import swept
 from app.campaign.planning.order import Order, fastest_order
@@ -64,38 +65,22 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
     refuse_too_many_poses(schedule, mounted)
     timeline = Timeline(file, measuring, Timing(rig.file))
     refuse_too_many_beside(schedule, fewest_rows(mounted, measuring, timeline.timing), "at least ")
-    orders: dict[Lattice, Order] = {}
     timeline.warm_up(float(np.median(mounted[0][0].lattice.wavelengths_nm)))
+    clearance, moves = arc_clearance(rig.file), timeline.timing.moves
+    lattices = dict.fromkeys(each.lattice for passes in mounted for each in passes)
+    found = {lattice: fastest_order(lattice, file, moves, clearance) for lattice in lattices}
+    orders, sequences = Chain(mounted, file, moves, clearance).fastest(found, timeline.timing.here)
+    turn = iter(sequences)
     for passes in mounted:
         timeline.mount(passes[0].sample)
         for each in passes:
-            if each.lattice not in orders:
-                orders[each.lattice] = fastest_order(each.lattice, file, timeline.timing.moves, arc_clearance(rig.file))
-            sequence = orders[each.lattice].sequence
-            if file.back_and_forth:
-                sequence = _onward(each.lattice, sequence, timeline.timing, rig)
-            timeline.measure(each, sequence)
+            timeline.measure(each, next(turn))
         timeline.dismount(passes[-1].sample)
     rows = PlannedRows(timeline.pieces, measuring)
     refuse_too_many_beside(schedule, rows.kinds)
     plan = Plan(schedule, rig, rows, Made(measuring, mounted, orders, timeline.oldest_dark_s))
     _refuse_sweeps(plan)
     return plan
-
-
-def _onward(lattice: Lattice, forth: Ints, timing: Timing, rig: RigDescription) -> Ints:
-    """An order, or its reverse where that takes less time from where the last pass has left the rig."""
-    clearance = arc_clearance(rig.file)
-
-    def seconds(sequence: Ints) -> float:
-        points = lattice.points[sequence]
-        here = timing.here[None] if not np.isnan(timing.here).any() else points[:1]
-        if swept(clearance, np.concatenate([here, points])).any():
-            return float("inf")
-        first = timing.moves.seconds(timing.here[None], points[:1])
-        return float(first[0] + timing.moves.seconds(points[:-1], points[1:]).sum())
-
-    return min((forth, forth[::-1]), key=seconds)
 
 
 def _refuse_sweeps(plan: Plan) -> None:

@@ -7,6 +7,8 @@ from app.campaign.planning.plan import Made, Plan
 from app.campaign.schedule.file import NESTED
 from app.campaign.spoken import clock_time
 
+REARRANGED = "rearranged where steps are uneven"
+
 
 def sample_order(made: Made) -> tuple[Lattice, Order]:
     """Of the samples' own poses: the etalon's may be others, and those of the open beam are few."""
@@ -23,7 +25,7 @@ def why(plan: Plan, made: Made) -> str:
     """The nestings that were compared, the one taken first, with about how long the whole campaign takes in each."""
     lattice, order = sample_order(made)
     passes = sum(each.lattice is lattice for mounted in made.mountings for each in mounted)
-    seconds: dict[str, float] = {}
+    seconds = {REARRANGED: plan.seconds} if order.rearranged else {}
     for nest in sorted(order.tried, key=lambda nest: (nest != order.nest, order.tried[nest])):
         if order.tried[nest] < float("inf"):
             whole = plan.seconds + (order.tried[nest] - order.seconds) * passes
