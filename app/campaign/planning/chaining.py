@@ -8,8 +8,8 @@ import numpy as np
 from app.campaign.planning.lattice import Floats, Ints, Lattice
 from app.campaign.planning.moves import Moves
 from app.campaign.planning.nesting import moving_seconds, swept
-from app.campaign.planning.order import Order, drift_point
-from app.campaign.planning.passes import Pass
+from app.campaign.planning.order import Order
+from app.campaign.planning.passes import Pass, drift_point
 from app.campaign.row import NOTHING
 from app.campaign.schedule.file import ScheduleFile
 from drivers import ArcClearance
@@ -31,6 +31,8 @@ class Chain:
     def __init__(self, mounted: list[list[Pass]], file: ScheduleFile, moves: Moves, clearance: ArcClearance) -> None:
         self._passes = [each for passes in mounted for each in passes]
         self._opening = [k == 0 for passes in mounted for k in range(len(passes))]
+        self._closing = [*self._opening[1:], True]
+        self._drift = drift_point(file)
         self._file = file
         self._moves = moves
         self._clearance = clearance
@@ -62,14 +64,16 @@ class Chain:
         """The fastest way round in each pass, found pass by pass: what came before matters only by where it ended."""
         ends: list[tuple[float, Floats]] = [(0.0, here)]
         came_from: list[list[int]] = []
-        for each, opening in zip(self._passes, self._opening, strict=True):
+        for each, opening, closing in zip(self._passes, self._opening, self._closing, strict=True):
+            check = None if each.sample == NOTHING else self._drift
             reached = []
             steps = []
             for way in ways[each.lattice]:
-                spent = [seconds + self._entering(each, last, way.first, opening=opening) for seconds, last in ends]
-                k = int(np.argmin(spent))
+                begun = [(seconds + self._moving(last, check if opening else None, way.first)) for seconds, last in ends]
+                k = int(np.argmin(begun))
                 steps.append(k)
-                reached.append((spent[k] + way.seconds, way.last))
+                left = way.last if check is None or not closing else check
+                reached.append((begun[k] + way.seconds + self._moving(way.last, None, left), left))
             ends = reached
             came_from.append(steps)
         k = int(np.argmin([seconds for seconds, _ in ends]))
@@ -80,14 +84,10 @@ class Chain:
             k = steps[k]
         return total, sequences[::-1]
 
-    def _entering(self, each: Pass, last: Floats, first: Floats, *, opening: bool) -> float:
-        """From where the pass before ended to a pass' first point: by the pose of the drift check after a mounting."""
-        drift = drift_point(self._file)
-        if not opening or drift is None or each.sample == NOTHING:
-            return self._moving(last, first)
-        return self._moving(last, drift) + self._moving(drift, first)
-
-    def _moving(self, here: Floats, there: Floats) -> float:
+    def _moving(self, here: Floats, by: Floats | None, there: Floats) -> float:
+        """From a point to another, `by` that of the drift checks or directly; infinite where the arc would meet the beam."""
+        if by is not None:
+            return self._moving(here, None, by) + self._moving(by, None, there)
         key = here.tobytes() + there.tobytes()
         if key not in self._between:
             known = np.where(np.isnan(here), there, here)

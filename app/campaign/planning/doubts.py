@@ -17,7 +17,16 @@ SECOND_ORDER_NM = 710.0
 
 def doubts(plan: Plan, made: Made, seen: list[Seen]) -> list[str]:
     """All of them."""
-    return [*_hidden(seen), *_overlaps(plan, seen), *_darks(plan, made), *_light(plan), *_guessed(plan)]
+    return [*_left_out(plan, made), *_hidden(seen), *_overlaps(plan, seen), *_darks(plan, made), *_light(plan), *_guessed(plan)]
+
+
+def _left_out(plan: Plan, made: Made) -> Iterator[str]:
+    for name in made.without:
+        points = getattr(plan.schedule.file, name).points
+        yield (
+            f"[{name}] points = {points} is left out: the arc would meet the incoming beam on its way to its poses, whatever "
+            "the order; take betas on one side of the beam, or remove it"
+        )
 
 
 def _hidden(seen: list[Seen]) -> Iterator[str]:

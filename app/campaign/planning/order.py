@@ -14,6 +14,7 @@ import numpy as np
 from app.campaign.planning.lattice import WAVELENGTH, Floats, Ints, Lattice
 from app.campaign.planning.moves import Moves
 from app.campaign.planning.nesting import Nest, moving_seconds, visited
+from app.campaign.planning.passes import drift_point
 from app.campaign.planning.rearranging import rearranged
 from app.campaign.schedule.file import NESTED, ScheduleFile
 from drivers import ArcClearance
@@ -66,14 +67,6 @@ def fastest_order(lattice: Lattice, file: ScheduleFile, moves: Moves, clearance:
         found += rearranged(lattice, moves, clearance, sequence, tried[nest], ends)
     found = sorted(found, key=lambda each: each[1])[:MOST_CHOICES]
     return Order(*found[0], nest, tried, tuple(each for each in found[1:] if each[1] < float("inf")))
-
-
-def drift_point(file: ScheduleFile) -> Floats | None:
-    """Pose and wavelength (5,) of the drift checks; None where there are none."""
-    drift = file.drift
-    if drift is None:
-        return None
-    return np.array([drift.gamma_deg, drift.sigma_deg, drift.beta_deg, drift.shift_deg, drift.wavelength_nm])
 
 
 def _begun_well(

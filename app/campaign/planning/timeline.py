@@ -6,10 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from app.campaign.planning.lattice import Floats, Ints
-from app.campaign.planning.passes import Pass
+from app.campaign.planning.nesting import Flags, swept_ways
+from app.campaign.planning.passes import Pass, drift_point
 from app.campaign.planning.timing import Timing
 from app.campaign.row import NOTHING, Row
 from app.campaign.schedule.file import ScheduleFile
+from drivers import ArcClearance
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Timeline:
     file: ScheduleFile
     measuring: Measuring
     timing: Timing
+    clearance: ArcClearance
     pieces: list[Row | Run] = field(default_factory=list)
     oldest_dark_s: float = 0.0
     _darks: int = 0
@@ -78,14 +81,19 @@ class Timeline:
         self._dark(sample)
 
     def measure(self, of: Pass, sequence: Ints) -> None:
-        """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards."""
+        """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards.
+
+        A drift check where the arc would meet the beam on its way there, or back, comes sooner, or later if that cannot be.
+        """
         points = of.lattice.points[sequence]
         timing, row = self.timing, self.measuring.row(of.sample)
         reading = timing.usual_readings(row) + timing.readback_s
         moving = timing.moves.seconds(np.concatenate([timing.here[None], points[:-1]]), points)
         seconds = moving + reading
         ends = np.cumsum(seconds)
-        begin, away = 0, False
+        free = self._free_for_a_check(of.sample, points)
+        places = np.array([-1, *np.flatnonzero(free[1:]) + 1, len(points)])
+        begin, away, checking = 0, False, False
         while begin < len(points):
             # What came between has closed the shutter, or left the axes elsewhere, or the amplifiers at another gain.
             first = timing.shutter_seconds(opened=True) + timing.readings_from_here(row) - timing.usual_readings(row)
@@ -96,15 +104,20 @@ class Timeline:
             until_drift = self._until_drift(of.sample)
             next_s = float(seconds[begin]) + first
             # A row that takes longer than either may be old is done all the same, right after it.
-            if next_s > until_drift and self._measured_since_drift:
+            overdue = next_s > until_drift and self._measured_since_drift
+            if checking or (overdue and free[begin]):
                 self._drift(of.sample)
-                away = True
+                away, checking = True, False
                 continue
             if next_s > until_dark and self._lit_since_dark:
                 self._dark(of.sample)
                 continue
             began = float(ends[begin]) - next_s
-            end = max(begin + 1, int(np.searchsorted(ends, began + min(until_dark, until_drift), side="right")))
+            dark, check = np.searchsorted(ends, (began + until_dark, began + until_drift), side="right").tolist()
+            sooner = int(np.searchsorted(places, check, side="right")) - 1
+            check = int(places[sooner] if places[sooner] > begin else places[sooner + 1])
+            end = max(begin + 1, min(dark, check))
+            checking = end == check < len(points)
             timing.shutter(opened=True)
             timing.here = points[end - 1]
             timing.pass_by(row, end - begin)
@@ -114,6 +127,16 @@ class Timeline:
             self.pieces.append(Run(of, sequence[begin:end], taken))
             self._measured_since_drift = self._lit_since_dark = True
             begin, away = end, False
+
+    def _free_for_a_check(self, sample: str, points: Floats) -> Flags:
+        """Before which of the points (n,) the arc keeps clear of the beam on its way to the pose of the checks and back."""
+        there = drift_point(self.file)
+        if there is None or sample == NOTHING:
+            return np.ones(len(points), dtype=bool)
+        drift = np.broadcast_to(there, points.shape)
+        back = ~swept_ways(self.clearance, drift, points)
+        back[1:] &= ~swept_ways(self.clearance, points[:-1], drift[1:])
+        return back
 
     def _until_drift(self, sample: str) -> float:
         return float("inf") if self.file.drift is None or sample == NOTHING else self.file.drift.every_s - self._since_drift
