@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import serial
@@ -33,6 +34,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from app.campaign.planning.plan import Plan
 from app.campaign.rehearsing.rehearsal import performed, prepared
+from app.campaign.rehearsing.warnings import heeded
 from app.campaign.rehearsing.watch import Watch
 from app.campaign.running.events import Event, RowCommitted
 from app.campaign.schedule.file import parse_schedule, read_schedule
@@ -126,7 +128,9 @@ def once(plan: Plan) -> list[float]:
     """One rehearsal: seconds of its rows."""
     rows = Rows()
     with tempfile.TemporaryDirectory() as folder:
-        performed(plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file)), [rows])
+        performed(
+            plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file), partial(heeded, plan)), [rows]
+        )
     return rows.seconds
 
 
@@ -192,7 +196,9 @@ def memory(rows: int) -> dict[str, float]:
 
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        performed(plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file)), [weigh])
+        performed(
+            plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file), partial(heeded, plan)), [weigh]
+        )
     seconds = time.perf_counter() - begun
     last = len(plan.rows)
     return {"rows": last, "seconds": seconds, "resident_mb": at[last] / 1e6, "grown_mb": (at[last] - at[FROM_ROW]) / 1e6}
