@@ -149,6 +149,12 @@ class Plant:
             currents[: self.model.photodiodes.count] = responsivity * radiance * self.throughputs_m2sr(t)
         return currents * self._faded
 
+    def steady_photocurrents_a(self, aspect: Aspect) -> Floats:
+        """Of the photodiodes, for a lamp of level 1 behind the open shutter, without dark current, in some aspect."""
+        radiance = self._radiance * float(np.interp(aspect.wavelength_nm, *self._lamp_spectrum))
+        responsivity = float(np.interp(aspect.wavelength_nm, *self._responsivity))
+        return responsivity * radiance * self.view.throughputs_m2sr(aspect)
+
     def volts(self, module: int, t: float) -> Floats:
         """What the last finished conversion of each channel of a module saw, V (8,): the same number until the next."""
         period, gain = self.conversion_period_s, self.gain[module]

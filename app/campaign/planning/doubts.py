@@ -1,12 +1,15 @@
 """What a plan should be looked at again for: warnings, a sentence each."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 from app.campaign.planning.crosschecks import overlapping_step_deg
 from app.campaign.planning.directions import Seen
+from app.campaign.planning.foreseen import LOOKED_AT
 from app.campaign.planning.plan import Made, Plan
 from app.campaign.planning.planned_rows import PlannedRows
 from app.campaign.planning.sides import incidence_deg
+from app.campaign.planning.timeline import Run
 from app.campaign.planning.timing import Timing, least_warm_up_seconds
 from app.campaign.schedule.grids import grid_values
 from app.campaign.spoken import clock_time
@@ -86,18 +89,41 @@ def _guessed(plan: Plan) -> Iterator[str]:
         least, most = duration_range(plan)
         yield (
             f"the duration is a guess, for {' and '.join(unknown)} is known afterwards: it may be from about "
-            f"{clock_time(least)} to {clock_time(most)}; a rehearsal knows better"
+            f"{clock_time(least)} to {clock_time(most)}; {_stands_on(plan)}a rehearsal knows better"
         )
+
+
+def _stands_on(plan: Plan) -> str:
+    """What the guess is taken from."""
+    if plan.made is None or not plan.made.foreseen:
+        return ""
+    whose = "the twin" if plan.rig.file.twin is not None else "the twin that the rig's file describes, its samples assumed,"
+    return f"it stands on the light of {whose} in up to {LOOKED_AT} poses and wavelengths of each sample; "
 
 
 def duration_range(plan: Plan) -> tuple[float, float]:
     """The least and the most that the foretold duration could turn out to be, by what sample and lamp need; about, in s."""
     assert plan.made is not None
     assert isinstance(plan.rows, PlannedRows)
-    timing, row = Timing(plan.rig.file), plan.made.measuring.row("")
-    likely = timing.usual_readings(row)
-    measured = sum(plan.rows.kinds.get(kind, 0) for kind in ("measure", "drift"))
+    timing = Timing(plan.rig.file)
+    timing.foreseen.update(plan.made.foreseen)
     warm_up = plan.schedule.file.warm_up
     waiting = 0.0 if warm_up is None else warm_up.longest_s - least_warm_up_seconds(warm_up.longest_s)
-    least, most = (plan.seconds + measured * (seconds - likely) for seconds in timing.readings_range(row))
+    least = most = plan.seconds
+    for sample, rows in _rows_by_sample(plan.rows).items():
+        row = plan.made.measuring.row(sample)
+        likely = timing.usual_readings(row)
+        fewest, highest = timing.readings_range(row)
+        least, most = least + rows * (fewest - likely), most + rows * (highest - likely)
     return least, most + waiting
+
+
+def _rows_by_sample(rows: PlannedRows) -> Counter[str]:
+    """Measurements and drift checks."""
+    counted: Counter[str] = Counter()
+    for piece in rows.pieces:
+        if isinstance(piece, Run):
+            counted[piece.of.sample] += len(piece.points)
+        elif piece.kind == "drift":
+            counted[piece.sample] += 1
+    return counted

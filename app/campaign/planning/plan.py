@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from app.campaign.planning.chaining import Chain
+from app.campaign.planning.foreseen import reading_seconds, twin_of
 from app.campaign.planning.lattice import Lattice
 from app.campaign.planning.limits import gain_numbers, refuse_beyond_limits, refuse_unknown_samples
 from app.campaign.planning.order import Order, fastest_order
@@ -27,13 +28,15 @@ from app.rig import RigDescription, arc_clearance
 @dataclass(frozen=True)
 class Made:
     """How a plan was made: how its rows are read, what is measured of what is mounted, the orders of its lattices, how old a
-    dark gets, and the schedule's tables that had to be left out to keep the arc clear of the beam.
+    dark gets, what a row with each sample takes to be read (s, where a twin's light says so), and the schedule's tables that
+    had to be left out to keep the arc clear of the beam.
     """
 
     measuring: Measuring
     mountings: list[list[Pass]]
     orders: dict[Lattice, Order]
     oldest_dark_s: float
+    foreseen: dict[str, float]
     without: tuple[str, ...] = ()
 
 
@@ -85,6 +88,7 @@ def _laid_out(schedule: ScheduleDescription, rig: RigDescription, gains: tuple[i
     refuse_too_many_poses(schedule, mounted)
     timeline = Timeline(file, measuring, Timing(rig.file), clearance)
     refuse_too_many_beside(schedule, fewest_rows(mounted, measuring, timeline.timing), "at least ")
+    timeline.timing.foreseen.update(_foreseen(schedule, rig, mounted, measuring, timeline.timing))
     timeline.warm_up(float(np.median(mounted[0][0].lattice.wavelengths_nm)))
     moves = timeline.timing.moves
     lattices = dict.fromkeys(each.lattice for passes in mounted for each in passes)
@@ -98,4 +102,20 @@ def _laid_out(schedule: ScheduleDescription, rig: RigDescription, gains: tuple[i
         timeline.dismount(passes[-1].sample)
     rows = PlannedRows(timeline.pieces, measuring)
     refuse_too_many_beside(schedule, rows.kinds)
-    return Plan(schedule, rig, rows, Made(measuring, mounted, orders, timeline.oldest_dark_s, without))
+    return Plan(
+        schedule, rig, rows, Made(measuring, mounted, orders, timeline.oldest_dark_s, timeline.timing.foreseen, without)
+    )
+
+
+def _foreseen(
+    schedule: ScheduleDescription, rig: RigDescription, mounted: list[list[Pass]], measuring: Measuring, timing: Timing
+) -> dict[str, float]:
+    """By sample, what a row takes to be read, where the light decides and there is a twin to ask."""
+    file = schedule.file
+    if file.averaging is None and file.gains_v_per_a != "automatic":
+        return {}
+    model = twin_of(rig, file.etalon, file.samples)
+    if model is None:
+        return {}
+    samples = {passes[0].sample: passes for passes in mounted}
+    return {name: reading_seconds(rig, model, passes, measuring.row(name), timing) for name, passes in samples.items()}

@@ -19,6 +19,8 @@ USB_LATENCY_S = 1.0e-3
 TINY = 1e-9
 LIKELY_GAINS = 2
 UNKNOWN: Floats = np.full(5, np.nan)
+Lots = tuple[int, tuple[int, ...]]
+"""A gain, and how many readings are taken at it, one lot after the other."""
 
 
 def least_warm_up_seconds(longest_s: float) -> float:
@@ -31,6 +33,8 @@ class Timing:
     """Follows the rows of a plan in order, knowing where each left the rig."""
 
     def __init__(self, rig: RigFile) -> None:
+        self.foreseen: dict[str, float] = {}
+        """By sample, what its rows take to be read, where that is not known from the schedule alone and was looked at."""
         self.moves = Moves(rig)
         self._monochromator = monochromator_settings(rig)
         self._photodiodes = photodiode_settings(rig)
@@ -71,10 +75,14 @@ class Timing:
 
     def readings_from_here(self, row: Row) -> float:
         """The same for a row that only might come next."""
+        if row.sample in self.foreseen and row.kind != "dark":
+            return self.foreseen[row.sample]
         return self._reading(self._likely(row, self._gain), self._likely_readings(row), self._gain)
 
     def usual_readings(self, row: Row) -> float:
         """The same for a row that comes after one like it."""
+        if row.sample in self.foreseen and row.kind != "dark":
+            return self.foreseen[row.sample]
         before = self._likely(row, None)[-1]
         return self._reading(self._likely(row, before), self._likely_readings(row), before)
 
@@ -91,7 +99,17 @@ class Timing:
 
     def longest_readings(self, row: Row) -> float:
         """The most that a plan takes such a row to need, wherever the amplifiers are before it."""
-        return self._reading(self._likely(row, None), self._likely_readings(row), None)
+        likely = self._reading(self._likely(row, None), self._likely_readings(row), None)
+        return max(likely, self.foreseen.get(row.sample, 0.0))
+
+    def lots_seconds(self, taken: list[Lots]) -> float:
+        """Of a row that is read at these gains, after one like it."""
+        seconds, before = 0.0, taken[-1][0]
+        for gain, (first, *further) in taken:
+            seconds += self._reading((gain,), first, before)
+            seconds += sum(self._reading((gain,), lot, gain) for lot in further)
+            before = gain
+        return seconds
 
     def _likely(self, row: Row, before: int | None) -> tuple[int, ...]:
         gains = in_order(row, before)
