@@ -8,6 +8,7 @@ import numpy.typing as npt
 from app.campaign.planning.lattice import Floats, Ints, Lattice, numbered
 from app.campaign.planning.moves import Moves
 from drivers import ArcClearance
+from drivers.interlock import WHOLE_TURN_DEG
 
 Flags = npt.NDArray[np.bool_]
 
@@ -81,14 +82,12 @@ def swept(clearance: ArcClearance, points: Floats) -> Flags:
 
 
 def swept_ways(clearance: ArcClearance, before: Floats, after: Floats) -> Flags:
-    """Which moves have the arc meet the beam on its way from points (n, 5) to others."""
-    ways = np.round(np.stack([before[:, 2], after[:, 2], before[:, 3], after[:, 3]], axis=1), 9)
-    if len(ways) == 0 or clearance.veto((ways[:, :2].min(), ways[:, :2].max()), (ways[:, 2:].max(),)) is None:
-        return np.zeros(len(ways), dtype=bool)
-    key = np.zeros(len(ways), dtype=np.int64)
-    for column in ways.T:
-        found, ranks = np.unique(column, return_inverse=True)
-        key = key * len(found) + ranks
-    _, first, back = np.unique(key, return_index=True, return_inverse=True)
-    hit = [clearance.veto(tuple(way[:2]), tuple(way[2:])) is not None for way in ways[first].tolist()]
-    return np.array(hit)[back]
+    """Which moves have the arc meet the beam on its way from points (n, 5) to others: `ArcClearance.veto`, for arrays."""
+    high = clearance.top_polar_deg + np.maximum(before[:, 3], after[:, 3]) > clearance.highest_deg
+    if not high.any():
+        return high
+    lowest, highest = np.minimum(before[:, 2], after[:, 2]), np.maximum(before[:, 2], after[:, 2])
+    begin = clearance.beam_azimuth_deg - clearance.half_width_deg
+    end = clearance.beam_azimuth_deg + clearance.half_width_deg
+    turns = np.floor_divide(lowest - end, WHOLE_TURN_DEG) + 1.0
+    return np.asarray(high & (begin + turns * WHOLE_TURN_DEG <= highest))

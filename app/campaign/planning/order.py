@@ -20,6 +20,8 @@ from app.campaign.schedule.file import NESTED, ScheduleFile
 from drivers import ArcClearance
 
 MOST_CHOICES = 3
+MANY, FEW_ENDS = 20_000, 1
+"""Of a lattice with many points few ends of loops are tried, unless the arc keeps clear of the beam in no other way."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,24 @@ def fastest_order(lattice: Lattice, file: ScheduleFile, moves: Moves, clearance:
     The pose of the drift checks can be reached from its ends, if that can be.
     """
     ends = drift_point(file)
+    order = None
+    for most in (FEW_ENDS, len(lattice.active)) if len(lattice) > MANY else (len(lattice.active),):
+        order = _fastest(lattice, file, moves, clearance, ends, most)
+        if order.seconds < float("inf"):
+            break
+    assert order is not None
+    return order
+
+
+def _fastest(
+    lattice: Lattice, file: ScheduleFile, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
+) -> Order:
+    """The same, of nests of which at most so many loops begin at their other ends."""
     nests = _estimated(lattice, file.back_and_forth, moves)
     tried: dict[Nest, float] = {}
     best: tuple[Nest, Ints] | None = None
     for nest in _contenders(nests, _columns_said(lattice, file)):
-        turned, sequence, tried_s = _begun_well(lattice, nest, moves, clearance, ends)
+        turned, sequence, tried_s = _begun_well(lattice, nest, moves, clearance, ends, most)
         tried[turned] = tried_s
         allowed = file.order == "fastest" or nest.columns == _columns_said(lattice, file)
         if allowed and (best is None or tried_s < tried[best[0]]):
@@ -70,10 +85,10 @@ def fastest_order(lattice: Lattice, file: ScheduleFile, moves: Moves, clearance:
 
 
 def _begun_well(
-    lattice: Lattice, nest: Nest, moves: Moves, clearance: ArcClearance, ends: Floats | None
+    lattice: Lattice, nest: Nest, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
 ) -> tuple[Nest, Ints, float]:
     """A nest with its order and seconds, begun at other ends of its loops where only then the arc keeps clear of the beam."""
-    for size in range(len(nest.columns) + 1):
+    for size in range(min(most, len(nest.columns)) + 1):
         for begun in combinations(nest.columns, size):
             turned = replace(nest, from_the_end=frozenset(begun))
             sequence = visited(lattice, turned, moves)

@@ -46,14 +46,14 @@ def _orders(
 ) -> Iterator[Ints]:
     if max(len(values) for values in lattice.values) > MOST_VALUES:
         return
-    steps = Steps(lattice, moves, clearance, ends)
     if len(lattice) <= MOST_POINTS:
+        steps = Steps(lattice, moves, clearance, ends)
         table = steps.table()
         for begun in (nested, islands(lattice, moves)):
             yield shortened(begun if clear else steps.joined(begun), table, WORK)
         return
     if not clear:
-        yield steps.joined(nested)
+        yield Steps(lattice, moves, clearance, ends).joined(nested)
     waves = len(lattice.wavelengths_nm)
     if waves > 1 and len(lattice.poses) <= MOST_POINTS:
         met, first = np.unique(nested // waves, return_index=True)
