@@ -22,7 +22,7 @@ Model = TypeVar("Model", bound=Table)
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     """The text of a TOML file and what it says. Raises UserError."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # some editors begin with a mark
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}; check the name") from None
     except UnicodeDecodeError:
@@ -73,8 +73,16 @@ def _reason(model: type[Table], fault: Any) -> str:
     if fault["type"] == "value_error":
         return str(fault["ctx"]["error"])
     given = fault["input"]
+    if fault["type"] == "union_tag_invalid":
+        return f"should be a {' or a '.join(_named(fault['ctx']['expected_tags']))}, not a {fault['ctx']['tag']}"
+    if fault["type"].startswith("date_") and isinstance(given, str):
+        return f"should be a date, not text: {given} without the quotes"
     shown = "" if isinstance(given, dict | list) else f", not {given!r}"
     return f"{fault['msg'][0].lower()}{fault['msg'][1:]}{shown}"
+
+
+def _named(tags: str) -> list[str]:
+    return [tag.strip(" '") for tag in tags.split(",")]
 
 
 def _known_keys(model: Any, seen: frozenset[Any] = frozenset()) -> list[str]:

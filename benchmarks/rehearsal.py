@@ -24,6 +24,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import serial
@@ -34,6 +35,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from app.campaign.planning.plan import Plan
 from app.campaign.rehearsing.rehearsal import performed, prepared, rehearse
+from app.campaign.rehearsing.warnings import heeded
 from app.campaign.rehearsing.watch import Watch
 from app.campaign.running.events import Event, RowCommitted
 from app.campaign.schedule.file import parse_schedule, read_schedule
@@ -127,7 +129,9 @@ def once(plan: Plan) -> list[float]:
     """One rehearsal: seconds of its rows."""
     rows = Rows()
     with tempfile.TemporaryDirectory() as folder:
-        performed(plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file)), [rows])
+        performed(
+            plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file), partial(heeded, plan)), [rows]
+        )
     return rows.seconds
 
 

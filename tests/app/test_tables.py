@@ -71,11 +71,16 @@ BAD_SCHEDULES = [
     (("shift_deg = [0, 1]", "shift_deg = [0, { start = 0, stop = 1, step = 0.3 }]"), r"shift_deg\.1: .*not a whole number"),
     (("shift_deg = [0, 1]", 'shift_deg = [0, "a"]'), r"shift_deg\.1: .*number"),
     (("shift_deg = [0, 1]", 'shift_deg = "all"'), r"shift_deg: .*list"),
-    (("[1e8, 1e10]", '"auto"'), r"gains_v_per_a: .*'automatic'"),
+    (("shift_deg = [0, 1]", "shift_deg = [[0]]"), r"shift_deg\.0: should be a range or a number, not a list"),
+    (("[1e8, 1e10]", '"auto"'), r"gains_v_per_a: should be 'automatic' or a list of gains, not 'auto'"),
+    (
+        ("dark_readings = 4", 'dark_readings = 4\n[certificate]\nfile = "c.csv"\nexpires = "2030-01-01"'),
+        r"certificate\.expires: should be a date, not text: 2030-01-01 without the quotes",
+    ),
     (('name = "small"', 'name = "small"\nside = "left"'), r"side: .*'front', 'back' or 'both'"),
     (('name = "small"', 'name = "small"\nlight = "scattered"'), r"light: .*'reflected', 'transmitted' or 'both'"),
     (('name = "small"', 'name = "small"\norder = ["shift", "beta"]'), r"order: must name each of gamma, sigma, beta, shift"),
-    (('name = "small"', 'name = "small"\norder = "slowest"'), r"order: .*'fastest'"),
+    (('name = "small"', 'name = "small"\norder = "slowest"'), r"order: should be 'fastest' or a list of all five loops"),
     (('name = "small"', 'name = "small"\nrepeats = 0'), r"repeats: .*greater than or equal to 1"),
     (("dark_readings = 4", "dark_readings = 4\n[near_specular]\nwithin_deg = 5"), r"near_specular: says neither"),
     (("dark_readings = 4", "dark_readings = 4\n[near_specular]\nshift_deg = [1]"), r"near_specular\.within_deg: is missing"),
@@ -94,6 +99,16 @@ def test_a_bad_schedule_gets_one_line_that_names_the_key(write_schedule: Writer,
         read_schedule(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_a_mark_at_the_beginning_of_a_file_does_no_harm(write_schedule: Writer) -> None:
+    path = write_schedule(("dark_readings = 4", 'dark_readings = 4\n[certificate]\nfile = "c.csv"\nexpires = 2999-01-01'))
+    table = "radiance_factor,relative_uncertainty\n0.98,0.002\n"
+    (path.parent / "c.csv").write_text(table, encoding="utf-8-sig")
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-8-sig")
+    found = read_schedule(path)
+    assert found.file.name == "small"
+    assert found.certificate == table
 
 
 BEYOND_THE_RIG = [

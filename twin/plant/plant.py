@@ -1,6 +1,7 @@
 """The instrument at a time t: where each axis is, what light passes, what each photodiode gives and each converter reads."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -158,6 +159,18 @@ class Plant:
                 seen = self.throughputs_m2sr(t, wavelength)
                 currents[: self.model.photodiodes.count] += responsivity * (self._radiance * light) * seen
         return currents * self._faded
+
+    def steady_photocurrents_a(self, aspect: Aspect, filter_position: int = 1) -> Floats:
+        """Of the photodiodes, for a lamp of level 1 behind the open shutter, without dark current, in some aspect and with the
+        filter wheel at some position.
+        """
+        currents = np.zeros(self.model.photodiodes.count)
+        for wavelength, share in self.model.order_sorting.passing(aspect.wavelength_nm, filter_position):
+            light = self._radiance * (share * float(np.interp(wavelength, *self._lamp_spectrum)))
+            if light > 0.0:
+                responsivity = float(np.interp(wavelength, *self._responsivity))
+                currents += responsivity * light * self.view.throughputs_m2sr(replace(aspect, wavelength_nm=wavelength))
+        return currents
 
     def volts(self, module: int, t: float) -> Floats:
         """What the last finished conversion of each channel of a module saw, V (8,): the same number until the next."""

@@ -25,17 +25,24 @@ def mirror_images(file: ScheduleFile, rig: RigFile, poses: Floats) -> Floats:
         return np.zeros((0, 4))
     points = file.symmetry_check.points
     plain = poses[poses[:, 3] == grid_values(file.shift_deg)[0]]
-    clear, most = np.zeros((0, 4)), 0
+    told: dict[int, str] = {}
     for turn in CHECK_TURNS_DEG:
         mirrored = images(plain, file.symmetry, turn)
-        usable = mirrored[np.any(mirrored != plain, axis=1) & _reached(rig, mirrored) & _clear(rig, poses, mirrored)]
-        most = max(most, len(usable))
+        others = np.any(mirrored != plain, axis=1)
+        reached = others & _reached(rig, mirrored)
+        usable = mirrored[reached & _clear(rig, plain, mirrored)]
         if len(usable) >= points:
-            clear = usable
-            break
-    if len(clear) < points:
-        raise ValueError(f"symmetry_check.points: {points}, but the rig reaches the mirror images of {most} poses; take fewer")
-    return np.asarray(clear[np.round(np.linspace(0, len(clear) - 1, points)).astype(int)])
+            return np.asarray(usable[np.round(np.linspace(0, len(usable) - 1, points)).astype(int)])
+        counts = {
+            "are their own": int((~others).sum()),
+            "beyond the limits of gamma or beta": int((others & ~reached).sum()),
+            "behind the incoming beam": int(reached.sum()) - len(usable),
+        }
+        told.setdefault(len(usable), ", ".join(f"{count} {why}" for why, count in counts.items() if count))
+    most = max(told)
+    why = f" of {len(plain)} ({told[most]})" if told[most] else ""
+    remedy = "take fewer" if most else "leave [symmetry_check] out, or take gammas and betas whose images the rig reaches"
+    raise ValueError(f"symmetry_check.points: {points}, but the rig reaches the mirror images of {most} poses{why}; {remedy}")
 
 
 def _reached(rig: RigFile, poses: Floats) -> Flags:
@@ -47,10 +54,13 @@ def _reached(rig: RigFile, poses: Floats) -> Flags:
 
 
 def _clear(rig: RigFile, poses: Floats, mirrored: Floats) -> Flags:
-    """Which can be reached from all other poses, and left for them, without sweeping through the beam."""
+    """Which can be reached from some of the poses, at their shift, without sweeping through the beam."""
     clearance = arc_clearance(rig)
-    low, high, shift = poses[:, 2].min(), poses[:, 2].max(), float(poses[:, 3].max())
-    free = {beta: clearance.veto((low, high, beta), (shift,)) is None for beta in np.unique(mirrored[:, 2]).tolist()}
+    betas, shift = np.unique(poses[:, 2]), float(poses[:, 3].max())
+    free = {
+        beta: clearance.veto((beta, float(betas[np.abs(betas - beta).argmin()])), (shift,)) is None
+        for beta in np.unique(mirrored[:, 2]).tolist()
+    }
     return np.array([free[beta] for beta in mirrored[:, 2].tolist()], dtype=bool)
 
 

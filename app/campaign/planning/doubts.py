@@ -1,15 +1,18 @@
 """What a plan should be looked at again for: warnings, a sentence each."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 from app.campaign.planning.coverage import uncovered
 from app.campaign.planning.crosschecks import overlapping_step_deg
 from app.campaign.planning.directions import Seen
+from app.campaign.planning.foreseen import LOOKED_AT
 from app.campaign.planning.lightless import lightless
 from app.campaign.planning.plan import Made, Plan
 from app.campaign.planning.planned_rows import PlannedRows
 from app.campaign.planning.sides import incidence_deg
-from app.campaign.planning.timing import LEAST_WARM_UP_S, Timing
+from app.campaign.planning.timeline import Run
+from app.campaign.planning.timing import Timing, least_warm_up_seconds
 from app.campaign.planning.watching import unwatched
 from app.campaign.schedule.grids import grid_values
 from app.campaign.spoken import clock_time
@@ -22,6 +25,7 @@ SECOND_ORDER_NM = 710.0
 def doubts(plan: Plan, made: Made, seen: list[Seen]) -> list[str]:
     """All of them."""
     return [
+        *_left_out(plan, made),
         *_hidden(seen),
         *uncovered(plan.schedule, seen),
         *lightless(plan, seen),
@@ -31,6 +35,15 @@ def doubts(plan: Plan, made: Made, seen: list[Seen]) -> list[str]:
         *_light(plan),
         *_guessed(plan),
     ]
+
+
+def _left_out(plan: Plan, made: Made) -> Iterator[str]:
+    for name in made.without:
+        points = getattr(plan.schedule.file, name).points
+        yield (
+            f"[{name}] points = {points} is left out: the arc would meet the incoming beam on its way to its poses, whatever "
+            "the order; take betas on one side of the beam, or remove it"
+        )
 
 
 def _hidden(seen: list[Seen]) -> Iterator[str]:
@@ -64,8 +77,8 @@ def _darks(plan: Plan, made: Made) -> Iterator[str]:
     every = plan.schedule.file.dark_every_s
     if made.oldest_dark_s > every:
         yield (
-            f"a dark gets {made.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: "
-            "a single row takes longer; take fewer readings, or allow older darks"
+            f"a dark gets {made.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes longer, "
+            "with its move and its readings; allow older darks, or take fewer readings"
         )
 
 
@@ -112,18 +125,41 @@ def _guessed(plan: Plan) -> Iterator[str]:
         least, most = duration_range(plan)
         yield (
             f"the duration is a guess, for {' and '.join(unknown)} is known afterwards: it may be from about "
-            f"{clock_time(least)} to {clock_time(most)}; a rehearsal knows better"
+            f"{clock_time(least)} to {clock_time(most)}; {_stands_on(plan)}a rehearsal knows better"
         )
+
+
+def _stands_on(plan: Plan) -> str:
+    """What the guess is taken from."""
+    if plan.made is None or not plan.made.foreseen:
+        return ""
+    whose = "the twin" if plan.rig.file.twin is not None else "the twin that the rig's file describes, its samples assumed,"
+    return f"it stands on the light of {whose} in up to {LOOKED_AT} poses and wavelengths of each sample; "
 
 
 def duration_range(plan: Plan) -> tuple[float, float]:
     """The least and the most that the foretold duration could turn out to be, by what sample and lamp need; about, in s."""
     assert plan.made is not None
     assert isinstance(plan.rows, PlannedRows)
-    timing, row = Timing(plan.rig.file), plan.made.measuring.row("")
-    likely = timing.usual_readings(row)
-    measured = sum(plan.rows.kinds.get(kind, 0) for kind in ("measure", "drift"))
+    timing = Timing(plan.rig.file)
+    timing.foreseen.update(plan.made.foreseen)
     warm_up = plan.schedule.file.warm_up
-    waiting = 0.0 if warm_up is None else max(0.0, warm_up.longest_s - LEAST_WARM_UP_S)
-    least, most = (plan.seconds + measured * (seconds - likely) for seconds in timing.readings_range(row))
+    waiting = 0.0 if warm_up is None else warm_up.longest_s - least_warm_up_seconds(warm_up.longest_s)
+    least = most = plan.seconds
+    for sample, rows in _rows_by_sample(plan.rows).items():
+        row = plan.made.measuring.row(sample)
+        likely = timing.usual_readings(row)
+        fewest, highest = timing.readings_range(row)
+        least, most = least + rows * (fewest - likely), most + rows * (highest - likely)
     return least, most + waiting
+
+
+def _rows_by_sample(rows: PlannedRows) -> Counter[str]:
+    """Measurements and drift checks."""
+    counted: Counter[str] = Counter()
+    for piece in rows.pieces:
+        if isinstance(piece, Run):
+            counted[piece.of.sample] += len(piece.points)
+        elif piece.kind == "drift":
+            counted[piece.sample] += 1
+    return counted

@@ -1,17 +1,22 @@
 """The least time that a whole plan takes, in whatever order: see docs/decisions/0013."""
 
 import math
+from itertools import product
+
+import numpy as np
 
 from app.campaign.planning.bound import least_moving_seconds
-from app.campaign.planning.lattice import Lattice
+from app.campaign.planning.lattice import WAVELENGTH, Lattice
 from app.campaign.planning.passes import Pass
 from app.campaign.planning.plan import Plan
-from app.campaign.planning.timing import Timing
+from app.campaign.planning.timing import TINY, Timing, fewest_stretches, least_warm_up_seconds
 from app.campaign.row import NOTHING
+
+MOST_WAVES = 1000
 
 
 def least_seconds(plan: Plan) -> float:
-    """Readings, the least moving, and as many darks and drift checks as that takes at least."""
+    """The least readings that each row can do with, the least moving, and as many darks and drift checks as that takes."""
     assert plan.made is not None
     timing = Timing(plan.rig.file)
     moving: dict[Lattice, float] = {}
@@ -19,7 +24,9 @@ def least_seconds(plan: Plan) -> float:
         for each in passes:
             if each.lattice not in moving:
                 moving[each.lattice] = least_moving_seconds(each.lattice, timing.moves)
-    return sum(_mounted(plan, passes, moving, timing) for passes in plan.made.mountings)
+    warm_up = plan.schedule.file.warm_up
+    waited = 0.0 if warm_up is None else least_warm_up_seconds(warm_up.longest_s)
+    return waited + sum(_mounted(plan, passes, moving, timing) for passes in plan.made.mountings)
 
 
 def _mounted(plan: Plan, passes: list[Pass], moving: dict[Lattice, float], timing: Timing) -> float:
@@ -28,13 +35,34 @@ def _mounted(plan: Plan, passes: list[Pass], moving: dict[Lattice, float], timin
     assert plan.made is not None
     measuring = plan.made.measuring
     row = measuring.row(passes[0].sample)
-    reading = timing.usual_readings(row) + timing.readback_s
-    measured = sum(len(each.lattice) * reading + moving[each.lattice] for each in passes)
-    drifts = 0
+    reading = timing.readings_range(row)[0] + timing.readback_s
+    rows = sum(len(each.lattice) for each in passes)
     if file.drift is not None and passes[0].sample != NOTHING:
-        drifts = math.ceil(measured / file.drift.every_s) + 1
-    measured += drifts * reading
-    darks = math.ceil(measured / file.dark_every_s) + 1
+        rows += 1 + fewest_stretches(rows, reading, file.drift.every_s)
+    measured = rows * reading + sum(moving[each.lattice] for each in passes)
+    stretches = fewest_stretches(rows, reading, file.dark_every_s)
+    if _longest_row_seconds(plan, passes, timing) <= file.dark_every_s:
+        stretches = max(stretches, math.ceil(measured / file.dark_every_s - TINY))
     shutters = timing.shutter(opened=True) + timing.shutter(opened=False)
     dark = measuring.dark("", 0)
-    return measured + darks * timing.usual_readings(dark) + (darks - 1) * shutters
+    return measured + (stretches + 1) * timing.usual_readings(dark) + stretches * shutters
+
+
+def _longest_row_seconds(plan: Plan, passes: list[Pass], timing: Timing) -> float:
+    """The most that a row takes in any order: right across all axes, with what only the first one after a dark needs."""
+    assert plan.made is not None
+    drift = plan.schedule.file.drift
+    ends = [each.lattice.values for each in passes]
+    if drift is not None:
+        pose = (drift.gamma_deg, drift.sigma_deg, drift.beta_deg, drift.shift_deg, drift.wavelength_nm)
+        ends.append([np.array([value]) for value in pose])
+    both = [sorted({float(f(values[k])) for values in ends for f in (np.min, np.max)}) for k in range(WAVELENGTH + 1)]
+    corners = np.array(list(product(*((each[0], each[-1]) for each in both))))
+    moving = timing.moves.seconds(corners, corners[::-1])
+    # The way along the wavelengths that takes longest need not be that from end to end.
+    waves = np.unique(np.concatenate([values[WAVELENGTH] for values in ends]))[:MOST_WAVES]
+    slewing = timing.moves.one_step(WAVELENGTH)
+    beyond = slewing(np.repeat(waves, len(waves)), np.tile(waves, len(waves))).max() - slewing(waves[:1], waves[-1:])[0]
+    row = plan.made.measuring.row(passes[0].sample)
+    reading = timing.longest_readings(row) + timing.readback_s
+    return float(moving.max() + max(0.0, beyond)) + timing.shutter_seconds(opened=True) + reading

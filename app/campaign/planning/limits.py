@@ -1,52 +1,14 @@
 """What a rig cannot do of a schedule, said before anything is built: file, key, reason, remedy."""
 
-import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from app.campaign.planning.sides import lit_sides, rig_sigma_deg
-from app.campaign.planning.symmetry import one_of_each
 from app.campaign.schedule.file import ScheduleDescription, ScheduleFile
 from app.campaign.schedule.grids import grid_values
 from app.errors import UserError
 from app.rig import AXES, RigDescription, axis_settings
 from drivers import LimitError
 from drivers.axis import Axis, AxisSettings
-
-MOST_ROWS = 1_000_000
-
-
-def refuse_too_many(schedule: ScheduleDescription) -> None:
-    """Raises UserError with the arithmetic where the grids alone make more rows than a campaign may have."""
-    file = schedule.file
-    counts = {
-        "samples and etalon": len(file.samples) + 1 + file.signature,
-        "sides": len(lit_sides(file)),
-        "sigma_deg": len(grid_values(file.sigma_deg)),
-        **_turns(file),
-        "shift_deg": len(grid_values(file.shift_deg)),
-        "wavelength_nm": len(grid_values(file.wavelength_nm)),
-        "repeats": file.repeats,
-    }
-    rows = math.prod(counts.values())
-    if rows > MOST_ROWS:
-        sums = " x ".join(f"{count} {key}" for key, count in counts.items() if count > 1)
-        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take coarser grids")
-
-
-def _turns(file: ScheduleFile) -> dict[str, int]:
-    """How many gammas and betas are left when the symmetry has made some of them superfluous."""
-    gammas, betas = grid_values(file.gamma_deg), grid_values(file.beta_deg)
-    if file.symmetry == "isotropic":
-        poses = np.zeros((len(betas), 4))
-        poses[:, 2] = betas
-        return {"beta_deg": int(one_of_each(poses, file.symmetry).sum())}
-    if file.symmetry == "plane-symmetric" and len(gammas) * len(betas) <= MOST_ROWS:
-        poses = np.zeros((len(gammas) * len(betas), 4))
-        poses[:, 0], poses[:, 2] = np.repeat(gammas, len(betas)), np.tile(betas, len(gammas))
-        return {"pairs of gamma_deg and beta_deg": int(one_of_each(poses, file.symmetry).sum())}
-    return {"gamma_deg": len(gammas), "beta_deg": len(betas)}
 
 
 def refuse_beyond_limits(schedule: ScheduleDescription, rig: RigDescription) -> None:

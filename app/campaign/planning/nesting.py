@@ -3,10 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from app.campaign.planning.lattice import Floats, Ints, Lattice, numbered
 from app.campaign.planning.moves import Moves
 from drivers import ArcClearance
+from drivers.interlock import WHOLE_TURN_DEG
+
+Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -26,41 +30,64 @@ def visited(lattice: Lattice, nest: Nest, moves: Moves) -> Ints:
 
     A loop that goes back and forth turns round where it was within the loop around it, and only where it has moved.
     """
-    place, places = np.zeros(len(lattice), dtype=np.int64), 1
+    loops = []
     for column, both in zip(nest.columns, nest.back_and_forth, strict=True):
         size = len(lattice.values[column])
         ranks = lattice.ranks[column] if moves.backlash(column) >= 0 else size - 1 - lattice.ranks[column]
-        found, inner = numbered(place * size + ranks, places * size)
-        turns = np.bincount(found // size, minlength=places)
+        loops.append(Loop(ranks, size, both, column in nest.from_the_end))
+    return looped(len(lattice), loops)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Which turn of a loop each point belongs to, (n,), of how many, and how it goes: back and forth, and from which end."""
+
+    turns: Ints
+    size: int
+    back_and_forth: bool = True
+    from_the_end: bool = False
+
+
+def looped(points: int, loops: list[Loop]) -> Ints:
+    """The numbers of so many points in the order in which nested loops, the outermost first, come to them."""
+    place, places = np.zeros(points, dtype=np.int64), 1
+    for loop in loops:
+        found, inner = numbered(place * loop.size + loop.turns, places * loop.size)
+        turns = np.bincount(found // loop.size, minlength=places)
         first = np.cumsum(turns) - turns
-        if both:
+        if loop.back_and_forth:
             moved = (turns > 1).astype(np.int64)
-            back = np.mod(np.cumsum(moved) - moved + (column in nest.from_the_end), 2).astype(bool)
+            back = np.mod(np.cumsum(moved) - moved + loop.from_the_end, 2).astype(bool)
             inner = np.where(back[place], (2 * first + turns - 1)[place] - inner, inner)
         place, places = inner, len(found)
-    order = np.empty(len(lattice), dtype=np.int64)
-    order[place] = np.arange(len(lattice))
+    order = np.empty(points, dtype=np.int64)
+    order[place] = np.arange(points)
     return order
 
 
-def moving_seconds(moves: Moves, clearance: ArcClearance, points: Floats) -> float:
-    """All moves from each of points (n, 5) to the next; infinite where the arc would meet the beam on its way."""
-    if swept(clearance, points).any():
+def moving_seconds(moves: Moves, clearance: ArcClearance, points: Floats, ends: Floats | None = None) -> float:
+    """All moves from each of points (n, 5) to the next; infinite where the arc would meet the beam on its way.
+
+    Or on its way from `ends` (5,) to the first of them, or from the last to there.
+    """
+    way = points if ends is None else np.concatenate([ends[None], points, ends[None]])
+    if swept(clearance, way).any():
         return float("inf")
     return float(moves.seconds(points[:-1], points[1:]).sum())
 
 
-def swept(clearance: ArcClearance, points: Floats) -> Ints:
-    """The numbers (n - 1,) of the moves between points (n, 5) on which the arc would meet the beam: 1 where it would."""
-    none = np.zeros(max(len(points) - 1, 0), dtype=np.int64)
-    beta, shift = points[:, 2], points[:, 3]
-    if len(points) == 0 or clearance.veto((beta.min(), beta.max()), (shift.max(),)) is None:
-        return none
-    ways = np.round(np.stack([beta[:-1], beta[1:], shift[:-1], shift[1:]], axis=1), 9)
-    key = np.zeros(len(ways), dtype=np.int64)
-    for column in ways.T:
-        found, ranks = np.unique(column, return_inverse=True)
-        key = key * len(found) + ranks
-    _, first, back = np.unique(key, return_index=True, return_inverse=True)
-    hit = [clearance.veto(tuple(way[:2]), tuple(way[2:])) is not None for way in ways[first].tolist()]
-    return np.asarray(hit, dtype=np.int64)[back]
+def swept(clearance: ArcClearance, points: Floats) -> Flags:
+    """Which of the moves (n - 1,) between points (n, 5) have the arc meet the beam."""
+    return swept_ways(clearance, points[:-1], points[1:])
+
+
+def swept_ways(clearance: ArcClearance, before: Floats, after: Floats) -> Flags:
+    """Which moves have the arc meet the beam on its way from points (n, 5) to others: `ArcClearance.veto`, for arrays."""
+    high = clearance.top_polar_deg + np.maximum(before[:, 3], after[:, 3]) > clearance.highest_deg
+    if not high.any():
+        return high
+    lowest, highest = np.minimum(before[:, 2], after[:, 2]), np.maximum(before[:, 2], after[:, 2])
+    begin = clearance.beam_azimuth_deg - clearance.half_width_deg
+    end = clearance.beam_azimuth_deg + clearance.half_width_deg
+    turns = np.floor_divide(lowest - end, WHOLE_TURN_DEG) + 1.0
+    return np.asarray(high & (begin + turns * WHOLE_TURN_DEG <= highest))

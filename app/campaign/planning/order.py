@@ -2,8 +2,9 @@
 
 All nestings are estimated from how often each of their loops steps and what a step costs. Of the best with each loop
 innermost, and of the best with the wavelength outermost, every single move is then added up: these are what the words
-compare, and the fastest of them is taken. Where wavelengths share filters, there are nests that do one filter after the other,
-too, with poses between the loop over the filters and that over the wavelengths of each.
+compare, and the fastest of them is taken, rearranged where that makes it shorter still. Where wavelengths share filters, there
+are nests that do one filter after the other, too, with poses between the loop over the filters and that over the wavelengths of
+each.
 """
 
 from collections.abc import Iterator
@@ -12,51 +13,88 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from app.campaign.planning.lattice import FILTER, WAVELENGTH, Ints, Lattice
+from app.campaign.planning.lattice import FILTER, WAVELENGTH, Floats, Ints, Lattice
 from app.campaign.planning.moves import Moves
 from app.campaign.planning.nesting import Nest, moving_seconds, visited
+from app.campaign.planning.passes import drift_point
+from app.campaign.planning.rearranging import rearranged
 from app.campaign.schedule.file import NESTED, ScheduleFile
 from drivers import ArcClearance
+
+MOST_CHOICES = 3
+MANY, FEW_ENDS = 20_000, 1
+"""Of a lattice with many points few ends of loops are tried, unless the arc keeps clear of the beam in no other way."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """The order of a lattice's points: their numbers, the nest that gives it, and the seconds of moving of all nests that
-    were tried, this one's among them.
+    """The order of a lattice's points: their numbers, its seconds of moving (without what comes before the first point), the
+    nest that gives it or that it was rearranged from, and the seconds of all nests that were tried, this one's among them.
     """
 
     sequence: Ints
+    seconds: float
     nest: Nest
     tried: dict[Nest, float]
+    others: tuple[tuple[Ints, float], ...] = ()
 
     @property
-    def seconds(self) -> float:
-        """Of moving, without what comes before the first point."""
-        return self.tried[self.nest]
+    def choices(self) -> list["Order"]:
+        """This one, and others that are slower by themselves and may be faster with what comes before and after."""
+        return [self, *(replace(self, sequence=sequence, seconds=seconds, others=()) for sequence, seconds in self.others)]
+
+    @property
+    def rearranged(self) -> bool:
+        """Whether it is better than its nest."""
+        return self.seconds < self.tried[self.nest]
 
 
 def fastest_order(lattice: Lattice, file: ScheduleFile, moves: Moves, clearance: ArcClearance) -> Order:
-    """The order of least time; where the schedule says an `order`, the least within that nesting."""
+    """The order of least time; where the schedule says an `order`, the least within that nesting.
+
+    The pose of the drift checks can be reached from its ends, if that can be.
+    """
+    ends = drift_point(file)
+    order = None
+    for most in (FEW_ENDS, len(lattice.active)) if len(lattice) > MANY else (len(lattice.active),):
+        order = _fastest(lattice, file, moves, clearance, ends, most)
+        if order.seconds < float("inf"):
+            break
+    assert order is not None
+    return order
+
+
+def _fastest(
+    lattice: Lattice, file: ScheduleFile, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
+) -> Order:
+    """The same, of nests of which at most so many loops begin at their other ends."""
     nests = _estimated(lattice, file.back_and_forth, moves)
     tried: dict[Nest, float] = {}
     best: tuple[Nest, Ints] | None = None
     for nest in _contenders(nests, _columns_said(lattice, file)):
-        turned, sequence, tried_s = _begun_well(lattice, nest, moves, clearance)
+        turned, sequence, tried_s = _begun_well(lattice, nest, moves, clearance, ends, most)
         tried[turned] = tried_s
         allowed = file.order == "fastest" or nest.columns == _columns_said(lattice, file)
         if allowed and (best is None or tried_s < tried[best[0]]):
             best = turned, sequence
     assert best is not None
-    return Order(best[1], best[0], tried)
+    nest, sequence = best
+    found = [(sequence, tried[nest])]
+    if file.order == "fastest" and file.back_and_forth:
+        found += rearranged(lattice, moves, clearance, sequence, tried[nest], ends)
+    found = sorted(found, key=lambda each: each[1])[:MOST_CHOICES]
+    return Order(*found[0], nest, tried, tuple(each for each in found[1:] if each[1] < float("inf")))
 
 
-def _begun_well(lattice: Lattice, nest: Nest, moves: Moves, clearance: ArcClearance) -> tuple[Nest, Ints, float]:
+def _begun_well(
+    lattice: Lattice, nest: Nest, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
+) -> tuple[Nest, Ints, float]:
     """A nest with its order and seconds, begun at other ends of its loops where only then the arc keeps clear of the beam."""
-    for size in range(len(nest.columns) + 1):
-        for ends in combinations(nest.columns, size):
-            turned = replace(nest, from_the_end=frozenset(ends))
+    for size in range(min(most, len(nest.columns)) + 1):
+        for begun in combinations(nest.columns, size):
+            turned = replace(nest, from_the_end=frozenset(begun))
             sequence = visited(lattice, turned, moves)
-            seconds = moving_seconds(moves, clearance, lattice.points[sequence])
+            seconds = moving_seconds(moves, clearance, lattice.points[sequence], ends)
             if seconds < float("inf"):
                 return turned, sequence, seconds
     return turned, sequence, seconds

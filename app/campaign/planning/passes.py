@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from app.campaign.planning.crosschecks import open_beam_poses
-from app.campaign.planning.lattice import Ints, Lattice
+from app.campaign.planning.lattice import Floats, Ints, Lattice
 from app.campaign.planning.poses import Poses, etalon_poses, sample_poses
 from app.campaign.row import MIRRORED, NOTHING
 from app.campaign.schedule.file import ScheduleFile
@@ -58,3 +58,11 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
         poses = Poses(beam, np.zeros(len(beam), dtype=bool), 0)
         empty.append(Pass(NOTHING, poses, Lattice(beam, wavelengths, filters), purpose="/open beam"))
     return [*found, empty] if empty else found
+
+
+def drift_point(file: ScheduleFile) -> Floats | None:
+    """Pose and wavelength (5,) of the drift checks; None where there are none."""
+    drift = file.drift
+    if drift is None:
+        return None
+    return np.array([drift.gamma_deg, drift.sigma_deg, drift.beta_deg, drift.shift_deg, drift.wavelength_nm])

@@ -4,24 +4,21 @@ A row is a commit point. Darks and mountings are rows like any other.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from app.campaign.planning.chaining import Chain
 from app.campaign.planning.coverage import refuse_uncertified
-from app.campaign.planning.lattice import Ints, Lattice
-from app.campaign.planning.limits import (
-    MOST_ROWS,
-    gain_numbers,
-    refuse_beyond_limits,
-    refuse_too_many,
-    refuse_unknown_samples,
-)
-from app.campaign.planning.nesting import swept
+from app.campaign.planning.foreseen import reading_seconds, twin_of
+from app.campaign.planning.lattice import Lattice
+from app.campaign.planning.limits import gain_numbers, refuse_beyond_limits, refuse_unknown_samples
 from app.campaign.planning.order import Order, fastest_order
 from app.campaign.planning.passes import Pass, mountings
 from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.timeline import Measuring, Run, Timeline
+from app.campaign.planning.row_limit import fewest_rows, refuse_too_many, refuse_too_many_beside, refuse_too_many_poses
+from app.campaign.planning.sweeps import first_sweep, other_schedules, spared
+from app.campaign.planning.timeline import Measuring, Timeline
 from app.campaign.planning.timing import Timing
 from app.campaign.row import Row
 from app.campaign.schedule.file import ScheduleDescription
@@ -31,14 +28,17 @@ from app.rig import RigDescription, arc_clearance
 
 @dataclass(frozen=True)
 class Made:
-    """How a plan was made: how its rows are read, what is measured of what is mounted, the orders of its lattices, and how
-    old a dark gets.
+    """How a plan was made: how its rows are read, what is measured of what is mounted, the orders of its lattices, how old a
+    dark gets, what a row with each sample takes to be read (s, where a twin's light says so), and the schedule's tables that
+    had to be left out to keep the arc clear of the beam.
     """
 
     measuring: Measuring
     mountings: list[list[Pass]]
     orders: dict[Lattice, Order]
     oldest_dark_s: float
+    foreseen: dict[str, float]
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,89 +57,67 @@ class Plan:
 
 
 def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
-    """The rows of a schedule on a rig. Raises UserError for what the rig cannot do, naming file and key."""
-    file = schedule.file
+    """The rows of a schedule on a rig. Raises UserError for what the rig cannot do, naming file and key.
+
+    Where the arc would meet the beam, cross-checks are left out rather than the campaign.
+    """
     refuse_too_many(schedule)
     refuse_beyond_limits(schedule, rig)
-    measuring = Measuring(file, gain_numbers(schedule, rig))
+    gains = gain_numbers(schedule, rig)
     refuse_unknown_samples(schedule, rig)
+    refusal = None
+    for without in spared(schedule.file):
+        plan = _laid_out(schedule, rig, gains, without)
+        sweep = first_sweep(plan.rows, arc_clearance(rig.file))
+        if sweep is None:
+            return plan
+        refusal = refusal or sweep
+    for key, other in other_schedules(schedule.file):
+        if first_sweep(_laid_out(replace(schedule, file=other), rig, gains, ()).rows, arc_clearance(rig.file)) is None:
+            raise UserError(f"{schedule.name}: {refusal}; change {key}")
+    raise UserError(f"{schedule.name}: {refusal}; change beta_deg or shift_deg")
+
+
+def _laid_out(schedule: ScheduleDescription, rig: RigDescription, gains: tuple[int, ...], without: tuple[str, ...]) -> Plan:
+    """A plan `without` some tables of its schedule, whatever its arc meets on its way. Raises UserError."""
+    file = schedule.file.model_copy(update=dict.fromkeys(without))
+    measuring, clearance = Measuring(file, gains), arc_clearance(rig.file)
     try:
         mounted = mountings(file, rig.file)
     except ValueError as error:
         raise UserError(f"{schedule.name}: {error}") from None
-    _refuse_too_many_after_all(schedule, mounted)
+    refuse_too_many_poses(schedule, mounted)
     refuse_uncertified(schedule, rig.file, mounted[1][0].poses.angles)
-    timeline = Timeline(file, measuring, Timing(rig.file))
-    orders: dict[Lattice, Order] = {}
+    timeline = Timeline(file, measuring, Timing(rig.file), clearance)
+    refuse_too_many_beside(schedule, fewest_rows(mounted, measuring, timeline.timing), "at least ")
+    timeline.timing.foreseen.update(_foreseen(schedule, rig, mounted, measuring, timeline.timing))
     timeline.warm_up(float(np.median(mounted[0][0].lattice.wavelengths_nm)))
+    moves = timeline.timing.moves
+    lattices = dict.fromkeys(each.lattice for passes in mounted for each in passes)
+    found = {lattice: fastest_order(lattice, file, moves, clearance) for lattice in lattices}
+    orders, sequences = Chain(mounted, file, moves, clearance).fastest(found, timeline.timing.here)
+    turn = iter(sequences)
     for passes in mounted:
         timeline.mount(passes[0].sample)
         for each in passes:
-            if each.lattice not in orders:
-                orders[each.lattice] = fastest_order(each.lattice, file, timeline.timing.moves, arc_clearance(rig.file))
-            sequence = orders[each.lattice].sequence
-            if file.back_and_forth:
-                sequence = _onward(each.lattice, sequence, timeline.timing, rig)
-            timeline.measure(each, sequence)
+            timeline.measure(each, next(turn))
         timeline.dismount(passes[-1].sample)
-    plan = Plan(
-        schedule, rig, PlannedRows(timeline.pieces, measuring), Made(measuring, mounted, orders, timeline.oldest_dark_s)
+    rows = PlannedRows(timeline.pieces, measuring)
+    refuse_too_many_beside(schedule, rows.kinds)
+    return Plan(
+        schedule, rig, rows, Made(measuring, mounted, orders, timeline.oldest_dark_s, timeline.timing.foreseen, without)
     )
-    _refuse_sweeps(plan)
-    return plan
 
 
-def _onward(lattice: Lattice, forth: Ints, timing: Timing, rig: RigDescription) -> Ints:
-    """An order, or its reverse where that takes less time from where the last pass has left the rig."""
-    clearance = arc_clearance(rig.file)
-
-    def seconds(sequence: Ints) -> float:
-        points = lattice.points[sequence]
-        here = timing.here[None] if not np.isnan(timing.here).any() else points[:1]
-        if swept(clearance, np.concatenate([here, points])).any():
-            return float("inf")
-        first = timing.moves.seconds(timing.here[None], points[:1])
-        return float(first[0] + timing.moves.seconds(points[:-1], points[1:]).sum())
-
-    return min((forth, forth[::-1]), key=seconds)
-
-
-def _refuse_too_many_after_all(schedule: ScheduleDescription, mounted: list[list[Pass]]) -> None:
-    """What comes beyond the grids counts, too."""
-    sums = [
-        (sum(len(each.lattice) for each in passes), passes[0].sample, len(passes[0].lattice.poses), len(passes))
-        for passes in mounted
-    ]
-    rows = sum(count for count, *_ in sums)
-    if rows > MOST_ROWS:
-        wavelengths = len(mounted[0][0].lattice.wavelengths_nm)
-        told = " + ".join(
-            f"{sample}: {poses} poses x {wavelengths} wavelengths x {passes} passes" for _, sample, poses, passes in sums
-        )
-        raise UserError(
-            f"{schedule.name}: {told} = {rows} rows, more than {MOST_ROWS}; take coarser grids, or a narrower near_specular"
-        )
-
-
-def _refuse_sweeps(plan: Plan) -> None:
-    """No row may have the arc sweep through what it must keep clear of, on its way from the row before."""
-    clearance = arc_clearance(plan.rig.file)
-    assert isinstance(plan.rows, PlannedRows)
-    last = None
-    for piece in plan.rows.pieces:
-        if isinstance(piece, Run):
-            points = piece.of.lattice.points[piece.points]
-        elif piece.pose is not None:
-            points = np.array([[*piece.pose, 0.0]])
-        else:
-            continue
-        way = points if last is None else np.concatenate([last, points])
-        hits = np.flatnonzero(swept(clearance, way[:1].repeat(2, axis=0) if len(way) == 1 else way))
-        if hits.size:
-            k = int(hits[0])
-            first, then = way[k], way[min(k + 1, len(way) - 1)]
-            reason = clearance.veto((first[2], then[2]), (first[3], then[3]))
-            place = k if last is not None else k + 1
-            identity = piece.of.identities(piece.points[place : place + 1])[0] if isinstance(piece, Run) else piece.identity
-            raise UserError(f"{plan.schedule.name}: on the way to {identity}: {reason}; change beta_deg or shift_deg")
-        last = points[-1:]
+def _foreseen(
+    schedule: ScheduleDescription, rig: RigDescription, mounted: list[list[Pass]], measuring: Measuring, timing: Timing
+) -> dict[str, float]:
+    """By sample, what a row takes to be read, where the light decides and there is a twin to ask."""
+    file = schedule.file
+    if file.averaging is None and file.gains_v_per_a != "automatic":
+        return {}
+    model = twin_of(rig, file.etalon, file.samples)
+    if model is None:
+        return {}
+    samples = {passes[0].sample: passes for passes in mounted}
+    return {name: reading_seconds(rig, model, passes, measuring.row(name), timing) for name, passes in samples.items()}

@@ -13,6 +13,7 @@ from app.campaign.schedule.file import NESTED
 from app.campaign.spoken import clock_time
 
 LOOPS = (*NESTED, "filter")
+REARRANGED = "rearranged where steps are uneven"
 
 
 def sample_order(made: Made) -> tuple[Lattice, Order]:
@@ -32,7 +33,7 @@ def why(plan: Plan, made: Made) -> str:
     """
     lattice, order = sample_order(made)
     passes = sum(each.lattice is lattice for mounted in made.mountings for each in mounted)
-    seconds: dict[str, float] = {}
+    seconds = {REARRANGED: plan.seconds} if order.rearranged else {}
     for nest in sorted(order.tried, key=lambda nest: (nest != order.nest, order.tried[nest])):
         if order.tried[nest] < float("inf"):
             whole = plan.seconds + (order.tried[nest] - order.seconds) * passes

@@ -1,14 +1,17 @@
 """Passes laid out in time: mountings, darks, drift checks and the warm-up between the measurements, each when it is due."""
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from app.campaign.planning.lattice import Floats, Ints
-from app.campaign.planning.passes import Pass
+from app.campaign.planning.nesting import Flags, swept_ways
+from app.campaign.planning.passes import Pass, drift_point
 from app.campaign.planning.timing import Timing
 from app.campaign.row import NOTHING, Row
 from app.campaign.schedule.file import ScheduleFile
+from drivers import ArcClearance
 
 
 @dataclass(frozen=True)
@@ -47,12 +50,15 @@ class Timeline:
     file: ScheduleFile
     measuring: Measuring
     timing: Timing
+    clearance: ArcClearance
     pieces: list[Row | Run] = field(default_factory=list)
     oldest_dark_s: float = 0.0
     _darks: int = 0
     _drifts: int = 0
     _since_dark: float = 0.0
     _since_drift: float = 0.0
+    _lit_since_dark: bool = False
+    _measured_since_drift: bool = False
 
     def warm_up(self, wavelength_nm: float) -> None:
         """Before anything is mounted."""
@@ -75,35 +81,43 @@ class Timeline:
         self._dark(sample)
 
     def measure(self, of: Pass, sequence: Ints) -> None:
-        """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards."""
+        """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards.
+
+        A drift check where the arc would meet the beam on its way there, or back, comes sooner, or later if that cannot be.
+        """
         points = of.lattice.points[sequence]
         timing, row = self.timing, self.measuring.row(of.sample)
         reading = timing.usual_readings(row) + timing.readback_s
         moving = timing.moves.seconds(np.concatenate([timing.here[None], points[:-1]]), points)
         seconds = moving + reading
         ends = np.cumsum(seconds)
-        begin = 0
-        checked = darkened = False
+        free = self._free_for_a_check(of.sample, points)
+        places = np.array([-1, *np.flatnonzero(free[1:]) + 1, len(points)])
+        begin, away, checking = 0, False, False
         while begin < len(points):
             # What came between has closed the shutter, or left the axes elsewhere, or the amplifiers at another gain.
             first = timing.shutter_seconds(opened=True) + timing.readings_from_here(row) - timing.usual_readings(row)
-            if checked:
+            if away:
                 back = timing.moves.seconds(timing.here[None], points[begin : begin + 1])
                 first += float(back[0] - moving[begin])
-            began = float(ends[begin] - seconds[begin]) - first
             until_dark = self.file.dark_every_s - self._since_dark
             until_drift = self._until_drift(of.sample)
-            end = int(np.searchsorted(ends, began + min(until_dark, until_drift), side="right"))
-            if end <= begin:
-                if until_drift <= until_dark and not checked:
-                    self._drift(of.sample)
-                    checked = True
-                    continue
-                if not darkened:
-                    self._dark(of.sample)
-                    darkened = True
-                    continue
-                end = begin + 1  # it takes longer than a dark may be old
+            next_s = float(seconds[begin]) + first
+            # A row that takes longer than either may be old is done all the same, right after it.
+            overdue = next_s > until_drift and self._measured_since_drift
+            if checking or (overdue and free[begin]):
+                self._drift(of.sample)
+                away, checking = True, False
+                continue
+            if next_s > until_dark and self._lit_since_dark:
+                self._dark(of.sample)
+                continue
+            began = float(ends[begin]) - next_s
+            dark, check = np.searchsorted(ends, (began + until_dark, began + until_drift), side="right").tolist()
+            sooner = int(np.searchsorted(places, check, side="right")) - 1
+            check = int(places[sooner] if places[sooner] > begin else places[sooner + 1])
+            end = max(begin + 1, min(dark, check))
+            checking = end == check < len(points)
             timing.shutter(opened=True)
             timing.here = points[end - 1]
             timing.pass_by(row, end - begin)
@@ -111,8 +125,18 @@ class Timeline:
             taken[0] += first
             self._pass_by(float(taken.sum()))
             self.pieces.append(Run(of, sequence[begin:end], taken))
-            begin = end
-            checked = darkened = False
+            self._measured_since_drift = self._lit_since_dark = True
+            begin, away = end, False
+
+    def _free_for_a_check(self, sample: str, points: Floats) -> Flags:
+        """Before which of the points (n,) the arc keeps clear of the beam on its way to the pose of the checks and back."""
+        there = drift_point(self.file)
+        if there is None or sample == NOTHING:
+            return np.ones(len(points), dtype=bool)
+        drift = np.broadcast_to(there, points.shape)
+        back = ~swept_ways(self.clearance, drift, points)
+        back[1:] &= ~swept_ways(self.clearance, points[:-1], drift[1:])
+        return back
 
     def _until_drift(self, sample: str) -> float:
         return float("inf") if self.file.drift is None or sample == NOTHING else self.file.drift.every_s - self._since_drift
@@ -121,20 +145,24 @@ class Timeline:
         self._darks += 1
         self._add(self.measuring.dark(sample, self._darks))
         self._since_dark = 0.0
+        self._lit_since_dark = False
 
     def _drift(self, sample: str) -> None:
         table = self.file.drift
         if table is None or sample == NOTHING:  # which sends no light anywhere that could change
             return
-        self._drifts += 1
         pose = (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg)
         like = self.measuring.row(sample)
-        self._add(
-            Row(
-                0, f"{sample}/drift {self._drifts}", "drift", sample, 0.0, table.wavelength_nm, pose,
-                like.gains, like.readings, like.automatic, like.target, like.longest_s,
-            )
+        row = Row(
+            0, f"{sample}/drift {self._drifts + 1}", "drift", sample, 0.0, table.wavelength_nm, pose,
+            like.gains, like.readings, like.automatic, like.target, like.longest_s,
         )  # fmt: skip
+        taken = copy(self.timing).row_seconds(row)
+        if self._lit_since_dark and self._since_dark + taken > self.file.dark_every_s:
+            self._dark(sample)
+        self._drifts += 1
+        self._add(row)
+        self._lit_since_dark, self._measured_since_drift = True, False
         self._since_drift = 0.0
 
     def _add(self, row: Row) -> None:
@@ -144,7 +172,7 @@ class Timeline:
         self.pieces.append(replace(row, seconds=seconds))
 
     def _pass_by(self, seconds: float) -> None:
-        self._since_dark += seconds
         self._since_drift += seconds
         if self._darks:
+            self._since_dark += seconds
             self.oldest_dark_s = max(self.oldest_dark_s, self._since_dark)

@@ -7,6 +7,7 @@ and what not is said in app.rig.described_twin. A mounting takes no time here; a
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from app.campaign.journal.writing import Journal
 from app.campaign.planning.check import checked_plan
 from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.rehearsing.forecast import forecast
-from app.campaign.rehearsing.warnings import warnings_of
+from app.campaign.rehearsing.warnings import heeded, warnings_of
 from app.campaign.rehearsing.watch import Watch
 from app.campaign.rehearsing.worthless import worthless
 from app.campaign.running.engine import Engine
@@ -79,7 +80,7 @@ def rehearse(
     """Runs a plan of `prepared`; its journal is thrown away, or `out`. `points` is a CSV for the uncertainty foretold for each
     direction. Raises UserError, KeyboardInterrupt for a Ctrl-C.
     """
-    watch = Watch(photodiode_settings(plan.rig.file))
+    watch = Watch(photodiode_settings(plan.rig.file), partial(heeded, plan))
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = performed(plan, path, watch, listeners or [])

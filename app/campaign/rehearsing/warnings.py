@@ -5,8 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from app.campaign.planning.plan import Plan
+from app.campaign.planning.sides import looking_arcs, polar_deg
 from app.campaign.rehearsing.field_warning import field_warnings
-from app.campaign.rehearsing.watch import Watch
+from app.campaign.rehearsing.watch import Flags, Watch
+from app.campaign.row import NOTHING, Row
 from app.campaign.schedule.grids import grid_values
 from twin.optics import Scatterer, arc_direction, evaluate
 from twin.optics.bsdf import REGULAR
@@ -28,6 +30,19 @@ def warnings_of(plan: Plan, watch: Watch) -> Iterator[str]:
         )
     for flag, rows in sorted(watch.flagged.items()):
         yield f"{rows} rows have the flag {flag!r}"
+
+
+def heeded(plan: Plan, row: Row) -> Flags:
+    """Which photodiodes (n,), the upper arc's first, may not be over their range in a row.
+
+    With nothing mounted the light goes straight on: the arc that it meets need not see it, unless the campaign is about it.
+    """
+    upper, lower = (np.full(len(polar_deg(plan.rig.file, arc)), True) for arc in ("upper", "lower"))
+    if row.sample == NOTHING and row.pose is not None and not row.identity.startswith(f"{NOTHING}/open beam/"):
+        arcs = tuple(looking_arcs(plan.schedule.file, row.pose[1]))
+        upper &= "upper" in arcs
+        lower &= "lower" in arcs
+    return np.concatenate([upper, lower])
 
 
 def _narrow_lobes(plan: Plan) -> Iterator[str]:

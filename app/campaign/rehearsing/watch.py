@@ -1,11 +1,13 @@
 """What a rehearsal learns while it runs, row by row: it keeps sums and extremes, and no row."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from app.campaign.journal.recorded import RowData
+from app.campaign.row import Row
 from app.campaign.running.events import Event, RowCommitted
 from app.campaign.running.gains import clipped
 from app.rig import AXES
@@ -13,6 +15,7 @@ from drivers import PhotodiodeSettings
 from protocols import adam
 
 Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 
 @dataclass
@@ -25,10 +28,11 @@ class Block:
 
 
 class Watch:
-    """A listener of the engine."""
+    """A listener of the engine. `heeded` says of a row which photodiodes may not be over their range."""
 
-    def __init__(self, settings: PhotodiodeSettings) -> None:
+    def __init__(self, settings: PhotodiodeSettings, heeded: Callable[[Row], Flags]) -> None:
         self._settings = settings
+        self._heeded = heeded
         self._zero = round(-settings.range.low_v / settings.range.lsb_v)
         self.span = adam.FULL_SCALE - self._zero
         self.blocks: list[Block] = []
@@ -51,7 +55,7 @@ class Watch:
                 self.flagged[flag] = self.flagged.get(flag, 0) + 1
             self._see_positions(data)
             if row.kind == "measure":
-                self._see_counts(row.sample, data)
+                self._see_counts(row, data)
 
     def _see_positions(self, data: RowData) -> None:
         for axis in AXES:
@@ -60,7 +64,7 @@ class Watch:
                 low, high = self.axes_deg.get(axis, (angle, angle))
                 self.axes_deg[axis] = [min(low, angle), max(high, angle)]
 
-    def _see_counts(self, sample: str, data: RowData) -> None:
+    def _see_counts(self, row: Row, data: RowData) -> None:
         if not data.readings:
             return
         for reading in data.readings:
@@ -68,8 +72,9 @@ class Watch:
             highest = reading.counts.max(axis=0)
             self.largest[gain] = max(self.largest.get(gain, 0), int(highest.max()))
             steps = np.abs(reading.counts.mean(axis=0) - self._zero)
-            self.steps[sample, gain] = np.maximum(self.steps.get((sample, gain), steps), steps)
-        self.saturated += int(np.all([clipped(reading.counts) for reading in data.readings], axis=0).sum())
+            self.steps[row.sample, gain] = np.maximum(self.steps.get((row.sample, gain), steps), steps)
+        over = np.all([clipped(reading.counts) for reading in data.readings], axis=0)
+        self.saturated += int((over & self._heeded(row)).sum())
 
     @property
     def share_of_range(self) -> dict[float, float]:

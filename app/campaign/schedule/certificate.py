@@ -95,7 +95,7 @@ def read_certificate(folder: Path, table: CertificateTable) -> str:
     """
     path = folder / table.file
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # spreadsheets begin with a mark
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: the etalon's certificate cannot be read: {error}; check [certificate] file") from None
     parse_certificate(text, str(path))

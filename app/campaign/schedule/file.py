@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, ValidationInfo, field_validator, model_validator
 
 from app.campaign.row import NOTHING
 from app.campaign.schedule.certificate import read_certificate
@@ -28,6 +28,9 @@ Nesting = Annotated[
     | Annotated[list[Literal["gamma", "sigma", "beta", "shift", "wavelength"]], Tag("list")],
     Discriminator(lambda value: "fastest" if isinstance(value, str) else "list"),
 ]
+
+WORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_per_a": ("automatic", "gains")}
+"""What may stand in place of a list."""
 
 
 class ScheduleFile(Table):
@@ -81,6 +84,14 @@ class ScheduleFile(Table):
         if NOTHING in (self.etalon, *self.samples):
             raise ValueError(f"{NOTHING!r} is what an empty sample unit is called; give the sample another name")
         return self
+
+    @field_validator("order", "gains_v_per_a", mode="before")
+    @classmethod
+    def _word_or_list(cls, value: object, info: ValidationInfo) -> object:
+        word, listed = WORDS[str(info.field_name)]
+        if isinstance(value, str) and value != word:
+            raise ValueError(f"should be {word!r} or a list of {listed}, not {value!r}")
+        return value
 
     @field_validator("order")
     @classmethod

@@ -187,6 +187,17 @@ def test_it_warns_of_values_over_the_range(write_rig: Writer, write_schedule: Wr
     assert warned(found, "over the range at every gain")
 
 
+def test_it_does_not_warn_of_the_beam_itself_on_the_arc_that_does_not_matter(write_rig: Writer, write_schedule: Writer) -> None:
+    """With nothing mounted the lower arc looks into the beam, at gains for reflected light."""
+    signature = ("dark_readings = 4", "dark_readings = 4\nsignature = true")
+    reflected = rehearsed(write_schedule(signature), write_rig())
+    assert reflected.result["saturated"] == 0
+    assert not warned(reflected, "over the range at every gain")
+    light = ('name = "small"', 'name = "small"\nlight = "transmitted"')
+    transmitted = rehearsed(write_schedule(signature, light), write_rig(), sample="lambertian:reflectance=0.9")
+    assert warned(transmitted, "over the range at every gain")
+
+
 def test_what_it_holds_does_not_grow_with_the_rows(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ import pytest
 from protocols.clock import VirtualClock
 from tests.conftest import RigOpener
 from twin import VirtualRig
+from twin.plant.view import Aspect
 
 
 @pytest.fixture
@@ -41,3 +42,14 @@ def test_a_tilted_sample_turns_the_specular_direction_by_twice_as_much(rig: Virt
     assert leaning[2] / straight[2] == pytest.approx(np.exp((10.0**2 - 8.0**2) / 5.0**2), rel=0.03)
     rig.plant.tilt_sample(0.0, 1004.0)
     np.testing.assert_array_equal(rig.plant.throughputs_m2sr(1005.0), straight)
+
+
+def test_the_light_of_an_aspect_is_that_of_the_rig_at_it(rig: VirtualRig) -> None:
+    plant = rig.plant
+    plant.mount("gaussian-5", 0.0)
+    plant.shutter_open.set(0.0, True)
+    wavelength = plant.wavelength_nm.at(1.0)
+    angles = (plant.angle_deg(axis, 1.0) for axis in ("sigma", "gamma", "beta", "shift"))
+    found = plant.steady_photocurrents_a(Aspect("gaussian-5", 0.0, wavelength, *angles))
+    assert found.max() > 0.0
+    assert found == pytest.approx(plant.photocurrents_a(1.0)[: len(found)], rel=1e-12)

@@ -1,0 +1,103 @@
+"""More rows than a campaign may have, refused with the arithmetic before they are built."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+
+from app.campaign.planning.passes import Pass
+from app.campaign.planning.sides import lit_sides
+from app.campaign.planning.symmetry import one_of_each
+from app.campaign.planning.timeline import Measuring
+from app.campaign.planning.timing import Timing, fewest_stretches
+from app.campaign.row import NOTHING
+from app.campaign.schedule.file import ScheduleDescription, ScheduleFile
+from app.campaign.schedule.grids import grid_values
+from app.errors import UserError
+
+MOST_ROWS = 1_000_000
+
+
+def refuse_too_many(schedule: ScheduleDescription) -> None:
+    """Raises UserError with the arithmetic where the grids alone make more rows than a campaign may have."""
+    file = schedule.file
+    counts = {
+        "samples and etalon": len(file.samples) + 1 + file.signature,
+        "sides": len(lit_sides(file)),
+        "sigma_deg": len(grid_values(file.sigma_deg)),
+        **_turns(file),
+        "shift_deg": len(grid_values(file.shift_deg)),
+        "wavelength_nm": len(grid_values(file.wavelength_nm)),
+        "repeats": file.repeats,
+    }
+    rows = math.prod(counts.values())
+    if rows > MOST_ROWS:
+        sums = " x ".join(f"{count} {key}" for key, count in counts.items() if count > 1)
+        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take coarser grids")
+    betas = len(grid_values(file.beta_deg))
+    if file.overlap is not None and file.overlap.points > betas:
+        raise UserError(
+            f"{schedule.name}: overlap.points: {file.overlap.points} betas at each sigma, but beta_deg has {betas}; take fewer"
+        )
+
+
+def _turns(file: ScheduleFile) -> dict[str, int]:
+    """How many gammas and betas are left when the symmetry has made some of them superfluous."""
+    gammas, betas = grid_values(file.gamma_deg), grid_values(file.beta_deg)
+    if file.symmetry == "isotropic":
+        poses = np.zeros((len(betas), 4))
+        poses[:, 2] = betas
+        return {"beta_deg": int(one_of_each(poses, file.symmetry).sum())}
+    if file.symmetry == "plane-symmetric" and len(gammas) * len(betas) <= MOST_ROWS:
+        poses = np.zeros((len(gammas) * len(betas), 4))
+        poses[:, 0], poses[:, 2] = np.repeat(gammas, len(betas)), np.tile(betas, len(gammas))
+        return {"pairs of gamma_deg and beta_deg": int(one_of_each(poses, file.symmetry).sum())}
+    return {"gamma_deg": len(gammas), "beta_deg": len(betas)}
+
+
+def refuse_too_many_poses(schedule: ScheduleDescription, mounted: list[list[Pass]]) -> None:
+    """The same where it is what comes beyond the grids: near_specular, overlap, symmetry_check and open_beam."""
+    rows = sum(len(each.lattice) for passes in mounted for each in passes)
+    if rows > MOST_ROWS:
+        wavelengths = len(mounted[0][0].lattice.wavelengths_nm)
+        passes_of = Counter((each.sample, len(each.lattice.poses)) for passes in mounted for each in passes)
+        told = " + ".join(
+            f"{sample}: {poses} poses x {wavelengths} wavelengths x {passes} passes"
+            for (sample, poses), passes in passes_of.items()
+        )
+        raise UserError(
+            f"{schedule.name}: {told} = {rows} rows, more than {MOST_ROWS}; take coarser grids, a narrower near_specular, "
+            "or less of overlap and symmetry_check"
+        )
+
+
+def fewest_rows(mounted: list[list[Pass]], measuring: Measuring, timing: Timing) -> dict[str, int]:
+    """By kind, how many rows a plan has at least, whatever its order: from the least that its rows take to read."""
+    file = measuring.file
+    kinds = {"measure": 0, "drift": 0, "dark": 0}
+    for passes in mounted:
+        row = measuring.row(passes[0].sample)
+        reading = timing.readings_range(row)[0] + timing.readback_s
+        rows = sum(len(each.lattice) for each in passes)
+        checks = 0
+        if file.drift is not None and passes[0].sample != NOTHING:
+            checks = 1 + fewest_stretches(rows, reading, file.drift.every_s)
+        kinds["measure"] += rows
+        kinds["drift"] += checks
+        kinds["dark"] += 1 + fewest_stretches(rows + checks, reading, file.dark_every_s)
+    return kinds
+
+
+def refuse_too_many_beside(schedule: ScheduleDescription, kinds: Mapping[str, int], about: str = "") -> None:
+    """The same where it is the rows between the measurements."""
+    measured, darks, checks = (kinds.get(kind, 0) for kind in ("measure", "dark", "drift"))
+    rows = sum(kinds.values())
+    if rows > MOST_ROWS:
+        file = schedule.file
+        told = [f"{about}{darks} darks (dark_every_s = {file.dark_every_s:g})"]
+        if file.drift is not None:
+            told.append(f"{about}{checks} drift checks (drift.every_s = {file.drift.every_s:g})")
+        others = [f"{count} {kind}" for kind, count in kinds.items() if kind not in ("measure", "dark", "drift")]
+        sums = " + ".join([f"{measured} measurements", *told, *others])
+        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take them less often, or coarser grids")

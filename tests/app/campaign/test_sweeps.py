@@ -1,0 +1,95 @@
+"""Schedules whose arc could meet the beam: an order that keeps clear is found, cross-checks give way, the key is named."""
+
+import numpy as np
+import pytest
+
+from app.campaign.planning.check import checked_plan
+from app.campaign.planning.nesting import swept
+from app.campaign.planning.plan import Plan, make_plan
+from app.campaign.planning.sweeps import first_sweep
+from app.campaign.schedule.file import parse_schedule
+from app.errors import UserError
+from app.rig import arc_clearance, read_rig
+from tests.conftest import RIG
+
+VIRTUAL = read_rig(RIG)
+CLEARANCE = arc_clearance(VIRTUAL.file)
+HEAD = 'name = "x"\nsamples = ["gaussian-5"]\netalon = "etalon"\ngains_v_per_a = [1e8]\nwavelength_nm = [450]\n'
+PLANE = (
+    'symmetry = "plane-symmetric"\nsigma_deg = [20, 60]\ngamma_deg = { start = 0, stop = 270, step = 90 }\n'
+    "beta_deg = [0, 60, 120, 180, 240, 300]\nrepeats = 3\n"
+)
+DRIFT = "[drift]\nevery_s = {}\nsigma_deg = 60\nbeta_deg = {}\nwavelength_nm = 450\n"
+
+
+def planned(text: str) -> Plan:
+    return make_plan(parse_schedule(HEAD + text, "x.toml"), VIRTUAL)
+
+
+def refused(text: str) -> str:
+    with pytest.raises(UserError) as caught:
+        planned(text)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("every_s", [5, 40, 600])
+@pytest.mark.parametrize("checks", ["[overlap]\npoints = 2\n", "[overlap]\npoints = 1\n[symmetry_check]\npoints = 3\n"])
+def test_cross_checks_and_drift_checks_go_together(every_s: float, checks: str) -> None:
+    plan = planned(PLANE + checks + DRIFT.format(every_s, 180))
+    assert first_sweep(plan.rows, CLEARANCE) is None
+    assert plan.made is not None
+    assert plan.made.without == ()
+    assert any(row.pose is not None and row.pose[3] == 5.0 for row in plan.rows)
+    assert ("symmetry_check" in checks) == any(row.identity.endswith("/mirrored") for row in plan.rows)
+
+
+def test_cross_checks_that_cannot_be_reached_are_left_out_and_it_is_said() -> None:
+    """At beta 270 the shift must be low: an overlap at shift 5 there would stand in the beam itself."""
+    plan = planned("sigma_deg = [30]\nbeta_deg = [270]\n[overlap]\npoints = 1\n")
+    assert plan.made is not None
+    assert plan.made.without == ("overlap",)
+    assert {row.pose[3] for row in plan.rows if row.pose is not None} == {0.0}
+    assert any("[overlap] points = 1 is left out: the arc would meet" in each for each in checked_plan(plan)["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("sigma_deg = [30]\nbeta_deg = [0, 270]\nshift_deg = [3, 4]\n", "change beta_deg or shift_deg"),
+        ("sigma_deg = [30]\nbeta_deg = [0, 180]\n" + DRIFT.format(60, 180) + "shift_deg = 4\ngamma_deg = 0\n", None),
+        (
+            "sigma_deg = [30]\nbeta_deg = [280, 300]\nshift_deg = [3, 4]\n" + DRIFT.format(60, 180),
+            "drift.beta_deg or drift.shift",
+        ),
+        (
+            "sigma_deg = [60]\nbeta_deg = [180, 270]\n[near_specular]\nwithin_deg = 90\nshift_deg = [0, 5]\n",
+            "change near_specular.shift_deg",
+        ),
+        (
+            "sigma_deg = [30]\nbeta_deg = [250, 290]\nshift_deg = [0, 4]\nback_and_forth = false\n"
+            'order = ["shift", "beta", "gamma", "sigma", "wavelength"]\n',
+            'change order and back_and_forth: "fastest" and true find a way',
+        ),
+    ],
+)
+def test_what_is_at_fault_is_named(text: str, key: str | None) -> None:
+    if key is None:
+        planned(text)
+        return
+    message = refused(text)
+    assert message.startswith("x.toml: on the way to ")
+    assert key in message
+
+
+def test_a_symmetry_that_cannot_be_checked_says_why() -> None:
+    grids = 'symmetry = "plane-symmetric"\nsigma_deg = [30]\n[symmetry_check]\npoints = 1\n'
+    assert refused("beta_deg = [0, 180]\n" + grids) == (
+        "x.toml: symmetry_check.points: 1, but the rig reaches the mirror images of 0 poses of 2 (2 are their own); "
+        "leave [symmetry_check] out, or take gammas and betas whose images the rig reaches"
+    )
+
+
+def test_no_plan_sweeps_through_the_beam_between_its_passes() -> None:
+    plan = planned(PLANE + "signature = true\nopen_beam = true\n[overlap]\npoints = 2\n")
+    poses = [(*row.pose, 0.0) for row in plan.rows if row.pose is not None]
+    assert not swept(CLEARANCE, np.array(poses)).any()
