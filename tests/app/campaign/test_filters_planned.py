@@ -34,10 +34,11 @@ def test_the_plan_says_how_often_the_filter_changes_and_goes_filter_by_filter_wh
     result = checked_plan(fine)
     assert result["order"] == ["wavelength", "shift", "filter"]
     assert "; wavelength inside, filter by filter: " in f"; {result['why']}"
-    # Forth through the three filters with the etalon, back with the sample: 3 + 2 positions of a second each way.
-    assert result["filter_changes"] == 4
-    assert result["why"].endswith("; filter changes: 4, 0 min 10 s")
-    assert "filter changes: 4, 0 min 10 s" in in_words(fine, result)
+    # Two changes with the etalon and two with the sample, 3 + 2 positions of a second each way; or one more and less far.
+    assert result["filter_changes"] in (4, 5)
+    told = result["why"].partition("; filter changes: ")[2]
+    assert told in ("4, 0 min 10 s", "5, 0 min 09 s")
+    assert f"filter changes: {told}" in in_words(fine, result)
     far = plan_with(("shift_deg = [0, 1]", "shift_deg = [0]"), ("beta_deg = [180]", "beta_deg = [0, 180]"), wavelengths=MANY)
     result = checked_plan(far)
     assert result["order"] == ["wavelength", "beta"]
