@@ -13,7 +13,8 @@ import numpy.typing as npt
 from app.campaign.journal.recorded import Committed
 from app.campaign.planning.plan import Plan
 from app.campaign.planning.shadow import shadowed
-from app.campaign.reducing.reduction import BsdfPoints, row_points
+from app.campaign.reducing.points import BsdfPoints
+from app.campaign.reducing.row_points import live_points
 from app.campaign.reducing.signals import Signal, darks_by_gain, signal
 from app.campaign.row import Row
 from app.campaign.running.events import RowCommitted, RowStarted
@@ -113,10 +114,10 @@ class LiveCut:
         upper = len(settings.upper_deg)
         if row.sample == self.plan.schedule.file.etalon:
             self._etalon[place] = found
-            points = row_points(rig, row, found, found)
+            points = live_points(rig, row, found, found)
             values, u_values = found.ratio[:upper], np.sqrt(found.variance[:upper])
         else:
-            points = row_points(rig, row, found, self._etalon[place])
+            points = live_points(rig, row, found, self._etalon[place])
             values, u_values = points.bsdf, points.u_bsdf
         return Points(_x_deg(points), values, u_values, points.shadowed)
 

@@ -10,7 +10,6 @@ that is lit from the photodiode's own side, at 180 deg - sigma; where that was n
 points. Nothing is subtracted from transmitted light: without a sample there is the beam itself.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,16 +17,17 @@ from pathlib import Path
 import numpy as np
 
 from app.campaign.journal.writing import Journal
-from app.campaign.planning.shadow import shadowed
-from app.campaign.reducing.arcs import ArcView, arc_views
+from app.campaign.planning.sides import etalon_sigmas_deg
+from app.campaign.reducing.arcs import arc_views
 from app.campaign.reducing.checks import Checks
 from app.campaign.reducing.field import with_field
 from app.campaign.reducing.measured import Key, Listed, Measured, Measurements, References, in_settings, key_of
+from app.campaign.reducing.missing import missing
 from app.campaign.reducing.overlaps import Overlaps
 from app.campaign.reducing.points import BsdfPoints as BsdfPoints
-from app.campaign.reducing.points import Flags, joined
-from app.campaign.reducing.ratio import Ratio
-from app.campaign.reducing.signals import Ints, Signal
+from app.campaign.reducing.points import joined
+from app.campaign.reducing.row_points import row_points
+from app.campaign.reducing.signals import Ints
 from app.campaign.reducing.subtracted import subtracted
 from app.campaign.reducing.symmetry import Symmetrical
 from app.campaign.reducing.tally import Tally
@@ -39,13 +39,6 @@ from app.campaign.schedule.file import ScheduleFile, parse_schedule
 from app.errors import UserError
 from app.rig import RigDescription, parse_rig
 
-ETALON_SIGNAL = 5.0
-"""An etalon's signal below so many standard uncertainties is none: there is nothing to divide by."""
-BRIGHT = 20.0
-"""An etalon's signal that should be above so many standard uncertainties, and is none, is that of a dead photodiode."""
-DETECTED = 3.0
-"""A sample's signal below so many standard uncertainties is lost in its noise."""
-GRAZING_DEG = 85.0
 ROWS_AT_ONCE = 256
 """So many rows have some megabytes of points."""
 
@@ -94,6 +87,7 @@ class Reduction:
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = References(self._measurements, NOTHING)
         self.tallies: dict[str, Tally] = {}
+        self._without_etalon: dict[str, int] = {}
 
     def blocks(self, sample: str, rows: int = ROWS_AT_ONCE) -> Iterator[Block]:
         """The points of a sample in the order of wavelength, sigma, gamma, half planes and time; of about so many rows at once,
@@ -102,10 +96,11 @@ class Reduction:
         listed = self._measurements.listed(sample)
         order, edges = in_settings(listed)
         self.tallies.pop(sample, None)
+        self._without_etalon.pop(sample, None)
         begin = 0
         for end in edges[1:].tolist():
             if end > begin and (end - begin >= rows or end == len(order)):
-                if (block := self._block(listed, order[begin:end])) is not None:
+                if (block := self._block(sample, listed, order[begin:end])) is not None:
                     self.tallies.setdefault(sample, Tally()).add(block.points)
                     yield block
                 begin = end
@@ -141,7 +136,7 @@ class Reduction:
 
     def notes(self) -> list[str]:
         """What a reader has to know about how it was reduced; once all blocks have been made."""
-        told = [str(drift) for drift in self._measurements.drifts]
+        told = [*missing(self.journal, self._without_etalon), *(str(drift) for drift in self._measurements.drifts)]
         transmitted = any(tally.transmitted for tally in self.tallies.values())
         freed = any(tally.freed for tally in self.tallies.values())
         known = self.rig.file.sample_unit.signature_uncertainty
@@ -163,16 +158,25 @@ class Reduction:
         trusted = {name: tally.trusted for name, tally in self.tallies.items()}
         return unwatched(self._measurements.unseen, trusted, self.schedule.etalon)
 
-    def _block(self, listed: Listed, places: Ints) -> Block | None:
+    def _block(self, sample: str, listed: Listed, places: Ints) -> Block | None:
         rows = list(self._measurements.of(listed["number"][places].tolist()))
         at_sample, at_etalon = _keys(self.rig, rows)
         etalon, signature = self._etalon.of(at_etalon), self._signature.of(at_sample + at_etalon)
         ranks, found = [], []
         for rank, each in zip(places.tolist(), rows, strict=True):
-            for points in _row_points(self.rig, each, etalon, signature, self.certificate):
+            arcs = row_points(self.rig, each, etalon, signature, self.certificate)
+            for points in arcs:
                 ranks.append(np.full(points.bsdf.size, rank))
                 found.append(points)
+            if not self._scales(each.row) <= etalon.keys():
+                self._without_etalon[sample] = self._without_etalon.get(sample, 0) + 1
         return Block(np.concatenate(ranks), joined(found)) if found else None
+
+    def _scales(self, row: Row) -> set[Key]:
+        """Where the etalon was to be measured for a row."""
+        assert row.pose is not None
+        gamma, sigma, beta, shift = row.pose
+        return {key_of(row, (gamma, there, beta, shift)) for there in etalon_sigmas_deg(self.schedule, sigma)}
 
 
 def reduce_journal(journal: Journal) -> Reduced:
@@ -198,16 +202,6 @@ def reduce_journal(journal: Journal) -> Reduced:
     return Reduced(journal.value("name"), reduction.rig, journal.simulated, samples, seen, *told)
 
 
-def row_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
-    """The upper arc's photodiodes in one row by the rig file's etalon, as far as can be said while a run goes on."""
-    assert row.pose is not None
-    well = np.zeros(len(sample.ratio), dtype=bool)
-    table = rig.file.etalon
-    certificate = constant(table.radiance_factor, table.relative_uncertainty)
-    measured, reference = (Measured(row, found, well, well) for found in (sample, etalon))
-    return _arc_points(rig, measured, arc_views(rig.file, row.pose)[0], reference, (None, None), certificate)
-
-
 def _certificate(journal: Journal, schedule: ScheduleFile, rig: RigDescription) -> Certificate:
     if schedule.certificate is not None:
         return parse_certificate(journal.value("certificate"), f"{journal.path} (certificate)")
@@ -222,81 +216,3 @@ def _keys(rig: RigDescription, rows: list[Measured]) -> tuple[list[Key], list[Ke
         own.append(key_of(each.row, each.row.pose))
         etalon += [key_of(each.row, view.etalon_pose(each.row.pose)) for view in arc_views(rig.file, each.row.pose)]
     return own, etalon
-
-
-def _row_points(
-    rig: RigDescription, sample: Measured, etalon: dict[Key, Measured], signature: dict[Key, Measured], certificate: Certificate
-) -> list[BsdfPoints]:
-    """Of each arc whose photodiodes have seen the etalon, too."""
-    row = sample.row
-    assert row.pose is not None
-    blocks = []
-    for view in arc_views(rig.file, row.pose):
-        pose = view.etalon_pose(row.pose)
-        reference = etalon.get(key_of(row, pose))
-        if reference is not None:
-            own = None if view.transmitted else signature.get(key_of(row, row.pose))
-            at_etalon = signature.get(key_of(row, pose))
-            blocks.append(_arc_points(rig, sample, view, reference, (own, at_etalon), certificate))
-    return blocks
-
-
-def _arc_points(
-    rig: RigDescription,
-    sample: Measured,
-    view: ArcView,
-    etalon: Measured,
-    signature: tuple[Measured | None, Measured | None],
-    certificate: Certificate,
-) -> BsdfPoints:
-    row, c, n = sample.row, view.channels, len(view.channels)
-    assert row.pose is not None
-    assert row.wavelength_nm is not None
-    assert etalon.row.pose is not None
-    gamma, sigma, beta, shift = row.pose
-    incidence = 180.0 - etalon.row.pose[1] if etalon.row.pose[1] > 90.0 else etalon.row.pose[1]
-    factor, u_factor = certificate.at(row.wavelength_nm, incidence, view.polar, view.azimuth)
-    own, at_etalon = (None if each is None else each.signal for each in signature)
-    ratio = Ratio.of(rig, sample.signal, etalon.signal, own, at_etalon, c=c)
-    # For transmitted light the mirror unit is elsewhere at the etalon, and hides other directions there.
-    ways = {sigma, etalon.row.pose[1]}
-    hidden = np.any([shadowed(rig.file, there, view.zenith, view.azimuth, gamma) for there in ways], axis=0)
-    no_etalon = np.isfinite(ratio.etalon) & ~(ratio.etalon > ETALON_SIGNAL * np.sqrt(ratio.var_etalon))
-    scale = np.where(no_etalon, np.nan, factor / math.pi)
-    bsdf = ratio.value * scale
-    u_bsdf = np.sqrt(ratio.variance * scale**2 + bsdf**2 * (ratio.relative_variance + u_factor**2))
-    return BsdfPoints(
-        wavelength_nm=np.full(n, row.wavelength_nm),
-        sigma_deg=np.full(n, sigma),
-        gamma_deg=np.full(n, gamma),
-        beta_deg=np.full(n, beta),
-        shift_deg=np.full(n, shift),
-        photodiode=c,
-        zenith_deg=view.zenith,
-        azimuth_deg=view.azimuth,
-        theta_deg=view.theta,
-        phi_deg=view.phi,
-        bsdf=bsdf,
-        u_bsdf=u_bsdf,
-        shadowed=hidden,
-        clipped=ratio.clipped,
-        no_etalon=no_etalon,
-        dead=sample.dead[c] | etalon.dead[c] | _dead(ratio, view, no_etalon & ~hidden),
-        uncertified=np.isnan(factor),
-        drifted=sample.drifted[c] | etalon.drifted[c],
-        under_range=np.isfinite(ratio.sample) & (ratio.sample < DETECTED * np.sqrt(ratio.var_sample)),
-        back=np.full(n, view.back),
-        transmitted=np.full(n, view.transmitted),
-        signature=ratio.signature,
-        mirrored=np.full(n, row.mirrored),
-        u_field=np.full(n, np.nan),
-    )
-
-
-def _dead(ratio: Ratio, view: ArcView, none: Flags) -> Flags:
-    """Which of those that see nothing of the etalon should: by what the others see, over the cosine of their zenith angles."""
-    cosine = np.cos(np.radians(view.polar))
-    lit = (view.polar <= GRAZING_DEG) & (cosine > 0.0)
-    brightness = float(np.nanmedian(np.where(lit, ratio.etalon / cosine, np.nan))) if lit.any() else 0.0
-    dead: Flags = none & lit & (brightness * cosine > BRIGHT * np.sqrt(ratio.var_etalon))
-    return dead

@@ -163,15 +163,44 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows) - 4, 4)
     found = campaign_of(path)
     assert (found.state, found.rows, found.skipped, found.seconds_left > 0.0) == ("done", len(plan.rows) - 4, 4, True)
+    with Journal.open(path) as journal:
+        notes = reduce_journal(journal).notes
+    assert any(
+        note.startswith("rows that were skipped for faults and have no values: 2 of etalon, 2 of gaussian-5; goniotwin run")
+        for note in notes
+    )
     monkeypatch.setattr(Performer, "perform", perform)
     outcome = resume_campaign(path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows), 0)
+    with Journal.open(path) as journal:
+        assert not [note for note in reduce_journal(journal).notes if "skipped" in note or "etalon was not" in note]
     assert values(path) == values(tmp_path / "whole.journal")
     with Journal.open(path) as journal:
         mounted = [each.row.sample for each in journal.rows() if each.row.kind == "mount" and each.row.added]
     assert mounted == ["etalon", "gaussian-5"]
     with pytest.raises(UserError, match="there is nothing to go on with"):
         resume_campaign(path)
+
+
+def test_values_that_lack_their_etalon_are_told(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = make_plan(
+        read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*STEADY))
+    )
+    perform = Performer.perform
+
+    def fails(performer: Performer, row: Row) -> RowData:
+        if row.sample == "etalon" and row.pose is not None and row.pose[3] == 1.0:
+            raise NoAnswer("photodiodes", "read", "no answer")
+        return perform(performer, row)
+
+    monkeypatch.setattr(Performer, "perform", fails)
+    run_campaign(plan, tmp_path / "a.journal")
+    with Journal.open(tmp_path / "a.journal") as journal:
+        found = reduce_journal(journal)
+    assert "gaussian-5: no values, or not all, in rows at whose poses the etalon was not measured: 1" in found.notes
+    assert 1.0 not in found.samples["gaussian-5"].shift_deg
 
 
 def test_a_warm_up_is_done_again(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
