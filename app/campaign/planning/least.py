@@ -12,8 +12,6 @@ from app.campaign.planning.plan import Plan
 from app.campaign.planning.timing import TINY, Timing, fewest_stretches, least_warm_up_seconds
 from app.campaign.row import NOTHING
 
-MOST_WAVES = 1000
-
 
 def least_seconds(plan: Plan) -> float:
     """The least readings that each row can do with, the least moving, and as many darks and drift checks as that takes."""
@@ -59,8 +57,10 @@ def _longest_row_seconds(plan: Plan, passes: list[Pass], timing: Timing) -> floa
     both = [sorted({float(f(values[k])) for values in ends for f in (np.min, np.max)}) for k in range(WAVELENGTH + 1)]
     corners = np.array(list(product(*((each[0], each[-1]) for each in both))))
     moving = timing.moves.seconds(corners, corners[::-1])
-    # The way along the wavelengths that takes longest need not be that from end to end.
-    waves = np.unique(np.concatenate([values[WAVELENGTH] for values in ends]))[:MOST_WAVES]
+    # The way along the wavelengths that takes longest need not be that from end to end, but is from an end of some filter's.
+    every = np.unique(np.concatenate([values[WAVELENGTH] for values in ends]))
+    filters = timing.moves.filter_numbers(every)
+    waves = np.unique([f(every[filters == number]) for number in np.unique(filters) for f in (np.min, np.max)])
     slewing = timing.moves.one_step(WAVELENGTH)
     beyond = slewing(np.repeat(waves, len(waves)), np.tile(waves, len(waves))).max() - slewing(waves[:1], waves[-1:])[0]
     row = plan.made.measuring.row(passes[0].sample)
