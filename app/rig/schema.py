@@ -53,9 +53,9 @@ class HomingTable(Table):
 class AxisTable(Table):
     """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
 
-    Against backlash every move arrives from one side. `switches` has the limit switches stop the motor, `max_deviation_deg`
-    the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off. `encoder_tolerance_deg` is how far counter and
-    encoder may be apart at rest (0 is off; 0.05 deg and the backlash where it is not given).
+    Against backlash every move arrives from one side, which its zero is for. `switches` has the limit switches stop the
+    motor, `max_deviation_deg` the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off. `encoder_tolerance_deg` is
+    how far counter and encoder may be apart at rest (0 is off; 0.05 deg and the backlash where it is not given).
 
     `power_up_at_reference`: whenever the controller is switched on or resets, the axis stands where its microsteps are 0,
     as a parking position or a brake sees to. Without it the axis then goes nowhere until it is homed or told its place.

@@ -112,6 +112,12 @@ class Recorded:
         with self._reading():
             return {number for (number,) in self._db.execute("SELECT number FROM plan WHERE session IS NULL")}
 
+    def told(self, kind: str) -> list[str]:
+        """What events of a kind say, in order, each once."""
+        with self._reading():
+            found = self._db.execute("SELECT text FROM event WHERE kind = ? ORDER BY id", (kind,))
+            return list(dict.fromkeys(str(text) for (text,) in found))
+
     def last_number(self) -> int:
         """Of all rows, added ones too."""
         with self._reading():

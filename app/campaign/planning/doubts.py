@@ -151,7 +151,7 @@ def duration_range(plan: Plan) -> tuple[float, float]:
         likely = timing.usual_readings(row)
         fewest, highest = timing.readings_range(row)
         least, most = least + rows * (fewest - likely), most + rows * (highest - likely)
-    return least, most + waiting
+    return min(least, plan.seconds), max(most, plan.seconds) + waiting
 
 
 def _rows_by_sample(rows: PlannedRows) -> Counter[str]:

@@ -71,7 +71,9 @@ class OverlapCheck:
         self._seen.update(np.unique(good.photodiode).tolist())
         azimuth = np.where(good.zenith_deg < 1e-6, 0.0, good.azimuth_deg)
         plane = np.mod(good.beta_deg, HALF_TURN_DEG)
-        keys = [good.wavelength_nm, good.sigma_deg, good.gamma_deg, plane, good.zenith_deg, azimuth]
+        # At the horizon the arcs meet, and one sees reflected light, the other transmitted.
+        light = good.transmitted.astype(float)
+        keys = [good.wavelength_nm, good.sigma_deg, good.gamma_deg, plane, good.zenith_deg, azimuth, light]
         _, which = np.unique(np.round(np.stack(keys, axis=1), 6), axis=0, return_inverse=True)
         order = np.lexsort((good.photodiode, which.ravel()))
         first, second = order[:-1], order[1:]

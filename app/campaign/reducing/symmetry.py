@@ -1,7 +1,8 @@
 """`[symmetry_check]`: whether a sample has the symmetry that its schedule states, by the poses that are mirror images.
 
 A direction and its mirror image are seen by the same photodiode at the same incidence, so that the etalon's certificate is
-common to both. What is left is noise and gain, the monitor, which is one number for all photodiodes of a row, and the angles:
+common to both. What is left is noise and gain, the monitor, which is one number for all photodiodes of a row, and besides what
+of the lamp's flicker it does not know, for each of them is read at times of its own (as much again is allowed); and the angles:
 where the lobe is steep, an axis that is off by little makes a difference that is none of the sample's. An axis, or a sample,
 that is off by much fails the check as an anisotropic sample does: either way a table by that symmetry would be wrong.
 """
@@ -63,7 +64,8 @@ class Symmetrical:
         """For programs; what is no number is null."""
         numbers = {name: getattr(self, name) for name in ("chi_square", "worst", "beyond", "largest", "u_largest")}
         told = {name: float(value) if math.isfinite(value) else None for name, value in numbers.items()}
-        return {"stated": self.stated, "holds": self.holds, "pairs": self.pairs, **told, "where": self.where}
+        holds = self.holds if self.pairs else None
+        return {"stated": self.stated, "holds": holds, "pairs": self.pairs, **told, "where": self.where}
 
 
 class SymmetryCheck:
@@ -91,8 +93,7 @@ class SymmetryCheck:
             return
         slope = steepness(points)[chosen]
         here = points.where(chosen)
-        shared = self._common**2 + self._monitor**2
-        own = np.maximum(here.u_bsdf**2 - shared * here.bsdf**2, 0.0) + (slope * self._angle_deg * here.bsdf) ** 2
+        own = np.maximum(here.u_bsdf**2 - self._common**2 * here.bsdf**2, 0.0) + (slope * self._angle_deg * here.bsdf) ** 2
         columns = {name: np.asarray(getattr(here, name), dtype=float) for name in OF_PAIR if name not in ("gamma", "beta")}
         columns |= {"gamma": same[chosen, 0], "beta": same[chosen, 2], "value": here.bsdf, "variance": own}
         columns |= {"zenith": here.zenith_deg, "azimuth": here.azimuth_deg, "mirrored": here.mirrored.astype(float)}
@@ -143,9 +144,12 @@ class SymmetryCheck:
 
 
 def _means(columns: Columns, which: np.ndarray, size: int, chosen: np.ndarray) -> tuple[Floats, Floats]:
-    """Mean value and its variance of the `chosen` by their place `which`; NaN where there is none."""
+    """Mean value and its variance of the `chosen` by their place `which`; NaN where there is none.
+
+    The variance is that of one of them: repeats share the etalon that scales them.
+    """
     counts = np.bincount(which[chosen], minlength=size)
     counts = np.where(counts == 0, np.nan, counts)
     value = np.bincount(which[chosen], weights=columns["value"][chosen], minlength=size) / counts
-    variance = np.bincount(which[chosen], weights=columns["variance"][chosen], minlength=size) / counts**2
+    variance = np.bincount(which[chosen], weights=columns["variance"][chosen], minlength=size) / counts
     return value, variance

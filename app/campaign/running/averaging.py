@@ -15,6 +15,8 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 LEAST = 4
 """Readings that have to be there before their scatter says anything."""
+MORE = 4
+"""So many times as many as there are, at most, are asked for at once: few readings of the dark may look like much light."""
 QUANTISATION = 1.0 / 12.0
 """Variance of a converter's step, in steps squared."""
 
@@ -31,4 +33,4 @@ def readings_needed(counts: Counts, dark: Floats, wanted: Flags, target: float, 
     with np.errstate(divide="ignore", over="ignore"):
         needed = variance / (target * signal) ** 2
     reachable = needed[wanted & (needed <= most)]
-    return max(taken, math.ceil(float(reachable.max()))) if reachable.size else taken
+    return min(max(taken, math.ceil(float(reachable.max()))), MORE * taken) if reachable.size else taken

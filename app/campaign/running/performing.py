@@ -14,7 +14,8 @@ from app.campaign.running.operator import Operator
 from app.campaign.running.standstill import Standstill
 from app.campaign.running.warming import EVERY_S, Trace
 from app.rig import AXES
-from drivers import Pending, Rig, Until, wait
+from drivers import AxisSettings, Pending, Rig, Until, wait
+from drivers.axis_settings import ENCODER_TOLERANCE_DEG
 
 NOT_WARM = "not warm"
 """The flag of a warm-up that was ended by its time."""
@@ -37,6 +38,7 @@ class Performer:
         self._between = between
         self._note = note
         self._darks: dict[float, Floats] = {}
+        self._apart: set[str] = set()
         self.forget()
 
     def forget(self) -> None:
@@ -93,12 +95,25 @@ class Performer:
         """
         found: dict[str, float | None] = {}
         for name, axis in self._rig.axes.items():
-            found[name], encoder = axis.read_back()
-            if axis.settings.encoder:
+            here, encoder = axis.read_back()
+            found[name] = here
+            if encoder is not None:
                 found[f"{name}_encoder"] = encoder
+                self._tell_apart(name, encoder - here, axis.settings)
         if self._filter is not None:
             found["filter"] = float(self._filter)
         return found
+
+    def _tell_apart(self, name: str, ahead_deg: float, settings: AxisSettings) -> None:
+        """Once, of an axis whose encoder stands off within what its backlash allows: approached from one side it should not."""
+        if abs(ahead_deg) > ENCODER_TOLERANCE_DEG and name not in self._apart:
+            self._apart.add(name)
+            self._note(
+                "encoder",
+                f"{name}: the encoder is {ahead_deg:+.3f} deg ahead of the counter, which its backlash allows; but every move "
+                f"arrives from {settings.approach_from}, so that its zero is off by as much, and each angle with it: "
+                f"home it, or say where it is, coming from {settings.approach_from}",
+            )
 
     def wait(self, *started: Pending) -> None:
         """Until all are done. Raises DeviceError, Stopped."""

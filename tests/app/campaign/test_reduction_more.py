@@ -255,3 +255,16 @@ def test_a_front_measured_alone_has_no_transmitted_points(write_rig: Writer, wri
     assert not points.transmitted.any()
     assert not points.back.any()
     assert points.bsdf.size == 36
+
+
+def test_a_zero_that_is_for_the_other_side_of_the_backlash_is_told(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """Every move arrives from above, but the zero is where the axis stands coming from below."""
+    above = ("lower_deg = -5.0\n", 'lower_deg = -5.0\nbacklash_deg = 0.2\napproach_from = "above"\n')
+    play = ("beta = { motor = 5, gear = 18.0", "beta = { motor = 5, gear = 18.0, backlash_deg = 0.2")
+    for name, changes in (("above", (above, play)), ("below", ((above[0], above[1].replace("above", "below")), play))):
+        journal = tmp_path / f"{name}.journal"
+        run_campaign(make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET, *changes))), journal)
+        told = [note for note in reduced(journal).notes if note.startswith("beta: the encoder is +0.2")]
+        assert len(told) == (name == "above")
