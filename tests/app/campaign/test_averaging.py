@@ -24,6 +24,16 @@ from tests.conftest import Writer
 ONE_GAIN = ("[1e8, 1e10]", "[1e11]")
 
 
+def test_few_readings_that_look_like_much_light_are_not_believed_at_once() -> None:
+    """Hundreds would do if what four readings say were so; but no more than four times as many are asked for."""
+    counts = np.array([[1016], [1024], [1020], [1020]], dtype=np.uint16)
+    dark, wanted = np.array([1000.0]), np.array([True])
+    whole = counts.var(axis=0, ddof=1)[0] / (0.01 * 20.0) ** 2
+    assert 200 < whole < 300
+    assert readings_needed(counts, dark, wanted, 0.01, 1000) == 4 * len(counts)
+    assert readings_needed(np.repeat(counts, 20, axis=0), dark, wanted, 0.01, 1000) == pytest.approx(whole, rel=0.3)
+
+
 def averaged(target: float, longest_s: float) -> Callable[[Row], Row]:
     def change(row: Row) -> Row:
         return replace(row, target=target, longest_s=longest_s) if row.kind == "measure" else row

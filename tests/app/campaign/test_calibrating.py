@@ -1,6 +1,7 @@
 """`[overlap] calibrate`: photodiodes against each other by the directions that two of them have seen."""
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from app.campaign.journal.writing import Journal
 from app.campaign.planning.plan import make_plan
 from app.campaign.reducing.calibrating import Factors, Pairs, calibrated
 from app.campaign.reducing.export import export_csv
+from app.campaign.reducing.overlaps import overlaps
 from app.campaign.reducing.points import BsdfPoints
 from app.campaign.reducing.reduction import Reduced, reduce_journal
 from app.campaign.reducing.verdicts import checked_in
@@ -18,6 +20,7 @@ from app.campaign.schedule.file import read_schedule
 from app.formats import read_points_csv
 from app.rig import OpenRig, read_rig
 from tests.app.campaign.measuring_bench import carried_out
+from tests.app.campaign.test_export import points_of
 from tests.conftest import SMALL, Writer
 
 GREY = '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.3\n\n[twin.samples.etalon]'
@@ -178,3 +181,10 @@ def test_parts_that_no_overlap_connects_are_levelled_by_themselves() -> None:
 def test_pairs_that_are_known_badly_connect_nothing() -> None:
     pairs = chain(np.random.default_rng(1), np.array([0.0, 0.5]), 4, 0.1, 0.0)
     assert calibrated(pairs, 0.0, {0, 1}) == Factors((), (), (), (0, 1), 0, 1.0)
+
+
+def test_what_one_sees_of_reflected_and_another_of_transmitted_light_is_no_overlap() -> None:
+    """At the horizon both arcs look in one direction."""
+    points = points_of(30.0, np.array([90.0, 90.0]), np.array([10.0, 10.0]))
+    assert overlaps(points, 0.0).pairs == 1
+    assert overlaps(replace(points, transmitted=np.array([False, True])), 0.0).pairs == 0

@@ -128,3 +128,11 @@ def test_a_hundred_thousand_rows_are_checked_within_seconds() -> None:
     """Within one on an idle machine: see `benchmarks/planner.py`. Here others may be busy."""
     (found,) = [each for each in checking(VIRTUAL, {"100,000 rows": GREAT["100,000 rows"]}) if each["rows"] > 100_000]
     assert found["check_s"] < 10.0
+
+
+def test_the_duration_is_within_its_own_range() -> None:
+    """Even where the time is up before the target is reached, in lots that nobody counts beforehand."""
+    averaging = "readings = 1\nsignature = true\n[averaging]\nrelative_uncertainty = 0.0005\nlongest_s = 0.5\n"
+    result = checked_plan(planned(f"sigma_deg = [30]\nbeta_deg = [0, 90]\n{averaging}"))
+    least, most = result["duration_range_s"]
+    assert least <= result["duration_s"] <= most

@@ -15,6 +15,7 @@ from app.campaign.planning.plan import make_plan
 from app.campaign.reducing.export import export_csv, export_ddr
 from app.campaign.reducing.reduction import Reduced, reduce_journal
 from app.campaign.reducing.steepness import steepness
+from app.campaign.reducing.symmetry import Symmetrical
 from app.campaign.rehearsing.rehearsal import prepared, rehearse
 from app.campaign.rehearsing.shown import in_words
 from app.campaign.schedule.file import read_schedule
@@ -70,6 +71,31 @@ def test_an_isotropic_sample_holds(write_rig: Writer, write_schedule: Writer, tm
     assert 0.3 * verdict.pairs < verdict.chi_square < 1.7 * verdict.pairs
     assert verdict.largest < 0.1
     assert any(note.startswith("symmetry of gaussian-5: the stated symmetry (isotropic) holds within") for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("repeats", "changes"),
+    [
+        ("repeats = 2\n", ()),
+        ("", (("[1e8, 1e10, 1e11]", "[1e11]"), ("readings = 2", "readings = 10"), ("points = 4", "points = 16"))),
+    ],
+    ids=["repeats that share an etalon", "readings so many that the lamp's flicker is left"],
+)
+def test_a_grey_sample_holds_however_it_is_read(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, repeats: str, changes: tuple[Change, ...]
+) -> None:
+    grey = ("[twin.samples.etalon]", '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.8\n\n[twin.samples.etalon]')
+    three = ("sigma_deg = [30]", "sigma_deg = [20, 40, 60]")
+    schedule = write_schedule(WIDE, GAINS, ("gaussian-5", "grey"), three, *changes, text=SMALL + repeats + CHECK)
+    run_campaign(make_plan(read_schedule(schedule), read_rig(write_rig(grey))), tmp_path / "a.journal")
+    verdict = reduced(tmp_path / "a.journal").symmetry["grey"]
+    assert verdict.holds, verdict
+    assert verdict.pairs > 60
+
+
+def test_where_nothing_can_be_said_a_program_reads_null() -> None:
+    nothing = Symmetrical("isotropic", 0, 0.0, 0.0, 0.0, float("nan"), float("nan"), "")
+    assert nothing.as_dict()["holds"] is None
 
 
 def test_a_campaign_without_the_check_has_no_verdict(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
