@@ -35,7 +35,7 @@ Check = Callable[[], None]
 
 
 class AdamModule(AdamWire):
-    """One module. Its calls take one exchange, unless something goes wrong; only connect, reconnect and check take several."""
+    """One module. Its calls take one exchange, unless something goes wrong; only connect and reconnect take several."""
 
     def __init__(self, name: str, unit: ModbusUnit, model: adam.Model, range_code: int, clock: Clock) -> None:
         super().__init__(name, unit, model)
@@ -103,11 +103,6 @@ class AdamModule(AdamWire):
         if self._outputs is not None and not self._proved:
             return [self.check_outputs, self._prove]
         return [self.check_outputs if self._outputs is not None and any(self._outputs) else self.check_ranges]
-
-    def check(self) -> None:
-        """All of that at once. Raises DeviceError."""
-        for each in self.checks():
-            each()
 
     def _prove(self) -> None:
         self.check_ranges()

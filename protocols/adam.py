@@ -127,7 +127,6 @@ class Model:
 ADAM_6017 = Model("ADAM-6017", (0x6017, 0x0000), frozenset(RANGES), DIGITAL_OUTPUTS, serial=False, statistics=True)
 ADAM_4117 = Model("ADAM-4117", (0x4117, 0x0000), frozenset(RANGES), 0, serial=True, statistics=False)
 MODELS = {"adam-6017": ADAM_6017, "adam-4117": ADAM_4117}
-NAME_6017 = ADAM_6017.name
 
 
 def firmware(words: list[int]) -> str:

@@ -18,7 +18,6 @@ from twin.optics import Deviation, Instrument
 Floats = npt.NDArray[np.float64]
 TILT_DEG = 0.05
 SHIFT_MM = 0.1
-TURNED = ("mirror_1", "mirror_2", "mirror_3", "sample", "arc")
 EVALUATED = 32
 """Of the corners that the linear model ranks first."""
 

@@ -34,11 +34,6 @@ class Mirrors:
         """As kernels take them, (3, 4, 3): centre, normal and the two axes of each mirror."""
         return np.ascontiguousarray(np.stack([self.centres, self.normals, self.axes_u, self.axes_v], axis=1))
 
-    def reflect_point(self, mirror: int, point: Floats) -> Floats:
-        """Mirror image of a point (3,) in the plane of mirror 0, 1 or 2."""
-        image: Floats = reflect(point - self.centres[mirror], self.normals[mirror]) + self.centres[mirror]
-        return image
-
 
 def reflect(vector: Floats, normal: Floats) -> Floats:
     """A vector (3,) as a plane of that unit normal reflects it."""

@@ -22,7 +22,6 @@ F32 = np.float32
 U64 = np.uint64
 ONE, TWO, ZERO, HALF, QUARTER = (np.float32(x) for x in (1.0, 2.0, 0.0, 0.5, 0.25))
 TINY = np.float32(1e-30)
-PER_PI = np.float32(1.0 / math.pi)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})

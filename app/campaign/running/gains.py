@@ -18,8 +18,6 @@ Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 SATURATED = "saturated"
 """The flag of a row in which some photodiode is clipped at each gain."""
-
-
 UNDER_RANGE = "under range"
 """The flag of a row in which no photodiode shows light, at the highest of its gains."""
 LIGHT_STEPS = 4.0

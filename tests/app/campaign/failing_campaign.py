@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +67,8 @@ class Wires:
         virtual, clock = self.virtual, self.virtual.clock
         for name, late_s, foreign in (("axes", 0.1, foreign_tmcl), ("mono", 1.5, None)):
             line = FaultyLine(virtual.serial[name], Script(()), late_s, foreign)
-            plug_in(line, clock, lambda end, name=name: virtual.serial.update({name: end}))  # type: ignore[misc]
-            self._set[name] = lambda misfortune, line=line: setattr(line, "misfortune", misfortune)  # type: ignore[misc]
+            plug_in(line, clock, partial(virtual.serial.__setitem__, name))
+            self._set[name] = partial(setattr, line, "misfortune")
         if "adcs" in virtual.serial:
             line = FaultyLine(virtual.serial["adcs"], Script(()), 1.05, foreign_rtu, refusal_rtu)
             plug_in(line, clock, lambda end: virtual.serial.update(adcs=end))

@@ -128,14 +128,15 @@ def test_a_stop_while_the_wheel_turns_has_it_stop_there_and_the_campaign_goes_on
     def half_way(opened: OpenRig) -> None:
         assert opened.virtual is not None
         rigs.append(opened.virtual)
-        slew = opened.virtual.plant.wheel.slew
+        wheel = opened.virtual.plant.wheel
+        slew = wheel.slew
 
         def stopped(start: float, end: float, position: float) -> None:
-            ways.append((opened.virtual.plant.wheel.at(start), position))  # type: ignore[union-attr]
+            ways.append((wheel.at(start), position))
             slew(start, end, position)
             opened.rig.clock.at(start + 0.4 * (end - start), lambda: engines[0].stop())
 
-        monkeypatch.setattr(opened.virtual.plant.wheel, "slew", stopped)
+        monkeypatch.setattr(wheel, "slew", stopped)
 
     run = carried_out(plan, path, half_way, made=engines.append)
     assert run.state is State.IDLE
