@@ -1,0 +1,155 @@
+"""The program as the golden tests call it: the only module of them that has names of its packages, classes and functions.
+
+What can be asked of the command is asked of the command, in this process: its options, its JSON and the columns of its files
+stay. Journals are read with SQL, for their schema stays too.
+"""
+
+import contextlib
+import io
+import json
+import multiprocessing
+import os
+import signal
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.campaign.campaign import run_campaign
+from app.campaign.journal.writing import Journal
+from app.campaign.planning.plan import make_plan
+from app.campaign.reducing.reduction import reduce_journal
+from app.campaign.running.events import Event, RowCommitted
+from app.campaign.schedule.file import read_schedule
+from app.cli import app as command
+from app.rig import read_rig
+from app.simulation.explained import rms_table
+from twin.optics import Instrument
+
+COLUMNS = {
+    "wavelength_nm": "wavelength_nm",
+    "sigma_deg": "sigma_deg",
+    "gamma_deg": "gamma_deg",
+    "beta_deg": "beta_deg",
+    "shift_deg": "shift_deg",
+    "photodiode": "photodiode",
+    "zenith_deg": "zenith_deg",
+    "azimuth_deg": "azimuth_deg",
+    "theta_deg": "theta_deg",
+    "phi_deg": "phi_deg",
+    "bsdf": "bsdf",
+    "u_bsdf": "u_bsdf",
+    "signature": "signature",
+    "u_field": "u_field",
+}
+"""Columns of a sample's points: the name in the golden files, and the attribute."""
+MARKS = {"back": "back", "transmitted": "transmitted", "mirrored": "mirrored"}
+"""What else is true or false of a point."""
+ROWS = """
+SELECT plan.identity, plan.kind, plan.sample, plan.session, attempt.started_s, attempt.ended_s, attempt.positions,
+    attempt.flags, gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts
+FROM plan JOIN attempt USING (number) LEFT JOIN reading USING (number, attempt)
+WHERE attempt.attempt = (SELECT MAX(attempt) FROM attempt latest WHERE latest.number = plan.number)
+ORDER BY attempt.started_s, plan.number, gain_v_per_a
+"""
+
+Row = dict[str, Any]
+
+
+def answer(*arguments: object) -> dict[str, Any]:
+    """What `goniotwin ARGUMENTS --json` answers."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+        status = command([*map(str, arguments), "--json"], standalone_mode=False)
+    assert not status, f"goniotwin {' '.join(map(str, arguments))}: status {status}: {out.getvalue()}"
+    result: dict[str, Any] = json.loads(out.getvalue())
+    return result
+
+
+def plan_rows(schedule: Path, rig: Path) -> tuple[list[list[Any]], list[float]]:
+    """The rows of a plan, in the order of the golden files' `PLAN_ROW`, and how long each is expected to take, s."""
+    rows = make_plan(read_schedule(schedule), read_rig(rig)).rows
+    found = [
+        [
+            row.identity, str(row.kind), row.sample, None if row.pose is None else list(row.pose), row.wavelength_nm,
+            list(row.gains), row.readings, row.automatic, row.target, row.longest_s,
+        ]
+        for row in rows
+    ]  # fmt: skip
+    return found, [row.seconds for row in rows]
+
+
+def points(journal: Path) -> dict[str, tuple[dict[str, npt.NDArray[Any]], dict[str, npt.NDArray[np.bool_]]]]:
+    """By sample, the columns of the points that a journal reduces to, and what is true or false of each point."""
+    with Journal.open(journal) as opened:
+        reduced = reduce_journal(opened)
+    return {
+        sample: (
+            {name: getattr(each, attribute) for name, attribute in COLUMNS.items()},
+            {**{name: getattr(each, attribute) for name, attribute in MARKS.items()}, **each.flags},
+        )
+        for sample, each in reduced.samples.items()
+    }
+
+
+def table3_noise_free() -> npt.NDArray[np.float64]:
+    """The noise-free cells of the paper's Table 3 (3, 4), percent: sigma by width."""
+    return rms_table(Instrument(obstruction=False))
+
+
+def run_and_kill(schedule: Path, rig: Path, journal: Path, rows: int) -> None:
+    """Runs a campaign in a process of its own, which is killed when so many rows are on the disk."""
+    process = multiprocessing.get_context("spawn").Process(target=_run_and_die, args=(schedule, rig, journal, rows))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+
+
+def _run_and_die(schedule: Path, rig: Path, journal: Path, rows: int) -> None:
+    def listen(event: Event) -> None:
+        if isinstance(event, RowCommitted) and event.done == rows:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), journal, listeners=[listen])
+
+
+def measured_rows(journal: Path) -> list[Row]:
+    """The rows of a journal in the order in which they were begun, added ones too, each by its last attempt."""
+    connection = sqlite3.connect(journal)
+    try:
+        found = connection.execute(ROWS).fetchall()
+    finally:
+        connection.close()
+    rows: list[Row] = []
+    for identity, kind, sample, session, started, ended, positions, flags, gain, first, period, monitor, *counted in found:
+        if not rows or rows[-1]["identity"] != identity:
+            about = {"identity": identity, "kind": kind, "sample": sample, "planned": session is None}
+            when = {"started_s": started, "ended_s": ended}
+            where = {"positions": None if positions is None else json.loads(positions), "flags": json.loads(flags)}
+            rows.append({**about, **when, **where, "readings": []})
+        if gain is not None:
+            readings, channels, counts = counted
+            table = np.frombuffer(counts, dtype="<u2").reshape(readings, channels).tolist()
+            reading = {"gain_v_per_a": gain, "first_s": first, "period_s": period, "monitor_a": monitor, "counts": table}
+            rows[-1]["readings"].append(reading)
+    return rows
+
+
+def change_campaign(journal: Path, key: str, value: str) -> None:
+    """Writes an entry of a journal's table `campaign`."""
+    with contextlib.closing(sqlite3.connect(journal)) as connection, connection:
+        connection.execute("UPDATE campaign SET value = ? WHERE key = ?", (value, key))
+
+
+def campaign_entry(journal: Path, key: str) -> str:
+    """Reads one."""
+    with contextlib.closing(sqlite3.connect(journal)) as connection:
+        return str(connection.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()[0])
+
+
+def put_in_order(journal: Path) -> None:
+    """Brings what a killed program has left beside a journal into it: one file is left. The campaign stays broken off."""
+    with contextlib.closing(sqlite3.connect(journal)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
