@@ -15,7 +15,7 @@ test: $(READY)
 	  echo "  sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"; exit 1; }
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	PYTHONPATH=$(VENV)/links $(BIN)/lint-imports
 	QT_QPA_PLATFORM=offscreen $(BIN)/pytest -m "not long" -n 2 --dist loadfile
 
 # The slow proofs; run before a change of what they prove is called done.
@@ -32,6 +32,9 @@ $(READY): pyproject.toml constraints.txt
 	  echo "Python's venv is missing. On Debian and Ubuntu: sudo apt-get install -y python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@# The tools that read sources find them under their import name here.
+	mkdir -p $(VENV)/links/goniotwin
+	cd $(VENV)/links/goniotwin && ln -sfn $(foreach part,app drivers examples mocks protocols twin,../../../$(part)) . && ln -sf ../../../package/*.py ../../../package/py.typed .
 	@touch $(READY)
 
 clean:

@@ -30,7 +30,7 @@ def home(
     Only axes with a [homing] table in the rig file can. Ends with status 0 when all are homed, 1 after a fault; Ctrl-C stops
     the axes.
     """
-    from app.homing_command import home_axes
+    from goniotwin.app.homing_command import home_axes
 
     with _faults_are_status_1():
         home_axes(rig, list(axes or []), print)
@@ -42,7 +42,7 @@ def here(
     angle: Annotated[float, typer.Argument(metavar="DEG", help="Where it stands.", show_default=False)],
 ) -> None:
     """Say that an axis stands at an angle: somebody has looked. Nothing moves."""
-    from app.homing_command import state_place
+    from goniotwin.app.homing_command import state_place
 
     with _faults_are_status_1():
         state_place(rig, axis, angle, print)
@@ -50,7 +50,7 @@ def here(
 
 @contextlib.contextmanager
 def _faults_are_status_1() -> Iterator[None]:
-    from drivers import DeviceError
+    from goniotwin.drivers import DeviceError
 
     try:
         yield

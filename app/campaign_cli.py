@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from app.axes_cli import RigOption, errors
-from app.errors import UserError
-from app.progress import RowProgress
+from goniotwin.app.axes_cli import RigOption, errors
+from goniotwin.app.errors import UserError
+from goniotwin.app.progress import RowProgress
 
 __all__ = ["Json", "RigOption", "TranscriptOption", "add_campaign_commands", "answer", "errors"]
 
@@ -66,10 +66,10 @@ def run(
     at other ports than before, and anything else that differs is refused. It goes on with the rows that are not in the
     journal, or were skipped, after the sample has been mounted again, a dark taken and the light compared with what it was.
     """
-    from app.campaign.campaign import resume_campaign, run_campaign
-    from app.campaign.reducing.verdicts import checked_in
-    from app.campaign.running.events import State
-    from app.rig import read_rig
+    from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
+    from goniotwin.app.campaign.reducing.verdicts import checked_in
+    from goniotwin.app.campaign.running.events import State
+    from goniotwin.app.rig import read_rig
 
     _check_what_is_given(schedule, rig, out, resume)
     if resume is not None:
@@ -141,10 +141,10 @@ def rehearse(
     twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault, 3 where the schedule's own [stop]
     lets it come no further.
     """
-    from app.campaign.rehearsing.rehearsal import prepared, rehearse
-    from app.campaign.rehearsing.shown import in_words
-    from app.campaign.schedule.file import read_schedule
-    from app.rig import read_rig
+    from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+    from goniotwin.app.campaign.rehearsing.shown import in_words
+    from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.rig import read_rig
 
     _refuse_unwritable(points, out)
     plan, assumed = prepared(read_schedule(schedule), read_rig(rig), _models(sample or []))
@@ -162,7 +162,7 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
 
     Nothing is opened and nothing moves. What the rig cannot do is refused with status 2.
     """
-    from app.campaign.planning.check import checked_plan, in_words
+    from goniotwin.app.campaign.planning.check import checked_plan, in_words
 
     plan = _plan(schedule, rig)
     plan.rig.model()  # samples' files that cannot be read are found now, not at the start
@@ -177,8 +177,8 @@ def runs(
     """List the campaigns of a folder: how each ended, what is left of it, and how long that takes."""
     from rich.console import Console
 
-    from app.campaign.journal.runs import campaigns_in
-    from app.campaign.journal.runs_shown import show
+    from goniotwin.app.campaign.journal.runs import campaigns_in
+    from goniotwin.app.campaign.journal.runs_shown import show
 
     found, refused = campaigns_in(folder)
     answer(
@@ -205,8 +205,8 @@ def _models(given: list[str]) -> dict[str, str]:
 
 def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
     """Raises UserError for files that could not be written when the rehearsal is over."""
-    from app.formats import FormatError
-    from app.formats.wholefile import refuse_unwritable
+    from goniotwin.app.formats import FormatError
+    from goniotwin.app.formats.wholefile import refuse_unwritable
 
     if out is not None and out.exists():
         raise UserError(f"--out {out}: is there already, and no journal is ever overwritten; choose another name")
@@ -235,9 +235,9 @@ def _check_what_is_given(schedule: Path | None, rig: Path | None, out: Path | No
 
 
 def _plan(schedule: Path, rig: Path) -> Any:
-    from app.campaign.planning.plan import make_plan
-    from app.campaign.schedule.file import read_schedule
-    from app.rig import read_rig
+    from goniotwin.app.campaign.planning.plan import make_plan
+    from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.rig import read_rig
 
     return make_plan(read_schedule(schedule), read_rig(rig))
 

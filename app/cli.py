@@ -9,14 +9,14 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from app.axes_cli import add_axes_commands
-from app.campaign_cli import Json, RigOption, TranscriptOption, add_campaign_commands, answer, errors
-from app.ending import heed_requests_to_end
-from app.errors import UserError
-from app.simulation import command as simulation
+import goniotwin
+from goniotwin import examples
+from goniotwin.app.axes_cli import add_axes_commands
+from goniotwin.app.campaign_cli import Json, RigOption, TranscriptOption, add_campaign_commands, answer, errors
+from goniotwin.app.ending import heed_requests_to_end
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation import command as simulation
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-EXAMPLE_RIG, EXAMPLE_SCHEDULE = EXAMPLES / "rigs" / "virtual.toml", EXAMPLES / "schedules" / "quick.toml"
 app = typer.Typer(
     name="goniotwin",
     help=(
@@ -31,19 +31,31 @@ app = typer.Typer(
 app.add_typer(simulation.app, name="simulate")
 
 
+def show_version(wanted: bool) -> None:
+    """Print the version and end, where that is asked for."""
+    if wanted:
+        print(f"goniotwin {goniotwin.__version__}")
+        raise typer.Exit
+
+
 @app.callback(invoke_without_command=True)
-def start(context: typer.Context) -> None:
-    """Opens the desktop where no command is given."""
+def start(
+    context: typer.Context,
+    _version: Annotated[
+        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Open the desktop where no command is given."""
     if context.invoked_subcommand is None:
-        desktop(EXAMPLE_RIG, EXAMPLE_SCHEDULE)
+        desktop(examples.RIG, examples.SCHEDULE)
 
 
 @app.command()
 def desktop(
-    rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Where the devices are.")] = EXAMPLE_RIG,
+    rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Where the devices are.")] = examples.RIG,
     schedule: Annotated[
         Path, typer.Option("--schedule", metavar="SCHEDULE.toml", help="What is to be measured.")
-    ] = EXAMPLE_SCHEDULE,
+    ] = examples.SCHEDULE,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="The folder for journals.", show_default=False)
     ] = None,
@@ -51,7 +63,7 @@ def desktop(
 ) -> None:
     """Open the window."""
     try:
-        from app.desktop import run_desktop
+        from goniotwin.app.desktop import run_desktop
     except ImportError as error:
         raise UserError(
             f"the window needs Qt, which cannot be loaded: {error}; on Debian and Ubuntu: "
@@ -82,9 +94,9 @@ def export(
     The journal stays as it is. Values come with their standard uncertainty (csv). Nothing is filled in silence: what a
     .ddr needs and nobody measured is listed at its top.
     """
-    from app.campaign.journal.writing import Journal
-    from app.campaign.reducing.export import FORMATS
-    from app.campaign.reducing.reduction import reduce_journal
+    from goniotwin.app.campaign.journal.writing import Journal
+    from goniotwin.app.campaign.reducing.export import FORMATS
+    from goniotwin.app.campaign.reducing.reduction import reduce_journal
 
     if out.resolve() == journal.resolve():
         raise UserError(f"{out}: is the journal itself; choose another name")
@@ -106,10 +118,34 @@ def demo(
 
     Leaves journal, .ddr, CSV and a figure in a folder; the files of an earlier demo there are replaced.
     """
-    from app.demo import run_demo
+    from goniotwin.app.demo import run_demo
 
-    result, show = run_demo(EXAMPLE_RIG, EXAMPLE_SCHEDULE, out, transcript, errors)
+    result, show = run_demo(examples.RIG, examples.SCHEDULE, out, transcript, errors)
     answer(as_json, result, lambda: show(Console(highlight=False)))
+
+
+@app.command("examples")
+def copy_examples(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that is made if need be.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Copy the example rigs and schedules into a folder. A file that exists there is never overwritten."""
+    from goniotwin.app.formats import FormatError
+    from goniotwin.app.formats.wholefile import write_whole
+
+    sources = sorted(examples.FOLDER.glob("*/*.toml"))
+    copies = {source: folder / source.relative_to(examples.FOLDER) for source in sources}
+    for copy in copies.values():
+        if copy.exists():
+            raise UserError(f"{copy}: exists, and nothing is overwritten; choose another folder")
+    try:
+        for source, copy in copies.items():
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(copy, source.read_bytes())
+    except (OSError, FormatError) as error:
+        raise UserError(f"{folder}: cannot be written: {error}; choose another folder") from None
+    copied = list(copies.values())
+    answer(as_json, {"files": [str(path) for path in copied]}, lambda: print("\n".join(map(str, copied))))
 
 
 @app.command()
@@ -137,8 +173,8 @@ def serve(
 
     Programs that know USB but not USB/IP reach the monitor with `goniotwin usb`.
     """
-    from app.rig import read_rig
-    from app.serving import serve_until_interrupted
+    from goniotwin.app.rig import read_rig
+    from goniotwin.app.serving import serve_until_interrupted
 
     serve_until_interrupted(read_rig(rig), speed, ptys, write_rig, control=control)
 
@@ -150,8 +186,8 @@ def usb(
     rig: RigOption,
 ) -> None:
     """Run an unmodified pyusb program that finds the virtual rig's USB devices. What follows PROGRAM.py is its own."""
-    from app.rig import read_rig
-    from app.serving import run_with_usb
+    from goniotwin.app.rig import read_rig
+    from goniotwin.app.serving import run_with_usb
 
     run_with_usb(read_rig(rig), program, context.args)
 
@@ -171,7 +207,7 @@ def devices(
     Devices are asked who they are, and for nothing else. A port that another program holds is left alone.
     The status is 1 when a device of a rig file does not answer, else 0.
     """
-    from app.devices import exit_status, found_devices, in_words
+    from goniotwin.app.devices import exit_status, found_devices, in_words
 
     found = found_devices(rig)
     answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(in_words(found)))
@@ -193,8 +229,8 @@ def replay(
 
     Numbers that depend on time and noise differ: counts, encoder positions, measured currents. Serial numbers do too.
     """
-    from app.replaying import replay_transcripts
-    from app.rig import read_rig
+    from goniotwin.app.replaying import replay_transcripts
+    from goniotwin.app.rig import read_rig
 
     result = replay_transcripts(transcripts, read_rig(rig), device, mount)
     answer(as_json, result.as_dict(), lambda: print(result.in_words()))

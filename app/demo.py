@@ -9,19 +9,19 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.compare import Comparison, compare
-from app.campaign.reducing.export import export_csv, export_ddr
-from app.campaign.reducing.figure import cut_figure
-from app.campaign.reducing.reduction import Reduced, reduce_journal
-from app.campaign.running.events import State
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.progress import RowProgress
-from app.rig import RigDescription, read_rig
-from protocols.clock import RealClock
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.compare import Comparison, compare
+from goniotwin.app.campaign.reducing.export import export_csv, export_ddr
+from goniotwin.app.campaign.reducing.figure import cut_figure
+from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.progress import RowProgress
+from goniotwin.app.rig import RigDescription, read_rig
+from goniotwin.protocols.clock import RealClock
 
 SAMPLE = "gaussian-5"
 

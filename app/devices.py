@@ -9,12 +9,12 @@ import serial
 import usb.core
 from serial.tools import list_ports
 
-from app.errors import UserError
-from app.rig import RigDescription, open_rig, read_rig
-from app.rig.lock import RigLock
-from drivers import DeviceError, Monochromator, MonochromatorSettings, TmclModule
-from protocols.clock import Clock, RealClock, VirtualClock
-from protocols.usbtmc import INTERFACE_CLASS
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, open_rig, read_rig
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.drivers import DeviceError, Monochromator, MonochromatorSettings, TmclModule
+from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.protocols.usbtmc import INTERFACE_CLASS
 
 AXES_BAUDRATES = (115200, 9600)
 OF_A_RIG = "rig"

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from app.campaign.campaign import clock_of
-from app.errors import UserError
-from app.rig import AXES, open_rig, read_rig
-from drivers import Axis, DeviceError, Rig, wait
+from goniotwin.app.campaign.campaign import clock_of
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import AXES, open_rig, read_rig
+from goniotwin.drivers import Axis, DeviceError, Rig, wait
 
 Say = Callable[[str], None]
 

@@ -5,7 +5,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from app.campaign.running.events import Event, RowCommitted, RowStarted
+from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted
 
 
 class RowProgress:

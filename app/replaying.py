@@ -6,20 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.errors import UserError
-from app.rig import RigDescription
-from app.rig.modbus_units import RTU, rtu_address
-from drivers import tmcl, usbtmc
-from drivers.modbus import explain, explain_rtu
-from drivers.tap import Explain, as_text
-from mocks.replay import LineReplay, Replay, replay_all
-from mocks.replay_difference import Difference
-from mocks.replay_usb import UsbReplay
-from mocks.transcript import TO_DEVICE, Passed, TranscriptError, merged, read_transcript
-from protocols.clock import VirtualClock
-from twin import VirtualRig
-from twin.devices.modbus import TcpStation
-from twin.rig import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig.modbus_units import RTU, rtu_address
+from goniotwin.drivers import tmcl, usbtmc
+from goniotwin.drivers.modbus import explain, explain_rtu
+from goniotwin.drivers.tap import Explain, as_text
+from goniotwin.mocks.replay import LineReplay, Replay, replay_all
+from goniotwin.mocks.replay_difference import Difference
+from goniotwin.mocks.replay_usb import UsbReplay
+from goniotwin.mocks.transcript import TO_DEVICE, Passed, TranscriptError, merged, read_transcript
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.modbus import TcpStation
+from goniotwin.twin.rig import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
 
 _PHOTODIODES = re.compile(r"photodiodes-(0|[1-9][0-9]{0,3})")
 TWIN = "twin://"

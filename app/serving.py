@@ -8,14 +8,14 @@ import tempfile
 import threading
 from pathlib import Path
 
-from app.errors import UserError
-from app.rig import RigDescription
-from app.rig.served_file import check_served_rig, served_rig, write_served_rig
-from mocks import installed
-from mocks.served import ServedRig
-from protocols.clock import RealClock
-from twin import TwinModel, VirtualRig
-from twin.doors import TwinUsbBackend
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig.served_file import check_served_rig, served_rig, write_served_rig
+from goniotwin.mocks import installed
+from goniotwin.mocks.served import ServedRig
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin import TwinModel, VirtualRig
+from goniotwin.twin.doors import TwinUsbBackend
 
 
 def serve_until_interrupted(

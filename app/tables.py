@@ -7,7 +7,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from app.errors import UserError
+from goniotwin.app.errors import UserError
 
 
 class Table(BaseModel):

@@ -20,16 +20,16 @@ from pathlib import Path
 import serial
 import usb.core
 
-from app.rig import parse_rig
-from app.rig.modbus_units import ModbusUnits
-from app.rig.settings import axis_settings, monitor_settings, monochromator_settings
-from drivers import Axis, Monitor, Monochromator, TmclModule, wait
-from drivers.adam import AdamModule
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
-from protocols import adam
-from protocols.clock import VirtualClock
-from twin import VirtualRig
-from twin.doors import TwinUsbBackend, register
+from goniotwin.app.rig import parse_rig
+from goniotwin.app.rig.modbus_units import ModbusUnits
+from goniotwin.app.rig.settings import axis_settings, monitor_settings, monochromator_settings
+from goniotwin.drivers import Axis, Monitor, Monochromator, TmclModule, wait
+from goniotwin.drivers.adam import AdamModule
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
+from goniotwin.protocols import adam
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.doors import TwinUsbBackend, register
 
 RIG = Path(__file__).resolve().parents[1] / "examples" / "rigs" / "virtual.toml"
 ON_RTU = (

@@ -8,13 +8,22 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from app.rig import OpenRig, RigDescription, open_rig, parse_rig
-from drivers import wait
-from mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
-from mocks.faulty_line import End, FaultyLine, foreign_rtu, foreign_tcp, foreign_tmcl, plug_in, refusal_rtu, refusal_tcp
-from mocks.faulty_usb import FaultyUsb
-from protocols.clock import VirtualClock
-from twin.devices.line import SerialDevice
+from goniotwin.app.rig import OpenRig, RigDescription, open_rig, parse_rig
+from goniotwin.drivers import wait
+from goniotwin.mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faulty_line import (
+    End,
+    FaultyLine,
+    foreign_rtu,
+    foreign_tcp,
+    foreign_tmcl,
+    plug_in,
+    refusal_rtu,
+    refusal_tcp,
+)
+from goniotwin.mocks.faulty_usb import FaultyUsb
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin.devices.line import SerialDevice
 
 RIG = Path(__file__).resolve().parents[1] / "examples" / "rigs" / "virtual.toml"
 RANGE = ("gain_uncertainty", "range_code = 0x0142\ngain_uncertainty")

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from benchmarks.failing_drivers import BENCHES, Bench, WrongValueError
-from drivers import DeviceError, Forgotten
-from mocks.faults import Fault, Script
+from goniotwin.drivers import DeviceError, Forgotten
+from goniotwin.mocks.faults import Fault, Script
 
 TRIES = 4
 PAUSE_S = 6.0

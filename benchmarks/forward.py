@@ -8,15 +8,15 @@ from concurrent.futures import ThreadPoolExecutor
 import numba
 import numpy as np
 
-from twin.optics.blocks import trace, trace_geometry
-from twin.optics.counters import U64
-from twin.optics.frames import Floats, from_specular
-from twin.optics.holder import SampleFrames
-from twin.optics.instrument import Instrument
-from twin.optics.paths import BLOCK
-from twin.optics.scatterer import Scatterer
-from twin.optics.scattering import gaussian, lambertian
-from twin.optics.setting import Setting, set_up
+from goniotwin.twin.optics.blocks import trace, trace_geometry
+from goniotwin.twin.optics.counters import U64
+from goniotwin.twin.optics.frames import Floats, from_specular
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.paths import BLOCK
+from goniotwin.twin.optics.scatterer import Scatterer
+from goniotwin.twin.optics.scattering import gaussian, lambertian
+from goniotwin.twin.optics.setting import Setting, set_up
 
 SIGMA_DEG = 30.0
 SAMPLES = {"lambertian": lambertian(), "gaussian": gaussian(5.0)}

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numba
 
-from twin.optics.deviation import Deviation
-from twin.optics.illumination import IlluminationUnit
-from twin.optics.illumination_adjoint import adjoint_illumination
-from twin.optics.illumination_forward import forward_illumination
+from goniotwin.twin.optics.deviation import Deviation
+from goniotwin.twin.optics.illumination import IlluminationUnit
+from goniotwin.twin.optics.illumination_adjoint import adjoint_illumination
+from goniotwin.twin.optics.illumination_forward import forward_illumination
 
 RELATIVE_ERROR = 0.01
 REPEATS = 101

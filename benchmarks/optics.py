@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks import forward as forward_costs
 from benchmarks import illumination as illumination_costs
-from twin.optics import Instrument, Pose, arc_direction, from_specular, gaussian, luminance_factors, throughput
-from twin.optics.frames import Floats
+from goniotwin.twin.optics import Instrument, Pose, arc_direction, from_specular, gaussian, luminance_factors, throughput
+from goniotwin.twin.optics.frames import Floats
 
 SIGMA_DEG = (*np.arange(0.0, 86.0, 5.0), 87.0)
 OPEN = Instrument(obstruction=False)
@@ -97,7 +97,7 @@ def photodiodes_at_poses() -> None:
 
 FIRST_CALLS = """
 import time
-from twin.optics import Instrument, forward, gaussian, luminance_factor
+from goniotwin.twin.optics import Instrument, forward, gaussian, luminance_factor
 for name, call in (("fast", luminance_factor), ("forward", lambda *where: forward(*where, paths=2))):
     begun = time.perf_counter()
     call(Instrument(), 30.0, [[0.0, 0.0, 1.0]], gaussian(5.0))

@@ -14,14 +14,14 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from app.campaign.campaign import run_campaign
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.least import least_seconds
-from app.campaign.planning.plan import make_plan
-from app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
-from app.campaign.spoken import clock_time
-from app.rig import RigDescription, read_rig
-from protocols.clock import RealClock
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.least import least_seconds
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
+from goniotwin.app.campaign.spoken import clock_time
+from goniotwin.app.rig import RigDescription, read_rig
+from goniotwin.protocols.clock import RealClock
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 NAMED = ("dense-lobe-spectral", "diffuse-spectral", "anisotropic", "transmission")

@@ -33,14 +33,14 @@ from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
-from app.campaign.planning.plan import Plan
-from app.campaign.rehearsing.rehearsal import performed, prepared, rehearse
-from app.campaign.rehearsing.warnings import heeded
-from app.campaign.rehearsing.watch import Watch
-from app.campaign.running.events import Event, RowCommitted
-from app.campaign.schedule.file import parse_schedule, read_schedule
-from app.rig import photodiode_settings, read_rig
-from drivers.modbus import ModbusBus
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.rehearsing.rehearsal import performed, prepared, rehearse
+from goniotwin.app.campaign.rehearsing.warnings import heeded
+from goniotwin.app.campaign.rehearsing.watch import Watch
+from goniotwin.app.campaign.running.events import Event, RowCommitted
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.rig import photodiode_settings, read_rig
+from goniotwin.drivers.modbus import ModbusBus
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 RIG = EXAMPLES / "rigs" / "virtual.toml"

@@ -4,18 +4,18 @@ No call lasts longer than one exchange on its wire; what takes time is started a
 name: they are given openers.
 """
 
-from drivers.axis import Axis, AxisSettings, Homing
-from drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
-from drivers.interlock import ArcClearance
-from drivers.monitor import Monitor, MonitorSettings
-from drivers.monochromator import Monochromator
-from drivers.monochromator_settings import MonochromatorSettings
-from drivers.order_filters import FilterWheel, OrderFilter
-from drivers.pending import Pending, Poll, Until, wait
-from drivers.photodiodes import PhotodiodeArray, PhotodiodeSettings
-from drivers.rig import Rig
-from drivers.tap import Transcript
-from drivers.tmcl import TmclModule
+from goniotwin.drivers.axis import Axis, AxisSettings, Homing
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
+from goniotwin.drivers.interlock import ArcClearance
+from goniotwin.drivers.monitor import Monitor, MonitorSettings
+from goniotwin.drivers.monochromator import Monochromator
+from goniotwin.drivers.monochromator_settings import MonochromatorSettings
+from goniotwin.drivers.order_filters import FilterWheel, OrderFilter
+from goniotwin.drivers.pending import Pending, Poll, Until, wait
+from goniotwin.drivers.photodiodes import PhotodiodeArray, PhotodiodeSettings
+from goniotwin.drivers.rig import Rig
+from goniotwin.drivers.tap import Transcript
+from goniotwin.drivers.tmcl import TmclModule
 
 __all__ = [
     "ArcClearance",

@@ -23,11 +23,11 @@ takes, and that only with the first fault.
 
 from collections.abc import Callable
 
-from drivers.adam_wire import AdamWire, Call, T
-from drivers.errors import BadAnswer, Forgotten
-from drivers.modbus import ModbusUnit
-from protocols import adam
-from protocols.clock import Clock
+from goniotwin.drivers.adam_wire import AdamWire, Call, T
+from goniotwin.drivers.errors import BadAnswer, Forgotten
+from goniotwin.drivers.modbus import ModbusUnit
+from goniotwin.protocols import adam
+from goniotwin.protocols.clock import Clock
 
 WRITE_COILS, WRITE_REGISTERS = 15, 16
 CHECK_EVERY_S = 60.0

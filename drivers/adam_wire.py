@@ -9,9 +9,9 @@ from typing import TypeVar
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.pdu import ModbusPDU
 
-from drivers.errors import BadAnswer, DeviceError, NoAnswer, Refused
-from drivers.modbus import WIRE_FAULTS, ModbusUnit, in_words
-from protocols import adam
+from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer, Refused
+from goniotwin.drivers.modbus import WIRE_FAULTS, ModbusUnit, in_words
+from goniotwin.protocols import adam
 
 T = TypeVar("T")
 Call = Callable[[ModbusBaseSyncClient], ModbusPDU]

@@ -2,18 +2,18 @@
 
 import math
 
-from drivers.axis_settings import AxisSettings as AxisSettings
-from drivers.axis_settings import Homing as Homing
-from drivers.errors import DeviceError, Forgotten, Interrupted, LimitError, NoAnswer, Refused, Unreferenced
-from drivers.homing import HomingSearch
-from drivers.moving import ARRIVED_AFTER_S as ARRIVED_AFTER_S
-from drivers.moving import Move, Switches
-from drivers.reference import REMEDY, Reference
-from drivers.tmcl import TmclModule
-from protocols.clock import Clock
-from protocols.tmcl import Axis as Parameter
-from protocols.tmcl import Command, MoveType, Request
-from protocols.tmcl_parameters import DriverFlag, ErrorFlag, Search
+from goniotwin.drivers.axis_settings import AxisSettings as AxisSettings
+from goniotwin.drivers.axis_settings import Homing as Homing
+from goniotwin.drivers.errors import DeviceError, Forgotten, Interrupted, LimitError, NoAnswer, Refused, Unreferenced
+from goniotwin.drivers.homing import HomingSearch
+from goniotwin.drivers.moving import ARRIVED_AFTER_S as ARRIVED_AFTER_S
+from goniotwin.drivers.moving import Move, Switches
+from goniotwin.drivers.reference import REMEDY, Reference
+from goniotwin.drivers.tmcl import TmclModule
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.tmcl import Axis as Parameter
+from goniotwin.protocols.tmcl import Command, MoveType, Request
+from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag, Search
 
 
 class Axis:

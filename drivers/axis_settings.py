@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.ramp import move_seconds
+from goniotwin.drivers.ramp import move_seconds
 
 OVERSHOOT = 2.0
 """By how many times the believed backlash a move goes too far, to come back from the side that it has to arrive from."""

@@ -11,11 +11,11 @@ from collections import deque
 
 from serial import Serial, SerialException
 
-from drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
-from drivers.tmcl import PortOpener
-from protocols.clock import Clock
-from protocols.cornerstone import (
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
+from goniotwin.drivers.tmcl import PortOpener
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.cornerstone import (
     MAX_LINE,
     NO_ERROR,
     STATUS_TEXTS,

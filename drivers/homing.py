@@ -2,15 +2,15 @@
 
 from typing import TYPE_CHECKING
 
-from drivers.axis_settings import Homing
-from drivers.errors import DeviceError
-from protocols.clock import Clock
-from protocols.tmcl import Axis as Parameter
-from protocols.tmcl import Command
-from protocols.tmcl_parameters import Search
+from goniotwin.drivers.axis_settings import Homing
+from goniotwin.drivers.errors import DeviceError
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.tmcl import Axis as Parameter
+from goniotwin.protocols.tmcl import Command
+from goniotwin.protocols.tmcl_parameters import Search
 
 if TYPE_CHECKING:
-    from drivers.axis import Axis
+    from goniotwin.drivers.axis import Axis
 
 POLL_S = 0.1
 NEAR_MICROSTEPS = 1

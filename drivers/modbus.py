@@ -16,8 +16,8 @@ from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
-from protocols import adam
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
+from goniotwin.protocols import adam
 
 Trace = Callable[[bool, bytes], bytes]
 ModbusOpener = Callable[[Trace | None], ModbusBaseSyncClient]

@@ -13,15 +13,15 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
-from drivers.monitor_mean import ANSWER_MARGIN_S as ANSWER_MARGIN_S
-from drivers.monitor_mean import NAME, MonitorMean
-from drivers.pending import Pending, Poll
-from drivers.scpi_dialect import DIALECTS
-from drivers.tap import Tap, no_tap
-from drivers.usbtmc import UsbOpener, UsbTmc
-from protocols.clock import Clock
-from protocols.scpi import ScpiError, decode_error, decode_number
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
+from goniotwin.drivers.monitor_mean import ANSWER_MARGIN_S as ANSWER_MARGIN_S
+from goniotwin.drivers.monitor_mean import NAME, MonitorMean
+from goniotwin.drivers.pending import Pending, Poll
+from goniotwin.drivers.scpi_dialect import DIALECTS
+from goniotwin.drivers.tap import Tap, no_tap
+from goniotwin.drivers.usbtmc import UsbOpener, UsbTmc
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.scpi import ScpiError, decode_error, decode_number
 
 LONGEST_READING_S = 1.0
 OVER_RANGE = 1.1

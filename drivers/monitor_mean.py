@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable
 
-from drivers.errors import BadAnswer, DeviceError
-from drivers.usbtmc import UsbTmc
-from protocols.clock import Clock
-from protocols.scpi import ScpiError, decode_number, overloaded
+from goniotwin.drivers.errors import BadAnswer, DeviceError
+from goniotwin.drivers.usbtmc import UsbTmc
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.scpi import ScpiError, decode_number, overloaded
 
 NAME = "monitor"
 ANSWER_MARGIN_S = 2.0e-3

@@ -22,15 +22,15 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from drivers.cornerstone_wire import CHECK_LINE, NAME, CornerstoneWire
-from drivers.errors import BadAnswer, DeviceError, Refused
-from drivers.monochromator_move import ABORT, STATUS_MARGIN_S, Move
-from drivers.monochromator_settings import MonochromatorSettings
-from drivers.pending import Pending
-from drivers.tap import Tap, no_tap
-from drivers.tmcl import PortOpener
-from protocols.clock import Clock
-from protocols.cornerstone import NO_ERROR, Grating, Statement, StatementError, decode_number, encode_nm
+from goniotwin.drivers.cornerstone_wire import CHECK_LINE, NAME, CornerstoneWire
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Refused
+from goniotwin.drivers.monochromator_move import ABORT, STATUS_MARGIN_S, Move
+from goniotwin.drivers.monochromator_settings import MonochromatorSettings
+from goniotwin.drivers.pending import Pending
+from goniotwin.drivers.tap import Tap, no_tap
+from goniotwin.drivers.tmcl import PortOpener
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.cornerstone import NO_ERROR, Grating, Statement, StatementError, decode_number, encode_nm
 
 __all__ = ["STATUS_MARGIN_S", "Monochromator"]
 

@@ -7,10 +7,10 @@ to ask first, it sends nothing at all if the unit is there already.
 
 from collections.abc import Callable
 
-from drivers.cornerstone_wire import ANSWER_S, NAME, CornerstoneWire
-from drivers.errors import DeviceError, Interrupted, NoAnswer, Refused
-from protocols.clock import Clock
-from protocols.cornerstone import NO_ERROR, Error, Statement
+from goniotwin.drivers.cornerstone_wire import ANSWER_S, NAME, CornerstoneWire
+from goniotwin.drivers.errors import DeviceError, Interrupted, NoAnswer, Refused
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.cornerstone import NO_ERROR, Error, Statement
 
 POLL_S = 0.02
 STATUS_MARGIN_S = 3.0e-3

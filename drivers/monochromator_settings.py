@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from drivers.order_filters import FilterWheel
+from goniotwin.drivers.order_filters import FilterWheel
 
 UNIT_THINKS_S = 2.0e-3
 

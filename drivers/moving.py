@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from drivers.errors import DeviceError
-from protocols.clock import Clock
-from protocols.tmcl import Axis as Parameter
-from protocols.tmcl import Command, MoveType
-from protocols.tmcl_parameters import DriverFlag, ErrorFlag
+from goniotwin.drivers.errors import DeviceError
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.tmcl import Axis as Parameter
+from goniotwin.protocols.tmcl import Command, MoveType
+from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag
 
 if TYPE_CHECKING:
-    from drivers.axis import Axis
+    from goniotwin.drivers.axis import Axis
 
 POLL_S = 0.02
 STANDS_S = 0.1

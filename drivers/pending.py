@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from operator import attrgetter
 from typing import Protocol
 
-from protocols.clock import Clock
+from goniotwin.protocols.clock import Clock
 
 LONGEST_SLEEP_S = 0.2
 DUE = attrgetter("due")

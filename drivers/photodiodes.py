@@ -11,12 +11,12 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from drivers.adam import AdamModule, Check
-from drivers.errors import DeviceError, NoAnswer, Refused
-from drivers.modbus import ModbusUnit, explain, explain_rtu
-from drivers.pending import Pending, Until
-from protocols import adam
-from protocols.clock import Clock
+from goniotwin.drivers.adam import AdamModule, Check
+from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
+from goniotwin.drivers.modbus import ModbusUnit, explain, explain_rtu
+from goniotwin.drivers.pending import Pending, Until
+from goniotwin.protocols import adam
+from goniotwin.protocols.clock import Clock
 
 __all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 

@@ -6,11 +6,11 @@ module has been powered up or has reset since anybody knew. So what one process 
 
 import contextlib
 
-from drivers.axis_settings import AxisSettings
-from drivers.errors import DeviceError
-from drivers.tmcl import TmclModule
-from drivers.tmcl_rules import DOUBTED, KNOWN, mark
-from protocols.tmcl_parameters import ErrorFlag
+from goniotwin.drivers.axis_settings import AxisSettings
+from goniotwin.drivers.errors import DeviceError
+from goniotwin.drivers.tmcl import TmclModule
+from goniotwin.drivers.tmcl_rules import DOUBTED, KNOWN, mark
+from goniotwin.protocols.tmcl_parameters import ErrorFlag
 
 REMEDY = "home it, or say where it is (goniotwin home, goniotwin here)"
 

@@ -4,15 +4,15 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivers.axis import Axis
-from drivers.errors import BadAnswer, DeviceError, LimitError
-from drivers.interlock import ArcClearance
-from drivers.monitor import Monitor
-from drivers.monochromator import Monochromator
-from drivers.pending import Pending
-from drivers.photodiodes import PhotodiodeArray
-from drivers.tmcl import TmclModule
-from protocols.clock import Clock
+from goniotwin.drivers.axis import Axis
+from goniotwin.drivers.errors import BadAnswer, DeviceError, LimitError
+from goniotwin.drivers.interlock import ArcClearance
+from goniotwin.drivers.monitor import Monitor
+from goniotwin.drivers.monochromator import Monochromator
+from goniotwin.drivers.pending import Pending
+from goniotwin.drivers.photodiodes import PhotodiodeArray
+from goniotwin.drivers.tmcl import TmclModule
+from goniotwin.protocols.clock import Clock
 
 SIMULATED_SERIAL = "TWIN"
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, TextIO
 
-from protocols.clock import Clock
+from goniotwin.protocols.clock import Clock
 
 TO_DEVICE, FROM_DEVICE = ">", "<"
 Explain = Callable[[str, bytes], str]

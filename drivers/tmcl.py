@@ -26,15 +26,24 @@ from functools import partial
 
 from serial import Serial
 
-from drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
-from drivers.tap import Tap, no_tap
-from drivers.tmcl_port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, TmclPort
-from drivers.tmcl_rules import CANARY, CANARY_VARIABLE, FIRST_MARKER, MARKER_VARIABLE, believed, doubts, moves, repeatable
-from drivers.tmcl_rules import explain as explain
-from drivers.turnstile import Turnstile
-from protocols.clock import Clock
-from protocols.tmcl import HOST_ADDRESS, Command, Reply, Request, Status
-from protocols.tmcl_parameters import USER_BANK, Global
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
+from goniotwin.drivers.tap import Tap, no_tap
+from goniotwin.drivers.tmcl_port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, TmclPort
+from goniotwin.drivers.tmcl_rules import (
+    CANARY,
+    CANARY_VARIABLE,
+    FIRST_MARKER,
+    MARKER_VARIABLE,
+    believed,
+    doubts,
+    moves,
+    repeatable,
+)
+from goniotwin.drivers.tmcl_rules import explain as explain
+from goniotwin.drivers.turnstile import Turnstile
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.tmcl import HOST_ADDRESS, Command, Reply, Request, Status
+from goniotwin.protocols.tmcl_parameters import USER_BANK, Global
 
 PortOpener = Callable[[int, float], Serial]
 """Opens a serial port: baud rate, timeout in s."""

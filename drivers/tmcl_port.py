@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 from serial import Serial, SerialException
 
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
-from protocols.clock import Clock
-from protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, FrameError, Reply, Request, Status, split
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, FrameError, Reply, Request, Status, split
 
 SLICE_S = 0.01
 FRAME_S_BITS = FRAME_BYTES * 10.0

@@ -6,10 +6,10 @@ whether somebody knows where its axis is.
 
 from collections.abc import Callable
 
-from drivers.errors import BadAnswer, Refused
-from drivers.tap import TO_DEVICE
-from protocols.tmcl import HOST_ADDRESS, Axis, Command, FrameError, MoveType, Reply, Request, Status
-from protocols.tmcl_parameters import USER_BANK, Search
+from goniotwin.drivers.errors import BadAnswer, Refused
+from goniotwin.drivers.tap import TO_DEVICE
+from goniotwin.protocols.tmcl import HOST_ADDRESS, Axis, Command, FrameError, MoveType, Reply, Request, Status
+from goniotwin.protocols.tmcl_parameters import USER_BANK, Search
 
 ECHOING = frozenset({Command.SAP, Command.SGP, Command.ROR, Command.ROL, Command.MST})
 REPEATABLE = frozenset({Command.GAP, Command.GGP, Command.SAP, Command.SGP, Command.MST, Command.FIRMWARE_VERSION})

@@ -13,9 +13,9 @@ from typing import Any
 import usb.core
 from usb.backend import IBackend
 
-from drivers.usbip_link import UsbIpLink, listed_devices
-from protocols import usbip
-from protocols.usb_descriptors import (
+from goniotwin.drivers.usbip_link import UsbIpLink, listed_devices
+from goniotwin.protocols import usbip
+from goniotwin.protocols.usb_descriptors import (
     CONFIGURATION,
     CONFIGURATION_BYTES,
     DEVICE,

@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import usb.core
 
-from protocols import usbip
+from goniotwin.protocols import usbip
 
 CONNECT_S = 2.0
 ANSWER_S = 2.0

@@ -21,10 +21,10 @@ from typing import Any
 import usb.core
 import usb.util
 
-from drivers.errors import BadAnswer, DeviceError, NoAnswer
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
-from drivers.usbtmc_control import Control, explain
-from protocols.usbtmc import (
+from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
+from goniotwin.drivers.usbtmc_control import Control, explain
+from goniotwin.protocols.usbtmc import (
     HEADER_BYTES,
     INTERFACE_CLASS,
     Header,

@@ -9,9 +9,9 @@ from typing import Any
 
 import usb.core
 
-from drivers.errors import BadAnswer
-from drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
-from protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Request, Status
+from goniotwin.drivers.errors import BadAnswer
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
+from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Request, Status
 
 TO_INTERFACE, TO_ENDPOINT = 0xA1, 0xA2
 CLEAR_FEATURE = (0x02, 1)

@@ -14,14 +14,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from mocks.control import Order, Refused, number, yes_or_no
-from mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
-from mocks.faulty_line import FaultyLine, Foreign, Refusal, foreign_rtu, foreign_tcp, foreign_tmcl, refusal_rtu, refusal_tcp
-from mocks.faulty_usb import FaultyUsb
-from protocols.clock import Clock
-from twin import VirtualRig
-from twin.devices.line import SerialDevice
-from twin.rig import AXES, CONVERTER_LINE
+from goniotwin.mocks.control import Order, Refused, number, yes_or_no
+from goniotwin.mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faulty_line import (
+    FaultyLine,
+    Foreign,
+    Refusal,
+    foreign_rtu,
+    foreign_tcp,
+    foreign_tmcl,
+    refusal_rtu,
+    refusal_tcp,
+)
+from goniotwin.mocks.faulty_usb import FaultyUsb
+from goniotwin.protocols.clock import Clock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.rig import AXES, CONVERTER_LINE
 
 NAMES = {fault.name.lower(): fault for fault in Fault}
 BY_LINE: dict[str, tuple[tuple[Fault, ...], float, Foreign | None, Refusal | None]] = {

@@ -15,9 +15,9 @@ import socketserver
 from collections.abc import Callable
 from typing import Any
 
-from mocks.loopback import LOOPBACK, LoopbackServer
-from protocols.clock import Clock
-from twin import VirtualRig
+from goniotwin.mocks.loopback import LOOPBACK, LoopbackServer
+from goniotwin.protocols.clock import Clock
+from goniotwin.twin import VirtualRig
 
 LONGEST_LINE = 65_536
 STEEPEST_TILT_DEG = 10.0

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from twin.plant.noise import mixed, process_key
+from goniotwin.twin.plant.noise import mixed, process_key
 
 
 class Fault(StrEnum):

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from pymodbus.framer import FramerRTU
 from serial import SerialException
 
-from mocks.faults import Fault, Misfortune, corrupted, noise, truncated
-from protocols import adam
-from protocols.clock import Clock
-from protocols.tmcl import checksum
-from twin.devices.line import SerialDevice
+from goniotwin.mocks.faults import Fault, Misfortune, corrupted, noise, truncated
+from goniotwin.protocols import adam
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.tmcl import checksum
+from goniotwin.twin.devices.line import SerialDevice
 
 Foreign = Callable[[bytes], bytes]
 """Makes of a reply one of another address, with a checksum that is right."""

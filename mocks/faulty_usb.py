@@ -7,10 +7,10 @@ damaged in silence, because the bus has checksums of its own and repeats by itse
 as a driver's or a hub's error would.
 """
 
-from mocks.faults import Fault, Misfortune, corrupted, truncated
-from protocols.clock import Clock
-from protocols.usbtmc import HEADER_BYTES
-from twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
+from goniotwin.mocks.faults import Fault, Misfortune, corrupted, truncated
+from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.usbtmc import HEADER_BYTES
+from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
 
 
 class FaultyUsb(UsbTmcDevice):

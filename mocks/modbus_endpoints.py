@@ -18,13 +18,13 @@ from pymodbus.server.base import ModbusBaseServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from mocks.serial_ends import HEARD_AT_ONCE, OWED_AT_MOST, owed
-from protocols import adam
-from protocols.clock import Clock
-from twin import VirtualRig
-from twin.devices.line import SerialDevice
-from twin.devices.modbus import RtuStation, TcpStation
-from twin.rig import CONVERTER_LINE
+from goniotwin.mocks.serial_ends import HEARD_AT_ONCE, OWED_AT_MOST, owed
+from goniotwin.protocols import adam
+from goniotwin.protocols.clock import Clock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.devices.modbus import RtuStation, TcpStation
+from goniotwin.twin.rig import CONVERTER_LINE
 
 LOOPBACK = "127.0.0.1"
 GAP_S = 0.02

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Protocol
 
-from mocks.replay_difference import Difference, compared, told_otherwise
-from mocks.transcript import Passed, exchanges
-from twin.devices.line import SerialDevice
+from goniotwin.mocks.replay_difference import Difference, compared, told_otherwise
+from goniotwin.mocks.transcript import Passed, exchanges
+from goniotwin.twin.devices.line import SerialDevice
 
 BITS_A_BYTE = 10.0
 ROUNDING_S = 2.0e-6

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from itertools import takewhile, zip_longest
 
-from mocks.transcript import FROM_DEVICE, TO_DEVICE, Exchange, Passed
+from goniotwin.mocks.transcript import FROM_DEVICE, TO_DEVICE, Exchange, Passed
 
 SHOWN = 48
 

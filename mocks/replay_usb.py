@@ -10,11 +10,11 @@ import contextlib
 import struct
 from collections import deque
 
-from mocks.replay import ROUNDING_S, replay_all
-from mocks.replay_difference import Difference, told_otherwise
-from mocks.transcript import FROM_DEVICE, Exchange, Passed, exchanges
-from protocols.usbtmc import Request
-from twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
+from goniotwin.mocks.replay import ROUNDING_S, replay_all
+from goniotwin.mocks.replay_difference import Difference, told_otherwise
+from goniotwin.mocks.transcript import FROM_DEVICE, Exchange, Passed, exchanges
+from goniotwin.protocols.usbtmc import Request
+from goniotwin.twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
 
 SETUP = struct.Struct("<BBHHH")
 CLEAR_HALT = (0x02, 1)

@@ -15,11 +15,11 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from mocks.pty_names import PtyNames, baudrate
-from mocks.serial_ends import OWED_AT_MOST, End, Line, owed
-from protocols.clock import RealClock
-from twin.devices.line import SerialDevice
-from twin.devices.tmcm6214 import Unasked
+from goniotwin.mocks.pty_names import PtyNames, baudrate
+from goniotwin.mocks.serial_ends import OWED_AT_MOST, End, Line, owed
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.devices.tmcm6214 import Unasked
 
 LOOPBACK = "127.0.0.1"
 CHUNK = 4096

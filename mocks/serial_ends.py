@@ -5,7 +5,7 @@ import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from twin.devices.line import SerialDevice
+from goniotwin.twin.devices.line import SerialDevice
 
 HEARD_AT_ONCE = 260
 """The longest request on any wire: of a flood a device hears no more before the others have their turn."""

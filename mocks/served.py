@@ -6,17 +6,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mocks.bad_wires import BadWires
-from mocks.control import BackDoor, ControlServer
-from mocks.modbus_endpoints import GAP_S, ModbusEndpoints
-from mocks.serial_endpoints import LOOPBACK, SerialEndpoints, ptys_exist
-from mocks.usb_endpoints import UsbEndpoints
-from protocols.clock import RealClock
-from twin import TwinModel, VirtualRig
-from twin.devices import RtuStation, TmclLine
-from twin.devices.line import SerialDevice
-from twin.devices.tmcl_line import IDLE_GAP_S
-from twin.rig import CONVERTER_LINE
+from goniotwin.mocks.bad_wires import BadWires
+from goniotwin.mocks.control import BackDoor, ControlServer
+from goniotwin.mocks.modbus_endpoints import GAP_S, ModbusEndpoints
+from goniotwin.mocks.serial_endpoints import LOOPBACK, SerialEndpoints, ptys_exist
+from goniotwin.mocks.usb_endpoints import UsbEndpoints
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin import TwinModel, VirtualRig
+from goniotwin.twin.devices import RtuStation, TmclLine
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.devices.tmcl_line import IDLE_GAP_S
+from goniotwin.twin.rig import CONVERTER_LINE
 
 KINDS = {"axes": "tmcl", "mono": "cornerstone"}
 CONTROL = "control"

@@ -14,12 +14,12 @@ from array import array
 
 import usb.core
 
-from mocks.loopback import LoopbackServer
-from protocols import usbip
-from protocols.usb_descriptors import decode_configuration
-from twin import VirtualRig
-from twin.devices.usb_standard import ENDPOINTS, configuration_descriptor
-from twin.doors import TwinUsbBackend
+from goniotwin.mocks.loopback import LoopbackServer
+from goniotwin.protocols import usbip
+from goniotwin.protocols.usb_descriptors import decode_configuration
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.usb_standard import ENDPOINTS, configuration_descriptor
+from goniotwin.twin.doors import TwinUsbBackend
 
 CHUNK = 65_536
 NAK_MS = 2

@@ -11,8 +11,8 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from protocols.tmcl_parameters import Axis as Axis
-from protocols.tmcl_parameters import Search
+from goniotwin.protocols.tmcl_parameters import Axis as Axis
+from goniotwin.protocols.tmcl_parameters import Search
 
 FRAME_BYTES = 9
 HOST_ADDRESS = 2

@@ -1,16 +1,18 @@
 """What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers."""
 
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from app.rig import OpenRig, open_rig, read_rig
-from protocols.clock import Clock, VirtualClock
+from goniotwin import examples
+from goniotwin.app.rig import OpenRig, open_rig, read_rig
+from goniotwin.protocols.clock import Clock, VirtualClock
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-RIG = REPOSITORY / "examples" / "rigs" / "virtual.toml"
-SCHEDULE = REPOSITORY / "examples" / "schedules" / "quick.toml"
+RIG, SCHEDULE = examples.RIG, examples.SCHEDULE
+BARE_NAMES = {"app", "drivers", "examples", "mocks", "protocols", "twin"}
 
 Change = tuple[str, str]
 Writer = Callable[..., Path]
@@ -77,3 +79,11 @@ def opened(write_rig: Writer) -> Iterator[RigOpener]:
     yield open_changed
     for rig in rigs:
         rig.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_bare_names() -> Iterator[None]:
+    """No folder is imported under its bare name: from the repository's root both names work, and give different classes."""
+    yield
+    bare = sorted(name for name in sys.modules if name.partition(".")[0] in BARE_NAMES)
+    assert not bare, f"imported without the package goniotwin: {', '.join(bare)}"

@@ -4,10 +4,10 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from protocols.clock import Clock, RealClock
-from twin.devices import Adam4117, Adam6017, AdamModule, Cornerstone260, Pm100d, RtuStation, TmclLine, UsbTmcDevice
-from twin.devices.line import SerialDevice
-from twin.plant import Plant, TwinModel
+from goniotwin.protocols.clock import Clock, RealClock
+from goniotwin.twin.devices import Adam4117, Adam6017, AdamModule, Cornerstone260, Pm100d, RtuStation, TmclLine, UsbTmcDevice
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.plant import Plant, TwinModel
 
 AXES, MONOCHROMATOR, MONITOR = "axes", "mono", "monitor"
 CONVERTER = "adc-{}"

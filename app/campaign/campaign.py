@@ -5,18 +5,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.campaign.journal.provenance import versions
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan
-from app.campaign.row import Row
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Listener, State
-from app.campaign.running.operator import BackDoor, Operator, Person, ServedBackDoor
-from app.campaign.running.resume import rest_of
-from app.errors import UserError
-from app.rig import OpenRig, RigDescription, RigFile, open_rig
-from app.rig.lock import Held, RigLock
-from protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.app.campaign.journal.provenance import versions
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Listener, State
+from goniotwin.app.campaign.running.operator import BackDoor, Operator, Person, ServedBackDoor
+from goniotwin.app.campaign.running.resume import rest_of
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
+from goniotwin.app.rig.lock import Held, RigLock
+from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
 @dataclass(frozen=True)

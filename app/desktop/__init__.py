@@ -9,8 +9,8 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QApplication
 
-from app.desktop.theme import Theme
-from app.desktop.window import MainWindow
+from goniotwin.app.desktop.theme import Theme
+from goniotwin.app.desktop.window import MainWindow
 
 __all__ = ["MainWindow", "Theme", "run_desktop"]
 

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from app.campaign.planning.plan import Plan
-from app.campaign.running.events import State
-from app.desktop.messages import RigOpened
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.desktop.messages import RigOpened
 
 BUSY = (State.RUNNING, State.PAUSING, State.PAUSED, State.RECOVERING, State.STOPPING)
 

@@ -10,16 +10,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.recorded import Committed
-from app.campaign.planning.plan import Plan
-from app.campaign.planning.shadow import shadowed
-from app.campaign.reducing.points import BsdfPoints
-from app.campaign.reducing.row_points import live_points
-from app.campaign.reducing.signals import Signal, darks_by_gain, signal
-from app.campaign.row import Row
-from app.campaign.running.events import RowCommitted, RowStarted
-from app.rig import RigDescription, photodiode_settings
-from twin.optics import arc_direction, to_specular
+from goniotwin.app.campaign.journal.recorded import Committed
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.planning.shadow import shadowed
+from goniotwin.app.campaign.reducing.points import BsdfPoints
+from goniotwin.app.campaign.reducing.row_points import live_points
+from goniotwin.app.campaign.reducing.signals import Signal, darks_by_gain, signal
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
+from goniotwin.app.rig import RigDescription, photodiode_settings
+from goniotwin.twin.optics import arc_direction, to_specular
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

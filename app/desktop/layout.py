@@ -6,11 +6,11 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Slot
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from app.desktop.cutplot import CutPlot
-from app.desktop.panels import AxesPanel, DevicesPanel
-from app.desktop.runpanel import RunPanel
-from app.desktop.setuppanel import RigPanel, SchedulePanel
-from app.desktop.theme import Colours
+from goniotwin.app.desktop.cutplot import CutPlot
+from goniotwin.app.desktop.panels import AxesPanel, DevicesPanel
+from goniotwin.app.desktop.runpanel import RunPanel
+from goniotwin.app.desktop.setuppanel import RigPanel, SchedulePanel
+from goniotwin.app.desktop.theme import Colours
 
 LEFT_WIDTH = 330
 

@@ -2,10 +2,10 @@
 
 from PySide6.QtCore import QObject, QTimer, Signal, Slot
 
-from app.campaign.planning.plan import Plan
-from app.campaign.running.events import RowCommitted, RowStarted
-from app.desktop.cut import LiveCut
-from app.desktop.cutplot import CutPlot
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
+from goniotwin.app.desktop.cut import LiveCut
+from goniotwin.app.desktop.cutplot import CutPlot
 
 REDRAW_MS = 100
 """Not more often, however fast the rows come: drawing is for eyes."""

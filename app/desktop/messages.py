@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.campaign.planning.plan import Plan
-from app.campaign.running.events import Event, State
-from app.rig import RigDescription
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.running.events import Event, State
+from goniotwin.app.rig import RigDescription
 
 DEVICES = ("axes", "monochromator", "photodiodes", "monitor")
 

@@ -2,7 +2,7 @@
 
 import threading
 
-from protocols.clock import Action, Event, RealClock
+from goniotwin.protocols.clock import Action, Event, RealClock
 
 NOTICED_WITHIN_S = 0.05
 """A sleeper looks up so often, in a person's time, so that it follows a change of pace."""

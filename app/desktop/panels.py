@@ -3,9 +3,9 @@
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QGridLayout, QGroupBox, QLabel, QWidget
 
-from app.desktop.messages import DEVICES, DeviceStatus
-from app.desktop.theme import Colours
-from app.rig import AXES
+from goniotwin.app.desktop.messages import DEVICES, DeviceStatus
+from goniotwin.app.desktop.theme import Colours
+from goniotwin.app.rig import AXES
 
 GREEK = {"gamma": "γ", "sigma": "σ", "beta": "β", "shift": "Δ"}
 NOTHING = "–"

@@ -9,14 +9,14 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from app.campaign.campaign import operator_for
-from app.campaign.journal.provenance import versions
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Event, Positions, State, StateChanged
-from app.campaign.schedule.file import read_schedule
-from app.desktop.messages import (
+from goniotwin.app.campaign.campaign import operator_for
+from goniotwin.app.campaign.journal.provenance import versions
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Event, Positions, State, StateChanged
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.desktop.messages import (
     DeviceLost,
     DeviceStatus,
     Message,
@@ -30,11 +30,11 @@ from app.desktop.messages import (
     RunRefused,
     StopFailed,
 )
-from app.desktop.naming import next_journal
-from app.desktop.pace import PacedClock
-from app.errors import UserError
-from app.rig import OpenRig, RigDescription, open_rig, read_rig
-from drivers import DeviceError
+from goniotwin.app.desktop.naming import next_journal
+from goniotwin.app.desktop.pace import PacedClock
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
+from goniotwin.drivers import DeviceError
 
 Tell = Callable[[Message], None]
 Ask = Callable[[str], None]

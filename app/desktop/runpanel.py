@@ -4,8 +4,8 @@ from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
-from app.desktop.allowed import Allowed
-from app.desktop.theme import Colours
+from goniotwin.app.desktop.allowed import Allowed
+from goniotwin.app.desktop.theme import Colours
 
 SPEEDS = (1.0, 10.0, 60.0)
 STOP_KEYS = ("Esc", "F12")

@@ -4,12 +4,12 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal, Slot
 
-from app.campaign.planning.plan import Plan
-from app.campaign.running.events import Positions, RowCommitted, RowStarted, State, StateChanged
-from app.desktop.allowed import BUSY, Allowed, allowed
-from app.desktop.layout import Parts
-from app.desktop.liveplot import LivePlot
-from app.desktop.messages import (
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State, StateChanged
+from goniotwin.app.desktop.allowed import BUSY, Allowed, allowed
+from goniotwin.app.desktop.layout import Parts
+from goniotwin.app.desktop.liveplot import LivePlot
+from goniotwin.app.desktop.messages import (
     DeviceLost,
     DeviceStatus,
     Message,

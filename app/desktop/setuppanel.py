@@ -5,10 +5,10 @@ from pathlib import Path
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
 
-from app.campaign.planning.plan import Plan
-from app.desktop.messages import RigOpened
-from app.desktop.panels import heading
-from app.desktop.runpanel import in_words
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.desktop.messages import RigOpened
+from goniotwin.app.desktop.panels import heading
+from goniotwin.app.desktop.runpanel import in_words
 
 
 class RigPanel(QGroupBox):

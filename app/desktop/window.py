@@ -6,12 +6,12 @@ from PySide6.QtCore import Slot
 from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QFileDialog, QMainWindow
 
-from app.desktop.collector import GuiCollector
-from app.desktop.layout import Parts
-from app.desktop.questions import Question, ask_to_close, ask_to_mount
-from app.desktop.rigthread import RigThread
-from app.desktop.session import Session
-from app.desktop.theme import Theme
+from goniotwin.app.desktop.collector import GuiCollector
+from goniotwin.app.desktop.layout import Parts
+from goniotwin.app.desktop.questions import Question, ask_to_close, ask_to_mount
+from goniotwin.app.desktop.rigthread import RigThread
+from goniotwin.app.desktop.session import Session
+from goniotwin.app.desktop.theme import Theme
 
 
 class MainWindow(QMainWindow):

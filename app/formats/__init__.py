@@ -4,11 +4,11 @@ Whatever is wrong with a file is a `FormatError` of one line. Files appear whole
 gets arrays: BSDF in 1/sr, angles in degrees, in specular coordinates (radial = theta, azimuth = phi).
 """
 
-from app.formats.ddr import DdrTable, bsdf, read_ddr, write_ddr
-from app.formats.errors import FormatError
-from app.formats.points import Points, read_points_csv, write_points_csv
-from app.formats.rayset import read_rayset, write_rayset
-from app.formats.zemax import ZemaxBsdf, read_zemax, write_zemax
+from goniotwin.app.formats.ddr import DdrTable, bsdf, read_ddr, write_ddr
+from goniotwin.app.formats.errors import FormatError
+from goniotwin.app.formats.points import Points, read_points_csv, write_points_csv
+from goniotwin.app.formats.rayset import read_rayset, write_rayset
+from goniotwin.app.formats.zemax import ZemaxBsdf, read_zemax, write_zemax
 
 __all__ = [
     "DdrTable",

@@ -3,7 +3,7 @@
 import unicodedata
 from collections.abc import Iterable
 
-from app.formats.textfile import LINE_END
+from goniotwin.app.formats.textfile import LINE_END
 
 # What a laboratory writes outside ASCII, and how it is written inside.
 SPELLED = str.maketrans(

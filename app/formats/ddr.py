@@ -8,12 +8,12 @@ import difflib
 
 import numpy as np
 
-from app.formats.comments import comment_lines, marked
-from app.formats.ddr_table import END_OF, SOURCES, SYMMETRIES, DdrTable, bsdf
-from app.formats.errors import FormatError, StrPath, shown
-from app.formats.numerals import NUMBER, FloatArray, angle_row, digits, row
-from app.formats.textfile import write_text
-from app.formats.words import Words
+from goniotwin.app.formats.comments import comment_lines, marked
+from goniotwin.app.formats.ddr_table import END_OF, SOURCES, SYMMETRIES, DdrTable, bsdf
+from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.numerals import NUMBER, FloatArray, angle_row, digits, row
+from goniotwin.app.formats.textfile import write_text
+from goniotwin.app.formats.words import Words
 
 __all__ = ["DdrTable", "bsdf", "read_ddr", "write_ddr"]
 

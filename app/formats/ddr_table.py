@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.formats.grid import ascending, finite
-from app.formats.numerals import FloatArray
+from goniotwin.app.formats.grid import ascending, finite
+from goniotwin.app.formats.numerals import FloatArray
 
 SOURCES = ("Measured", "Generated", "Edited", "Morphed")
 SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical 4D")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from app.formats.numerals import FloatArray
+from goniotwin.app.formats.numerals import FloatArray
 
 
 def ascending(name: str, values: ArrayLike, low: float, high: float) -> FloatArray:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.errors import FormatError, StrPath, shown
 
 FloatArray = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from app.formats.errors import FormatError, StrPath, shown
-from app.formats.numerals import FloatArray
-from app.formats.wholefile import read_whole, write_whole
-from twin.optics.rayset import Rayset
+from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.numerals import FloatArray
+from goniotwin.app.formats.wholefile import read_whole, write_whole
+from goniotwin.twin.optics.rayset import Rayset
 
 FORMAT = "goniotwin rayset"
 VERSION = 1

@@ -4,8 +4,8 @@ import codecs
 import re
 from collections.abc import Iterable
 
-from app.formats.errors import FormatError, StrPath
-from app.formats.wholefile import read_whole, write_whole
+from goniotwin.app.formats.errors import FormatError, StrPath
+from goniotwin.app.formats.wholefile import read_whole, write_whole
 
 # C0 control characters other than tab, line ends, vertical tab, form feed and DOS's end-of-file mark.
 CONTROL = re.compile("[\x00-\x08\x0e-\x19\x1b-\x1f]")

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterable
 from pathlib import Path
 
-from app.formats.errors import FormatError, StrPath
+from goniotwin.app.formats.errors import FormatError, StrPath
 
 
 def read_whole(path: StrPath) -> bytes:

@@ -11,9 +11,9 @@ from collections.abc import Collection
 
 import numpy as np
 
-from app.formats.errors import FormatError, StrPath, shown
-from app.formats.numerals import COUNT, NUMBER, FloatArray, NotANumber, parse_number
-from app.formats.textfile import LINE_END, read_text
+from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.numerals import COUNT, NUMBER, FloatArray, NotANumber, parse_number
+from goniotwin.app.formats.textfile import LINE_END, read_text
 
 
 class Words:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.formats.comments import comment_lines, marked
-from app.formats.errors import FormatError, StrPath, shown
-from app.formats.grid import ascending, finite
-from app.formats.numerals import FloatArray, angle_row, digits, row
-from app.formats.textfile import write_text
-from app.formats.words import Words
+from goniotwin.app.formats.comments import comment_lines, marked
+from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.grid import ascending, finite
+from goniotwin.app.formats.numerals import FloatArray, angle_row, digits, row
+from goniotwin.app.formats.textfile import write_text
+from goniotwin.app.formats.words import Words
 
 SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D")
 LISTS = ("sample_rotation_deg", "incidence_deg", "azimuth_deg", "radial_deg")

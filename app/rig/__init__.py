@@ -1,8 +1,14 @@
 """The rig file: where the devices are and what the operator believes of them; and opening what it names."""
 
-from app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
-from app.rig.schema import AXES, RigFile
-from app.rig.settings import arc_clearance, axis_settings, believed_instrument, monochromator_settings, photodiode_settings
+from goniotwin.app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
+from goniotwin.app.rig.schema import AXES, RigFile
+from goniotwin.app.rig.settings import (
+    arc_clearance,
+    axis_settings,
+    believed_instrument,
+    monochromator_settings,
+    photodiode_settings,
+)
 
 __all__ = [
     "AXES",

@@ -13,12 +13,12 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AbstractTable
 
-from app.rig.modbus_units import RTU, rtu_address
-from app.rig.opening import TWIN, RigDescription, parse_rig
-from app.rig.sample_words import sample_table
-from app.rig.schema import AXES, AxisTable, RigFile
-from twin.plant import Electronics, Monitor, MonochromatorDrive, WheelFilter
-from twin.plant.converter import SETTLED
+from goniotwin.app.rig.modbus_units import RTU, rtu_address
+from goniotwin.app.rig.opening import TWIN, RigDescription, parse_rig
+from goniotwin.app.rig.sample_words import sample_table
+from goniotwin.app.rig.schema import AXES, AxisTable, RigFile
+from goniotwin.twin.plant import Electronics, Monitor, MonochromatorDrive, WheelFilter
+from goniotwin.twin.plant.converter import SETTLED
 
 NAME = "described"
 USUAL_SAMPLE = "gaussian:width_deg=5,reflectance=0.9"

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from app.tables import Table
-from drivers import FilterWheel, OrderFilter
-from twin.plant import WheelFilter
+from goniotwin.app.tables import Table
+from goniotwin.drivers import FilterWheel, OrderFilter
+from goniotwin.twin.plant import WheelFilter
 
 Position = Annotated[int, Field(ge=1, le=6)]
 TINY_NM = 1e-6

@@ -10,9 +10,9 @@ import tempfile
 from pathlib import Path
 from typing import IO
 
-from app.errors import UserError
-from app.rig.place import place_of
-from protocols.clock import RealClock, calendar_stamp
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.place import place_of
+from goniotwin.protocols.clock import RealClock, calendar_stamp
 
 FOLDER = "goniotwin-locks"
 LONGEST_NOTE = 400

@@ -9,13 +9,13 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.framer import FramerType
 
-from app.errors import UserError
-from app.rig.place import MODBUS_PORT, host_and_port, is_port
-from drivers.modbus import ModbusBus, ModbusOpener, ModbusUnit, Trace, explain, explain_rtu
-from drivers.tap import Explain
-from protocols import adam
-from twin import VirtualRig
-from twin.doors import TwinModbusClient, TwinRtuClient
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.place import MODBUS_PORT, host_and_port, is_port
+from goniotwin.drivers.modbus import ModbusBus, ModbusOpener, ModbusUnit, Trace, explain, explain_rtu
+from goniotwin.drivers.tap import Explain
+from goniotwin.protocols import adam
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.doors import TwinModbusClient, TwinRtuClient
 
 TWIN, RTU = "twin://", "rtu:"
 MODBUS_TIMEOUT_S = 1.0

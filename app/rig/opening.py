@@ -8,24 +8,30 @@ from typing import Any
 import serial
 import usb.core
 
-from app.errors import UserError
-from app.rig.lock import RigLock
-from app.rig.modbus_units import ModbusUnits
-from app.rig.place import USBIP_PORT, host_and_port, is_port
-from app.rig.schema import RigFile
-from app.rig.settings import arc_clearance, axis_settings, monitor_settings, monochromator_settings, photodiode_settings
-from app.rig.twin_table import model_hash, twin_model
-from app.tables import checked, parse_toml, read_toml
-from drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
-from drivers import tmcl as tmcl_driver
-from drivers import usbtmc as usbtmc_driver
-from drivers.tap import Explain, Tap, as_text, no_tap
-from drivers.tmcl import PortOpener
-from drivers.usbip import find_usbip
-from drivers.usbtmc import UsbOpener
-from protocols.clock import Clock
-from twin import TwinModel, VirtualRig
-from twin.doors import TwinUsbBackend, register, unregister
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.modbus_units import ModbusUnits
+from goniotwin.app.rig.place import USBIP_PORT, host_and_port, is_port
+from goniotwin.app.rig.schema import RigFile
+from goniotwin.app.rig.settings import (
+    arc_clearance,
+    axis_settings,
+    monitor_settings,
+    monochromator_settings,
+    photodiode_settings,
+)
+from goniotwin.app.rig.twin_table import model_hash, twin_model
+from goniotwin.app.tables import checked, parse_toml, read_toml
+from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
+from goniotwin.drivers import tmcl as tmcl_driver
+from goniotwin.drivers import usbtmc as usbtmc_driver
+from goniotwin.drivers.tap import Explain, Tap, as_text, no_tap
+from goniotwin.drivers.tmcl import PortOpener
+from goniotwin.drivers.usbip import find_usbip
+from goniotwin.drivers.usbtmc import UsbOpener
+from goniotwin.protocols.clock import Clock
+from goniotwin.twin import TwinModel, VirtualRig
+from goniotwin.twin.doors import TwinUsbBackend, register, unregister
 
 TWIN, USBIP = "twin://", "usbip:"
 

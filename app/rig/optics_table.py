@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from app.tables import Table
-from twin.optics import Deviation, Instrument, RealSensor, SampleFrames
-from twin.plant import Estimator
+from goniotwin.app.tables import Table
+from goniotwin.twin.optics import Deviation, Instrument, RealSensor, SampleFrames
+from goniotwin.twin.plant import Estimator
 
 
 class OpticsTable(Table):

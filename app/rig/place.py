@@ -6,7 +6,7 @@ import re
 import socket
 from pathlib import Path
 
-from protocols import usbip
+from goniotwin.protocols import usbip
 
 MODBUS_PORT, USBIP_PORT = "502", str(usbip.PORT)
 

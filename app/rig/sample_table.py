@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from app.errors import UserError
-from app.formats.errors import FormatError
-from app.formats.zemax import ZemaxBsdf, read_zemax
-from app.tables import Table
-from twin.optics import Scatterer, gaussian, lambertian, regular, summed, tabulated
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.errors import FormatError
+from goniotwin.app.formats.zemax import ZemaxBsdf, read_zemax
+from goniotwin.app.tables import Table
+from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, summed, tabulated
 
 Side = Literal["front", "back", "both"]
 

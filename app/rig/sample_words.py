@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from app.errors import UserError
-from app.simulation.sample import FILE_SIDE, PLUS, parse_sample
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.sample import FILE_SIDE, PLUS, parse_sample
 
 
 def sample_table(text: str) -> dict[str, Any]:

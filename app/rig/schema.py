@@ -4,12 +4,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from app.rig.filter_tables import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
-from app.rig.radiance_factor import refuse_percentage
-from app.rig.twin_table import TwinTable
-from app.tables import Table
-from protocols import adam
-from twin.optics import Instrument
+from goniotwin.app.rig.filter_tables import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
+from goniotwin.app.rig.radiance_factor import refuse_percentage
+from goniotwin.app.rig.twin_table import TwinTable
+from goniotwin.app.tables import Table
+from goniotwin.protocols import adam
+from goniotwin.twin.optics import Instrument
 
 AXES = ("gamma", "sigma", "beta", "shift")
 Sense = Literal[1, -1]

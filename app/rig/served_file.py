@@ -6,9 +6,9 @@ from pathlib import Path
 import tomlkit
 from tomlkit.items import Table
 
-from app.errors import UserError
-from app.rig.opening import RigDescription
-from mocks.served import CONTROL, Endpoint
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.opening import RigDescription
+from goniotwin.mocks.served import CONTROL, Endpoint
 
 FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start. SIMULATED."
 

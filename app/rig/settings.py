@@ -1,10 +1,10 @@
 """From the operator's part of a rig file to the drivers' settings and the geometry that plans are made with."""
 
-from app.rig.filter_tables import filter_wheel
-from app.rig.schema import AXES, AxisTable, RigFile
-from drivers import ArcClearance, AxisSettings, Homing, MonitorSettings, MonochromatorSettings, PhotodiodeSettings
-from protocols import adam
-from twin.optics import Instrument
+from goniotwin.app.rig.filter_tables import filter_wheel
+from goniotwin.app.rig.schema import AXES, AxisTable, RigFile
+from goniotwin.drivers import ArcClearance, AxisSettings, Homing, MonitorSettings, MonochromatorSettings, PhotodiodeSettings
+from goniotwin.protocols import adam
+from goniotwin.twin.optics import Instrument
 
 
 def axis_settings(file: RigFile) -> dict[str, AxisSettings]:

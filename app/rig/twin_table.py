@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from app.rig.filter_tables import WheelFilterTable, refuse_positions_taken_twice
-from app.rig.optics_table import DeviationTable, FramesTable, OpticsTable, SensorTable, built
-from app.rig.sample_table import SampleTable, scatterer
-from app.tables import Table
-from twin.plant import (
+from goniotwin.app.rig.filter_tables import WheelFilterTable, refuse_positions_taken_twice
+from goniotwin.app.rig.optics_table import DeviationTable, FramesTable, OpticsTable, SensorTable, built
+from goniotwin.app.rig.sample_table import SampleTable, scatterer
+from goniotwin.app.tables import Table
+from goniotwin.twin.plant import (
     AxisController,
     Electronics,
     Light,

@@ -2,8 +2,8 @@
 
 import math
 
-from app.simulation.simulate import Simulation, Task, acting, refracted_axes
-from twin.optics.bsdf import GAUSSIAN
+from goniotwin.app.simulation.simulate import Simulation, Task, acting, refracted_axes
+from goniotwin.twin.optics.bsdf import GAUSSIAN
 
 
 def assumptions(found: Simulation) -> list[str]:

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from app.errors import UserError
-from app.simulation.illumination_command import illumination
-from app.simulation.options import BANDWIDTH_NM, INTERVAL_NM, WAVELENGTH_NM, Json, Rig, Seed, instrument_and_frames
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.illumination_command import illumination
+from goniotwin.app.simulation.options import BANDWIDTH_NM, INTERVAL_NM, WAVELENGTH_NM, Json, Rig, Seed, instrument_and_frames
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 app.command()(illumination)
@@ -105,13 +105,13 @@ def simulate(
         )
     from rich.console import Console
 
-    from app.simulation.effort import Effort
-    from app.simulation.files import check_names, summary, write
-    from app.simulation.grid import numbers
-    from app.simulation.progress import ShareProgress
-    from app.simulation.sample import parse_sample, table_files
-    from app.simulation.simulate import Task
-    from app.simulation.simulate import simulate as simulated
+    from goniotwin.app.simulation.effort import Effort
+    from goniotwin.app.simulation.files import check_names, summary, write
+    from goniotwin.app.simulation.grid import numbers
+    from goniotwin.app.simulation.progress import ShareProgress
+    from goniotwin.app.simulation.sample import parse_sample, table_files
+    from goniotwin.app.simulation.simulate import Task
+    from goniotwin.app.simulation.simulate import simulate as simulated
 
     def given(text: str | None, name: str, low: float, high: float) -> Any:
         return None if text is None else numbers(text, name, low, high)
@@ -169,7 +169,7 @@ def _tell(result: dict[str, Any]) -> None:
 
 def _source(path: Path | None, wavelengths: Any, interval: float | None, bandwidth: float | None, instrument: Any) -> Any:
     """The rayset that is to be the source, if any. Raises UserError."""
-    from app.simulation.source import read_source, unit_for
+    from goniotwin.app.simulation.source import read_source, unit_for
 
     if path is None:
         given = [name for name, value in (("--interval", interval), ("--bandwidth", bandwidth)) if value is not None]
@@ -200,11 +200,11 @@ def table3(
     """
     from rich.console import Console
 
-    from app.simulation.progress import ShareProgress
-    from app.simulation.table3 import STEPS
-    from app.simulation.table3 import table3 as computed
-    from app.simulation.table3_shown import figures, show
-    from app.simulation.table3_words import as_dict
+    from goniotwin.app.simulation.progress import ShareProgress
+    from goniotwin.app.simulation.table3 import STEPS
+    from goniotwin.app.simulation.table3 import table3 as computed
+    from goniotwin.app.simulation.table3_shown import figures, show
+    from goniotwin.app.simulation.table3_words import as_dict
 
     done = 0
 
@@ -236,8 +236,8 @@ def shadow(
     as_json: Json = False,
 ) -> None:
     """Which directions the mirror unit hides from the photodiodes, on both arcs."""
-    from app.simulation.grid import numbers
-    from app.simulation.shadow import shadows, write_shadows
+    from goniotwin.app.simulation.grid import numbers
+    from goniotwin.app.simulation.shadow import shadows, write_shadows
 
     maps = shadows(instrument_and_frames(rig)[0], [float(each) for each in numbers(sigma, "--sigma", 0.0, 180.0)], step)
     write_shadows(maps, out)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from app.simulation.cut import cuts
-from twin.optics import Deviation, Instrument
+from goniotwin.app.simulation.cut import cuts
+from goniotwin.twin.optics import Deviation, Instrument
 
 Floats = npt.NDArray[np.float64]
 TILT_DEG = 0.05

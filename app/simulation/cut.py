@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.reducing.compare import relative_rms_percent
-from twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
-from twin.optics.scattering import Form
+from goniotwin.app.campaign.reducing.compare import relative_rms_percent
+from goniotwin.twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
+from goniotwin.twin.optics.scattering import Form
 
 Floats = npt.NDArray[np.float64]
 STEP_DEG = 0.5

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from app.errors import UserError
+from goniotwin.app.errors import UserError
 
 Kind = Literal["fast", "forward"]
 MOST_RAYS = 1 << 15

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from app.errors import UserError
-from app.simulation.effort import MOST_PATHS, MOST_RAYS, Effort
-from twin.optics import (
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.effort import MOST_PATHS, MOST_RAYS, Effort
+from goniotwin.twin.optics import (
     Instrument,
     RaySource,
     SampleFrames,
@@ -25,9 +25,9 @@ from twin.optics import (
     stray_throughput,
     throughput,
 )
-from twin.optics.scattering import Side
-from twin.optics.scene import scene_at
-from twin.optics.score import FINE, TABULATED
+from goniotwin.twin.optics.scattering import Side
+from goniotwin.twin.optics.scene import scene_at
+from goniotwin.twin.optics.score import FINE, TABULATED
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.reducing.compare import relative_rms_percent
-from app.simulation.cut import HIGHEST_ZENITH_DEG, cuts, directions_at, in_plane_theta, theory
-from twin.optics import Deviation, Instrument, gaussian, lambertian, throughput
-from twin.optics.scattering import Form
+from goniotwin.app.campaign.reducing.compare import relative_rms_percent
+from goniotwin.app.simulation.cut import HIGHEST_ZENITH_DEG, cuts, directions_at, in_plane_theta, theory
+from goniotwin.twin.optics import Deviation, Instrument, gaussian, lambertian, throughput
+from goniotwin.twin.optics.scattering import Form
 
 Floats = npt.NDArray[np.float64]
 SIGMAS_DEG = (0.0, 30.0, 60.0)

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.errors import UserError
-from app.formats import DdrTable, FormatError, write_ddr, write_points_csv
-from app.simulation.assumptions import assumptions
-from app.simulation.simulate import Simulation
-from twin.optics import to_specular
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
+from goniotwin.app.simulation.assumptions import assumptions
+from goniotwin.app.simulation.simulate import Simulation
+from goniotwin.twin.optics import to_specular
 
 Floats = npt.NDArray[np.float64]
 LONGEST_LIST = 2000

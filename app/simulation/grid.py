@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.errors import UserError
-from twin.optics import arc_direction
+from goniotwin.app.errors import UserError
+from goniotwin.twin.optics import arc_direction
 
 Floats = npt.NDArray[np.float64]
 HIGHEST_POLAR_DEG = 87.0

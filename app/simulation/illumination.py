@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from app.errors import UserError
-from twin.optics import (
+from goniotwin.app.errors import UserError
+from goniotwin.twin.optics import (
     Illumination,
     IlluminationFigure,
     IlluminationUnit,

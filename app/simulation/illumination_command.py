@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from app.errors import UserError
-from app.simulation.options import BANDWIDTH_NM, INTERVAL_NM, WAVELENGTH_NM, Json, Rig, Seed, instrument_and_frames
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.options import BANDWIDTH_NM, INTERVAL_NM, WAVELENGTH_NM, Json, Rig, Seed, instrument_and_frames
 
 RAYSET_RAYS = 100_000
 
@@ -46,11 +46,11 @@ def illumination(
 
     from rich.console import Console
 
-    from app.formats import FormatError, write_rayset
-    from app.simulation.illumination import estimate_in_words, illuminated, summary
-    from app.simulation.illumination_shown import check_names, write_illumination
-    from app.simulation.progress import ShareProgress
-    from app.simulation.source import unit_for
+    from goniotwin.app.formats import FormatError, write_rayset
+    from goniotwin.app.simulation.illumination import estimate_in_words, illuminated, summary
+    from goniotwin.app.simulation.illumination_shown import check_names, write_illumination
+    from goniotwin.app.simulation.progress import ShareProgress
+    from goniotwin.app.simulation.source import unit_for
 
     check_names(out, rayset)
     instrument, _ = instrument_and_frames(rig)

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 
-from app.errors import UserError
-from app.formats import FormatError, write_points_csv
-from app.simulation.illumination import Illuminated, assumptions, estimate_in_words
-from app.simulation.picture import save
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import FormatError, write_points_csv
+from goniotwin.app.simulation.illumination import Illuminated, assumptions, estimate_in_words
+from goniotwin.app.simulation.picture import save
 
 SUFFIXES = (".csv", ".png")
 DOTS_AN_INCH = 130

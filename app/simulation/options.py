@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.errors import UserError
+from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the optics are compiled code, which a command's help has no need of
-    from twin.optics import Instrument, SampleFrames
+    from goniotwin.twin.optics import Instrument, SampleFrames
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
 Rig = Annotated[
@@ -23,8 +23,8 @@ WAVELENGTH_NM, INTERVAL_NM, BANDWIDTH_NM = 555.0, 0.0, 5.0
 
 def instrument_and_frames(rig: Path | None, no_obstruction: bool = False) -> "tuple[Instrument, SampleFrames]":
     """The defaults, or those of a virtual rig. Raises UserError for a rig that is real."""
-    from app.rig import read_rig
-    from twin.optics import Instrument, SampleFrames
+    from goniotwin.app.rig import read_rig
+    from goniotwin.twin.optics import Instrument, SampleFrames
 
     instrument, frames = Instrument(), SampleFrames()
     if rig is not None:

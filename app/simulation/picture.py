@@ -5,9 +5,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from app.errors import UserError
-from app.formats import FormatError
-from app.formats.wholefile import write_whole
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import FormatError
+from goniotwin.app.formats.wholefile import write_whole
 
 
 def save(figure: Figure, path: Path, dots_an_inch: int | None = None) -> None:

@@ -9,8 +9,8 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 
-from app.simulation.grid import Detectors
-from twin.optics import from_specular
+from goniotwin.app.simulation.grid import Detectors
+from goniotwin.twin.optics import from_specular
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

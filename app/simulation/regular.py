@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics import Instrument, Scatterer, arc_direction
-from twin.optics.bsdf import REGULAR
+from goniotwin.twin.optics import Instrument, Scatterer, arc_direction
+from goniotwin.twin.optics.bsdf import REGULAR
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

@@ -14,11 +14,11 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from app.errors import UserError
-from app.formats import DdrTable, FormatError, bsdf, read_ddr
-from app.rig.sample_table import GaussianTable, LambertianTable, MeasuredTable, RegularTable, Side, scatterer
-from app.tables import checked
-from twin.optics import Scatterer, spectral_table, summed, tabulated
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import DdrTable, FormatError, bsdf, read_ddr
+from goniotwin.app.rig.sample_table import GaussianTable, LambertianTable, MeasuredTable, RegularTable, Side, scatterer
+from goniotwin.app.tables import checked
+from goniotwin.twin.optics import Scatterer, spectral_table, summed, tabulated
 
 FORMULAS: dict[str, type[GaussianTable] | type[LambertianTable] | type[RegularTable]] = {
     "gaussian": GaussianTable,

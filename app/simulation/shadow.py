@@ -6,10 +6,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from app.errors import UserError
-from app.formats import FormatError, write_points_csv
-from app.simulation.picture import save
-from twin.optics import Instrument, ShadowMap, shadow_map
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import FormatError, write_points_csv
+from goniotwin.app.simulation.picture import save
+from goniotwin.twin.optics import Instrument, ShadowMap, shadow_map
 
 SUFFIXES = (".csv", ".png")
 DOTS_AN_INCH = 130

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from app.errors import UserError
-from app.simulation.effort import Effort
-from app.simulation.estimate import Ratio, Stand, ratio_at
-from app.simulation.grid import HIGHEST_POLAR_DEG, Detectors, detectors_at, output_phi, output_theta
-from app.simulation.regridded import regridded
-from app.simulation.regular import RegularPeak, regular_peak, regular_share
-from app.simulation.source import Source
-from twin.optics import Instrument, Lobe, SampleFrames, Scatterer, visible_fraction
-from twin.optics.bsdf import GAUSSIAN
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.effort import Effort
+from goniotwin.app.simulation.estimate import Ratio, Stand, ratio_at
+from goniotwin.app.simulation.grid import HIGHEST_POLAR_DEG, Detectors, detectors_at, output_phi, output_theta
+from goniotwin.app.simulation.regridded import regridded
+from goniotwin.app.simulation.regular import RegularPeak, regular_peak, regular_share
+from goniotwin.app.simulation.source import Source
+from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, visible_fraction
+from goniotwin.twin.optics.bsdf import GAUSSIAN
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

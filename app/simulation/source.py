@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.errors import UserError
-from app.formats import FormatError, read_rayset
-from twin.optics import IlluminationUnit, Instrument, RaySource, replay
-from twin.optics.mirrors import pupil
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import FormatError, read_rayset
+from goniotwin.twin.optics import IlluminationUnit, Instrument, RaySource, replay
+from goniotwin.twin.optics.mirrors import pupil
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from app.simulation.corner import TILT_DEG, Corner, tilts, with_shifts, worst_corner
-from app.simulation.explained import (
+from goniotwin.app.simulation.corner import TILT_DEG, Corner, tilts, with_shifts, worst_corner
+from goniotwin.app.simulation.explained import (
     FORMS,
     RANGES,
     SIGMAS_DEG,
@@ -21,7 +21,7 @@ from app.simulation.explained import (
     tilt_needed,
     tilted,
 )
-from twin.optics import Instrument
+from goniotwin.twin.optics import Instrument
 
 Floats = npt.NDArray[np.float64]
 CELLS = len(SIGMAS_DEG) * len(WIDTHS_DEG)

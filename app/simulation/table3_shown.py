@@ -12,13 +12,13 @@ from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.table import Table
 
-from app.errors import UserError
-from app.simulation.corner import deviating
-from app.simulation.cut import STEP_DEG, cuts, theory
-from app.simulation.explained import PAPER, SIGMAS_DEG, WIDTHS_DEG
-from app.simulation.picture import save
-from app.simulation.table3 import Table3
-from app.simulation.table3_words import assumptions, explanations
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.corner import deviating
+from goniotwin.app.simulation.cut import STEP_DEG, cuts, theory
+from goniotwin.app.simulation.explained import PAPER, SIGMAS_DEG, WIDTHS_DEG
+from goniotwin.app.simulation.picture import save
+from goniotwin.app.simulation.table3 import Table3
+from goniotwin.app.simulation.table3_words import assumptions, explanations
 
 COLOURS = ("#c0392b", "#c08a00", "#1e8449")
 """Of sigma 0, 30, 60: the paper's red, yellow and green, dark enough to read."""

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.simulation.corner import SHIFT_MM, TILT_DEG
-from app.simulation.explained import PAPER, SIGMAS_DEG, WIDTHS_DEG, Closest, exponents, range_in_words
-from app.simulation.table3 import POINT_MM, Table3
+from goniotwin.app.simulation.corner import SHIFT_MM, TILT_DEG
+from goniotwin.app.simulation.explained import PAPER, SIGMAS_DEG, WIDTHS_DEG, Closest, exponents, range_in_words
+from goniotwin.app.simulation.table3 import POINT_MM, Table3
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import UserError
-from app.homing_command import home_axes, state_place
-from drivers import Axis, DeviceError, TmclModule
-from protocols.tmcl import Request
+from goniotwin.app.errors import UserError
+from goniotwin.app.homing_command import home_axes, state_place
+from goniotwin.drivers import Axis, DeviceError, TmclModule
+from goniotwin.protocols.tmcl import Request
 from tests.conftest import Change, Writer
 
 HOMING = "[axes.sigma.homing]\nmode = 8\nspeed_deg_s = 5.0\nswitch_speed_deg_s = 0.5\nangle_deg = -4.0\n\n"
@@ -56,7 +56,7 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
         told.extend(name for name, _ in targets)
         return stop(module, targets, then)
 
-    monkeypatch.setattr("app.homing_command.wait", interrupt)
+    monkeypatch.setattr("goniotwin.app.homing_command.wait", interrupt)
     monkeypatch.setattr(TmclModule, "stop", heard)
     with pytest.raises(KeyboardInterrupt):
         home_axes(write_rig(*HOMES), [], print)

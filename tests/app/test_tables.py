@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.planning.plan import make_plan
-from app.campaign.schedule.file import ScheduleFile, read_schedule
-from app.campaign.schedule.grids import GridRange, grid_values
-from app.errors import UserError
-from app.rig import read_rig
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import ScheduleFile, read_schedule
+from goniotwin.app.campaign.schedule.grids import GridRange, grid_values
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
 from tests.conftest import RIG, SCHEDULE, Change, Writer
 
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from drivers import Axis, AxisSettings, TmclModule, wait
-from protocols.clock import Clock, VirtualClock
-from twin.devices import TmclLine
-from twin.devices.line import SerialDevice
-from twin.doors.protocol_twin import Serial
-from twin.plant import AxisController, Mechanics, Plant, TwinModel
+from goniotwin.drivers import Axis, AxisSettings, TmclModule, wait
+from goniotwin.protocols.clock import Clock, VirtualClock
+from goniotwin.twin.devices import TmclLine
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.doors.protocol_twin import Serial
+from goniotwin.twin.plant import AxisController, Mechanics, Plant, TwinModel
 
 SIGMA = AxisSettings("sigma", 4, 36.0, -20.0, 190.0, 10.0, 20.0, power_up_at_reference=True)
 NAMES = ("sigma", "beta", "gamma", "shift")

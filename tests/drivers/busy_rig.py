@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers import DeviceError, LimitError, Pending, Rig, wait
-from protocols.tmcl import Command
-from twin import VirtualRig
-from twin.devices.line import SerialDevice
+from goniotwin.drivers import DeviceError, LimitError, Pending, Rig, wait
+from goniotwin.protocols.tmcl import Command
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.line import SerialDevice
 
 MODULE = "adc-2"
 """The converter module that falls silent."""

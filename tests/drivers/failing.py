@@ -3,8 +3,8 @@
 import contextlib
 from collections.abc import Iterator
 
-from drivers import DeviceError, Pending, wait
-from protocols.clock import Clock
+from goniotwin.drivers import DeviceError, Pending, wait
+from goniotwin.protocols.clock import Clock
 
 
 class Calls:

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import pytest
 import usb.core
 
-from drivers import Monitor, MonitorSettings, wait
-from protocols.clock import VirtualClock
+from goniotwin.drivers import Monitor, MonitorSettings, wait
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.doors import TwinUsbBackend
 from tests.conftest import RigOpener
-from twin import VirtualRig
-from twin.doors import TwinUsbBackend
 
 TRUTH_A = 1.4e-7
 

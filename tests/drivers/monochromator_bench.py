@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from drivers import wait
-from mocks.faults import Misfortune, Script
-from mocks.faulty_line import FaultyLine, plug_in
+from goniotwin.drivers import wait
+from goniotwin.mocks.faults import Misfortune, Script
+from goniotwin.mocks.faulty_line import FaultyLine, plug_in
+from goniotwin.twin.devices import Cornerstone260
 from tests.conftest import RigOpener
-from twin.devices import Cornerstone260
 
 DIALECTS = [(echo, handshake) for echo in (True, False) for handshake in (True, False)]
 

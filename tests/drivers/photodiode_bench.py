@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from app.rig import OpenRig
-from drivers import PhotodiodeArray, wait
-from mocks.faults import Misfortune
-from mocks.faulty_line import End, FaultyLine, foreign_rtu, foreign_tcp, plug_in, refusal_rtu, refusal_tcp
-from protocols.clock import Clock, VirtualClock
+from goniotwin.app.rig import OpenRig
+from goniotwin.drivers import PhotodiodeArray, wait
+from goniotwin.mocks.faults import Misfortune
+from goniotwin.mocks.faulty_line import End, FaultyLine, foreign_rtu, foreign_tcp, plug_in, refusal_rtu, refusal_tcp
+from goniotwin.protocols.clock import Clock, VirtualClock
+from goniotwin.twin.devices.line import SerialDevice
 from tests.conftest import Change, RigOpener
-from twin.devices.line import SerialDevice
 
 QUIET: Change = ("noise = true", "noise = false")
 NARROW: Change = ("gain_uncertainty", f"range_code = {0x0142}\ngain_uncertainty")  # not what a module has after power-on

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import pytest
 import serial
 
-from drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
-from drivers.tmcl_rules import CANARY, MARKER_VARIABLE
-from protocols.clock import Clock, VirtualClock
-from protocols.tmcl import Axis, Command, Reply, Request, Status
+from goniotwin.drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
+from goniotwin.drivers.tmcl_rules import CANARY, MARKER_VARIABLE
+from goniotwin.protocols.clock import Clock, VirtualClock
+from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
 from tests.conftest import RigOpener
 
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from drivers import wait
-from drivers.errors import Forgotten
-from protocols.tmcl import Command, Request
+from goniotwin.drivers import wait
+from goniotwin.drivers.errors import Forgotten
+from goniotwin.protocols.tmcl import Command, Request
+from goniotwin.twin.devices import TmclLine
 from tests.conftest import RigOpener
-from twin.devices import TmclLine
 
 BUS = (
     ("[twin]\n", '[twin]\ncontroller = { kind = "tmcm-1240", wire = "rs485", baudrate = 57600 }\n'),

@@ -4,13 +4,13 @@ import contextlib
 
 import pytest
 
-from drivers import DeviceError, wait
-from drivers.errors import Forgotten, NoAnswer
-from mocks.faults import ON_A_SERIAL_LINE, Fault, Misfortune, Script
-from mocks.faulty_line import FaultyLine, foreign_tmcl, plug_in
-from protocols.tmcl import Command, MoveType, Reply, Request, checksum
+from goniotwin.drivers import DeviceError, wait
+from goniotwin.drivers.errors import Forgotten, NoAnswer
+from goniotwin.mocks.faults import ON_A_SERIAL_LINE, Fault, Misfortune, Script
+from goniotwin.mocks.faulty_line import FaultyLine, foreign_tmcl, plug_in
+from goniotwin.protocols.tmcl import Command, MoveType, Reply, Request, checksum
+from goniotwin.twin.devices.line import SerialDevice
 from tests.drivers.axis_bench import DriverBench
-from twin.devices.line import SerialDevice
 
 PER_DEG = 5120
 LONGEST_S = 1.3

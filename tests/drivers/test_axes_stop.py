@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from drivers import Axis, DeviceError, wait
-from mocks.faults import Fault, Script
-from mocks.faulty_line import FaultyLine
-from protocols.clock import Clock, RealClock, VirtualClock
-from protocols.tmcl import Command, Reply, Request
+from goniotwin.drivers import Axis, DeviceError, wait
+from goniotwin.mocks.faults import Fault, Script
+from goniotwin.mocks.faulty_line import FaultyLine
+from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.protocols.tmcl import Command, Reply, Request
+from goniotwin.twin.devices.line import SerialDevice
 from tests.drivers.axis_bench import DriverBench
-from twin.devices.line import SerialDevice
 
 MOST_S = 0.2
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from drivers import DeviceError, Rig, wait
-from protocols import adam
+from goniotwin.drivers import DeviceError, Rig, wait
+from goniotwin.protocols import adam
 from tests.conftest import RigOpener
 
 QUIET = ("noise = true", "noise = false")

@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.failing_drivers import BENCHES, Bench
 from benchmarks.fault_table import AGAIN, ERROR, NOTICED, RIGHT, STUCK, WRONG, Cell, as_markdown, case, failures, main
-from mocks.faults import Fault
+from goniotwin.mocks.faults import Fault
 
 
 @pytest.mark.parametrize("kind", BENCHES)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers import DeviceError, FilterWheel, NoAnswer, OrderFilter, Refused, wait
-from drivers.errors import Interrupted
-from mocks.faults import ON_A_TEXT_LINE, Fault, Script
+from goniotwin.drivers import DeviceError, FilterWheel, NoAnswer, OrderFilter, Refused, wait
+from goniotwin.drivers.errors import Interrupted
+from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
 from tests.conftest import RigOpener
 from tests.drivers.monochromator_bench import DIALECTS, Bench
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from drivers import DeviceError, Homing, wait
-from drivers.errors import Forgotten, Interrupted, LimitError, Unreferenced
-from protocols.tmcl import Command, Request
-from protocols.tmcl_parameters import ErrorFlag, SearchMode
+from goniotwin.drivers import DeviceError, Homing, wait
+from goniotwin.drivers.errors import Forgotten, Interrupted, LimitError, Unreferenced
+from goniotwin.protocols.tmcl import Command, Request
+from goniotwin.protocols.tmcl_parameters import ErrorFlag, SearchMode
 from tests.drivers.axis_bench import DriverBench
 
 PER_DEG = 5120

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import LimitError, wait
-from drivers.interlock import ArcClearance
+from goniotwin.drivers import LimitError, wait
+from goniotwin.drivers.interlock import ArcClearance
 from tests.conftest import RigOpener
 
 ARC = ArcClearance(top_polar_deg=85.0)

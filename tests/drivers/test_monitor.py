@@ -2,13 +2,13 @@
 
 import pytest
 
-from drivers import MonitorSettings, NoAnswer, Refused, wait
-from drivers.usbtmc import UsbTmc
-from protocols.clock import VirtualClock
+from goniotwin.drivers import MonitorSettings, NoAnswer, Refused, wait
+from goniotwin.drivers.usbtmc import UsbTmc
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin.devices.scpi_instrument import Command, ScpiInstrument
+from goniotwin.twin.devices.usbtmc import UsbTmcDevice
 from tests.conftest import RigOpener
 from tests.drivers.monitor_bench import TRUTH_A, Bench, bench
-from twin.devices.scpi_instrument import Command, ScpiInstrument
-from twin.devices.usbtmc import UsbTmcDevice
 
 __all__ = ["bench"]
 

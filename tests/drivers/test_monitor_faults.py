@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, wait
-from mocks.faults import ON_USB, Fault, Misfortune, Script
-from mocks.faulty_usb import FaultyUsb
-from protocols.clock import VirtualClock
-from protocols.usbtmc import HEADER_BYTES
+from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, wait
+from goniotwin.mocks.faults import ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faulty_usb import FaultyUsb
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.protocols.usbtmc import HEADER_BYTES
+from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT
 from tests.conftest import RigOpener
 from tests.drivers.failing import Calls
 from tests.drivers.monitor_bench import TRUTH_A, Bench, bench
-from twin.devices.usbtmc import BULK_IN, BULK_OUT
 
 __all__ = ["bench"]
 

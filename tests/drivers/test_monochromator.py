@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers import DeviceError, Refused, wait
-from protocols.cornerstone import Grating, Statement
+from goniotwin.drivers import DeviceError, Refused, wait
+from goniotwin.protocols.cornerstone import Grating, Statement
 from tests.conftest import RigOpener
 from tests.drivers.monochromator_bench import DIALECTS, Bench
 

@@ -4,9 +4,9 @@ import contextlib
 
 import pytest
 
-from drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, wait
-from mocks.faults import ON_A_TEXT_LINE, Fault, Misfortune, Script
-from protocols.cornerstone import Grating
+from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, wait
+from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Misfortune, Script
+from goniotwin.protocols.cornerstone import Grating
 from tests.conftest import RigOpener
 from tests.drivers.failing import Calls
 from tests.drivers.monochromator_bench import DIALECTS, Bench
@@ -131,6 +131,6 @@ def test_another_unit_in_its_place_is_refused(opened: RigOpener, monkeypatch: py
     bench.misfortune(Script([Fault.LOST]))
     with pytest.raises(DeviceError):
         bench.driver.wavelength_nm()
-    monkeypatch.setattr("twin.devices.cornerstone_statements.IDENTITY", "Cornerstone 130 virtual")
+    monkeypatch.setattr("goniotwin.twin.devices.cornerstone_statements.IDENTITY", "Cornerstone 130 virtual")
     with pytest.raises(BadAnswer, match="Cornerstone 130 virtual answers"):
         bench.driver.wavelength_nm()

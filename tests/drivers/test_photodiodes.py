@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, PhotodiodeSettings, Refused, wait
-from protocols import adam
+from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, PhotodiodeSettings, Refused, wait
+from goniotwin.protocols import adam
 from tests.drivers.photodiode_bench import Bench, bench, read
 
 __all__ = ["bench"]

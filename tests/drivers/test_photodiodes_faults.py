@@ -5,10 +5,10 @@ import contextlib
 import numpy as np
 import pytest
 
-from app.rig import OpenRig
-from drivers import DeviceError, NoAnswer, PhotodiodeArray
-from mocks.faults import ON_MODBUS, ON_MODBUS_RTU, Fault, Misfortune, Script
-from protocols.clock import Clock
+from goniotwin.app.rig import OpenRig
+from goniotwin.drivers import DeviceError, NoAnswer, PhotodiodeArray
+from goniotwin.mocks.faults import ON_MODBUS, ON_MODBUS_RTU, Fault, Misfortune, Script
+from goniotwin.protocols.clock import Clock
 from tests.drivers.failing import Calls
 from tests.drivers.photodiode_bench import Bench, bench, break_wires, read
 

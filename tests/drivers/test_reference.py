@@ -4,9 +4,9 @@ import contextlib
 
 import pytest
 
-from drivers import DeviceError, Homing, wait
-from drivers.errors import Forgotten, Unreferenced
-from protocols.tmcl_parameters import SearchMode
+from goniotwin.drivers import DeviceError, Homing, wait
+from goniotwin.drivers.errors import Forgotten, Unreferenced
+from goniotwin.protocols.tmcl_parameters import SearchMode
 from tests.drivers.axis_bench import DriverBench
 
 PARKED, ANYWHERE = {"power_up_at_reference": True}, {"power_up_at_reference": False}

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drivers import DeviceError, LimitError, wait
-from drivers.errors import Interrupted
-from drivers.tmcl import HEARTBEAT_S
-from protocols.clock import VirtualClock
+from goniotwin.drivers import DeviceError, LimitError, wait
+from goniotwin.drivers.errors import Interrupted
+from goniotwin.drivers.tmcl import HEARTBEAT_S
+from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener
 from tests.drivers.busy_rig import RESOLUTION_S, BusyRig, Stop, Watched
 

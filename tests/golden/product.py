@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.running.events import Event, RowCommitted
-from app.campaign.schedule.file import read_schedule
-from app.cli import app as command
-from app.rig import read_rig
-from app.simulation.explained import rms_table
-from twin.optics import Instrument
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.running.events import Event, RowCommitted
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli import app as command
+from goniotwin.app.rig import read_rig
+from goniotwin.app.simulation.explained import rms_table
+from goniotwin.twin.optics import Instrument
 
 COLUMNS = {
     "wavelength_nm": "wavelength_nm",

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from app.rig import OpenRig, open_rig, read_rig
-from drivers import Rig, wait
-from mocks.transcript import Passed, read_transcript
-from protocols.clock import VirtualClock
+from goniotwin.app.rig import OpenRig, open_rig, read_rig
+from goniotwin.drivers import Rig, wait
+from goniotwin.mocks.transcript import Passed, read_transcript
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
 from tests.conftest import Change, Writer
 from tests.drivers.photodiode_bench import SERIAL
-from twin import VirtualRig
 
 QUIET: Change = ("noise = true", "noise = false")
 TCP, RTU = (QUIET,), (QUIET, *SERIAL)

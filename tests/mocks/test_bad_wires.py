@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from app.rig import OpenRig, open_rig, parse_rig, read_rig
-from app.rig.served_file import served_rig
-from drivers import wait
-from drivers.errors import DeviceError
-from mocks.control import Control, Refused
-from mocks.served import ServedRig
-from protocols.clock import RealClock
+from goniotwin.app.rig import OpenRig, open_rig, parse_rig, read_rig
+from goniotwin.app.rig.served_file import served_rig
+from goniotwin.drivers import wait
+from goniotwin.drivers.errors import DeviceError
+from goniotwin.mocks.control import Control, Refused
+from goniotwin.mocks.served import ServedRig
+from goniotwin.protocols.clock import RealClock
 from tests.conftest import Writer
 
 

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.rig import read_rig
-from drivers import DeviceError, wait
-from mocks.bad_wires import BadWires
-from mocks.control import BackDoor, ControlServer
-from mocks.loopback import LOOPBACK
-from protocols.clock import VirtualClock
+from goniotwin.app.rig import read_rig
+from goniotwin.drivers import DeviceError, wait
+from goniotwin.mocks.bad_wires import BadWires
+from goniotwin.mocks.control import BackDoor, ControlServer
+from goniotwin.mocks.loopback import LOOPBACK
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
 from tests.conftest import RIG, RigOpener
-from twin import VirtualRig
 
 QUIET = ("noise = true", "noise = false")
 

@@ -13,12 +13,12 @@ import pytest
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException, ModbusIOException
 
-from app.rig import OpenRig
-from app.rig.modbus_units import ModbusUnits
-from drivers import PhotodiodeArray, PhotodiodeSettings, wait
-from mocks.modbus_endpoints import ModbusEndpoints
-from protocols import adam
-from protocols.clock import RealClock
+from goniotwin.app.rig import OpenRig
+from goniotwin.app.rig.modbus_units import ModbusUnits
+from goniotwin.drivers import PhotodiodeArray, PhotodiodeSettings, wait
+from goniotwin.mocks.modbus_endpoints import ModbusEndpoints
+from goniotwin.protocols import adam
+from goniotwin.protocols.clock import RealClock
 from tests.conftest import RigOpener
 from tests.drivers.photodiode_bench import QUIET, SERIAL
 

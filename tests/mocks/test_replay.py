@@ -8,17 +8,17 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import TmclModule
-from drivers.errors import DeviceError
-from mocks.replay import RecordedDevice, replay_to_device
-from mocks.transcript import Passed, read_transcript
-from protocols.clock import VirtualClock
-from protocols.tmcl import Axis, Command, Request
+from goniotwin.drivers import TmclModule
+from goniotwin.drivers.errors import DeviceError
+from goniotwin.mocks.replay import RecordedDevice, replay_to_device
+from goniotwin.mocks.transcript import Passed, read_transcript
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.protocols.tmcl import Axis, Command, Request
+from goniotwin.twin.devices import TmclLine
+from goniotwin.twin.doors import protocol_twin
 from tests.conftest import RigOpener
 from tests.mocks.replay_bench import QUIET, RigMaker, transcripts, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
-from twin.devices import TmclLine
-from twin.doors import protocol_twin
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import Transcript, tmcl, usbtmc
-from drivers.modbus import explain, explain_rtu
-from drivers.tap import Explain, as_text
-from mocks.transcript import Passed, TranscriptError, exchanges, merged, read_transcript
-from protocols.clock import VirtualClock
+from goniotwin.drivers import Transcript, tmcl, usbtmc
+from goniotwin.drivers.modbus import explain, explain_rtu
+from goniotwin.drivers.tap import Explain, as_text
+from goniotwin.mocks.transcript import Passed, TranscriptError, exchanges, merged, read_transcript
+from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener
 from tests.mocks.replay_bench import QUIET, read_photodiodes
 

@@ -4,9 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from drivers import DeviceError, wait
-from mocks.replay import LineReplay, RecordedDevice, replay_all, replay_to_device
-from mocks.transcript import Passed, merged
+from goniotwin.drivers import DeviceError, wait
+from goniotwin.mocks.replay import LineReplay, RecordedDevice, replay_all, replay_to_device
+from goniotwin.mocks.transcript import Passed, merged
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
 from tests.conftest import Change
 from tests.drivers.photodiode_bench import NARROW
 from tests.mocks.replay_bench import (
@@ -22,9 +25,6 @@ from tests.mocks.replay_bench import (
     virtual,
 )  # fmt: skip
 from tests.mocks.replay_bench import rig_of as rig_of
-from twin import VirtualRig
-from twin.devices.line import SerialDevice
-from twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
 
 
 def record(rig_of: RigMaker, folder: Path, *changes: Change) -> tuple[list[list[Passed]], list[list[int]]]:

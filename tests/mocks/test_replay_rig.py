@@ -5,16 +5,16 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.rig import read_rig
-from mocks.replay import LineReplay, RecordedDevice, Replay, replay_all
-from mocks.replay_usb import RecordedUsb, UsbReplay
-from mocks.transcript import Passed
-from protocols.clock import VirtualClock
+from goniotwin.app.rig import read_rig
+from goniotwin.mocks.replay import LineReplay, RecordedDevice, Replay, replay_all
+from goniotwin.mocks.replay_usb import RecordedUsb, UsbReplay
+from goniotwin.mocks.transcript import Passed
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.modbus import TcpStation
 from tests.conftest import RIG
 from tests.mocks.replay_bench import RigMaker, same, session, transcripts, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
-from twin import VirtualRig
-from twin.devices.modbus import TcpStation
 
 STEMS = ("axes", "monochromator", "monitor", "photodiodes")
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers import DeviceError
-from mocks.replay_usb import RecordedUsb, replay_to_usb
-from mocks.transcript import Passed
-from protocols.usbtmc import Request, StatusByte
+from goniotwin.drivers import DeviceError
+from goniotwin.mocks.replay_usb import RecordedUsb, replay_to_usb
+from goniotwin.mocks.transcript import Passed
+from goniotwin.protocols.usbtmc import Request, StatusByte
+from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
 from tests.mocks.replay_bench import QUIET, RigMaker, read_monitor, same, transcripts, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
-from twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
 
 SLOW = 0.3  # s, for which a device clear goes on
 

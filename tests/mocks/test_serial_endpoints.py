@@ -10,14 +10,14 @@ import serial
 from pytrinamic.connections import ConnectionManager
 from pytrinamic.modules import TMCM6214
 
-from mocks.serial_endpoints import SerialEndpoints, ptys_exist
-from mocks.serial_ends import OWED_AT_MOST, owed
-from mocks.served import ServedRig
-from protocols.clock import RealClock
-from protocols.tmcl import Axis, Command, Reply, Request
+from goniotwin.mocks.serial_endpoints import SerialEndpoints, ptys_exist
+from goniotwin.mocks.serial_ends import OWED_AT_MOST, owed
+from goniotwin.mocks.served import ServedRig
+from goniotwin.protocols.clock import RealClock
+from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.cornerstone260 import IDENTITY
 from tests.conftest import RigOpener
-from twin import VirtualRig
-from twin.devices.cornerstone260 import IDENTITY
 
 WALL = RealClock()
 ASK = Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4).encode()

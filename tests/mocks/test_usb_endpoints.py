@@ -9,16 +9,16 @@ import pytest
 import usb.core
 import usbtmc
 
-from app.rig import read_rig
-from app.rig.opening import usbip_address
-from drivers import Monitor, MonitorSettings, wait
-from drivers.errors import DeviceError
-from drivers.usbip import UsbIpBackend, find_usbip
-from mocks.usb_endpoints import UsbEndpoints
-from protocols import usbip
-from protocols.clock import RealClock
+from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.opening import usbip_address
+from goniotwin.drivers import Monitor, MonitorSettings, wait
+from goniotwin.drivers.errors import DeviceError
+from goniotwin.drivers.usbip import UsbIpBackend, find_usbip
+from goniotwin.mocks.usb_endpoints import UsbEndpoints
+from goniotwin.protocols import usbip
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin import VirtualRig
 from tests.conftest import Writer
-from twin import VirtualRig
 
 HOST = "127.0.0.1"
 

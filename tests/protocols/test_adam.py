@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols import adam
+from goniotwin.protocols import adam
 
 
 def test_ten_volts_either_way_as_the_manual_has_it() -> None:

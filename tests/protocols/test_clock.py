@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from protocols.clock import RealClock, VirtualClock
+from goniotwin.protocols.clock import RealClock, VirtualClock
 
 
 def test_a_virtual_clock_jumps_and_never_goes_back() -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols import cornerstone as cs
+from goniotwin.protocols import cornerstone as cs
 
 WORD = st.from_regex(r"[A-Z][A-Z0-9]{0,10}", fullmatch=True)
 PARAMETER = st.from_regex(r"([A-Z0-9.]+( [A-Z0-9.]+)?)?", fullmatch=True)

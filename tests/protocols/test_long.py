@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from protocols import cornerstone, scpi, tmcl, usb_descriptors, usbip, usbtmc
+from goniotwin.protocols import cornerstone, scpi, tmcl, usb_descriptors, usbip, usbtmc
 
 pytestmark = pytest.mark.long
 INPUTS = 1_000_000

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols import scpi
+from goniotwin.protocols import scpi
 
 RANGE = "[SENSe]:CURRent[:DC]:RANGe[:UPPer]"
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols import tmcl
+from goniotwin.protocols import tmcl
 
 BYTE = st.integers(0, 255)
 VALUE = st.integers(-(2**31), 2**31 - 1)

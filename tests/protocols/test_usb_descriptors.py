@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.usb_descriptors import DescriptorError, decode_configuration, decode_device, decode_string
+from goniotwin.protocols.usb_descriptors import DescriptorError, decode_configuration, decode_device, decode_string
 
 # USB 2.0 table 9-8 filled in for a Thorlabs PM100D; a configuration with an interface of two alternate settings.
 DEVICE = bytes.fromhex("12 01 0002 00 00 00 40 1313 7880 0001 01 02 03 01")

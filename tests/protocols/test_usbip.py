@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols import usbip
+from goniotwin.protocols import usbip
 
 T = TypeVar("T")
 WORD = st.integers(0, 0xFFFF_FFFF)

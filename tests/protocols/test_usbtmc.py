@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols import usbtmc
+from goniotwin.protocols import usbtmc
 
 TAG = st.integers(1, 255)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-MAIN = [sys.executable, "-c", "from app.cli import main; main()"]
+MAIN = [sys.executable, "-m", "goniotwin"]
 Served = tuple[subprocess.Popen[str], list[dict[str, Any]]]
 Serve = Callable[..., Served]
 """Serves a rig file, with further options; its process, and the lines in which it says where everything is."""

@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from app.campaign.journal.recorded import RowData
-from app.campaign.journal.writing import Journal
-from app.campaign.running.events import Event, RowCommitted
-from protocols.clock import RealClock
+from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.running.events import Event, RowCommitted
+from goniotwin.protocols.clock import RealClock
 
 FORKED = [pytest.mark.skipif(sys.platform == "win32", reason="this system forks no processes")]
 LONGEST_S = 300.0
@@ -125,15 +125,15 @@ def check_told(path: Path, told: dict[int, str]) -> None:
 
 def _forks() -> Any:
     forks = multiprocessing.get_context("forkserver")
-    modules = ["app.cli", "app.campaign.campaign", "app.campaign.reducing.export", "app.campaign.journal.runs"]
-    forks.set_forkserver_preload([*modules, __name__])
+    modules = ["cli", "campaign.campaign", "campaign.reducing.export", "campaign.journal.runs"]
+    forks.set_forkserver_preload([*(f"goniotwin.app.{name}" for name in modules), __name__])
     return forks
 
 
 def _command(files: list[str], arguments: list[str], fate: Fate) -> None:
     """In the new process."""
-    from app.cli import main
-    from app.progress import RowProgress
+    from goniotwin.app.cli import main
+    from goniotwin.app.progress import RowProgress
 
     told, out, err = (os.open(file, os.O_WRONLY | os.O_APPEND) for file in files)
     os.dup2(out, 1)

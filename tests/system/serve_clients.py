@@ -16,8 +16,8 @@ from contextlib import AbstractContextManager
 
 import serial
 
-from protocols.clock import RealClock
-from protocols.tmcl import Axis, Command, FrameError, Reply, Request
+from goniotwin.protocols.clock import RealClock
+from goniotwin.protocols.tmcl import Axis, Command, FrameError, Reply, Request
 
 QUESTIONS = 25
 TALKING = "talking"

@@ -17,7 +17,7 @@ from tests.conftest import RIG, SCHEDULE, Change, Writer
 def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
     """Runs it in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-c", "from app.cli import main; main()", *map(str, arguments)],
+        [sys.executable, "-m", "goniotwin", *map(str, arguments)],
         capture_output=True,
         text=True,
         env={**os.environ, **environment},

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mocks.control import Control
+from goniotwin.mocks.control import Control
 from tests.conftest import Writer
 from tests.system.conftest import MAIN, Serve, at
 

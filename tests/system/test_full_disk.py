@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.runs import campaign_of
-from app.campaign.planning.plan import make_plan
-from app.campaign.schedule.file import read_schedule
-from app.rig import read_rig
-from app.rig.lock import Held, RigLock
-from mocks.control import Control
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.lock import Held, RigLock
+from goniotwin.mocks.control import Control
 from tests.app.campaign.test_resume import MORE, STEADY, values
 from tests.conftest import Writer
 from tests.system.conftest import Serve, at

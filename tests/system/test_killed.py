@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import resume_campaign, run_campaign
-from app.campaign.journal.runs import campaign_of
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.reduction import BsdfPoints, reduce_journal
-from app.campaign.running.events import State
-from app.campaign.schedule.file import read_schedule
-from app.rig import read_rig
-from mocks.control import Control
+from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints, reduce_journal
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
+from goniotwin.mocks.control import Control
 from tests.app.campaign.test_resume import MORE, STEADY, as_of_schema_1, stopped_at, values
 from tests.conftest import Writer
 from tests.system.conftest import Serve, at

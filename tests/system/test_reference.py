@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from app.rig import AXES
-from mocks.control import Control
+from goniotwin.app.rig import AXES
+from goniotwin.mocks.control import Control
 from tests.conftest import RIG, Writer
 from tests.system.conftest import Serve, at
 from tests.system.test_command import goniotwin

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from pymodbus.framer import FramerRTU
 
-from app.errors import UserError
-from app.replaying import Replayed, replay_transcripts
-from app.rig import read_rig
-from mocks.transcript import read_transcript
+from goniotwin.app.errors import UserError
+from goniotwin.app.replaying import Replayed, replay_transcripts
+from goniotwin.app.rig import read_rig
+from goniotwin.mocks.transcript import read_transcript
 from tests.conftest import Change, Writer
 from tests.mocks.replay_bench import RTU, TCP, RigMaker, session, virtual
 from tests.mocks.replay_bench import rig_of as rig_of

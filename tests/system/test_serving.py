@@ -10,8 +10,8 @@ import pytest
 import serial
 from pymodbus.client import ModbusTcpClient
 
-from mocks.control import Control, Refused
-from protocols.tmcl import Axis, Command, Reply, Request
+from goniotwin.mocks.control import Control, Refused
+from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
 from tests.conftest import RIG
 from tests.system.conftest import Serve, Served, at
 from tests.system.test_command import goniotwin

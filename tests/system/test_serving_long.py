@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocks.control import Control
-from protocols.clock import RealClock
+from goniotwin.mocks.control import Control
+from goniotwin.protocols.clock import RealClock
 from tests.conftest import REPOSITORY, RIG
 from tests.system.conftest import Serve, at
 from tests.system.serve_clients import KINDS, TALKING, talk

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mocks.serial_endpoints import ptys_exist
+from goniotwin.mocks.serial_endpoints import ptys_exist
 from tests.conftest import RIG
 from tests.system.conftest import Serve, at
 from tests.system.test_command import goniotwin

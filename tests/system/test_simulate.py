@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from app.formats import read_ddr
+from goniotwin.app.formats import read_ddr
 from tests.conftest import RIG
 from tests.system.test_command import answer, goniotwin
 

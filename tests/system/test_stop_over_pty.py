@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from app.rig import open_rig, read_rig
-from mocks.modbus_endpoints import ModbusEndpoints
-from mocks.serial_endpoints import SerialEndpoints, ptys_exist
-from protocols.clock import RealClock
+from goniotwin.app.rig import open_rig, read_rig
+from goniotwin.mocks.modbus_endpoints import ModbusEndpoints
+from goniotwin.mocks.serial_endpoints import SerialEndpoints, ptys_exist
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin import VirtualRig
 from tests.conftest import Writer
 from tests.drivers.busy_rig import BusyRig, Stop
 from tests.drivers.test_stop_times import MOST_S, in_words
-from twin import VirtualRig
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")]
 STOPS = {"nobody": 100, "the monochromator": 50, "mute axes": 50}

@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from app.campaign.campaign import operator_for
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Event, RowCommitted, State
-from app.campaign.schedule.file import read_schedule
-from app.rig import open_rig, read_rig
-from protocols.clock import VirtualClock
+from goniotwin.app.campaign.campaign import operator_for
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Event, RowCommitted, State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import open_rig, read_rig
+from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import Writer
 
 

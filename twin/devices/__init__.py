@@ -1,11 +1,11 @@
 """Firmware: devices that answer the wires' protocols from the plant that they share. Each is asked with a time."""
 
-from twin.devices.adam import Adam4117, Adam6017, AdamModule
-from twin.devices.cornerstone260 import Cornerstone260
-from twin.devices.modbus import RtuStation, TcpStation
-from twin.devices.pm100d import Pm100d
-from twin.devices.tmcl_line import TmclLine
-from twin.devices.usbtmc import UsbTmcDevice
+from goniotwin.twin.devices.adam import Adam4117, Adam6017, AdamModule
+from goniotwin.twin.devices.cornerstone260 import Cornerstone260
+from goniotwin.twin.devices.modbus import RtuStation, TcpStation
+from goniotwin.twin.devices.pm100d import Pm100d
+from goniotwin.twin.devices.tmcl_line import TmclLine
+from goniotwin.twin.devices.usbtmc import UsbTmcDevice
 
 __all__ = [
     "Adam4117",

@@ -7,9 +7,9 @@ read by functions 03 and 04 alike, coils of the 0X table by 01 and 02 alike (the
 import struct
 from collections import deque
 
-from protocols import adam
-from twin.devices.adam_inputs import Inputs
-from twin.plant import Plant
+from goniotwin.protocols import adam
+from goniotwin.twin.devices.adam_inputs import Inputs
+from goniotwin.twin.plant import Plant
 
 FIRMWARE = (0x0506, 0x0000)
 INPUT_REGISTERS = 40

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from protocols import adam
-from twin.plant import Plant
+from goniotwin.protocols import adam
+from goniotwin.twin.plant import Plant
 
 Counts = npt.NDArray[np.int64]
 LOOK_BACK = 64

@@ -6,7 +6,7 @@ them; of the chopper's and coolStep's parameters, which do nothing here but hold
 
 from dataclasses import dataclass
 
-from protocols.tmcl_parameters import Axis
+from goniotwin.protocols.tmcl_parameters import Axis
 
 MAX_VELOCITY_PPS = 7_999_774
 MAX_ACCELERATION = 2_147_418_111

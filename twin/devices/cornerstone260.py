@@ -11,7 +11,7 @@ import re
 from collections import deque
 from dataclasses import dataclass, replace
 
-from protocols.cornerstone import (
+from goniotwin.protocols.cornerstone import (
     ERROR_SINCE_LAST_READ,
     FROM_DEVICE,
     MAX_LINE,
@@ -21,9 +21,9 @@ from protocols.cornerstone import (
     StatementError,
     encode_status,
 )
-from twin.devices.cornerstone_state import GratingData, State
-from twin.devices.cornerstone_statements import IDENTITY, Refused, Statements
-from twin.plant import Plant
+from goniotwin.twin.devices.cornerstone_state import GratingData, State
+from goniotwin.twin.devices.cornerstone_statements import IDENTITY, Refused, Statements
+from goniotwin.twin.plant import Plant
 
 __all__ = ["IDENTITY", "Cornerstone260"]
 

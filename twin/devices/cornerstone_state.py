@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from protocols.cornerstone import NO_ERROR, Error, Unit
+from goniotwin.protocols.cornerstone import NO_ERROR, Error, Unit
 
 SLITS = 3
 

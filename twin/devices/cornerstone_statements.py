@@ -4,9 +4,9 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from protocols.cornerstone import MAX_LABEL, NO_ERROR, Error, Grating, Statement, StatementError, Unit, decode_number
-from twin.devices.cornerstone_state import SLITS, State
-from twin.plant import MonochromatorDrive, Plant
+from goniotwin.protocols.cornerstone import MAX_LABEL, NO_ERROR, Error, Grating, Statement, StatementError, Unit, decode_number
+from goniotwin.twin.devices.cornerstone_state import SLITS, State
+from goniotwin.twin.plant import MonochromatorDrive, Plant
 
 IDENTITY = "Cornerstone 260 virtual"
 HIGHEST_NM_OF_1200 = 1400.0

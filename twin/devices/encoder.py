@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from twin.plant import Plant
-from twin.plant.noise import normal, process_key
+from goniotwin.twin.plant import Plant
+from goniotwin.twin.plant.noise import normal, process_key
 
 PERIOD_S = 1.0e-3
 MICROSTEPS = 256

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from protocols.tmcl import Command, Status
-from protocols.tmcl_parameters import USER_BANK, Global
-from twin.devices.ramp_generator import Rejected
-from twin.plant.noise import mixed, process_key
+from goniotwin.protocols.tmcl import Command, Status
+from goniotwin.protocols.tmcl_parameters import USER_BANK, Global
+from goniotwin.twin.devices.ramp_generator import Rejected
+from goniotwin.twin.plant.noise import mixed, process_key
 
 USER_VARIABLES, USER_STORED = 256, 56
 LOCK, UNLOCK = 1234, 4321

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from protocols.tmcl_parameters import ErrorFlag
-from twin.devices.encoder import MICROSTEPS
-from twin.devices.switches import Switch, when_switched, when_true
-from twin.plant.shaft import Drive
+from goniotwin.protocols.tmcl_parameters import ErrorFlag
+from goniotwin.twin.devices.encoder import MICROSTEPS
+from goniotwin.twin.devices.switches import Switch, when_switched, when_true
+from goniotwin.twin.plant.shaft import Drive
 
 TURN_DEG = 360.0
 NO_FLAG = ErrorFlag(0)

@@ -11,8 +11,8 @@ from struct import Struct, unpack
 
 from pymodbus.framer import FramerRTU
 
-from protocols import adam
-from twin.devices.adam import AdamModule, ModbusFault
+from goniotwin.protocols import adam
+from goniotwin.twin.devices.adam import AdamModule, ModbusFault
 
 MBAP = 7
 LONGEST_TCP = 260

@@ -1,14 +1,14 @@
 """One motor of a motion module: its axis parameters, what it is asked and what it is told."""
 
-from protocols.tmcl import Status
-from protocols.tmcl_parameters import Axis, DriverFlag, ErrorFlag
-from twin.devices import reference_search
-from twin.devices.axis_table import COMPUTED, Parameter
-from twin.devices.encoder import Encoder
-from twin.devices.ramp_generator import RampGenerator, Rejected, signed
-from twin.devices.switches import Place
-from twin.plant.motion import turning
-from twin.plant.shaft import Leash, Shaft
+from goniotwin.protocols.tmcl import Status
+from goniotwin.protocols.tmcl_parameters import Axis, DriverFlag, ErrorFlag
+from goniotwin.twin.devices import reference_search
+from goniotwin.twin.devices.axis_table import COMPUTED, Parameter
+from goniotwin.twin.devices.encoder import Encoder
+from goniotwin.twin.devices.ramp_generator import RampGenerator, Rejected, signed
+from goniotwin.twin.devices.switches import Place
+from goniotwin.twin.plant.motion import turning
+from goniotwin.twin.plant.shaft import Leash, Shaft
 
 UNLOADED = 512
 POWER_DOWN_UNIT_S = 0.01

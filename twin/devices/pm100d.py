@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 
-from protocols.scpi import NOT_A_NUMBER, OVERRANGE, ScpiError, Unit, encode_number, suffixes
-from twin.devices.scpi_instrument import Command, ScpiInstrument, bare, limit, number, single, switch
-from twin.plant import Plant
+from goniotwin.protocols.scpi import NOT_A_NUMBER, OVERRANGE, ScpiError, Unit, encode_number, suffixes
+from goniotwin.twin.devices.scpi_instrument import Command, ScpiInstrument, bare, limit, number, single, switch
+from goniotwin.twin.plant import Plant
 
 RANGES_A = (50e-9, 500e-9, 5e-6, 50e-6, 500e-6, 5e-3)
 OVER = 1.05

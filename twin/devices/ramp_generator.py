@@ -6,16 +6,16 @@ movement begins, and again when something changes. A motor that a switch has sto
 
 from dataclasses import replace
 
-from protocols.tmcl import Status
-from protocols.tmcl_parameters import Axis, ErrorFlag, Search
-from twin.devices import reference_search
-from twin.devices.axis_table import Parameter
-from twin.devices.encoder import Encoder
-from twin.devices.halts import Guards, Halt, next_halt
-from twin.devices.switches import Place, Switch
-from twin.plant.model import Mechanics
-from twin.plant.motion import Trajectory, braked, cut, moving, resting, turning
-from twin.plant.shaft import Leash, Shaft
+from goniotwin.protocols.tmcl import Status
+from goniotwin.protocols.tmcl_parameters import Axis, ErrorFlag, Search
+from goniotwin.twin.devices import reference_search
+from goniotwin.twin.devices.axis_table import Parameter
+from goniotwin.twin.devices.encoder import Encoder
+from goniotwin.twin.devices.halts import Guards, Halt, next_halt
+from goniotwin.twin.devices.switches import Place, Switch
+from goniotwin.twin.plant.model import Mechanics
+from goniotwin.twin.plant.motion import Trajectory, braked, cut, moving, resting, turning
+from goniotwin.twin.plant.shaft import Leash, Shaft
 
 CHIP_UNITS_PPS = 16_000_000 / 2**24  # of velocities where UNIT_MODE is 0 (*)
 CANCELLED_STATE, CANCELLED_S = 15, 0.05

@@ -9,10 +9,10 @@ Source: TMCL manuals, axis parameter 193. They leave open where exactly zero is;
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from protocols.tmcl_parameters import SWAPPED, SearchMode
-from twin.devices.switches import Switch, when_switched
-from twin.plant.motion import Trajectory, braked, cut, joined, moving, turning
-from twin.plant.shaft import Drive
+from goniotwin.protocols.tmcl_parameters import SWAPPED, SearchMode
+from goniotwin.twin.devices.switches import Switch, when_switched
+from goniotwin.twin.plant.motion import Trajectory, braked, cut, joined, moving, turning
+from goniotwin.twin.plant.shaft import Drive
 
 Seen = tuple[Switch, bool]
 LAST_STATE = 9

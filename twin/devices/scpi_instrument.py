@@ -9,9 +9,9 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
-from protocols.scpi import MAX_MESSAGE, ScpiError, Unit, decode_quantity, encode_error, spellings, units, words
-from protocols.usbtmc import StatusByte
-from twin.devices.scpi_status import StatusGroup
+from goniotwin.protocols.scpi import MAX_MESSAGE, ScpiError, Unit, decode_quantity, encode_error, spellings, units, words
+from goniotwin.protocols.usbtmc import StatusByte
+from goniotwin.twin.devices.scpi_status import StatusGroup
 
 THINKING_S = 5.0e-4
 ERRORS_KEPT = 10

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from twin.plant.model import Mechanics
-from twin.plant.motion import Trajectory, turning_points
-from twin.plant.shaft import Drive
+from goniotwin.twin.plant.model import Mechanics
+from goniotwin.twin.plant.motion import Trajectory, turning_points
+from goniotwin.twin.plant.shaft import Drive
 
 TURN_DEG = 360.0
 BISECTIONS = 80

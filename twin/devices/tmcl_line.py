@@ -3,9 +3,9 @@
 import math
 from collections import deque
 
-from protocols.tmcl import FRAME_BYTES, split
-from twin.devices.tmcm6214 import KINDS, MotionModule, Unasked
-from twin.plant import Plant
+from goniotwin.protocols.tmcl import FRAME_BYTES, split
+from goniotwin.twin.devices.tmcm6214 import KINDS, MotionModule, Unasked
+from goniotwin.twin.plant import Plant
 
 IDLE_GAP_S = 0.05
 

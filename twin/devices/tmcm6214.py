@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from protocols.tmcl import (
+from goniotwin.protocols.tmcl import (
     HOST_ADDRESS,
     Command,
     FrameError,
@@ -21,14 +21,14 @@ from protocols.tmcl import (
     encode_version_text,
     version_number,
 )
-from protocols.tmcl_parameters import BAUD_RATES, Global
-from twin.devices.axis_table import TMCM_1240, TMCM_6214, Parameter
-from twin.devices.encoder import Encoder
-from twin.devices.globals import Globals
-from twin.devices.motor import Motor
-from twin.devices.ramp_generator import Rejected
-from twin.plant import Plant
-from twin.plant.shaft import Leash
+from goniotwin.protocols.tmcl_parameters import BAUD_RATES, Global
+from goniotwin.twin.devices.axis_table import TMCM_1240, TMCM_6214, Parameter
+from goniotwin.twin.devices.encoder import Encoder
+from goniotwin.twin.devices.globals import Globals
+from goniotwin.twin.devices.motor import Motor
+from goniotwin.twin.devices.ramp_generator import Rejected
+from goniotwin.twin.plant import Plant
+from goniotwin.twin.plant.shaft import Leash
 
 FACTORY_RESET_CODE, FACTORY_RESET_S = 1234, 5.0
 SUPPLY_DECIVOLT, TEMPERATURE_C = 240, 30

@@ -2,8 +2,8 @@
 
 import struct
 
-from protocols.usb_descriptors import CONFIGURATION, DEVICE, ENDPOINT, INTERFACE, STRING
-from protocols.usbtmc import INTERFACE_CLASS, PROTOCOL_USB488
+from goniotwin.protocols.usb_descriptors import CONFIGURATION, DEVICE, ENDPOINT, INTERFACE, STRING
+from goniotwin.protocols.usbtmc import INTERFACE_CLASS, PROTOCOL_USB488
 
 BULK_OUT, BULK_IN, INTERRUPT_IN = 0x02, 0x82, 0x83
 ENDPOINTS = ((BULK_OUT, 2), (BULK_IN, 2), (INTERRUPT_IN, 3))

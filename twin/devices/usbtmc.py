@@ -6,9 +6,9 @@ answer that is not ready yet when its transfer is aborted comes afterwards, as i
 
 import struct
 
-from protocols.usb_descriptors import CONFIGURATION, DEVICE, STRING
-from protocols.usbtmc import HEADER_BYTES, PROTOCOL_USB488, Request, Status, capabilities
-from twin.devices.usb_standard import (
+from goniotwin.protocols.usb_descriptors import CONFIGURATION, DEVICE, STRING
+from goniotwin.protocols.usbtmc import HEADER_BYTES, PROTOCOL_USB488, Request, Status, capabilities
+from goniotwin.twin.devices.usb_standard import (
     BULK_IN,
     BULK_OUT,
     ENDPOINTS,
@@ -19,7 +19,7 @@ from twin.devices.usb_standard import (
     device_descriptor,
     string_descriptor,
 )
-from twin.devices.usbtmc_transfers import Overflow, Stall, Transfers
+from goniotwin.twin.devices.usbtmc_transfers import Overflow, Stall, Transfers
 
 __all__ = ["BULK_IN", "BULK_OUT", "INTERRUPT_IN", "MAX_PACKET", "PROTOCOL", "Overflow", "Stall", "UsbTmcDevice"]
 

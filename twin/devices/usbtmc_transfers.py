@@ -6,9 +6,9 @@ is in `complaints`; every transfer is in `log`. Source: USB-IF, USBTMC 1.0 secti
 
 from collections import deque
 
-from protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Status, StatusByte, message, next_tag
-from twin.devices.scpi_instrument import OUTPUT_QUEUE_BYTES, ScpiInstrument
-from twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, MAX_PACKET
+from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Status, StatusByte, message, next_tag
+from goniotwin.twin.devices.scpi_instrument import OUTPUT_QUEUE_BYTES, ScpiInstrument
+from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, MAX_PACKET
 
 LOG_KEPT = 2000
 

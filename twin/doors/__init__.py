@@ -5,9 +5,9 @@ Serial: `protocol_twin`, a URL handler of pyserial. Modbus: a subclass of pymodb
 
 import serial
 
-from twin.doors.modbus import TwinModbusClient, TwinRtuClient
-from twin.doors.registry import NoSuchTwin, find, register, unregister
-from twin.doors.usb import TwinUsbBackend
+from goniotwin.twin.doors.modbus import TwinModbusClient, TwinRtuClient
+from goniotwin.twin.doors.registry import NoSuchTwin, find, register, unregister
+from goniotwin.twin.doors.usb import TwinUsbBackend
 
 if __name__ not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append(__name__)

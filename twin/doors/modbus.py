@@ -12,11 +12,11 @@ import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException
 
-from protocols import adam
-from twin.devices.line import SerialDevice
-from twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
-from twin.doors.registry import NoSuchTwin, find, missing, split
-from twin.rig import CONVERTER_LINE
+from goniotwin.protocols import adam
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
+from goniotwin.twin.doors.registry import NoSuchTwin, find, missing, split
+from goniotwin.twin.rig import CONVERTER_LINE
 
 Trace = Callable[[bool, bytes], bytes]
 CHUNK = 256

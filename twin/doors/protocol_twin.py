@@ -10,9 +10,9 @@ from itertools import accumulate, repeat
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
-from protocols.clock import Clock, VirtualClock
-from twin.devices.line import SerialDevice
-from twin.doors.registry import NoSuchTwin, find, missing
+from goniotwin.protocols.clock import Clock, VirtualClock
+from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.doors.registry import NoSuchTwin, find, missing
 
 BITS_A_BYTE = 10
 POLL_S = 0.002

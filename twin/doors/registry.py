@@ -3,7 +3,7 @@
 import threading
 from urllib.parse import urlsplit
 
-from twin.rig import VirtualRig
+from goniotwin.twin.rig import VirtualRig
 
 SCHEME = "twin"
 _lock = threading.Lock()

@@ -12,12 +12,12 @@ from types import SimpleNamespace
 import usb.core
 from usb.backend import IBackend
 
-from protocols.clock import VirtualClock
-from protocols.usb_descriptors import decode_configuration, decode_device
-from protocols.usbip import FULL_SPEED
-from twin.devices.usb_standard import INTERRUPT_IN, configuration_descriptor, device_descriptor
-from twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
-from twin.rig import VirtualRig
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.protocols.usb_descriptors import decode_configuration, decode_device
+from goniotwin.protocols.usbip import FULL_SPEED
+from goniotwin.twin.devices.usb_standard import INTERRUPT_IN, configuration_descriptor, device_descriptor
+from goniotwin.twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
+from goniotwin.twin.rig import VirtualRig
 
 POLL_S = 0.002
 

@@ -13,9 +13,8 @@ Everything is in the sample's frame: the hole's sides lie along x and y, its pla
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.detector_block import (
+from goniotwin.twin.optics.detector_block import (
     A0,
     AHEAD,
     AU,
@@ -64,8 +63,9 @@ from twin.optics.detector_block import (
     M,
     S,
 )  # fmt: skip
-from twin.optics.frames import Floats
-from twin.optics.instrument import Instrument
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.kernel import kernel
 
 CLOSER = 1.1
 """With deviations a detector may be so much nearer to some of the hole than the arc's radius."""
@@ -103,7 +103,7 @@ def side_nodes(count: int = 3) -> Floats:
     return np.stack([0.5 * t * (3.0 - t * t), 0.75 * (1.0 - t * t) * weights], axis=1)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float, float, float]:
     """Of a detector that is seen along d: its axes e1 = (a, b, c), away from the normal, and e2 = (f, g, 0), level."""
     sine = math.sqrt(dx * dx + dy * dy)
@@ -111,7 +111,7 @@ def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float
     return dz * cos, dz * sin, -sine, -sin, cos
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def detector_frames(w: Floats, count: int) -> None:
     """Fills the frames of detectors whose places and views are in `w`."""
     for k in range(count):
@@ -123,7 +123,7 @@ def detector_frames(w: Floats, count: int) -> None:
         w[k + AHEAD] = x * dx + y * dy + z * dz
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+@kernel(nogil=True, fastmath={"contract"})
 def apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats) -> None:
     """Fills the moments of detectors whose frames are in `w`; the first is in mm^2.
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.optics.frames import Floats
-from twin.optics.illumination import IlluminationUnit
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.illumination import IlluminationUnit
 
 # The centre of the divergence profile is so much of the flux: less would be few rays, more would reach the flank.
 CENTRE_SHARE = 0.05

@@ -6,12 +6,12 @@ A stratum is so many paths of every block that are drawn the same way: those of 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from twin.optics.bounces import Stage, bounce, by_cosine
-from twin.optics.counters import scrambled, uniform, word_key
-from twin.optics.frames import Floats
-from twin.optics.outgoing import (
+from goniotwin.twin.optics.bounces import Stage, bounce, by_cosine
+from goniotwin.twin.optics.counters import scrambled, uniform, word_key
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.outgoing import (
     leave_by_cosine,
     leave_by_lobe,
     leave_by_model,
@@ -21,10 +21,10 @@ from twin.optics.outgoing import (
     path_key,
     weigh_lobe,
 )
-from twin.optics.packed import TRANSMITS, Lobes
-from twin.optics.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, arrive
-from twin.optics.scoring import HITS, Room, Targets, find_cells, score
-from twin.optics.spread import BINS, Spread
+from goniotwin.twin.optics.packed import TRANSMITS, Lobes
+from goniotwin.twin.optics.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, arrive
+from goniotwin.twin.optics.scoring import HITS, Room, Targets, find_cells, score
+from goniotwin.twin.optics.spread import BINS, Spread
 
 U64 = np.uint64
 COSINE, SHAPE, REST, MODEL, FRAME = range(5)
@@ -44,7 +44,7 @@ class Strata(NamedTuple):
     lit: float
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def leave(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.ndarray, lobes: Lobes) -> None:
     """Directions and weights of the paths of stratum k that have arrived at the sample."""
     way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
@@ -60,7 +60,7 @@ def leave(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.n
             weigh_lobe(buffer, count, lobes.params[which], share, transmits, gain)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def trace(
     first: int, last: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes, stage: Stage, targets: Targets,
     spread: Spread, longest: int, detectors: int,
@@ -113,7 +113,7 @@ def trace(
     return sums
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def trace_geometry(blocks: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes) -> float:
     """The same without what follows the scattering, for its speed: the sum of the last path's direction of each block."""
     buffer, keys, total = np.empty(ROWS * BLOCK, np.float32), np.empty(4, np.uint32), 0.0

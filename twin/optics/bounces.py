@@ -9,14 +9,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from twin.optics.counters import uniform
-from twin.optics.frames import Floats
-from twin.optics.meeting import distance_to
-from twin.optics.packed import Lobes, scatter_at_sample
-from twin.optics.scoring import Targets, score_segment
-from twin.optics.spread import Spread, spread_segment
+from goniotwin.twin.optics.counters import uniform
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.meeting import distance_to
+from goniotwin.twin.optics.packed import Lobes, scatter_at_sample
+from goniotwin.twin.optics.scoring import Targets, score_segment
+from goniotwin.twin.optics.spread import Spread, spread_segment
 
 UPPER, SHEET, LOWER, NOTHING = range(3, 7)
 """Surfaces beside mirrors 0 to 2."""
@@ -45,7 +45,7 @@ class Stage(NamedTuple):
     most: int
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def next_surface(
     stage: Stage, px: float, py: float, pz: float, dx: float, dy: float, dz: float
 ) -> tuple[int, float]:  # fmt: skip
@@ -68,7 +68,7 @@ def next_surface(
     return surface, nearest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def on_mount(stage: Stage, m: int, px: float, py: float, pz: float) -> bool:
     """Whether a place in the plane of mirror m is beyond its edges."""
     x, y, z = px - stage.mirrors[m, 0, 0], py - stage.mirrors[m, 0, 1], pz - stage.mirrors[m, 0, 2]
@@ -77,14 +77,14 @@ def on_mount(stage: Stage, m: int, px: float, py: float, pz: float) -> bool:
     return bool(max(abs(u), abs(v)) > stage.mirror_half)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def by_cosine(up: bool, u: float, v: float) -> tuple[float, float, float]:
     """A direction by Lambert's law, above or below."""
     radius, turn, height = math.sqrt(u), 2.0 * math.pi * v, math.sqrt(1.0 - u)
     return radius * math.cos(turn), radius * math.sin(turn), height if up else -height
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def at_angle(table: Floats, cosine: float) -> float:
     """Of a table over whole degrees of incidence, 0 to 90, linear between."""
     place = math.degrees(math.acos(min(1.0, cosine)))
@@ -92,7 +92,7 @@ def at_angle(table: Floats, cosine: float) -> float:
     return table[i] + (place - i) * (table[i + 1] - table[i])  # type: ignore[no-any-return]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def bounce(
     stage: Stage, lobes: Lobes, targets: Targets, spread: Spread, key: np.uint64, interactions: int, scored: bool,
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, weight: float, sums: Floats,

@@ -19,10 +19,10 @@ the observer, z the sample's normal. The models know one pair of sides only: lig
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.frames import Floats
-from twin.optics.tables import anisotropic, hermite, place, tabular
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.tables import anisotropic, hermite, place, tabular
 
 __all__ = [
     "ANISOTROPIC",
@@ -48,7 +48,7 @@ ANISOTROPIC = 3
 REGULAR = 4
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def canonical(
     incident: int, transmits: bool, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -64,7 +64,7 @@ def canonical(
     return lx, ly, lz, dx, dy, dz
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
     """The observer's direction in the sample's own frame of a canonical one: what `canonical` did, undone."""
     if transmits:
@@ -74,7 +74,7 @@ def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: flo
     return dx, dy, dz
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def bent(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, float]:
     """The light whose specular direction is the axis of a lobe bent by Snell's law: sin(theta_t) = sin(theta_i) / ratio.
 
@@ -86,7 +86,7 @@ def bent(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, f
     return x, y, math.sqrt(max(0.0, 1.0 - x * x - y * y))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def analytic(
     kind: int, peak: float, exponent: float, intensity: float,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
@@ -105,7 +105,7 @@ def analytic(
     return value / dz if intensity == 1.0 else value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def regular_share(params: Floats, sig: Floats, table: Floats, lx: float, ly: float, lz: float) -> float:
     """Share of the light from l that a REGULAR lobe sends on in its one direction; 0 for light that is not in front."""
     if lz <= 0.0:
@@ -118,7 +118,7 @@ def regular_share(params: Floats, sig: Floats, table: Floats, lx: float, ly: flo
     return values + w[2] * table[1, i, 0, 0] + w[3] * table[1, i + 1, 0, 0]  # type: ignore[no-any-return]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def bsdf(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
@@ -135,7 +135,7 @@ def bsdf(
     return analytic(kind, params[0], params[1], params[2], lx, ly, lz, dx, dy, dz)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def evaluate_all(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
     incident: int, transmits: bool, light: Floats, observer: Floats,

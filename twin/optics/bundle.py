@@ -4,11 +4,11 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
-from twin.optics.aperture import detector_frame
-from twin.optics.frames import Floats
-from twin.optics.meeting import distance_to
+from goniotwin.twin.optics.aperture import detector_frame
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.meeting import distance_to
 
 # Of the sequence, the best of 120 tried when rays were still thrown away at the disc's edge: any other would do.
 SHIFT = (0.42, 0.25, 0.22, 0.65, 0.05, 0.24)
@@ -54,7 +54,7 @@ def ray_bundle(rays: int) -> Floats:
     return bundle
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def cone(rays: Floats, sizes: Floats) -> Floats:
     """Of each ray its slopes to the detector's axis, away from the normal and level, and its component along it: (rays, 3)."""
     result = np.empty((rays.shape[0], 3))
@@ -65,7 +65,7 @@ def cone(rays: Floats, sizes: Floats) -> Floats:
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def view(centre: Floats, d: Floats, axes: Floats) -> None:
     """Fills `axes` (4, 3) of a detector: away (from the normal), level, along d; and its centre along these."""
     e1x, e1y, e1z, e2x, e2y = detector_frame(d[0], d[1], d[2])
@@ -76,7 +76,7 @@ def view(centre: Floats, d: Floats, axes: Floats) -> None:
         axes[3, k] = centre[0] * axes[k, 0] + centre[1] * axes[k, 1] + centre[2] * axes[k, 2]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def detector_ray(
     axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -118,7 +118,7 @@ def detector_ray(
     return weight, u, v, wx, wy, wz, length
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def arrival(
     px: float, py: float, u: float, v: float, pupil: Floats, images: Floats, half: float, clipped: bool
 ) -> tuple[float, float, float, float]:

@@ -7,10 +7,10 @@ for a table's ends hold outside of it. Within a cell all directions are equally 
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.frames import Floats, from_specular
-from twin.optics.tables import (
+from goniotwin.twin.optics.frames import Floats, from_specular
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.tables import (
     azimuth_place,
     phi_in_list,
     place,
@@ -22,7 +22,7 @@ from twin.optics.tables import (
 FINE = 4
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def theta_cells(th: Floats) -> tuple[int, int]:
     """Number of cells over theta, and 1 if the first of them lies before the list."""
     lead = 1 if th[0] > 0.0 else 0
@@ -30,7 +30,7 @@ def theta_cells(th: Floats) -> tuple[int, int]:
     return th.size - 1 + lead + tail, lead
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _height(th: Floats, lead: int, edge: int) -> float:
     """sin^2(theta / 2) at an edge of the cells: it grows as the solid angle does."""
     if edge < lead:
@@ -40,7 +40,7 @@ def _height(th: Floats, lead: int, edge: int) -> float:
     return math.sin(math.radians(0.5 * th[edge - lead])) ** 2
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _phi_edges(ph: Floats, j: int) -> tuple[float, float]:
     """Both ends of cell j over phi, deg; a single phi stands for the whole turn."""
     if ph.size == 1:
@@ -48,7 +48,7 @@ def _phi_edges(ph: Floats, j: int) -> tuple[float, float]:
     return ph[j], ph[j + 1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def _cell_density(ph: Floats, th: Floats, shares: Floats, n: int, m: int, theta: float, phi: float) -> float:
     """Density in 1/sr of the list of psi n and sigma m."""
     count, lead = theta_cells(th)
@@ -66,7 +66,7 @@ def _cell_density(ph: Floats, th: Floats, shares: Floats, n: int, m: int, theta:
     return (shares[n, m, cell] - below) / area  # type: ignore[no-any-return]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def cell_density(
     params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
@@ -86,7 +86,7 @@ def cell_density(
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def cell_direction(
     params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.lobes import Lobe, frozen
-from twin.optics.scatterer import Scatterer, SpectralWeights, on_side
+from goniotwin.twin.optics.lobes import Lobe, frozen
+from goniotwin.twin.optics.scatterer import Scatterer, SpectralWeights, on_side
 
 
 def summed(*scatterers: Scatterer, name: str | None = None) -> Scatterer:

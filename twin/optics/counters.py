@@ -5,7 +5,8 @@ a block of paths, which LLVM makes vectors of.
 """
 
 import numpy as np
-from numba import njit
+
+from goniotwin.twin.optics.kernel import kernel
 
 U32 = np.uint32
 U64 = np.uint64
@@ -15,7 +16,7 @@ STEP_16 = np.float32(2.0**-16)
 STEP_24 = np.float32(2.0**-24)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def scrambled(bits: np.uint64) -> np.uint64:
     """64 bits that look random: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
     # Every constant is cast: with a plain integer numba goes over to floats, and the bits are wrong without a word.
@@ -24,20 +25,20 @@ def scrambled(bits: np.uint64) -> np.uint64:
     return bits ^ (bits >> U64(31))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def uniform(key: np.uint64, counter: int) -> float:
     """Number `counter` of a path's key, in [0, 1)."""
     bits = scrambled(key + U64(counter + 1) * U64(0x9E3779B97F4A7C15))
     return float(bits >> U64(11)) * 1.1102230246251565e-16
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def word_key(key: np.uint64, counter: int) -> np.uint32:
     """Key of a block's 32-bit words number `counter`: see `word`."""
     return U32(scrambled(key + U64(counter + 1) * U64(0x9E3779B97F4A7C15)) >> U64(32))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def word(key: np.uint32, i: int) -> np.uint32:
     """32 bits of path i of a block, for one of its keys: a mixer of two multiplications (Wellons 2018, "lowbias32").
 
@@ -54,19 +55,19 @@ def word(key: np.uint32, i: int) -> np.uint32:
     return U32(bits ^ U32(bits >> U32(16)))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def low_16(bits: np.uint32) -> np.float32:
     """A number within 0 and 1 from the lower half of a word: the middle of one of 65536 intervals."""
     return F32(F32(np.int32(bits & U32(0xFFFF))) * STEP_16 + HALF_16)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def high_16(bits: np.uint32) -> np.float32:
     """The same from the upper half."""
     return F32(F32(np.int32(bits >> U32(16))) * STEP_16 + HALF_16)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def upper_24(bits: np.uint32) -> np.float32:
     """A number in [0, 1), exact in single precision, from the upper 24 bits of a word."""
     return F32(F32(np.int32(bits >> U32(8))) * STEP_24)

@@ -4,7 +4,8 @@ Polynomials fitted by least maximum error; what is stated is their error before 
 """
 
 import numpy as np
-from numba import njit
+
+from goniotwin.twin.optics.kernel import kernel
 
 F32 = np.float32
 I32 = np.int32
@@ -24,19 +25,19 @@ T1, T2, T3 = np.float32(0.3333340826), np.float32(0.1998737021), np.float32(0.14
 ROOT_HALF_BITS, MANTISSA_BITS, BIAS, LEAST = np.int32(0x3F3504F3), np.int32(23), np.int32(127), np.float32(-80.0)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def sine_ratio(square: np.float32) -> np.float32:
     """sin(x) / x for the square of x, up to (pi / 2)^2, to 2e-11."""
     return F32(ONE + square * (S1 + square * (S2 + square * (S3 + square * (S4 + square * S5)))))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def cosine(square: np.float32) -> np.float32:
     """cos(x) for the square of x, up to (pi / 2)^2, to 2e-10."""
     return F32(ONE + square * (C1 + square * (C2 + square * (C3 + square * (C4 + square * C5)))))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def turned_by(share: np.float32) -> tuple[np.float32, np.float32]:
     """Cosine and sine of a share of the whole turn, 0 to 1, counted from the negative x axis."""
     half = PI * (share - HALF)
@@ -45,7 +46,7 @@ def turned_by(share: np.float32) -> tuple[np.float32, np.float32]:
     return F32(cos * cos - sin * sin), F32(TWO * sin * cos)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def minus_log(x: np.float32) -> np.float32:
     """-ln(x) for x above 0 and normal, to 1e-9 of it."""
     bits = F32(x).view(np.int32)
@@ -56,7 +57,7 @@ def minus_log(x: np.float32) -> np.float32:
     return F32(-F32(exponent) * LN2 - TWO * s * (ONE + square * (T1 + square * (T2 + square * T3))))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def exp_minus(x: np.float32) -> np.float32:
     """exp(-x) for x of at least 0, to 8e-8 of it; 0 below 2^-80: numbers that are not normal cost a hundred times as much."""
     exact = F32(-x * LOG2_E)
@@ -68,7 +69,7 @@ def exp_minus(x: np.float32) -> np.float32:
     return value if exact > LEAST else F32(0.0)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def arcsine(x: np.float32) -> np.float32:
     """asin(x) for x within 0 and 1, to 1e-8."""
     steep = x > HALF

@@ -6,12 +6,11 @@ them. What only one direction needs (emitting, weighing by the chord) stands wit
 
 import math
 
-from numba import njit
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
-from twin.optics.frames import Floats
 
-
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def to_plane(frame: Floats, x: Floats, w: Floats) -> tuple[float, float]:
     """Takes the ray to the element's plane, forwards or backwards: its own coordinates (x, z) there, NaN or inf if never."""
     away = along = 0.0
@@ -27,7 +26,7 @@ def to_plane(frame: Floats, x: Floats, w: Floats) -> tuple[float, float]:
     return u, v
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def bend(frame: Floats, u: float, v: float, power: float, w: Floats) -> float:
     """An ideal lens bends a ray that meets it at its own (u, v): tangents lose u and v times the power (1 / focal length).
 
@@ -48,7 +47,7 @@ def bend(frame: Floats, u: float, v: float, power: float, w: Floats) -> float:
     return (before * before) / (after * after)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def reflected(frame: Floats, radius: float, least: float, x: Floats, w: Floats) -> bool:
     """Takes a ray from near the reflector's centre to its sphere and reflects it there; whether the reflector is there.
 
@@ -74,7 +73,7 @@ def reflected(frame: Floats, radius: float, least: float, x: Floats, w: Floats) 
     return depth >= least
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def chord(frame: Floats, radius: float, half: float, x: Floats, w: Floats) -> float:
     """Length in mm that the whole straight line through x along w has within the arc's cylinder; its axis is its own z."""
     a = b = c0 = start = slope = p0 = q0 = p1 = q1 = 0.0

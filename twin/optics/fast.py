@@ -10,12 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.bsdf import LAMBERTIAN
-from twin.optics.frames import Floats
-from twin.optics.instrument import Instrument
-from twin.optics.lobes import Lobe, parameters
-from twin.optics.scatterer import Scatterer
-from twin.optics.score import Pose, lobe_throughputs
+from goniotwin.twin.optics.bsdf import LAMBERTIAN
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.lobes import Lobe, parameters
+from goniotwin.twin.optics.scatterer import Scatterer
+from goniotwin.twin.optics.score import Pose, lobe_throughputs
 
 WHITE = [
     Lobe(LAMBERTIAN, parameters(1.0 / math.pi), incident=incident, transmits=transmits)

@@ -1,18 +1,18 @@
 """The rays of many detectors: seven nodes each, a whole bundle where a mirror hides some of them, none where it hides all."""
 
 import numpy as np
-from numba import njit
 
-from twin.optics.aperture import apertures, detector_frames
-from twin.optics.bundle import arrival, detector_ray, view
-from twin.optics.detector_block import BLOCK, DX, PX, ROWS, M
-from twin.optics.frames import Floats
-from twin.optics.nodes import NODES, place_nodes
-from twin.optics.obstruction import FREE, HIDDEN, PARTLY, hidden, mirrors_near, shadow
-from twin.optics.wide_aperture import wide_apertures
+from goniotwin.twin.optics.aperture import apertures, detector_frames
+from goniotwin.twin.optics.bundle import arrival, detector_ray, view
+from goniotwin.twin.optics.detector_block import BLOCK, DX, PX, ROWS, M
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.nodes import NODES, place_nodes
+from goniotwin.twin.optics.obstruction import FREE, HIDDEN, PARTLY, hidden, mirrors_near, shadow
+from goniotwin.twin.optics.wide_aperture import wide_apertures
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def fill_nodes(
     centres: Floats, axes: Floats, sizes: Floats, wide: bool, cone: Floats, side: Floats, hole: Floats, hexagon: Floats,
     pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
@@ -44,7 +44,7 @@ def fill_nodes(
                     rays[0, j * count + k] = 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def fill_rays(
     centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, mirrors: Floats, images: Floats,
     half: float, blocking: float, obstruction: bool, clipped: bool, rays: Floats,

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.blocks import trace
-from twin.optics.chunks import CHUNK, check_seed, summed, until
-from twin.optics.counters import U64
-from twin.optics.frames import Floats
-from twin.optics.holder import SampleFrames
-from twin.optics.instrument import Instrument
-from twin.optics.paths import BLOCK
-from twin.optics.rayset import RaySource
-from twin.optics.scatterer import Scatterer
-from twin.optics.setting import Setting, set_up
+from goniotwin.twin.optics.blocks import trace
+from goniotwin.twin.optics.chunks import CHUNK, check_seed, summed, until
+from goniotwin.twin.optics.counters import U64
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.paths import BLOCK
+from goniotwin.twin.optics.rayset import RaySource
+from goniotwin.twin.optics.scatterer import Scatterer
+from goniotwin.twin.optics.setting import Setting, set_up
 
 FIRST_PATHS = 1 << 18
 DARK_PATHS = 1 << 22

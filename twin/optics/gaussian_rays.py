@@ -7,9 +7,9 @@ polynomials fitted by least maximum error, to 1e-12 and better.
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.frames import Floats
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
 LOG2_E = 1.0 / math.log(2.0)
 FARTHEST = -1000.0
@@ -21,7 +21,7 @@ E0, E1, E2, E3, E4 = 0.9999999999997623, 0.6931471805465146, 0.24022650698880404
 E5, E6, E7, E8 = 0.001333345206273817, 0.00015403851761890063, 1.5309737273786115e-05, 1.3175854503915213e-06
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def arcsine(x: float, square: float) -> float:
     """asin(x) for x from 0 to a half, by its square too."""
     low = A0 + square * (A1 + square * (A2 + square * (A3 + square * A4)))
@@ -29,7 +29,7 @@ def arcsine(x: float, square: float) -> float:
     return x * (low + square**5 * high)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def power_of_two(y: float) -> float:
     """2^y for y from -1000 to 1000."""
     whole = np.int32(np.floor(y + 0.5))
@@ -38,7 +38,7 @@ def power_of_two(y: float) -> float:
     return power * (E0 + x * (E1 + x * (E2 + x * (E3 + x * (E4 + x * (E5 + x * (E6 + x * (E7 + x * E8))))))))
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+@kernel(nogil=True, fastmath={"contract"})
 def gaussian_values(
     peak: float, exponent: float, intensity: bool, ratio: float, transmits: bool, rays: Floats, values: Floats
 ) -> None:

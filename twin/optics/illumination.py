@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.optics.deviation import NONE, Deviation, by_name, rotation_and_shift
-from twin.optics.frames import Floats
-from twin.optics.spectrum import Passband, Spectrum, xenon
+from goniotwin.twin.optics.deviation import NONE, Deviation, by_name, rotation_and_shift
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.spectrum import Passband, Spectrum, xenon
 
 ELEMENTS = ("arc", "reflector", "input_condenser", "slit", "output_condenser", "unit")
 # In this order the frames go to the kernels.

@@ -7,14 +7,14 @@ the reflector, for an optically thin arc has a radiance in proportion to that. S
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.beam import Illumination, checked_square, mean_and_error, widest_angle
-from twin.optics.chunks import check_seed, until
-from twin.optics.counters import scrambled, uniform
-from twin.optics.elements import bend, chord, reflected, to_plane
-from twin.optics.frames import Floats
-from twin.optics.illumination import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
+from goniotwin.twin.optics.beam import Illumination, checked_square, mean_and_error, widest_angle
+from goniotwin.twin.optics.chunks import check_seed, until
+from goniotwin.twin.optics.counters import scrambled, uniform
+from goniotwin.twin.optics.elements import bend, chord, reflected, to_plane
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.illumination import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
+from goniotwin.twin.optics.kernel import kernel
 
 U64 = np.uint64
 # Few enough to be quick, and enough for their scatter to be known.
@@ -23,7 +23,7 @@ DARK_RAYS = 1 << 18
 MOST_RAYS = 1 << 30
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def lit_length(frames: Floats, sizes: Floats, x: Floats, w: Floats) -> float:
     """Of a ray that goes backwards from between slit and condenser: weighted length in mm within the arc, 0 if vignetted.
 
@@ -40,7 +40,7 @@ def lit_length(frames: Floats, sizes: Floats, x: Floats, w: Floats) -> float:
     return weighted
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _trace(
     first: int, last: int, seed: np.uint64, frames: Floats, sizes: Floats,
     side: float, cells: int, bins: int, widest: float,

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.optics.beam import Illumination
-from twin.optics.frames import Floats
-from twin.optics.illumination import IlluminationUnit
-from twin.optics.illumination_adjoint import adjoint_illumination
+from goniotwin.twin.optics.beam import Illumination
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.illumination import IlluminationUnit
+from goniotwin.twin.optics.illumination_adjoint import adjoint_illumination
 
 # The map shows the slit's image with its edges: so much wider than the field.
 MARGIN = 2.0

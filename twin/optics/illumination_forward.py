@@ -7,14 +7,14 @@ a function of seed and ray.
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.beam import Illumination, checked_square, mean_and_error, widest_angle
-from twin.optics.chunks import check_seed, until
-from twin.optics.counters import scrambled, uniform
-from twin.optics.elements import bend, reflected, to_plane
-from twin.optics.frames import Floats
-from twin.optics.illumination import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
+from goniotwin.twin.optics.beam import Illumination, checked_square, mean_and_error, widest_angle
+from goniotwin.twin.optics.chunks import check_seed, until
+from goniotwin.twin.optics.counters import scrambled, uniform
+from goniotwin.twin.optics.elements import bend, reflected, to_plane
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.illumination import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
+from goniotwin.twin.optics.kernel import kernel
 
 U64 = np.uint64
 FIRST_RAYS = 1 << 18
@@ -22,7 +22,7 @@ DARK_RAYS = 1 << 22
 MOST_RAYS = 1 << 34
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _trace(
     first: int, last: int, seed: np.uint64, frames: Floats, sizes: Floats, aim: Floats, across: Floats,
     side: float, cells: int, bins: int, widest: float,

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 
-from twin.optics.deviation import NONE, Deviation, by_name
-from twin.optics.reflectance import Reflectance
-from twin.optics.sensor import RealSensor
+from goniotwin.twin.optics.deviation import NONE, Deviation, by_name
+from goniotwin.twin.optics.reflectance import Reflectance
+from goniotwin.twin.optics.sensor import RealSensor
 
 ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
 

@@ -2,12 +2,11 @@
 
 import math
 
-from numba import njit
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
-from twin.optics.frames import Floats
 
-
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def distance_to(
     mirrors: Floats, m: int, half: float, px: float, py: float, pz: float, wx: float, wy: float, wz: float
 ) -> float:

@@ -10,9 +10,8 @@ a Gaussian's. Each node is a real ray: the six numbers are those to be expected 
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.detector_block import (
+from goniotwin.twin.optics.detector_block import (
     BLOCK,
     DX,
     DY,
@@ -66,7 +65,8 @@ from twin.optics.detector_block import (
     WZ,
     M,
 )  # fmt: skip
-from twin.optics.frames import Floats
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
 NODES = 7
 TINY = 1e-30
@@ -76,7 +76,7 @@ HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.
 """Turned out of the plane of incidence, so that no two nodes are mirror images in it."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+@kernel(nogil=True, fastmath={"contract"})
 def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, first: int, stride: int) -> None:
     """Fills `rays` (7, 7 stride): weight, light's direction (3), observer's direction (3), for the `count` detectors in `w`.
 

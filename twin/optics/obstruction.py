@@ -9,19 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from twin.optics.aperture import aperture_sizes, detector_frame
-from twin.optics.bundle import cone, detector_ray, ray_bundle, view
-from twin.optics.frames import Floats
-from twin.optics.instrument import Instrument
-from twin.optics.meeting import distance_to
-from twin.optics.scene import scene_at
+from goniotwin.twin.optics.aperture import aperture_sizes, detector_frame
+from goniotwin.twin.optics.bundle import cone, detector_ray, ray_bundle, view
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.meeting import distance_to
+from goniotwin.twin.optics.scene import scene_at
 
 FREE, PARTLY, HIDDEN = 0, 1, 2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def may_hide(mirrors: Floats, m: int, half: float, centre: Floats, width: float) -> bool:
     """Whether square m reaches into the tube of radius `width` round the line from the sample's centre to `centre`.
 
@@ -37,7 +37,7 @@ def may_hide(mirrors: Floats, m: int, half: float, centre: Floats, width: float)
     return gap2 < (width + math.sqrt(2.0) * half) ** 2
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def hidden(
     mirrors: Floats, near: Floats, half: float, reach: float,
     px: float, py: float, wx: float, wy: float, wz: float,
@@ -49,7 +49,7 @@ def hidden(
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def mirrors_near(mirrors: Floats, half: float, centre: Floats, sizes: Floats, near: Floats) -> None:
     """Sets near[m] to 1 where mirror m may hide some of the bundle of a detector at `centre`, and else to 0."""
     width = max(sizes[0], math.sqrt(2.0) * sizes[1])
@@ -57,7 +57,7 @@ def mirrors_near(mirrors: Floats, half: float, centre: Floats, sizes: Floats, ne
         near[m] = 1.0 if may_hide(mirrors, m, half, centre, width) else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats, sizes: Floats) -> int:
     """FREE, HIDDEN, or PARTLY where the mirrors that are near cut some of a detector's rays, or where that is not sure.
 
@@ -96,7 +96,7 @@ def shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats
     return result
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def visible(centres: Floats, directions: Floats, rays: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
     """Share (n,) of the rays of a bundle that no mirror cuts, of detectors at `centres` that look along -`directions`."""
     result = np.zeros(directions.shape[0])

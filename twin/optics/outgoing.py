@@ -9,14 +9,14 @@ twin.optics.sampling, path by path.
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.counters import scrambled, uniform, upper_24, word
-from twin.optics.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
-from twin.optics.frames import Floats
-from twin.optics.packed import TRANSMITS, Lobes, lobe_arrays
-from twin.optics.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
-from twin.optics.sampling import scatter
+from goniotwin.twin.optics.counters import scrambled, uniform, upper_24, word
+from goniotwin.twin.optics.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.packed import TRANSMITS, Lobes, lobe_arrays
+from goniotwin.twin.optics.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
+from goniotwin.twin.optics.sampling import scatter
 
 F32 = np.float32
 U64 = np.uint64
@@ -24,7 +24,7 @@ ONE, TWO, ZERO, HALF, QUARTER = (np.float32(x) for x in (1.0, 2.0, 0.0, 0.5, 0.2
 TINY = np.float32(1e-30)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits: bool, gain: float) -> None:
     """Paths by Lambert's law, with the two words of `keys` (2,); their weight is FLUX times `gain`."""
     factor, way = F32(gain), F32(-1.0 if transmits else 1.0)
@@ -36,7 +36,7 @@ def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits:
         buffer[i + WEIGHT] = buffer[i + FLUX] * factor
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def leave_by_lobe(
     buffer: np.ndarray, count: int, keys: np.ndarray, params: Floats, share: float, transmits: bool, gain: float
 ) -> None:
@@ -70,7 +70,7 @@ def leave_by_lobe(
         buffer[i + WEIGHT] = weight if (dz > ZERO) & (lz > ZERO) else ZERO
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, transmits: bool, gain: float) -> None:
     """Of paths that left by the cosine, the weight that they have for a Gaussian lobe, of which `share` went the other way."""
     peak, exponent = F32(params[0] * gain), F32(params[1])
@@ -95,7 +95,7 @@ def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, tra
         buffer[i + WEIGHT] = weight if (dz > ZERO) & (lz > ZERO) else ZERO
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def meet_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> None:
     """STOP becomes the distance to a mirror where that is met before."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
@@ -113,7 +113,7 @@ def meet_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> 
         buffer[i + STOP] = distance if met else stop
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def meet_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
     """The same for the frame's own side, which faces the sample."""
     limit, height = F32(hole), F32(gap)
@@ -125,20 +125,20 @@ def meet_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
         buffer[i + STOP] = stop if free else min(stop, distance)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def meet_nothing(buffer: np.ndarray, count: int) -> None:
     """STOP is infinite."""
     for i in range(count):
         buffer[i + STOP] = F32(np.inf)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
     """Of one path of a block: for what is drawn path by path."""
     return scrambled(key + U64(stratum * 65536 + i + 1) * U64(0xD1342543DE82EF95))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def leave_by_model(buffer: np.ndarray, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
     """Paths by any lobe, one after the other: number `which` of the packed ones."""
     arrays = lobe_arrays(lobes, which)

@@ -3,13 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from twin.optics.bsdf import canonical, from_canonical
-from twin.optics.counters import uniform
-from twin.optics.frames import Floats
-from twin.optics.lobes import ALBEDO_SIGMA_DEG, Lobe
-from twin.optics.sampling import scatter
+from goniotwin.twin.optics.bsdf import canonical, from_canonical
+from goniotwin.twin.optics.counters import uniform
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.lobes import ALBEDO_SIGMA_DEG, Lobe
+from goniotwin.twin.optics.sampling import scatter
 
 KIND, ABOVE, TRANSMITS, FIRST = range(4)
 """Columns of `Lobes.heads`; from FIRST on the sizes of sigma, phi, theta, psi, table's first axis and cells' three."""
@@ -55,7 +55,7 @@ def packed(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def lobe_arrays(
     lobes: Lobes, k: int
 ) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
@@ -68,7 +68,7 @@ def lobe_arrays(
     return lobes.heads[k, KIND], lobes.params[k], sig, ph, th, psi, table, cells
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def lobe_share(lobes: Lobes, k: int, above: bool, sine: float) -> float:
     """What lobe k is worth drawing: its weight times about its albedo, for light that comes from above or from below."""
     if (lobes.heads[k, ABOVE] == 1) != above:
@@ -87,7 +87,7 @@ def lobe_share(lobes: Lobes, k: int, above: bool, sine: float) -> float:
     return lobes.weights[k] * max(here, 0.05 * total / (last + 1))  # type: ignore[no-any-return]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def scatter_at_sample(
     lobes: Lobes, wx: float, wy: float, wz: float, key: np.uint64, counter: int
 ) -> tuple[float, float, float, float]:

@@ -9,11 +9,11 @@ on the pupil and in the hole have 16 bits, 0.1 micrometres.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from twin.optics.counters import high_16, low_16, word
-from twin.optics.elementary import turned_by
-from twin.optics.frames import Floats
+from goniotwin.twin.optics.counters import high_16, low_16, word
+from goniotwin.twin.optics.elementary import turned_by
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
 BLOCK = 2048
 F32 = np.float32
@@ -45,7 +45,7 @@ class Beam(NamedTuple):
     flux: Floats
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def aim_at_hole(buffer: np.ndarray, count: int, key: np.uint32) -> None:
     """Fills PX, PY with points of the hole, in units of its half side, and a little beyond."""
     for i in range(count):
@@ -54,7 +54,7 @@ def aim_at_hole(buffer: np.ndarray, count: int, key: np.uint32) -> None:
         buffer[i + PY] = (TWO * high_16(bits) - ONE) * F32(MARGIN)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def aim_beside_hole(buffer: np.ndarray, count: int, key: np.uint32, lit: float) -> None:
     """The same, uniformly over the square `lit` times as wide, but for the hole: four equal rectangles like a windmill."""
     for i in range(count):
@@ -68,7 +68,7 @@ def aim_beside_hole(buffer: np.ndarray, count: int, key: np.uint32, lit: float) 
         buffer[i + PX], buffer[i + PY] = s, t
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, aim: Floats) -> None:
     """Rays from uniform points of the pupil to where PX, PY aim; FLUX is the cosine there over the squared length, 1/mm^2."""
     p00, p01, p02 = F32(pupil[0, 0]), F32(pupil[0, 1]), F32(pupil[0, 2])
@@ -92,7 +92,7 @@ def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, a
         buffer[i + FLUX] = (wx * p30 + wy * p31 + wz * p32) * inverse * inverse
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flux: Floats) -> None:
     """Rays of a rayset, each drawn as likely as any other; FLUX is the ray's own."""
     for i in range(count):
@@ -102,7 +102,7 @@ def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flu
         buffer[i + FLUX] = flux[k]
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def over_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
     """Takes the rays to a mirror and reflects them there; one that misses it carries nothing any more."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
@@ -124,7 +124,7 @@ def over_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float, ref
         buffer[i + WX], buffer[i + WY], buffer[i + WZ] = wx - along * nx, wy - along * ny, wz - along * nz
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, inside: bool, project: bool) -> None:
     """Takes the rays to the frame's plane, and those of the hole on to the sample: their place there is PX, PY.
 
@@ -149,7 +149,7 @@ def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, 
         buffer[i + FLUX] = flux if hit else ZERO
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def arrive(buffer: np.ndarray, count: int, keys: np.ndarray, beam: Beam, inside: bool, lit: float) -> None:
     """All of it: rays in the hole or, without `inside`, on the frame round it; `keys` (2,) of the two words of a path."""
     uniform_pupil = beam.rays.shape[0] == 0

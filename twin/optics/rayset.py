@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from twin.optics.chunks import check_seed
-from twin.optics.counters import scrambled, uniform
-from twin.optics.elements import bend, to_plane
-from twin.optics.frames import Floats
-from twin.optics.illumination import OUTPUT, SLIT, IlluminationUnit
-from twin.optics.illumination_adjoint import emission_per_mm3_sr, lit_length
+from goniotwin.twin.optics.chunks import check_seed
+from goniotwin.twin.optics.counters import scrambled, uniform
+from goniotwin.twin.optics.elements import bend, to_plane
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.illumination import OUTPUT, SLIT, IlluminationUnit
+from goniotwin.twin.optics.illumination_adjoint import emission_per_mm3_sr, lit_length
+from goniotwin.twin.optics.kernel import kernel
 
 U64 = np.uint64
 COLUMNS = {"positions_mm": 3, "directions": 3, "wavelength_nm": 0, "flux": 0}
@@ -92,7 +92,7 @@ class Rayset:
         return float(self.flux.std(ddof=1) * math.sqrt(count)) if count > 1 else math.nan
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _record(rays: int, seed: np.uint64, frames: Floats, sizes: Floats) -> Floats:
     """Of each ray (rays, 8): place on the plane y = 0 and direction after the lens, weight in 1/mm, a number in 0..1."""
     result = np.zeros((rays, 8))

@@ -10,10 +10,10 @@ and no ray is thrown.
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.aperture import detector_frame
-from twin.optics.frames import Floats
+from goniotwin.twin.optics.aperture import detector_frame
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
 HOLE_NODES, SLOPE_NODES = 12, 16
 
@@ -24,7 +24,7 @@ def line_nodes(count: int) -> Floats:
     return np.stack([places, 0.5 * weights], axis=1)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def conic(
     q: float, d: Floats, e1: Floats, e2: Floats, image: Floats, square_radius: float, hn: float, ha: float, hb: float
 ) -> tuple[float, float, float]:
@@ -44,7 +44,7 @@ def conic(
     return x1 * x1 + y1 * y1 - limit * n1 * n1, x0 * x1 + y0 * y1 - limit * n0 * n1, x0 * x0 + y0 * y0 - limit * n0 * n0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def image_measures(
     centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, transmits: bool, hole: Floats, line: Floats, result: Floats
 ) -> None:

@@ -8,18 +8,18 @@ the lobe get theirs too.
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, bent, bsdf, from_canonical, regular_share
-from twin.optics.cells import cell_density, cell_direction
-from twin.optics.frames import Floats
-from twin.optics.tables import plane_of_incidence
+from goniotwin.twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, bent, bsdf, from_canonical, regular_share
+from goniotwin.twin.optics.cells import cell_density, cell_direction
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.tables import plane_of_incidence
 
 # Of the samples of a Gaussian or a table, those that follow its shape.
 LOBE_SHARE = 0.75
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def analytic_density(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
 ) -> float:
@@ -34,7 +34,7 @@ def analytic_density(
     return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def analytic_sample(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, u: float, v: float, choice: float
 ) -> tuple[float, float, float]:
@@ -50,7 +50,7 @@ def analytic_sample(
     return radial * ux - across * uy, radial * uy + across * ux, sine * inward + lz * along
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def density(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
@@ -66,7 +66,7 @@ def density(
     return analytic_density(kind, params[1], params[3], lx, ly, lz, dx, dy, dz)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def sample(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
@@ -84,7 +84,7 @@ def sample(
     return analytic_sample(kind, params[1], params[3], lx, ly, lz, u, v, choice)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def scatter(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
@@ -103,7 +103,7 @@ def scatter(
     return dx, dy, dz, weight
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def scatter_all(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
     incident: int, transmits: bool, lx: float, ly: float, lz: float, uniform: Floats,
@@ -119,7 +119,7 @@ def scatter_all(
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def density_all(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
     lx: float, ly: float, lz: float, observer: Floats,

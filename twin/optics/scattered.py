@@ -13,12 +13,12 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from twin.optics.frames import Floats, from_specular, to_specular
-from twin.optics.scatterer import Scatterer
-from twin.optics.scattering import Side
-from twin.optics.tabulated import Symmetry, tabulated
+from goniotwin.twin.optics.frames import Floats, from_specular, to_specular
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.scatterer import Scatterer
+from goniotwin.twin.optics.scattering import Side
+from goniotwin.twin.optics.tabulated import Symmetry, tabulated
 
 THETA_LIST = 150
 STEP_DEG = 5.0
@@ -139,7 +139,7 @@ def _above(nodes: Floats) -> Floats:
     return np.where(length > 1e-12, raised / np.maximum(length, 1e-12), [-1.0, 0.0, 0.0])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def _plane(x: Floats, y: Floats, values: Floats, count: int) -> float:
     """Value at the origin of the weighted plane through points (x, y), within the values themselves."""
     w0, wx, wy, wv = 0.0, 0.0, 0.0, 0.0
@@ -166,7 +166,7 @@ def _plane(x: Floats, y: Floats, values: Floats, count: int) -> float:
     return min(high, max(low, mv - slope_x * mx - slope_y * my))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def _resampled(nodes: Floats, points: Floats, values: Floats, reach: float) -> Floats:
     """Of each node (m, 3) the value, and the angle in rad to the nearest of the points (n, 3)."""
     result = np.empty((nodes.shape[0], 2))
@@ -207,7 +207,7 @@ def _resampled(nodes: Floats, points: Floats, values: Floats, reach: float) -> F
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def _angle(farness: float) -> float:
     """Angle in rad from the squared sine s up to 90 deg, and from 2 - s beyond."""
     if farness <= 1.0:

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.bsdf import GAUSSIAN, LAMBERTIAN, REGULAR
-from twin.optics.frames import Floats
-from twin.optics.lobes import Lobe, Quantity, frozen, normal_reflectance, parameters
-from twin.optics.scatterer import Scatterer, on_side
+from goniotwin.twin.optics.bsdf import GAUSSIAN, LAMBERTIAN, REGULAR
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.lobes import Lobe, Quantity, frozen, normal_reflectance, parameters
+from goniotwin.twin.optics.scatterer import Scatterer, on_side
 
 __all__ = ["Form", "Quantity", "Scatterer", "Side", "gaussian", "lambertian", "regular", "sides_of"]
 

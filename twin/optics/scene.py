@@ -10,13 +10,13 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from twin.optics.deviation import Deviation, rotation_and_shift
-from twin.optics.frames import Floats, direction_rows
-from twin.optics.instrument import Instrument
-from twin.optics.meeting import distance_to
-from twin.optics.mirrors import mirrors_at, placed, pupil, unfolding
+from goniotwin.twin.optics.deviation import Deviation, rotation_and_shift
+from goniotwin.twin.optics.frames import Floats, direction_rows
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.meeting import distance_to
+from goniotwin.twin.optics.mirrors import mirrors_at, placed, pupil, unfolding
 
 UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
 SCENES_KEPT = 64
@@ -124,7 +124,7 @@ def _detector_frames(axes: Floats) -> Floats:
     return np.stack([away, level, axes], axis=1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def clips(images: Floats, pupil: Floats, hole: float, mirror: float) -> bool:
     """Whether some ray of the beam misses a mirror; `hole` and `mirror` are half sides, mm.
 

@@ -12,22 +12,22 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from twin.optics.aperture import aperture_sizes, cone_nodes, side_nodes
-from twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, bsdf, regular_share
-from twin.optics.bundle import cone, ray_bundle
-from twin.optics.fill import fill_nodes, fill_rays
-from twin.optics.frames import Floats
-from twin.optics.gaussian_rays import gaussian_values
-from twin.optics.instrument import Instrument
-from twin.optics.lobes import Lobe
-from twin.optics.nodes import HEXAGON, NODES
-from twin.optics.obstruction import FREE, PARTLY, visible
-from twin.optics.reflectance import Reflectance
-from twin.optics.regular import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
-from twin.optics.scene import Scene, scene_at
-from twin.optics.wide_aperture import WIDE, hole_nodes
+from goniotwin.twin.optics.aperture import aperture_sizes, cone_nodes, side_nodes
+from goniotwin.twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, bsdf, regular_share
+from goniotwin.twin.optics.bundle import cone, ray_bundle
+from goniotwin.twin.optics.fill import fill_nodes, fill_rays
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.gaussian_rays import gaussian_values
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.lobes import Lobe
+from goniotwin.twin.optics.nodes import HEXAGON, NODES
+from goniotwin.twin.optics.obstruction import FREE, PARTLY, visible
+from goniotwin.twin.optics.reflectance import Reflectance
+from goniotwin.twin.optics.regular import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
+from goniotwin.twin.optics.scene import Scene, scene_at
+from goniotwin.twin.optics.wide_aperture import WIDE, hole_nodes
 
 CHUNK = 8192
 Rule = tuple[Floats, Floats, Floats, int]
@@ -40,7 +40,7 @@ TABULATED = (TABLE, ANISOTROPIC)
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def lobe_sums(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
     transmits: bool, rays: Floats, each: int, result: Floats,

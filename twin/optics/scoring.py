@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from twin.optics.frames import Floats
-from twin.optics.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
-from twin.optics.sensor import RealSensor, passes
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
+from goniotwin.twin.optics.sensor import RealSensor, passes
 
 F32 = np.float32
 I32 = np.int32
@@ -48,7 +48,7 @@ class Targets(NamedTuple):
     sensor: Floats | None
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def _listed(axes: Floats, half: float, cells: int, starts: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """How many detectors each cell has, and where `numbers` has room their numbers.
 
@@ -111,7 +111,7 @@ def sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: RealSen
     return found._replace(frames=np.hstack([found.frames, rows]), sensor=sensor.constants)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def find_cells(buffer: np.ndarray, count: int, cells: int, found: np.ndarray) -> None:
     """The cell of each path of a block."""
     scale, last, nowhere = F32(0.5 * cells), I32(cells - 1), I32(2 * cells * cells)
@@ -131,7 +131,7 @@ class Room(NamedTuple):
     weights: np.ndarray
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def counts(
     targets: Targets, sensor: Floats | None, j: int, px: float, py: float, pz: float, dx: float, dy: float, dz: float,
     stop: float,
@@ -151,7 +151,7 @@ def counts(
     return 0.0 < distance < stop and passes(x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, p, q, sensor)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def settle_sensors(buffer: np.ndarray, hits: int, targets: Targets, room: Room, sums: Floats) -> None:
     """`settle` of real sensors."""
     for h in range(hits):
@@ -164,7 +164,7 @@ def settle_sensors(buffer: np.ndarray, hits: int, targets: Targets, room: Room, 
             sums[k, 1] += weight * weight
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def settle(buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | None, room: Room, sums: Floats) -> None:
     """Adds those of the hits that cross the detector's disc, or pass its sensor, to the first two columns of `sums` (n, 4)."""
     if sensor is not None:
@@ -188,7 +188,7 @@ def settle(buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | Non
         sums[k, 1] += weight * weight
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, room: Room, sums: Floats) -> None:
     """Adds the paths of a block to the first two columns of `sums`, those first that are within the detectors' cones."""
     starts, frames, places, paths = targets.starts, targets.frames, room.places, room.paths
@@ -208,7 +208,7 @@ def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, r
     settle(buffer, hits, targets, targets.sensor, room, sums)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def score_segment(
     targets: Targets, px: float, py: float, pz: float, dx: float, dy: float, dz: float, stop: float, weight: float, sums: Floats
 ) -> None:

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numba import njit
 
-from twin.optics.frames import Floats
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class RealSensor:
         )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def passes(x: float, y: float, p: float, q: float, constants: Floats) -> bool:
     """Whether a ray reaches the detector that crosses the lens' plane at (x, y), mm, with slopes (p, q) to its axis."""
     if x * x + y * y > constants[0]:

@@ -6,22 +6,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.blocks import Strata
-from twin.optics.bounces import Stage
-from twin.optics.frames import Floats, direction_rows
-from twin.optics.holder import SampleFrames
-from twin.optics.instrument import Instrument
-from twin.optics.mirrors import pupil, reflect
-from twin.optics.packed import Lobes, packed
-from twin.optics.paths import Beam
-from twin.optics.rayset import RaySource
-from twin.optics.reflectance import share_reflected
-from twin.optics.scatterer import Scatterer
-from twin.optics.scattering import regular
-from twin.optics.scene import Scene, scene_at
-from twin.optics.scoring import Targets, sensor_targets, targets
-from twin.optics.spread import BINS, Spread
-from twin.optics.strata import MM2_TO_M2, strata
+from goniotwin.twin.optics.blocks import Strata
+from goniotwin.twin.optics.bounces import Stage
+from goniotwin.twin.optics.frames import Floats, direction_rows
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.mirrors import pupil, reflect
+from goniotwin.twin.optics.packed import Lobes, packed
+from goniotwin.twin.optics.paths import Beam
+from goniotwin.twin.optics.rayset import RaySource
+from goniotwin.twin.optics.reflectance import share_reflected
+from goniotwin.twin.optics.scatterer import Scatterer
+from goniotwin.twin.optics.scattering import regular
+from goniotwin.twin.optics.scene import Scene, scene_at
+from goniotwin.twin.optics.scoring import Targets, sensor_targets, targets
+from goniotwin.twin.optics.spread import BINS, Spread
+from goniotwin.twin.optics.strata import MM2_TO_M2, strata
 
 OPEN_BEAM = regular(transmits=True, side="both")
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.optics.frames import Floats, arc_direction
-from twin.optics.instrument import Instrument
-from twin.optics.obstruction import visible_fraction
+from goniotwin.twin.optics.frames import Floats, arc_direction
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.obstruction import visible_fraction
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from twin.optics.frames import Floats
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
 POLAR_STEP_DEG, AZIMUTH_STEP_DEG = 5.0, 10.0
 POLAR_BINS, AZIMUTH_BINS = 18, 36
@@ -30,7 +30,7 @@ class Spread(NamedTuple):
     half_field: float
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def shared(a: float, b: float, apart: float) -> float:
     """Area that two circles of radii a and b share, `apart` between their centres."""
     if apart >= a + b:
@@ -43,7 +43,7 @@ def shared(a: float, b: float, apart: float) -> float:
     return a * a * math.acos(max(-1.0, min(1.0, x / a))) + b * b * math.acos(max(-1.0, min(1.0, y / b))) - apart * half
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def spread_segment(
     spread: Spread, px: float, py: float, pz: float, dx: float, dy: float, dz: float, ends: bool, weight: float, sums: Floats
 ) -> None:
@@ -61,7 +61,7 @@ def spread_segment(
     sums[row, 3] += (weight * area) ** 2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def bin_cosines() -> np.ndarray:
     """Projected solid angle in sr of the bins of each polar angle, (18,)."""
     result = np.empty(POLAR_BINS)

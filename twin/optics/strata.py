@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from twin.optics.blocks import COSINE, FRAME, MODEL, REST, SHAPE, Strata
-from twin.optics.bsdf import GAUSSIAN, LAMBERTIAN
-from twin.optics.holder import SampleFrames
-from twin.optics.mirrors import reflect
-from twin.optics.packed import ABOVE, Lobes, lobe_share
-from twin.optics.paths import BLOCK, MARGIN, Beam
+from goniotwin.twin.optics.blocks import COSINE, FRAME, MODEL, REST, SHAPE, Strata
+from goniotwin.twin.optics.bsdf import GAUSSIAN, LAMBERTIAN
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.mirrors import reflect
+from goniotwin.twin.optics.packed import ABOVE, Lobes, lobe_share
+from goniotwin.twin.optics.paths import BLOCK, MARGIN, Beam
 
 SHAPE_SHARE = 0.875
 """Of a Gaussian's paths, those that follow its shape."""

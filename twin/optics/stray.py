@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.chunks import check_seed
-from twin.optics.forward import run_sums
-from twin.optics.frames import Floats
-from twin.optics.holder import SampleFrames
-from twin.optics.instrument import Instrument
-from twin.optics.obstruction import visible_fraction
-from twin.optics.rayset import RaySource
-from twin.optics.scatterer import Scatterer
-from twin.optics.scene import scene_at
-from twin.optics.setting import set_up
-from twin.optics.spread import AZIMUTH_BINS, AZIMUTH_STEP_DEG, POLAR_BINS, POLAR_STEP_DEG, bin_cosines
+from goniotwin.twin.optics.chunks import check_seed
+from goniotwin.twin.optics.forward import run_sums
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.obstruction import visible_fraction
+from goniotwin.twin.optics.rayset import RaySource
+from goniotwin.twin.optics.scatterer import Scatterer
+from goniotwin.twin.optics.scene import scene_at
+from goniotwin.twin.optics.setting import set_up
+from goniotwin.twin.optics.spread import AZIMUTH_BINS, AZIMUTH_STEP_DEG, POLAR_BINS, POLAR_STEP_DEG, bin_cosines
 
 PATHS = 1 << 20
 

@@ -7,12 +7,11 @@ Directions are canonical (see twin.optics.bsdf): light and observer in front.
 
 import math
 
-from numba import njit
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
-from twin.optics.frames import Floats
 
-
-@njit(cache=True, error_model="numpy")
+@kernel()
 def place(axis: Floats, x: float) -> tuple[int, float]:
     """Interval of an ascending axis that holds x, and the share of the way through it; held at both ends."""
     last = axis.size - 1
@@ -30,7 +29,7 @@ def place(axis: Floats, x: float) -> tuple[int, float]:
     return low, (x - axis[low]) / (axis[low + 1] - axis[low])
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def plane_of_incidence(lx: float, ly: float) -> tuple[float, float, float]:
     """Sine of the light's polar angle, and the unit vector (x, y) of the plane of incidence.
 
@@ -42,7 +41,7 @@ def plane_of_incidence(lx: float, ly: float) -> tuple[float, float, float]:
     return sine, 1.0, 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def specular_angles(lx: float, ly: float, lz: float, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
     """Of a pair of directions sigma, theta and phi, in degrees; phi within -180 and 180."""
     sine, ux, uy = plane_of_incidence(lx, ly)
@@ -52,7 +51,7 @@ def specular_angles(lx: float, ly: float, lz: float, dx: float, dy: float, dz: f
     return math.degrees(math.atan2(sine, lz)), theta, math.degrees(math.atan2(across, inward))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def phi_in_list(ph: Floats, phi: float) -> float:
     """phi (-180 to 180) as the list has it: mirrored where the list ends at 180 deg."""
     if ph[ph.size - 1] <= 180.0:
@@ -60,7 +59,7 @@ def phi_in_list(ph: Floats, phi: float) -> float:
     return phi + 360.0 if phi < 0.0 else phi
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def azimuth_place(psi: Floats, period: float, mirrored: float, lx: float, ly: float) -> tuple[int, int, float, float]:
     """The two blocks of psi round the light's azimuth, the share of the second, and the sign that phi takes.
 
@@ -78,14 +77,14 @@ def azimuth_place(psi: Floats, period: float, mirrored: float, lx: float, ly: fl
     return n, n + 1, share, sign
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def hermite(a: float, step: float) -> tuple[float, float, float, float]:
     """Weights of the values at both ends of an interval and of the slopes there, at the share a of the way through it."""
     rest = 1.0 - a
     return rest * rest * (1.0 + 2.0 * a), a * a * (3.0 - 2.0 * a), step * a * rest * rest, -step * a * a * rest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def looked_up(sig: Floats, ph: Floats, th: Floats, table: Floats, block: int, sigma: float, theta: float, phi: float) -> float:
     """Value of one block of psi: cubic in sigma, linear in phi and theta; ends hold outside of each list."""
     i, a = place(sig, sigma)
@@ -102,7 +101,7 @@ def looked_up(sig: Floats, ph: Floats, th: Floats, table: Floats, block: int, si
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def tabular(
     sig: Floats, ph: Floats, th: Floats, table: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
@@ -114,7 +113,7 @@ def tabular(
     return looked_up(sig, ph, th, table, 0, sigma, theta, phi)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def anisotropic(
     sig: Floats, ph: Floats, th: Floats, psi: Floats, period: float, mirrored: float, table: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,

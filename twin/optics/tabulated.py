@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.bsdf import ANISOTROPIC, TABLE
-from twin.optics.frames import Floats
-from twin.optics.lobes import Lobe, frozen, parameters
-from twin.optics.scatterer import Scatterer, SpectralWeights
-from twin.optics.scattering import Side, axis, sides_of
+from goniotwin.twin.optics.bsdf import ANISOTROPIC, TABLE
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.lobes import Lobe, frozen, parameters
+from goniotwin.twin.optics.scatterer import Scatterer, SpectralWeights
+from goniotwin.twin.optics.scattering import Side, axis, sides_of
 
 Symmetry = Literal["none", "half_turn", "mirror", "orthotropic"]
 # Period of psi, and whether both azimuths may change their sign.

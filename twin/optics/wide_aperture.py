@@ -9,10 +9,9 @@ hole are too far apart, and `aperture` goes through the slopes instead.
 import math
 
 import numpy as np
-from numba import njit
 
-from twin.optics.aperture import CLOSER
-from twin.optics.detector_block import (
+from goniotwin.twin.optics.aperture import CLOSER
+from goniotwin.twin.optics.detector_block import (
     AHEAD,
     BESIDE1,
     BESIDE2,
@@ -42,7 +41,8 @@ from twin.optics.detector_block import (
     MVV,
     M,
 )  # fmt: skip
-from twin.optics.frames import Floats
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.kernel import kernel
 
 WIDE = 0.7
 """From here on, radius of the cone where the disc is over that of the disc, this is the better one (held against 400 nodes)."""
@@ -53,7 +53,7 @@ def hole_nodes(count: int) -> Floats:
     return np.stack(np.polynomial.legendre.leggauss(count), axis=1)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def disc_beyond(radius: float, cut: float) -> tuple[float, float, float, float]:
     """Of the part x > cut of a disc round the origin: area, and the integrals of x, x x and y y."""
     root = math.sqrt(max(radius * radius - cut * cut, 0.0))
@@ -63,7 +63,7 @@ def disc_beyond(radius: float, cut: float) -> tuple[float, float, float, float]:
     return area, 2.0 / 3.0 * cube, quarter + 0.5 * cut * cube, quarter - cut * cube / 6.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float, float, float, float, float, float]:
     """Of what a disc round the origin has in common with a disc of radius `other` round (x, y): area, and the integrals of
     x, y, x x, x y and y y.
@@ -89,7 +89,7 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
     return area, first * c, first * s, along * c * c + across * s * s, mixed, along * s * s + across * c * c
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> None:
     """Fills the moments of the detectors in `w` as `apertures` does; `hole` are the nodes of a side, see `hole_nodes`.
 
@@ -101,7 +101,7 @@ def wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> None:
         _one(w, k, hole, sizes)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def _one(w: Floats, k: int, hole: Floats, sizes: Floats) -> None:
     radius, half, sine = sizes[0], sizes[1], sizes[2]
     tangent, seen_sr = sine / math.sqrt(1.0 - sine * sine), math.pi * sine * sine

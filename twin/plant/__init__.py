@@ -1,6 +1,6 @@
 """The instrument at a given time: mechanics, light, electronics; lazy, without threads and without ticks."""
 
-from twin.plant.model import (
+from goniotwin.twin.plant.model import (
     AxisController,
     Electronics,
     Estimator,
@@ -11,8 +11,8 @@ from twin.plant.model import (
     Photodiodes,
     TwinModel,
 )
-from twin.plant.order_sorting import OrderSorting, WheelFilter
-from twin.plant.plant import Plant
+from goniotwin.twin.plant.order_sorting import OrderSorting, WheelFilter
+from goniotwin.twin.plant.plant import Plant
 
 __all__ = [
     "AxisController",

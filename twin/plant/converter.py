@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from twin.plant.lamp import lamp_level
-from twin.plant.noise import normal, wandering
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.plant.lamp import lamp_level
+from goniotwin.twin.plant.noise import normal, wandering
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 Keys = npt.NDArray[np.uint64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def conversions(t: float, period: float, channels: int) -> tuple[npt.NDArray[np.int64], float, float]:
     """Of a module's channels, converted one after the other within each `period` s: the last conversion of each that is over
     at `t`, by its number, and the times of the earliest and of the latest of these, s.
@@ -33,7 +33,7 @@ def conversions(t: float, period: float, channels: int) -> tuple[npt.NDArray[np.
     return numbers, earliest, latest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def converted(
     volts: Floats,
     begin: int,

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from twin.plant.model import Light
-from twin.plant.noise import normal, process_key, wandering
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.plant.model import Light
+from goniotwin.twin.plant.noise import normal, process_key, wandering
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def lamp_level(t: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[np.uint64]) -> float:
     """Radiance at `t` over the nominal one. `constants` and `keys` as `lamp_constants` makes them."""
     level: float = constants[6] + constants[0] * (t - constants[5]) / 3600.0
@@ -21,7 +21,7 @@ def lamp_level(t: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[n
     return level
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def lamp_mean(start: float, end: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[np.uint64]) -> float:
     """Mean level over [start, end), sampled once a flicker period at least."""
     count = max(1, math.ceil((end - start) / constants[2]))

@@ -6,8 +6,8 @@ The defaults are one consistent set of assumptions; where the source says nothin
 from dataclasses import dataclass, field
 from typing import Literal
 
-from twin.optics import Instrument, SampleFrames, Scatterer
-from twin.plant.order_sorting import OrderSorting
+from goniotwin.twin.optics import Instrument, SampleFrames, Scatterer
+from goniotwin.twin.plant.order_sorting import OrderSorting
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import math
 from hashlib import blake2b
 
 import numpy as np
-from numba import njit
+
+from goniotwin.twin.optics.kernel import kernel
 
 U64 = np.uint64
 
@@ -18,7 +19,7 @@ def process_key(seed: int, process: str) -> np.uint64:
     return U64(int.from_bytes(blake2b(f"{seed}/{process}".encode(), digest_size=8).digest(), "big"))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def mixed(key: np.uint64, counter: np.int64) -> np.uint64:
     """64 bits that look random, of a key and a counter."""
     z = key + U64(counter) * U64(0x9E3779B97F4A7C15)
@@ -29,7 +30,7 @@ def mixed(key: np.uint64, counter: np.int64) -> np.uint64:
     return z
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def normal(key: np.uint64, counter: np.int64) -> float:
     """A standard normal number (Box and Muller) of a key and a counter."""
     bits = mixed(key, counter)
@@ -37,7 +38,7 @@ def normal(key: np.uint64, counter: np.int64) -> float:
     return radius * math.cos(2.0 * math.pi * (float(bits & U64(0xFFFFFFFF)) / 4294967296.0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel()
 def wandering(key: np.uint64, t: float, period: float) -> float:
     """A slow standard process: normal numbers each `period`, joined by straight lines."""
     place = t / period

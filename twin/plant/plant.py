@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics.reflectance import nominal
-from twin.plant.converter import conversions, converted
-from twin.plant.lamp import lamp_constants, lamp_mean
-from twin.plant.model import TwinModel
-from twin.plant.noise import normal, process_key
-from twin.plant.shaft import Shaft
-from twin.plant.slew import Slewing
-from twin.plant.timeline import Changing, Timeline
-from twin.plant.view import Aspect, View
+from goniotwin.twin.optics.reflectance import nominal
+from goniotwin.twin.plant.converter import conversions, converted
+from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
+from goniotwin.twin.plant.model import TwinModel
+from goniotwin.twin.plant.noise import normal, process_key
+from goniotwin.twin.plant.shaft import Shaft
+from goniotwin.twin.plant.slew import Slewing
+from goniotwin.twin.plant.timeline import Changing, Timeline
+from goniotwin.twin.plant.view import Aspect, View
 
 Floats = npt.NDArray[np.float64]
 MODULE_CHANNELS = 8

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from twin.plant.model import Mechanics
-from twin.plant.motion import Trajectory, braked, resting, turning_points
-from twin.plant.timeline import Timeline
+from goniotwin.twin.plant.model import Mechanics
+from goniotwin.twin.plant.motion import Trajectory, braked, resting, turning_points
+from goniotwin.twin.plant.timeline import Timeline
 
 ELECTRIC_CYCLE = 4
 """Full steps after which a stepper motor's field is the same again: a rotor that was held back falls in at one of these."""

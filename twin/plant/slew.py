@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from twin.plant.timeline import Timeline
+from goniotwin.twin.plant.timeline import Timeline
 
 
 @dataclass(frozen=True, slots=True)

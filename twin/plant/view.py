@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics import Scatterer, StrayMap, arc_direction, forward, regular, stray, stray_throughput, throughput
-from twin.plant.model import TwinModel
+from goniotwin.twin.optics import Scatterer, StrayMap, arc_direction, forward, regular, stray, stray_throughput, throughput
+from goniotwin.twin.plant.model import TwinModel
 
 Floats = npt.NDArray[np.float64]
 Kept = TypeVar("Kept")

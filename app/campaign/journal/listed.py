@@ -5,7 +5,7 @@ import sqlite3
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.row import MIRRORED
+from goniotwin.app.campaign.row import MIRRORED
 
 LISTED = np.dtype(
     [

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.listed import measured_rows
-from app.campaign.journal.recorded import Committed, Reading, RowData
-from app.campaign.row import SKIPPED, Kind, Row
-from app.errors import UserError
+from goniotwin.app.campaign.journal.listed import measured_rows
+from goniotwin.app.campaign.journal.recorded import Committed, Reading, RowData
+from goniotwin.app.campaign.row import SKIPPED, Kind, Row
+from goniotwin.app.errors import UserError
 
 ROW = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
 LAST = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.row import Row
+from goniotwin.app.campaign.row import Row
 
 Counts = npt.NDArray[np.uint16]
 

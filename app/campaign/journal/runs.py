@@ -3,9 +3,9 @@
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from app.campaign.journal.writing import Journal
-from app.errors import UserError
-from app.rig.lock import holder_of
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.lock import holder_of
 
 SUFFIX = ".journal"
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from app.campaign.journal.runs import Campaign
-from app.campaign.planning.check import clock_time
+from goniotwin.app.campaign.journal.runs import Campaign
+from goniotwin.app.campaign.planning.check import clock_time
 
 STYLE = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
 

@@ -11,13 +11,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from app.campaign.journal.reading import DETAILS, Recorded, damage_told, opened_for_reading
-from app.campaign.journal.recorded import RowData
-from app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
-from app.campaign.planning.plan import Plan
-from app.campaign.row import Row
-from app.errors import UserError
-from protocols.clock import calendar_stamp
+from goniotwin.app.campaign.journal.reading import DETAILS, Recorded, damage_told, opened_for_reading
+from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.errors import UserError
+from goniotwin.protocols.clock import calendar_stamp
 
 
 class JournalError(Exception):

@@ -10,8 +10,8 @@ islands, and the tree costs the integral of n(c) - 1 over c. See docs/decisions/
 
 import numpy as np
 
-from app.campaign.planning.lattice import WAVELENGTH, Floats, Ints, Lattice
-from app.campaign.planning.moves import Moves
+from goniotwin.app.campaign.planning.lattice import WAVELENGTH, Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.moves import Moves
 
 TINY_S = 1e-9
 LEVELS = 200

@@ -5,14 +5,14 @@ from itertools import product
 
 import numpy as np
 
-from app.campaign.planning.lattice import Floats, Ints, Lattice
-from app.campaign.planning.moves import Moves
-from app.campaign.planning.nesting import moving_seconds, swept
-from app.campaign.planning.order import Order
-from app.campaign.planning.passes import Pass, drift_point
-from app.campaign.row import NOTHING
-from app.campaign.schedule.file import ScheduleFile
-from drivers import ArcClearance
+from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.app.campaign.planning.nesting import moving_seconds, swept
+from goniotwin.app.campaign.planning.order import Order
+from goniotwin.app.campaign.planning.passes import Pass, drift_point
+from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.drivers import ArcClearance
 
 
 @dataclass(frozen=True)

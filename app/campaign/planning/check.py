@@ -4,16 +4,16 @@ from typing import Any
 
 import numpy as np
 
-from app.campaign.planning.directions import directions_seen
-from app.campaign.planning.doubts import doubts, duration_range
-from app.campaign.planning.least import least_seconds
-from app.campaign.planning.plan import Made, Plan
-from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.reasons import filter_changes, loops, sample_order, why
-from app.campaign.planning.sides import lit_arc
-from app.campaign.row import Row
-from app.campaign.spoken import clock_time
-from app.rig import AXES
+from goniotwin.app.campaign.planning.directions import directions_seen
+from goniotwin.app.campaign.planning.doubts import doubts, duration_range
+from goniotwin.app.campaign.planning.least import least_seconds
+from goniotwin.app.campaign.planning.plan import Made, Plan
+from goniotwin.app.campaign.planning.planned_rows import PlannedRows
+from goniotwin.app.campaign.planning.reasons import filter_changes, loops, sample_order, why
+from goniotwin.app.campaign.planning.sides import lit_arc
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.spoken import clock_time
+from goniotwin.app.rig import AXES
 
 MOST_TOLD = 6
 __all__ = ["checked_plan", "clock_time", "in_words"]

@@ -6,8 +6,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics import Instrument
-from twin.optics.mirrors import mirrors_at
+from goniotwin.twin.optics import Instrument
+from goniotwin.twin.optics.mirrors import mirrors_at
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

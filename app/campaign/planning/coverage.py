@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from app.campaign.planning.directions import Floats, Seen, directions_seen
-from app.campaign.planning.sides import incidence_deg
-from app.campaign.schedule.certificate import Certificate, parse_certificate
-from app.campaign.schedule.file import ScheduleDescription
-from app.campaign.schedule.grids import grid_values
-from app.errors import UserError
-from app.rig import RigFile
+from goniotwin.app.campaign.planning.directions import Floats, Seen, directions_seen
+from goniotwin.app.campaign.planning.sides import incidence_deg
+from goniotwin.app.campaign.schedule.certificate import Certificate, parse_certificate
+from goniotwin.app.campaign.schedule.file import ScheduleDescription
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigFile
 
 
 def uncovered(schedule: ScheduleDescription, seen: list[Seen]) -> Iterator[str]:

@@ -3,11 +3,11 @@
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.sides import far_arc, lit_sides, polar_deg, rig_sigma_deg
-from app.campaign.planning.symmetry import images
-from app.campaign.schedule.file import ScheduleFile
-from app.campaign.schedule.grids import DECIMALS, grid_values
-from app.rig import RigFile, arc_clearance
+from goniotwin.app.campaign.planning.sides import far_arc, lit_sides, polar_deg, rig_sigma_deg
+from goniotwin.app.campaign.planning.symmetry import images
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.grids import DECIMALS, grid_values
+from goniotwin.app.rig import RigFile, arc_clearance
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.shadow import may_be_shadowed, shadowed
-from app.campaign.planning.sides import HALF_TURN_DEG, Arc, incidence_deg, lighting_deg, looking_arcs, polar_deg
-from app.campaign.planning.symmetry import turned
-from app.campaign.schedule.file import ScheduleFile
-from app.campaign.schedule.grids import DECIMALS
-from app.rig import RigFile
+from goniotwin.app.campaign.planning.shadow import may_be_shadowed, shadowed
+from goniotwin.app.campaign.planning.sides import HALF_TURN_DEG, Arc, incidence_deg, lighting_deg, looking_arcs, polar_deg
+from goniotwin.app.campaign.planning.symmetry import turned
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.grids import DECIMALS
+from goniotwin.app.rig import RigFile
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

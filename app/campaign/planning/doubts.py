@@ -3,20 +3,20 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from app.campaign.planning.coverage import uncovered
-from app.campaign.planning.crosschecks import overlapping_step_deg
-from app.campaign.planning.directions import Seen
-from app.campaign.planning.foreseen import LOOKED_AT
-from app.campaign.planning.lightless import lightless
-from app.campaign.planning.plan import Made, Plan
-from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.sides import incidence_deg
-from app.campaign.planning.timeline import Run
-from app.campaign.planning.timing import Timing, least_warm_up_seconds
-from app.campaign.planning.watching import unwatched
-from app.campaign.schedule.grids import grid_values
-from app.campaign.spoken import clock_time
-from app.rig import monochromator_settings
+from goniotwin.app.campaign.planning.coverage import uncovered
+from goniotwin.app.campaign.planning.crosschecks import overlapping_step_deg
+from goniotwin.app.campaign.planning.directions import Seen
+from goniotwin.app.campaign.planning.foreseen import LOOKED_AT
+from goniotwin.app.campaign.planning.lightless import lightless
+from goniotwin.app.campaign.planning.plan import Made, Plan
+from goniotwin.app.campaign.planning.planned_rows import PlannedRows
+from goniotwin.app.campaign.planning.sides import incidence_deg
+from goniotwin.app.campaign.planning.timeline import Run
+from goniotwin.app.campaign.planning.timing import Timing, least_warm_up_seconds
+from goniotwin.app.campaign.planning.watching import unwatched
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.campaign.spoken import clock_time
+from goniotwin.app.rig import monochromator_settings
 
 SECOND_ORDER_NM = 710.0
 """Beyond this the grating's second order lets light of half the wavelength through that the lamp's bulb does not absorb."""

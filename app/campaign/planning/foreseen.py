@@ -11,19 +11,19 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.lattice import Floats, Lattice
-from app.campaign.planning.passes import Pass
-from app.campaign.planning.timing import Lots, Timing
-from app.campaign.row import NOTHING, Row
-from app.campaign.running.averaging import LEAST, readings_needed
-from app.campaign.running.gains import Gains, clipped
-from app.rig import RigDescription, monochromator_settings, photodiode_settings
-from app.rig.described_twin import described_twin
-from protocols import adam
-from twin.plant import Plant, TwinModel
-from twin.plant.converter import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C
-from twin.plant.noise import normal, process_key
-from twin.plant.view import Aspect
+from goniotwin.app.campaign.planning.lattice import Floats, Lattice
+from goniotwin.app.campaign.planning.passes import Pass
+from goniotwin.app.campaign.planning.timing import Lots, Timing
+from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.running.averaging import LEAST, readings_needed
+from goniotwin.app.campaign.running.gains import Gains, clipped
+from goniotwin.app.rig import RigDescription, monochromator_settings, photodiode_settings
+from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.protocols import adam
+from goniotwin.twin.plant import Plant, TwinModel
+from goniotwin.twin.plant.converter import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C
+from goniotwin.twin.plant.noise import normal, process_key
+from goniotwin.twin.plant.view import Aspect
 
 Counts = npt.NDArray[np.uint16]
 LOOKED_AT = 40

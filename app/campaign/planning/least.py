@@ -5,12 +5,12 @@ from itertools import product
 
 import numpy as np
 
-from app.campaign.planning.bound import least_moving_seconds
-from app.campaign.planning.lattice import WAVELENGTH, Lattice
-from app.campaign.planning.passes import Pass
-from app.campaign.planning.plan import Plan
-from app.campaign.planning.timing import TINY, Timing, fewest_stretches, least_warm_up_seconds
-from app.campaign.row import NOTHING
+from goniotwin.app.campaign.planning.bound import least_moving_seconds
+from goniotwin.app.campaign.planning.lattice import WAVELENGTH, Lattice
+from goniotwin.app.campaign.planning.passes import Pass
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.planning.timing import TINY, Timing, fewest_stretches, least_warm_up_seconds
+from goniotwin.app.campaign.row import NOTHING
 
 
 def least_seconds(plan: Plan) -> float:

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 
-from app.campaign.planning.directions import Seen
-from app.campaign.planning.plan import Plan
-from app.campaign.planning.sides import lighting_deg, lit_arc
-from twin.optics import Scatterer
+from goniotwin.app.campaign.planning.directions import Seen
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.planning.sides import lighting_deg, lit_arc
+from goniotwin.twin.optics import Scatterer
 
 
 def lightless(plan: Plan, seen: list[Seen]) -> Iterator[str]:

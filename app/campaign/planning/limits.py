@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 
-from app.campaign.planning.sides import lit_sides, rig_sigma_deg
-from app.campaign.schedule.file import ScheduleDescription, ScheduleFile
-from app.campaign.schedule.grids import grid_values
-from app.errors import UserError
-from app.rig import AXES, RigDescription, axis_settings
-from drivers import LimitError
-from drivers.axis import Axis, AxisSettings
+from goniotwin.app.campaign.planning.sides import lit_sides, rig_sigma_deg
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import AXES, RigDescription, axis_settings
+from goniotwin.drivers import LimitError
+from goniotwin.drivers.axis import Axis, AxisSettings
 
 
 def refuse_beyond_limits(schedule: ScheduleDescription, rig: RigDescription) -> None:

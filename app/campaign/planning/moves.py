@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from app.rig import AXES, RigFile, axis_settings, monochromator_settings
-from drivers.axis import ARRIVED_AFTER_S
-from drivers.axis_settings import AxisSettings
-from drivers.monochromator import STATUS_MARGIN_S
-from protocols.cornerstone import Statement, encode_nm
-from protocols.tmcl import FRAME_BYTES
+from goniotwin.app.rig import AXES, RigFile, axis_settings, monochromator_settings
+from goniotwin.drivers.axis import ARRIVED_AFTER_S
+from goniotwin.drivers.axis_settings import AxisSettings
+from goniotwin.drivers.monochromator import STATUS_MARGIN_S
+from goniotwin.protocols.cornerstone import Statement, encode_nm
+from goniotwin.protocols.tmcl import FRAME_BYTES
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.lattice import Floats, Ints, Lattice, numbered
-from app.campaign.planning.moves import Moves
-from drivers import ArcClearance
-from drivers.interlock import WHOLE_TURN_DEG
+from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice, numbered
+from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.drivers import ArcClearance
+from goniotwin.drivers.interlock import WHOLE_TURN_DEG
 
 Flags = npt.NDArray[np.bool_]
 

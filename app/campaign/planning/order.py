@@ -13,13 +13,13 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from app.campaign.planning.lattice import FILTER, WAVELENGTH, Floats, Ints, Lattice
-from app.campaign.planning.moves import Moves
-from app.campaign.planning.nesting import Nest, moving_seconds, visited
-from app.campaign.planning.passes import drift_point
-from app.campaign.planning.rearranging import rearranged
-from app.campaign.schedule.file import NESTED, ScheduleFile
-from drivers import ArcClearance
+from goniotwin.app.campaign.planning.lattice import FILTER, WAVELENGTH, Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.app.campaign.planning.nesting import Nest, moving_seconds, visited
+from goniotwin.app.campaign.planning.passes import drift_point
+from goniotwin.app.campaign.planning.rearranging import rearranged
+from goniotwin.app.campaign.schedule.file import NESTED, ScheduleFile
+from goniotwin.drivers import ArcClearance
 
 MOST_CHOICES = 3
 MANY, FEW_ENDS = 20_000, 1

@@ -8,22 +8,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.campaign.planning.chaining import Chain
-from app.campaign.planning.coverage import refuse_uncertified
-from app.campaign.planning.foreseen import reading_seconds, twin_of
-from app.campaign.planning.lattice import Lattice
-from app.campaign.planning.limits import gain_numbers, refuse_beyond_limits, refuse_unknown_samples
-from app.campaign.planning.order import Order, fastest_order
-from app.campaign.planning.passes import Pass, mountings
-from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.row_limit import fewest_rows, refuse_too_many, refuse_too_many_beside, refuse_too_many_poses
-from app.campaign.planning.sweeps import first_sweep, other_schedules, spared
-from app.campaign.planning.timeline import Measuring, Timeline
-from app.campaign.planning.timing import Timing
-from app.campaign.row import Row
-from app.campaign.schedule.file import ScheduleDescription
-from app.errors import UserError
-from app.rig import RigDescription, arc_clearance
+from goniotwin.app.campaign.planning.chaining import Chain
+from goniotwin.app.campaign.planning.coverage import refuse_uncertified
+from goniotwin.app.campaign.planning.foreseen import reading_seconds, twin_of
+from goniotwin.app.campaign.planning.lattice import Lattice
+from goniotwin.app.campaign.planning.limits import gain_numbers, refuse_beyond_limits, refuse_unknown_samples
+from goniotwin.app.campaign.planning.order import Order, fastest_order
+from goniotwin.app.campaign.planning.passes import Pass, mountings
+from goniotwin.app.campaign.planning.planned_rows import PlannedRows
+from goniotwin.app.campaign.planning.row_limit import (
+    fewest_rows,
+    refuse_too_many,
+    refuse_too_many_beside,
+    refuse_too_many_poses,
+)
+from goniotwin.app.campaign.planning.sweeps import first_sweep, other_schedules, spared
+from goniotwin.app.campaign.planning.timeline import Measuring, Timeline
+from goniotwin.app.campaign.planning.timing import Timing
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.file import ScheduleDescription
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, arc_clearance
 
 
 @dataclass(frozen=True)

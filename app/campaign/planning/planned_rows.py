@@ -7,8 +7,8 @@ from functools import cached_property
 from itertools import repeat
 from typing import overload
 
-from app.campaign.planning.timeline import Measuring, Run
-from app.campaign.row import Row
+from goniotwin.app.campaign.planning.timeline import Measuring, Run
+from goniotwin.app.campaign.row import Row
 
 
 class PlannedRows(Sequence[Row]):

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.crosschecks import mirror_images, overlap_poses
-from app.campaign.planning.near import near_poses
-from app.campaign.planning.sides import Side, etalon_sigmas_deg, lit_sides, rig_sigma_deg
-from app.campaign.planning.symmetry import one_of_each
-from app.campaign.schedule.file import ScheduleFile
-from app.campaign.schedule.grids import grid_values
-from app.rig import RigFile
+from goniotwin.app.campaign.planning.crosschecks import mirror_images, overlap_poses
+from goniotwin.app.campaign.planning.near import near_poses
+from goniotwin.app.campaign.planning.sides import Side, etalon_sigmas_deg, lit_sides, rig_sigma_deg
+from goniotwin.app.campaign.planning.symmetry import one_of_each
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.rig import RigFile
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

@@ -9,13 +9,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from app.campaign.planning.bound import least_moving_seconds
-from app.campaign.planning.lattice import Floats, Ints, Lattice
-from app.campaign.planning.moves import Moves
-from app.campaign.planning.nesting import Loop, looped, moving_seconds
-from app.campaign.planning.shortening import shortened
-from app.campaign.planning.steps import Steps
-from drivers import ArcClearance
+from goniotwin.app.campaign.planning.bound import least_moving_seconds
+from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.app.campaign.planning.nesting import Loop, looped, moving_seconds
+from goniotwin.app.campaign.planning.shortening import shortened
+from goniotwin.app.campaign.planning.steps import Steps
+from goniotwin.drivers import ArcClearance
 
 MOST_POINTS = 1500
 """Of so many the order is rearranged; of more that of their poses, if these are no more."""

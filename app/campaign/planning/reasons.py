@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
-from app.campaign.planning.moves import Moves
-from app.campaign.planning.nesting import Nest
-from app.campaign.planning.order import Order
-from app.campaign.planning.plan import Made, Plan
-from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.timeline import Run
-from app.campaign.schedule.file import NESTED
-from app.campaign.spoken import clock_time
+from goniotwin.app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
+from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.app.campaign.planning.nesting import Nest
+from goniotwin.app.campaign.planning.order import Order
+from goniotwin.app.campaign.planning.plan import Made, Plan
+from goniotwin.app.campaign.planning.planned_rows import PlannedRows
+from goniotwin.app.campaign.planning.timeline import Run
+from goniotwin.app.campaign.schedule.file import NESTED
+from goniotwin.app.campaign.spoken import clock_time
 
 LOOPS = (*NESTED, "filter")
 REARRANGED = "rearranged where steps are uneven"

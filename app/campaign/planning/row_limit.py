@@ -6,15 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from app.campaign.planning.passes import Pass
-from app.campaign.planning.sides import lit_sides
-from app.campaign.planning.symmetry import one_of_each
-from app.campaign.planning.timeline import Measuring
-from app.campaign.planning.timing import Timing, fewest_stretches
-from app.campaign.row import NOTHING
-from app.campaign.schedule.file import ScheduleDescription, ScheduleFile
-from app.campaign.schedule.grids import grid_values
-from app.errors import UserError
+from goniotwin.app.campaign.planning.passes import Pass
+from goniotwin.app.campaign.planning.sides import lit_sides
+from goniotwin.app.campaign.planning.symmetry import one_of_each
+from goniotwin.app.campaign.planning.timeline import Measuring
+from goniotwin.app.campaign.planning.timing import Timing, fewest_stretches
+from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.errors import UserError
 
 MOST_ROWS = 1_000_000
 

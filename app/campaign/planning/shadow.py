@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.clear_view import certainly_clear
-from app.rig import RigFile, believed_instrument
-from twin.optics import Instrument, arc_direction, visible_fraction
+from goniotwin.app.campaign.planning.clear_view import certainly_clear
+from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

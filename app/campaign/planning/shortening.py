@@ -7,9 +7,9 @@ what each step costs, and what it costs to begin or to end at a point. What is d
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from app.campaign.planning.lattice import Floats, Ints
+from goniotwin.app.campaign.planning.lattice import Floats, Ints
+from goniotwin.twin.optics.kernel import kernel
 
 TINY_S = 1e-7
 PIECES = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
@@ -25,7 +25,7 @@ def shortened(path: Ints, table: Floats, work: int) -> Ints:
     return ended[1:-1]
 
 
-@njit(cache=True)
+@kernel(error_model="python")
 def _shorten(path: Any, table: Any, pieces: Any, reach: int, work: int) -> None:
     n = len(path) - 2
     forth, back = np.zeros(n + 2), np.zeros(n + 2)
@@ -54,7 +54,7 @@ def _shorten(path: Any, table: Any, pieces: Any, reach: int, work: int) -> None:
                     return
 
 
-@njit(cache=True)
+@kernel(error_model="python")
 def _sums(path: Any, table: Any, forth: Any, back: Any) -> None:
     """Seconds from the beginning to each place, and the way back."""
     for k in range(1, len(path)):
@@ -62,7 +62,7 @@ def _sums(path: Any, table: Any, forth: Any, back: Any) -> None:
         back[k] = back[k - 1] + table[path[k], path[k - 1]]
 
 
-@njit(cache=True)
+@kernel(error_model="python")
 def _turned_round(path: Any, table: Any, forth: Any, back: Any, i: int, far: int) -> bool:
     """What is from place `i` to the best one before `far`, if that is a gain."""
     before, first = path[i - 1], path[i]
@@ -80,7 +80,7 @@ def _turned_round(path: Any, table: Any, forth: Any, back: Any, i: int, far: int
     return True
 
 
-@njit(cache=True)
+@kernel(error_model="python")
 def _put_elsewhere(path: Any, table: Any, forth: Any, back: Any, i: int, size: int, near: int, far: int) -> bool:
     """The piece of that size at place `i` before the best place from `near` to `far`, either way round, if that is a gain."""
     end = i + size

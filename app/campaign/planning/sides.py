@@ -8,9 +8,9 @@ plane, and so are the two sides: about its own normal everything looks as it doe
 from collections.abc import Iterator
 from typing import Literal
 
-from app.campaign.schedule.file import ScheduleFile
-from app.campaign.schedule.grids import DECIMALS
-from app.rig import RigFile
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.grids import DECIMALS
+from goniotwin.app.rig import RigFile
 
 Side = Literal["front", "back"]
 Arc = Literal["upper", "lower"]

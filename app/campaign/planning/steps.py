@@ -6,10 +6,10 @@ arc would meet the beam costs BARRED_S besides, so that an order without any is 
 
 import numpy as np
 
-from app.campaign.planning.lattice import Floats, Ints, Lattice
-from app.campaign.planning.moves import AFTER_A_MOVE, BEFORE_A_MOVE, Moves
-from app.campaign.planning.nesting import swept_ways
-from drivers import ArcClearance
+from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.moves import AFTER_A_MOVE, BEFORE_A_MOVE, Moves
+from goniotwin.app.campaign.planning.nesting import swept_ways
+from goniotwin.drivers import ArcClearance
 
 BARRED_S = 1.0e6
 BETA, SHIFT = 2, 3

@@ -4,12 +4,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from app.campaign.planning.nesting import swept
-from app.campaign.planning.planned_rows import PlannedRows
-from app.campaign.planning.timeline import Run
-from app.campaign.row import Row
-from app.campaign.schedule.file import ScheduleFile
-from drivers import ArcClearance
+from goniotwin.app.campaign.planning.nesting import swept
+from goniotwin.app.campaign.planning.planned_rows import PlannedRows
+from goniotwin.app.campaign.planning.timeline import Run
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.drivers import ArcClearance
 
 CROSS_CHECKS = ("overlap", "symmetry_check")
 

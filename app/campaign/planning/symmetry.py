@@ -8,8 +8,8 @@ isotropic one all gammas are alike, and beta is what -beta is.
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.schedule.grids import DECIMALS
-from app.campaign.schedule.pose_tables import Symmetry
+from goniotwin.app.campaign.schedule.grids import DECIMALS
+from goniotwin.app.campaign.schedule.pose_tables import Symmetry
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

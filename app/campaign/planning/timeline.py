@@ -5,13 +5,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from app.campaign.planning.lattice import Floats, Ints
-from app.campaign.planning.nesting import Flags, swept_ways
-from app.campaign.planning.passes import Pass, drift_point
-from app.campaign.planning.timing import Timing
-from app.campaign.row import NOTHING, Row
-from app.campaign.schedule.file import ScheduleFile
-from drivers import ArcClearance
+from goniotwin.app.campaign.planning.lattice import Floats, Ints
+from goniotwin.app.campaign.planning.nesting import Flags, swept_ways
+from goniotwin.app.campaign.planning.passes import Pass, drift_point
+from goniotwin.app.campaign.planning.timing import Timing
+from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.drivers import ArcClearance
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 
-from app.campaign.planning.lattice import WAVELENGTH
-from app.campaign.planning.moves import Floats, Moves
-from app.campaign.row import Row
-from app.campaign.running.averaging import LEAST as LEAST_AVERAGED
-from app.campaign.running.gains import in_order
-from app.campaign.running.performing import MONITORED_S
-from app.campaign.running.warming import EVERY_S, LEAST
-from app.rig import AXES, RigFile, axis_settings, monochromator_settings, photodiode_settings
-from drivers.monitor import ANSWER_MARGIN_S
-from drivers.monochromator import STATUS_MARGIN_S
+from goniotwin.app.campaign.planning.lattice import WAVELENGTH
+from goniotwin.app.campaign.planning.moves import Floats, Moves
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.averaging import LEAST as LEAST_AVERAGED
+from goniotwin.app.campaign.running.gains import in_order
+from goniotwin.app.campaign.running.performing import MONITORED_S
+from goniotwin.app.campaign.running.warming import EVERY_S, LEAST
+from goniotwin.app.rig import AXES, RigFile, axis_settings, monochromator_settings, photodiode_settings
+from goniotwin.drivers.monitor import ANSWER_MARGIN_S
+from goniotwin.drivers.monochromator import STATUS_MARGIN_S
 
 USB_LATENCY_S = 1.0e-3
 TINY = 1e-9

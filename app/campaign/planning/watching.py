@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.directions import Seen
-from app.campaign.planning.plan import Plan
-from app.campaign.planning.shadow import shadowed
-from app.campaign.planning.sides import HALF_TURN_DEG, Arc, far_arc, polar_deg
-from app.campaign.schedule.measuring import DriftTable
-from app.campaign.spoken import numbers
-from app.rig import RigFile
+from goniotwin.app.campaign.planning.directions import Seen
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.planning.shadow import shadowed
+from goniotwin.app.campaign.planning.sides import HALF_TURN_DEG, Arc, far_arc, polar_deg
+from goniotwin.app.campaign.schedule.measuring import DriftTable
+from goniotwin.app.campaign.spoken import numbers
+from goniotwin.app.rig import RigFile
 
 
 def unwatched(plan: Plan, seen: list[Seen]) -> Iterator[str]:

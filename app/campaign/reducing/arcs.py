@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.rig import RigFile
-from twin.optics import arc_direction, to_specular
+from goniotwin.app.rig import RigFile
+from goniotwin.twin.optics import arc_direction, to_specular
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float, float]

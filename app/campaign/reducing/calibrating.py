@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.reducing.points import BsdfPoints, Flags, Floats
+from goniotwin.app.campaign.reducing.points import BsdfPoints, Flags, Floats
 
 Ints = npt.NDArray[np.int64]
 KNOWN_TO = 0.01

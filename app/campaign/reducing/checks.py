@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from app.campaign.reducing.measured import PLACE, Listed
-from app.campaign.reducing.overlaps import OverlapCheck, Overlaps
-from app.campaign.reducing.points import BsdfPoints
-from app.campaign.reducing.symmetry import Symmetrical, SymmetryCheck
-from app.campaign.schedule.file import ScheduleFile
-from app.campaign.schedule.pose_tables import ANGLE_DEG
-from app.rig import RigFile
+from goniotwin.app.campaign.reducing.measured import PLACE, Listed
+from goniotwin.app.campaign.reducing.overlaps import OverlapCheck, Overlaps
+from goniotwin.app.campaign.reducing.points import BsdfPoints
+from goniotwin.app.campaign.reducing.symmetry import Symmetrical, SymmetryCheck
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.pose_tables import ANGLE_DEG
+from goniotwin.app.rig import RigFile
 
 
 class Checks:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.reducing.reduction import BsdfPoints
-from app.errors import UserError
-from app.rig import RigDescription
-from app.rig.sample_table import GaussianTable
-from twin.optics import Scatterer, arc_direction, evaluate, light_direction
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig.sample_table import GaussianTable
+from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

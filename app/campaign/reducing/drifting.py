@@ -11,11 +11,11 @@ from functools import partial
 
 import numpy as np
 
-from app.campaign.journal.recorded import Committed, RowData
-from app.campaign.reducing.signals import Flags, Signal, darks_by_gain, signal
-from app.campaign.row import Row
-from app.campaign.schedule.measuring import DriftTable
-from app.rig import RigFile, photodiode_settings
+from goniotwin.app.campaign.journal.recorded import Committed, RowData
+from goniotwin.app.campaign.reducing.signals import Flags, Signal, darks_by_gain, signal
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.measuring import DriftTable
+from goniotwin.app.rig import RigFile, photodiode_settings
 
 LIGHT = 5.0
 """A photodiode whose signal is below so many standard uncertainties says nothing about the light."""

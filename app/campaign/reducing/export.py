@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from app.campaign.reducing.reduction import BsdfPoints, Reduced
-from app.campaign.reducing.regrid import Regridded, regrid
-from app.errors import UserError
-from app.formats import DdrTable, FormatError, write_ddr, write_points_csv
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints, Reduced
+from goniotwin.app.campaign.reducing.regrid import Regridded, regrid
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
 
 Exporter = Callable[[Reduced, str | None, Path], int]
 LONGEST_LIST = 2000

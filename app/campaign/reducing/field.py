@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.reducing.local_parabola import Parabola, local_parabola, reach
-from app.campaign.reducing.points import BsdfPoints, Floats
-from app.rig import RigFile, believed_instrument
-from twin.optics import Instrument
+from goniotwin.app.campaign.reducing.local_parabola import Parabola, local_parabola, reach
+from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.twin.optics import Instrument
 
 Ints = npt.NDArray[np.int64]
 WINDOW = 5.0

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.campaign.reducing.compare import Comparison, in_plane, theory
-from app.campaign.reducing.export import heading
-from app.campaign.reducing.reduction import BsdfPoints, Reduced
-from twin.optics import arc_direction, evaluate, light_direction
+from goniotwin.app.campaign.reducing.compare import Comparison, in_plane, theory
+from goniotwin.app.campaign.reducing.export import heading
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints, Reduced
+from goniotwin.twin.optics import arc_direction, evaluate, light_direction
 
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 

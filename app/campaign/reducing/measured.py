@@ -11,18 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.recorded import Committed
-from app.campaign.journal.writing import Journal
-from app.campaign.reducing.arcs import Pose
-from app.campaign.reducing.drifting import drifts
-from app.campaign.reducing.points import Flags, Floats
-from app.campaign.reducing.signals import Ints, Signal, darks_by_gain, dead_since, mean_signal, middle, signal
-from app.campaign.reducing.traced import with_tracing_error
-from app.campaign.reducing.watching import unseen
-from app.campaign.row import Row
-from app.campaign.schedule.file import ScheduleFile
-from app.errors import UserError
-from app.rig import RigDescription, photodiode_settings
+from goniotwin.app.campaign.journal.recorded import Committed
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reducing.arcs import Pose
+from goniotwin.app.campaign.reducing.drifting import drifts
+from goniotwin.app.campaign.reducing.points import Flags, Floats
+from goniotwin.app.campaign.reducing.signals import Ints, Signal, darks_by_gain, dead_since, mean_signal, middle, signal
+from goniotwin.app.campaign.reducing.traced import with_tracing_error
+from goniotwin.app.campaign.reducing.watching import unseen
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, photodiode_settings
 
 DECIMALS = 6
 HALF_TURN_DEG = 180.0

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 
-from app.campaign.journal.reading import Recorded
+from goniotwin.app.campaign.journal.reading import Recorded
 
 GO_ON = "goniotwin run --resume measures them"
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from app.campaign.reducing.agreement import plausible
-from app.campaign.reducing.calibrating import Factors, Ints, Pairs, calibrated
-from app.campaign.reducing.points import BsdfPoints, Floats
-from app.campaign.reducing.steepness import steepness
+from goniotwin.app.campaign.reducing.agreement import plausible
+from goniotwin.app.campaign.reducing.calibrating import Factors, Ints, Pairs, calibrated
+from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.steepness import steepness
 
 HALF_TURN_DEG = 180.0
 RESOLVED = 0.1

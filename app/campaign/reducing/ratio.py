@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.campaign.reducing.points import Flags, Floats
-from app.campaign.reducing.signals import Ints, Signal
-from app.rig import RigDescription
+from goniotwin.app.campaign.reducing.points import Flags, Floats
+from goniotwin.app.campaign.reducing.signals import Ints, Signal
+from goniotwin.app.rig import RigDescription
 
 
 @dataclass(frozen=True)

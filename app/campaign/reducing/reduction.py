@@ -16,28 +16,28 @@ from pathlib import Path
 
 import numpy as np
 
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.sides import etalon_sigmas_deg
-from app.campaign.reducing.arcs import arc_views
-from app.campaign.reducing.checks import Checks
-from app.campaign.reducing.field import with_field
-from app.campaign.reducing.measured import Key, Listed, Measured, Measurements, References, in_settings, key_of
-from app.campaign.reducing.missing import missing
-from app.campaign.reducing.overlaps import Overlaps
-from app.campaign.reducing.points import BsdfPoints as BsdfPoints
-from app.campaign.reducing.points import joined
-from app.campaign.reducing.row_points import row_points
-from app.campaign.reducing.signals import Ints
-from app.campaign.reducing.subtracted import subtracted
-from app.campaign.reducing.symmetry import Symmetrical
-from app.campaign.reducing.tally import Tally
-from app.campaign.reducing.traced import tracing_error
-from app.campaign.reducing.watching import in_words, unwatched
-from app.campaign.row import NOTHING, Row
-from app.campaign.schedule.certificate import Certificate, constant, parse_certificate
-from app.campaign.schedule.file import ScheduleFile, parse_schedule
-from app.errors import UserError
-from app.rig import RigDescription, parse_rig
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.sides import etalon_sigmas_deg
+from goniotwin.app.campaign.reducing.arcs import arc_views
+from goniotwin.app.campaign.reducing.checks import Checks
+from goniotwin.app.campaign.reducing.field import with_field
+from goniotwin.app.campaign.reducing.measured import Key, Listed, Measured, Measurements, References, in_settings, key_of
+from goniotwin.app.campaign.reducing.missing import missing
+from goniotwin.app.campaign.reducing.overlaps import Overlaps
+from goniotwin.app.campaign.reducing.points import BsdfPoints as BsdfPoints
+from goniotwin.app.campaign.reducing.points import joined
+from goniotwin.app.campaign.reducing.row_points import row_points
+from goniotwin.app.campaign.reducing.signals import Ints
+from goniotwin.app.campaign.reducing.subtracted import subtracted
+from goniotwin.app.campaign.reducing.symmetry import Symmetrical
+from goniotwin.app.campaign.reducing.tally import Tally
+from goniotwin.app.campaign.reducing.traced import tracing_error
+from goniotwin.app.campaign.reducing.watching import in_words, unwatched
+from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.schedule.certificate import Certificate, constant, parse_certificate
+from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, parse_rig
 
 ROWS_AT_ONCE = 256
 """So many rows have some megabytes of points."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.reducing.reduction import BsdfPoints
-from twin.optics import from_specular
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints
+from goniotwin.twin.optics import from_specular
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.recorded import Committed, Reading, RowData
-from app.campaign.running.gains import clipped
-from app.errors import UserError
-from drivers import PhotodiodeSettings
+from goniotwin.app.campaign.journal.recorded import Committed, Reading, RowData
+from goniotwin.app.campaign.running.gains import clipped
+from goniotwin.app.errors import UserError
+from goniotwin.drivers import PhotodiodeSettings
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 Floats = npt.NDArray[np.float64]

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from app.campaign.planning.symmetry import canonical
-from app.campaign.reducing.agreement import plausible
-from app.campaign.reducing.points import BsdfPoints, Floats
-from app.campaign.reducing.steepness import steepness
-from app.campaign.schedule.pose_tables import Symmetry
+from goniotwin.app.campaign.planning.symmetry import canonical
+from goniotwin.app.campaign.reducing.agreement import plausible
+from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.steepness import steepness
+from goniotwin.app.campaign.schedule.pose_tables import Symmetry
 
 Columns = dict[str, Floats]
 RESOLVED = 0.05

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from app.campaign.reducing.points import BsdfPoints
+from goniotwin.app.campaign.reducing.points import BsdfPoints
 
 FIRST = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
 """Flags by which a point is counted: the first that it has."""

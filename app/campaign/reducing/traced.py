@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.campaign.reducing.signals import Signal
-from app.rig import RigFile
+from goniotwin.app.campaign.reducing.signals import Signal
+from goniotwin.app.rig import RigFile
 
 DETECTED = 5.0
 

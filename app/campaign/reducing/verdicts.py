@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.campaign.journal.writing import Journal
-from app.campaign.reducing.checks import Checks
-from app.campaign.reducing.overlaps import Overlaps
-from app.campaign.reducing.reduction import Reduction
-from app.campaign.reducing.symmetry import Symmetrical
-from app.campaign.schedule.file import parse_schedule
-from app.errors import UserError
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reducing.checks import Checks
+from goniotwin.app.campaign.reducing.overlaps import Overlaps
+from goniotwin.app.campaign.reducing.reduction import Reduction
+from goniotwin.app.campaign.reducing.symmetry import Symmetrical
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.errors import UserError
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from app.campaign.journal.recorded import Committed
-from app.campaign.reducing.drifting import CERTAIN
-from app.campaign.reducing.signals import Flags, Signal
-from app.campaign.spoken import numbers
+from goniotwin.app.campaign.journal.recorded import Committed
+from goniotwin.app.campaign.reducing.drifting import CERTAIN
+from goniotwin.app.campaign.reducing.signals import Flags, Signal
+from goniotwin.app.campaign.spoken import numbers
 
 A_TENTH = 0.1
 """A loss of so much that would not be certain leaves a photodiode unwatched."""

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.planning.plan import Plan
-from app.campaign.reducing.arcs import arc_views
-from app.campaign.schedule.grids import grid_values
-from twin.optics import Instrument, Scatterer, arc_direction, evaluate, light_direction, luminance_factor
-from twin.optics.bsdf import REGULAR
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reducing.arcs import arc_views
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.twin.optics import Instrument, Scatterer, arc_direction, evaluate, light_direction, luminance_factor
+from goniotwin.twin.optics.bsdf import REGULAR
 
 Floats = npt.NDArray[np.float64]
 NOTICEABLE = 0.01

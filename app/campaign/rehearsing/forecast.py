@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.writing import Journal
-from app.campaign.reducing.points import BsdfPoints, Floats
-from app.campaign.reducing.reduction import ROWS_AT_ONCE, Reduction
-from app.campaign.reducing.tally import Tally
-from app.campaign.reducing.verdicts import Verdicts
-from app.errors import UserError
-from app.formats import FormatError, write_points_csv
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.reduction import ROWS_AT_ONCE, Reduction
+from goniotwin.app.campaign.reducing.tally import Tally
+from goniotwin.app.campaign.reducing.verdicts import Verdicts
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import FormatError, write_points_csv
 
 PERCENTILES = (5, 50, 95)
 WELL_KNOWN = 0.1

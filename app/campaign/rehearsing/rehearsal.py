@@ -11,23 +11,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from app.campaign.journal.provenance import versions
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.rehearsing.forecast import forecast
-from app.campaign.rehearsing.warnings import heeded, warnings_of
-from app.campaign.rehearsing.watch import Watch
-from app.campaign.rehearsing.worthless import worthless
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Listener, State
-from app.campaign.running.operator import BackDoor
-from app.campaign.running.resume import Rest, rest_of
-from app.campaign.schedule.file import ScheduleDescription
-from app.errors import UserError
-from app.rig import OpenRig, RigDescription, open_rig, photodiode_settings
-from app.rig.described_twin import described_twin
-from protocols.clock import VirtualClock
+from goniotwin.app.campaign.journal.provenance import versions
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.rehearsing.forecast import forecast
+from goniotwin.app.campaign.rehearsing.warnings import heeded, warnings_of
+from goniotwin.app.campaign.rehearsing.watch import Watch
+from goniotwin.app.campaign.rehearsing.worthless import worthless
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Listener, State
+from goniotwin.app.campaign.running.operator import BackDoor
+from goniotwin.app.campaign.running.resume import Rest, rest_of
+from goniotwin.app.campaign.schedule.file import ScheduleDescription
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import OpenRig, RigDescription, open_rig, photodiode_settings
+from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.protocols.clock import VirtualClock
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from app.campaign.rehearsing.rehearsal import Rehearsal
-from app.campaign.spoken import clock_time
+from goniotwin.app.campaign.rehearsing.rehearsal import Rehearsal
+from goniotwin.app.campaign.spoken import clock_time
 
 UNITS = ("bytes", "kB", "MB", "GB")
 

@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from app.campaign.planning.plan import Plan
-from app.campaign.planning.sides import looking_arcs, polar_deg
-from app.campaign.rehearsing.field_warning import field_warnings
-from app.campaign.rehearsing.watch import Flags, Watch
-from app.campaign.row import NOTHING, Row
-from app.campaign.schedule.grids import grid_values
-from twin.optics import Scatterer, arc_direction, evaluate
-from twin.optics.bsdf import REGULAR
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.planning.sides import looking_arcs, polar_deg
+from goniotwin.app.campaign.rehearsing.field_warning import field_warnings
+from goniotwin.app.campaign.rehearsing.watch import Flags, Watch
+from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.twin.optics import Scatterer, arc_direction, evaluate
+from goniotwin.twin.optics.bsdf import REGULAR
 
 FEW_STEPS = 1000.0
 """Of a converter, of 32767 over zero: its own noise of about a step is then a thousandth of the largest signal."""

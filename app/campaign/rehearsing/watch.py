@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.recorded import RowData
-from app.campaign.row import Row
-from app.campaign.running.events import Event, RowCommitted
-from app.campaign.running.gains import clipped
-from app.rig import AXES
-from drivers import PhotodiodeSettings
-from protocols import adam
+from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.events import Event, RowCommitted
+from goniotwin.app.campaign.running.gains import clipped
+from goniotwin.app.rig import AXES
+from goniotwin.drivers import PhotodiodeSettings
+from goniotwin.protocols import adam
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

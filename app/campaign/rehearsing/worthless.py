@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 
-from app.campaign.reducing.tally import FIRST, Tally
-from app.campaign.reducing.watching import in_words
-from app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.reducing.tally import FIRST, Tally
+from goniotwin.app.campaign.reducing.watching import in_words
+from goniotwin.app.campaign.schedule.file import ScheduleFile
 
 REASONS = {
     "shadowed": ("hidden by the mirror unit", "take other angles"),

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.recorded import Counts
+from goniotwin.app.campaign.journal.recorded import Counts
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

@@ -1,11 +1,11 @@
 """What ends a run before its last row, in good order: the schedule's `[stop]`, and a drift beyond its limit."""
 
-from app.campaign.journal.recorded import RowData
-from app.campaign.reducing.drifting import DriftWatch
-from app.campaign.row import SKIPPED, Row
-from app.campaign.schedule.file import ScheduleFile
-from app.campaign.schedule.measuring import StopTable
-from app.rig import RigFile
+from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.reducing.drifting import DriftWatch
+from goniotwin.app.campaign.row import SKIPPED, Row
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.measuring import StopTable
+from goniotwin.app.rig import RigFile
 
 
 class Endings:

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from app.campaign.journal.recorded import RowData
-from app.campaign.row import Row
+from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.row import Row
 
 
 class State(StrEnum):

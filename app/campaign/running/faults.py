@@ -2,10 +2,10 @@
 
 from typing import Literal
 
-from app.campaign.schedule.measuring import FaultsTable, Policy
-from app.rig import AXES
-from drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
-from drivers.errors import Interrupted, Unreferenced
+from goniotwin.app.campaign.schedule.measuring import FaultsTable, Policy
+from goniotwin.app.rig import AXES
+from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
+from goniotwin.drivers.errors import Interrupted, Unreferenced
 
 Kind = Literal["wire", "reset", "refused", "axis"]
 DONE_ABOUT_IT: dict[Policy, str] = {

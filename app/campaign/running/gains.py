@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.journal.recorded import Counts
-from app.campaign.row import Row
-from protocols import adam
+from goniotwin.app.campaign.journal.recorded import Counts
+from goniotwin.app.campaign.row import Row
+from goniotwin.protocols import adam
 
 Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]

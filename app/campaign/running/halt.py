@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from drivers import DeviceError, Rig
+from goniotwin.drivers import DeviceError, Rig
 
 T = TypeVar("T")
 

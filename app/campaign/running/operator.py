@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from app.campaign.row import NOTHING
-from app.errors import UserError
-from mocks.control import Control, Refused
-from twin import VirtualRig
+from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.errors import UserError
+from goniotwin.mocks.control import Control, Refused
+from goniotwin.twin import VirtualRig
 
 
 class Operator(Protocol):

@@ -5,17 +5,17 @@ from functools import partial
 
 import numpy as np
 
-from app.campaign.journal.recorded import Counts, Reading, RowData
-from app.campaign.row import NOTHING, Row
-from app.campaign.running.averaging import LEAST, Floats, readings_needed
-from app.campaign.running.gains import UNDER_RANGE, Flags, Gains, clipped, shows_light
-from app.campaign.running.halt import Halt
-from app.campaign.running.operator import Operator
-from app.campaign.running.standstill import Standstill
-from app.campaign.running.warming import EVERY_S, Trace
-from app.rig import AXES
-from drivers import AxisSettings, Pending, Rig, Until, wait
-from drivers.axis_settings import ENCODER_TOLERANCE_DEG
+from goniotwin.app.campaign.journal.recorded import Counts, Reading, RowData
+from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.running.averaging import LEAST, Floats, readings_needed
+from goniotwin.app.campaign.running.gains import UNDER_RANGE, Flags, Gains, clipped, shows_light
+from goniotwin.app.campaign.running.halt import Halt
+from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.campaign.running.standstill import Standstill
+from goniotwin.app.campaign.running.warming import EVERY_S, Trace
+from goniotwin.app.rig import AXES
+from goniotwin.drivers import AxisSettings, Pending, Rig, Until, wait
+from goniotwin.drivers.axis_settings import ENCODER_TOLERANCE_DEG
 
 NOT_WARM = "not warm"
 """The flag of a warm-up that was ended by its time."""

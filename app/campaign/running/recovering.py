@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from functools import partial
 
-from app.campaign.running.halt import Halt
-from app.rig import AXES
-from drivers import DeviceError, Poll, Rig
-from drivers.axis import Axis
+from goniotwin.app.campaign.running.halt import Halt
+from goniotwin.app.rig import AXES
+from goniotwin.drivers import DeviceError, Poll, Rig
+from goniotwin.drivers.axis import Axis
 
 LOOK_S = 0.1
 LONGEST_REST_S = 60.0

@@ -5,15 +5,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from app.campaign.journal.reading import Recorded
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan
-from app.campaign.planning.timing import Timing
-from app.campaign.row import NOTHING, RESUMED, Row
-from app.campaign.schedule.file import parse_schedule
-from app.errors import UserError
-from app.rig import RigDescription, parse_rig
-from protocols.clock import calendar_stamp
+from goniotwin.app.campaign.journal.reading import Recorded
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.planning.timing import Timing
+from goniotwin.app.campaign.row import NOTHING, RESUMED, Row
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, parse_rig
+from goniotwin.protocols.clock import calendar_stamp
 
 PORTS = (
     ("axes", "port"),

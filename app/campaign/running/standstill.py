@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from drivers import DeviceError
-from drivers.axis import Axis
-from protocols.clock import Clock
+from goniotwin.drivers import DeviceError
+from goniotwin.drivers.axis import Axis
+from goniotwin.protocols.clock import Clock
 
 STILL_DEG = 0.005
 """Between two looks a standing axis' encoder changes by less."""

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.campaign.schedule.measuring import CertificateTable
-from app.errors import UserError
-from app.rig.radiance_factor import refuse_percentage
-from protocols.clock import calendar_stamp
+from goniotwin.app.campaign.schedule.measuring import CertificateTable
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.radiance_factor import refuse_percentage
+from goniotwin.protocols.clock import calendar_stamp
 
 Floats = npt.NDArray[np.float64]
 AXES = ("wavelength_nm", "incidence_deg", "zenith_deg", "azimuth_deg")

@@ -6,12 +6,19 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, ValidationInfo, field_validator, model_validator
 
-from app.campaign.row import NOTHING
-from app.campaign.schedule.certificate import read_certificate
-from app.campaign.schedule.grids import Grid, grid_values, without_twins
-from app.campaign.schedule.measuring import AveragingTable, CertificateTable, DriftTable, FaultsTable, StopTable, WarmUpTable
-from app.campaign.schedule.pose_tables import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
-from app.tables import Table, checked, parse_toml, read_toml
+from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.schedule.certificate import read_certificate
+from goniotwin.app.campaign.schedule.grids import Grid, grid_values, without_twins
+from goniotwin.app.campaign.schedule.measuring import (
+    AveragingTable,
+    CertificateTable,
+    DriftTable,
+    FaultsTable,
+    StopTable,
+    WarmUpTable,
+)
+from goniotwin.app.campaign.schedule.pose_tables import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
+from goniotwin.app.tables import Table, checked, parse_toml, read_toml
 
 HIGHEST_SIGMA_DEG = 87.0
 NESTED = ("gamma", "sigma", "beta", "shift", "wavelength")

@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from app.campaign.schedule.grids import Grid
-from app.tables import Table
+from goniotwin.app.campaign.schedule.grids import Grid
+from goniotwin.app.tables import Table
 
 ANGLE_DEG = 0.05
 """As far as counter and encoder of an axis may be apart at rest where nobody has said otherwise."""

@@ -2,9 +2,9 @@
 
 import pytest
 
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.schedule.file import read_schedule
-from app.rig import read_rig
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
 from tests.conftest import Writer
 
 

@@ -8,20 +8,29 @@ from typing import Any
 
 import numpy as np
 
-from app.campaign.journal.recorded import Committed
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.row import SKIPPED
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Listener
-from app.campaign.schedule.file import ScheduleDescription, parse_schedule
-from app.rig import OpenRig, RigDescription, parse_rig
-from mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
-from mocks.faulty_line import End, FaultyLine, foreign_rtu, foreign_tcp, foreign_tmcl, plug_in, refusal_rtu, refusal_tcp
-from mocks.faulty_usb import FaultyUsb
+from goniotwin.app.campaign.journal.recorded import Committed
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.row import SKIPPED
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Listener
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
+from goniotwin.app.rig import OpenRig, RigDescription, parse_rig
+from goniotwin.mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faulty_line import (
+    End,
+    FaultyLine,
+    foreign_rtu,
+    foreign_tcp,
+    foreign_tmcl,
+    plug_in,
+    refusal_rtu,
+    refusal_tcp,
+)
+from goniotwin.mocks.faulty_usb import FaultyUsb
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.line import SerialDevice
 from tests.app.campaign.measuring_bench import QUIET, Run, carried_out, with_rows
 from tests.conftest import RIG, SMALL, Change, changed
-from twin import VirtualRig
-from twin.devices.line import SerialDevice
 
 RTU: tuple[Change, ...] = (
     ('kind = "adam-6017"', 'kind = "adam-4117"'),

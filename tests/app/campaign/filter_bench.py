@@ -1,8 +1,8 @@
 """The example rig with order-sorting filters, in the operator's part and in the twin's, and a schedule that changes them."""
 
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.schedule.file import parse_schedule
-from app.rig import RigDescription, parse_rig
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.rig import RigDescription, parse_rig
 from tests.app.campaign.measuring_bench import QUIET
 from tests.conftest import RIG, SMALL, Change, changed
 

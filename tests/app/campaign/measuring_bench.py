@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from app.campaign.campaign import operator_for
-from app.campaign.journal.recorded import Committed
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan
-from app.campaign.row import Row
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Listener, State
-from app.campaign.running.operator import Operator
-from app.rig import OpenRig, open_rig
-from protocols.clock import VirtualClock
+from goniotwin.app.campaign.campaign import operator_for
+from goniotwin.app.campaign.journal.recorded import Committed
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Listener, State
+from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.rig import OpenRig, open_rig
+from goniotwin.protocols.clock import VirtualClock
 
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 

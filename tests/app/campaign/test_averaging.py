@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import resume_campaign, run_campaign
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.signals import middle
-from app.campaign.row import Row
-from app.campaign.running.averaging import LEAST, readings_needed
-from app.campaign.running.gains import clipped
-from app.campaign.running.performing import NOT_WARM
-from app.campaign.running.warming import Trace
-from app.campaign.schedule.file import read_schedule
-from app.rig import OpenRig, photodiode_settings, read_rig
+from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.signals import middle
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.averaging import LEAST, readings_needed
+from goniotwin.app.campaign.running.gains import clipped
+from goniotwin.app.campaign.running.performing import NOT_WARM
+from goniotwin.app.campaign.running.warming import Trace
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import OpenRig, photodiode_settings, read_rig
 from tests.app.campaign.measuring_bench import QUIET, Run, carried_out, with_rows
 from tests.app.campaign.test_resume import stopped_at, values
 from tests.conftest import Writer

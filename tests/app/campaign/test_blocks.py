@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.points import BsdfPoints, joined
-from app.campaign.reducing.reduction import Reduction, reduce_journal
-from app.campaign.rehearsing.forecast import forecast
-from app.campaign.rehearsing.rehearsal import prepared, rehearse
-from app.campaign.row import Row
-from app.campaign.schedule.file import read_schedule
-from app.rig import read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.points import BsdfPoints, joined
+from goniotwin.app.campaign.reducing.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.rehearsing.forecast import forecast
+from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
 from tests.conftest import SMALL, Writer
 
 WHITE = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.calibrating import Factors, Pairs, calibrated
-from app.campaign.reducing.export import export_csv
-from app.campaign.reducing.overlaps import overlaps
-from app.campaign.reducing.points import BsdfPoints
-from app.campaign.reducing.reduction import Reduced, reduce_journal
-from app.campaign.reducing.verdicts import checked_in
-from app.campaign.running.events import Event, RowCommitted
-from app.campaign.schedule.file import read_schedule
-from app.formats import read_points_csv
-from app.rig import OpenRig, read_rig
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.calibrating import Factors, Pairs, calibrated
+from goniotwin.app.campaign.reducing.export import export_csv
+from goniotwin.app.campaign.reducing.overlaps import overlaps
+from goniotwin.app.campaign.reducing.points import BsdfPoints
+from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reducing.verdicts import checked_in
+from goniotwin.app.campaign.running.events import Event, RowCommitted
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.formats import read_points_csv
+from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.measuring_bench import carried_out
 from tests.app.campaign.test_export import points_of
 from tests.conftest import SMALL, Writer

@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.schedule.certificate import constant, parse_certificate, refuse_expired
-from app.campaign.schedule.file import ScheduleDescription, read_schedule
-from app.campaign.schedule.measuring import CertificateTable
-from app.errors import UserError
-from app.rig import read_rig
-from protocols.clock import calendar_stamp
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.schedule.certificate import constant, parse_certificate, refuse_expired
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_schedule
+from goniotwin.app.campaign.schedule.measuring import CertificateTable
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from goniotwin.protocols.clock import calendar_stamp
 from tests.app.campaign.measuring_bench import QUIET
 from tests.conftest import RIG, SMALL, Change, Writer
 

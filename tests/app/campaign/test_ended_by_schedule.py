@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.campaign import resume_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse
-from app.campaign.rehearsing.shown import in_words
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.rig import read_rig
-from app.rig.lock import Held, RigLock
+from goniotwin.app.campaign.campaign import resume_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse
+from goniotwin.app.campaign.rehearsing.shown import in_words
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.lock import Held, RigLock
 from tests.app.campaign.test_resume import STEADY, stopped_at
 from tests.conftest import SMALL, Writer
 from tests.system.test_command import answer, goniotwin

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.campaign import operator_for, run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.check import checked_plan, in_words
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.rig import OpenRig, open_rig, read_rig
-from protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.app.campaign.campaign import operator_for, run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.check import checked_plan, in_words
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import OpenRig, open_rig, read_rig
+from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from tests.conftest import Writer
 
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.reduction import BsdfPoints, reduce_journal
-from app.campaign.running.events import State
-from app.campaign.schedule.file import read_schedule
-from app.rig import read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints, reduce_journal
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
 from tests.conftest import Writer
 
 STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.campaign.reducing.export import export_csv, export_ddr
-from app.campaign.reducing.overlaps import overlaps
-from app.campaign.reducing.reduction import BsdfPoints, Reduced
-from app.campaign.reducing.regrid import regrid
-from app.errors import UserError
-from app.formats import read_ddr, read_points_csv
-from app.rig import read_rig
+from goniotwin.app.campaign.reducing.export import export_csv, export_ddr
+from goniotwin.app.campaign.reducing.overlaps import overlaps
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints, Reduced
+from goniotwin.app.campaign.reducing.regrid import regrid
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import read_ddr, read_points_csv
+from goniotwin.app.rig import read_rig
+from goniotwin.twin.optics import arc_direction, from_specular, to_specular
 from tests.conftest import RIG
-from twin.optics import arc_direction, from_specular, to_specular
 
 
 def points_of(sigma: float, zenith: np.ndarray, azimuth: np.ndarray, hidden: np.ndarray | None = None) -> BsdfPoints:

@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from app.campaign.reducing.arcs import arc_views
-from app.campaign.reducing.field import directions_of, field_uncertainty, field_variance
-from app.campaign.reducing.points import BsdfPoints
-from app.rig import read_rig
+from goniotwin.app.campaign.reducing.arcs import arc_views
+from goniotwin.app.campaign.reducing.field import directions_of, field_uncertainty, field_variance
+from goniotwin.app.campaign.reducing.points import BsdfPoints
+from goniotwin.app.rig import read_rig
+from goniotwin.twin.optics import Instrument, arc_direction, evaluate, gaussian, light_direction, luminance_factor, to_specular
 from tests.conftest import RIG
-from twin.optics import Instrument, arc_direction, evaluate, gaussian, light_direction, luminance_factor, to_specular
 
 Floats = npt.NDArray[np.float64]
 VARIANCE = field_variance(Instrument())

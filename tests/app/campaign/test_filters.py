@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import resume_campaign, run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import Plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import State
-from app.rig import OpenRig
-from mocks.faults import ON_A_TEXT_LINE, Fault, Script
+from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.rig import OpenRig
+from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices import Cornerstone260
+from goniotwin.twin.optics import lambertian, spectral
 from tests.app.campaign.failing_campaign import POLICIES, Wires, run_with, wrong
 from tests.app.campaign.filter_bench import BELIEVED, THERE, plan_with, rig_with, second_order
 from tests.app.campaign.measuring_bench import Run, carried_out
 from tests.app.campaign.test_resume import stopped_at, values
-from twin import VirtualRig
-from twin.devices import Cornerstone260
-from twin.optics import lambertian, spectral
 
 POSITION = {500.0: 1.0, 600.0: 4.0, 700.0: 2.0, 760.0: 2.0}
 """By wavelength, as the bench's rig file says it."""

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.planning.check import checked_plan, in_words
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.planning.check import checked_plan, in_words
 from tests.app.campaign.filter_bench import BELIEVED, plan_with, rig_with
 from tests.conftest import Change
 

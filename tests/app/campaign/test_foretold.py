@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.schedule.file import parse_schedule
-from app.rig import RigDescription, parse_rig, read_rig
 from benchmarks.planner import GREAT, HEAD, RUN, checking
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.rig import RigDescription, parse_rig, read_rig
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import resume_campaign, run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.row import Row
-from app.campaign.running.gains import SATURATED, UNDER_RANGE, Gains, clipped, in_order
-from app.campaign.schedule.file import read_schedule
-from app.rig import read_rig
-from protocols import adam
+from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.gains import SATURATED, UNDER_RANGE, Gains, clipped, in_order
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
+from goniotwin.protocols import adam
 from tests.app.campaign.measuring_bench import QUIET, carried_out, with_rows
 from tests.app.campaign.test_resume import stopped_at, values
 from tests.conftest import Writer

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.errors import UserError
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.errors import UserError
 
 
 def test_no_journal_is_overwritten(plan: Plan, tmp_path: Path) -> None:

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.campaign.campaign import run_campaign
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.least import least_seconds
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.schedule.file import parse_schedule
-from app.errors import UserError
-from app.rig import RigDescription, parse_rig, read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.least import least_seconds
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, parse_rig, read_rig
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.campaign.planning.bound import least_moving_seconds
-from app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
-from app.campaign.planning.moves import Moves
-from app.campaign.planning.nesting import Nest, moving_seconds, swept, visited
-from app.campaign.planning.order import fastest_order
-from app.campaign.schedule.file import ScheduleFile
-from app.rig import AXES, RigFile, arc_clearance, axis_settings, parse_rig
+from goniotwin.app.campaign.planning.bound import least_moving_seconds
+from goniotwin.app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
+from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.app.campaign.planning.nesting import Nest, moving_seconds, swept, visited
+from goniotwin.app.campaign.planning.order import fastest_order
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.rig import AXES, RigFile, arc_clearance, axis_settings, parse_rig
 from tests.conftest import RIG
 
 Floats = npt.NDArray[np.float64]

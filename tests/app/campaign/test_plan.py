@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.campaign.planning.least import least_seconds
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.planning.timing import Timing
-from app.campaign.row import NOTHING, Row
-from app.campaign.schedule.file import parse_schedule, read_schedule
-from app.campaign.schedule.grids import grid_values
-from app.errors import UserError
-from app.rig import read_rig
 from benchmarks.planner import EXAMPLES, NAMED, nested_like_the_paper
+from goniotwin.app.campaign.planning.least import least_seconds
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.timing import Timing
+from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from goniotwin.twin.optics import arc_direction, specular_direction
 from tests.conftest import RIG
-from twin.optics import arc_direction, specular_direction
 
 VIRTUAL = read_rig(RIG)
 HEAD = """

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.campaign import resume_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.row import SKIPPED
-from app.campaign.running.events import Event, RowCommitted, RowStarted, State, StateChanged
-from app.campaign.running.faults import Policies, kind_of
-from app.campaign.schedule.file import read_schedule
-from app.rig import OpenRig, read_rig
-from drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
-from drivers.errors import Interrupted, Unreferenced
+from goniotwin.app.campaign.campaign import resume_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.row import SKIPPED
+from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State, StateChanged
+from goniotwin.app.campaign.running.faults import Policies, kind_of
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import OpenRig, read_rig
+from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
+from goniotwin.drivers.errors import Interrupted, Unreferenced
 from tests.app.campaign.measuring_bench import QUIET, Run, carried_out
 from tests.app.campaign.test_resume import stopped_at, values
 from tests.conftest import SMALL, Writer

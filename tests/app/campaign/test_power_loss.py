@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.campaign.campaign import resume_campaign, run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.running.events import Event, RowCommitted, State
-from app.campaign.running.resume import rest_of
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.rig import read_rig
+from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.running.events import Event, RowCommitted, State
+from goniotwin.app.campaign.running.resume import rest_of
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
 from tests.app.campaign.disk import Doing, Told, after_the_power_came_back
 from tests.app.campaign.test_resume import MORE, STEADY, values
 from tests.app.campaign.watched_sqlite import Connection, WatchedDisk

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.compare import compare, in_plane, relative_rms_percent, theory
-from app.campaign.reducing.reduction import BsdfPoints, Reduced, reduce_journal
-from app.campaign.running.events import State
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.rig import read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.compare import compare, in_plane, relative_rms_percent, theory
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints, Reduced, reduce_journal
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
 from tests.conftest import RIG, SCHEDULE, Writer
 
 AEROGLAZE = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"

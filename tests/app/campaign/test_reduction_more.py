@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.arcs import arc_views
-from app.campaign.reducing.export import export_csv
-from app.campaign.reducing.overlaps import overlaps
-from app.campaign.reducing.reduction import Reduced, reduce_journal
-from app.campaign.running.events import Event, RowCommitted, State
-from app.campaign.schedule.file import read_schedule
-from app.rig import OpenRig, read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.arcs import arc_views
+from goniotwin.app.campaign.reducing.export import export_csv
+from goniotwin.app.campaign.reducing.overlaps import overlaps
+from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.running.events import Event, RowCommitted, State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import OpenRig, read_rig
+from goniotwin.twin.optics import from_specular
 from tests.app.campaign.measuring_bench import QUIET, Run, carried_out
 from tests.conftest import RIG, SMALL, Change, Writer, changed
-from twin.optics import from_specular
 
 GREY = '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.03\n\n'
 GLASS = '[twin.samples.glass]\nmodel = "lambertian"\nreflectance = 0.4\ntransmittance = 0.3\nside = "both"\n\n'

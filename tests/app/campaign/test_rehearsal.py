@@ -10,17 +10,17 @@ from typing import Any
 import pytest
 import serial
 
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import make_plan
-from app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse
-from app.campaign.rehearsing.shown import in_words
-from app.campaign.running.events import Event, RowCommitted
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.formats import read_points_csv
-from app.rig import read_rig
-from app.rig.lock import RigLock
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse
+from goniotwin.app.campaign.rehearsing.shown import in_words
+from goniotwin.app.campaign.running.events import Event, RowCommitted
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import read_points_csv
+from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.lock import RigLock
 from tests.conftest import Change, Writer
 
 REAL = tuple(
@@ -202,7 +202,7 @@ def test_what_it_holds_does_not_grow_with_the_rows(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Beyond the plan itself, which is there before the first row."""
-    monkeypatch.setattr("twin.devices.usbtmc_transfers.LOG_KEPT", 50)  # which is full after few rows
+    monkeypatch.setattr("goniotwin.twin.devices.usbtmc_transfers.LOG_KEPT", 50)  # which is full after few rows
     many = ("shift_deg = [0, 1]", "shift_deg = { start = 0.0, stop = 4.5, step = 0.03 }")
     once = (("readings = 2", "readings = 1"), ("[1e8, 1e10]", "[1e8]"))
     plan, assumed = prepared(read_schedule(write_schedule(many, *once)), read_rig(write_rig()), {})

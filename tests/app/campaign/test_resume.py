@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
-from app.campaign.journal.runs import campaign_of
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import State
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.rig import open_rig, read_rig
-from app.rig.lock import RigLock
+from goniotwin.app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import open_rig, read_rig
+from goniotwin.app.rig.lock import RigLock
 from tests.conftest import Writer
 
 STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
@@ -94,7 +94,7 @@ def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) 
 
 
 def _resumed_and_stopped(path: Path, t: float) -> None:
-    from app.campaign.running.resume import rest_of
+    from goniotwin.app.campaign.running.resume import rest_of
 
     with Journal.reopen(path) as journal:
         rest = rest_of(journal, None)

@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
-from app.campaign.journal.recorded import RowData
-from app.campaign.journal.runs import campaign_of
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.row import Row
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import State
-from app.campaign.running.performing import Performer
-from app.campaign.running.resume import rest_of
-from app.campaign.schedule.file import read_schedule
-from app.errors import UserError
-from app.rig import OpenRig, open_rig, read_rig
-from drivers import NoAnswer, wait
+from goniotwin.app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.running.performing import Performer
+from goniotwin.app.campaign.running.resume import rest_of
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import OpenRig, open_rig, read_rig
+from goniotwin.drivers import NoAnswer, wait
 from tests.app.campaign.test_resume import STEADY, stopped_at, values
 from tests.app.test_homing_command import HOMES
 from tests.conftest import SMALL, Writer

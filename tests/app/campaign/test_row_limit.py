@@ -4,13 +4,13 @@ import re
 
 import pytest
 
-from app.campaign.planning.plan import make_plan
-from app.campaign.planning.row_limit import fewest_rows
-from app.campaign.planning.timing import Timing
-from app.campaign.schedule.file import parse_schedule
-from app.errors import UserError
-from app.rig import read_rig
-from protocols.clock import RealClock
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.planning.row_limit import fewest_rows
+from goniotwin.app.campaign.planning.timing import Timing
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from goniotwin.protocols.clock import RealClock
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

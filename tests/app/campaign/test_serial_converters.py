@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.planning.plan import make_plan
-from app.campaign.schedule.file import read_schedule
-from app.rig import read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
 from tests.conftest import Writer
 from tests.drivers.photodiode_bench import SERIAL
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.nesting import swept
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.planning.sweeps import first_sweep
-from app.campaign.schedule.file import parse_schedule
-from app.errors import UserError
-from app.rig import arc_clearance, read_rig
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.nesting import swept
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.sweeps import first_sweep
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import arc_clearance, read_rig
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

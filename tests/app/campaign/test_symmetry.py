@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.export import export_csv, export_ddr
-from app.campaign.reducing.reduction import Reduced, reduce_journal
-from app.campaign.reducing.steepness import steepness
-from app.campaign.reducing.symmetry import Symmetrical
-from app.campaign.rehearsing.rehearsal import prepared, rehearse
-from app.campaign.rehearsing.shown import in_words
-from app.campaign.schedule.file import read_schedule
-from app.cli import app
-from app.formats import read_ddr, read_points_csv
-from app.rig import RigDescription, read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.export import export_csv, export_ddr
+from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reducing.steepness import steepness
+from goniotwin.app.campaign.reducing.symmetry import Symmetrical
+from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.rehearsing.shown import in_words
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli import app
+from goniotwin.app.formats import read_ddr, read_points_csv
+from goniotwin.app.rig import RigDescription, read_rig
+from goniotwin.twin.optics import Scatterer, tabulated
 from tests.app.campaign.test_export import points_of
 from tests.conftest import SMALL, Change, Writer
-from twin.optics import Scatterer, tabulated
 
 WIDE = ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 30 }")
 GAINS = ("[1e8, 1e10]", "[1e8, 1e10, 1e11]")

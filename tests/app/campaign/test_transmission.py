@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.campaign import run_campaign
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.compare import theory
-from app.campaign.reducing.reduction import Reduced, reduce_journal
-from app.campaign.rehearsing.rehearsal import prepared, rehearse
-from app.campaign.schedule.file import parse_schedule, read_schedule
-from app.rig import read_rig
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.compare import theory
+from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.rig import read_rig
 from tests.app.campaign.measuring_bench import QUIET
 from tests.conftest import REPOSITORY, RIG, Writer
 

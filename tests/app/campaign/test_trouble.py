@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.compare import theory
-from app.campaign.reducing.reduction import BsdfPoints, reduce_journal
-from app.campaign.running.events import Event, RowStarted, State
-from app.campaign.schedule.file import parse_schedule
-from app.rig import OpenRig, parse_rig
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.compare import theory
+from goniotwin.app.campaign.reducing.reduction import BsdfPoints, reduce_journal
+from goniotwin.app.campaign.running.events import Event, RowStarted, State
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.rig import OpenRig, parse_rig
+from goniotwin.twin.plant import Plant
 from tests.app.campaign.measuring_bench import Run, carried_out
 from tests.conftest import RIG, Change, changed
-from twin.plant import Plant
 
 SCHEDULE = """
 name = "trouble"

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaign.planning.plan import Plan
-from app.campaign.row import SKIPPED
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Event, RowCommitted, State, StateChanged
-from mocks.faults import Fault, Misfortune, Script
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.row import SKIPPED
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Event, RowCommitted, State, StateChanged
+from goniotwin.mocks.faults import Fault, Misfortune, Script
 from tests.app.campaign.failing_campaign import FAULTS, POLICIES, Wires, failing_plan, run_with, wrong
 from tests.app.campaign.measuring_bench import Run
 

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import Plan, make_plan
-from app.campaign.reducing.reduction import Reduced, reduce_journal
-from app.campaign.rehearsing.rehearsal import prepared, rehearse
-from app.campaign.running.events import Event, RowCommitted
-from app.campaign.schedule.file import parse_schedule
-from app.campaign.spoken import numbers
-from app.rig import OpenRig, read_rig
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.running.events import Event, RowCommitted
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.spoken import numbers
+from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.measuring_bench import carried_out
 from tests.conftest import RIG
 

@@ -12,7 +12,7 @@ from PySide6.QtCore import QEvent
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from app.desktop import MainWindow, Theme
+from goniotwin.app.desktop import MainWindow, Theme
 from tests.conftest import RIG, Writer
 
 WindowOpener = Callable[..., MainWindow]

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from app.campaign.journal.writing import Journal
-from app.campaign.planning.plan import make_plan
-from app.campaign.reducing.compare import signed_theta
-from app.campaign.reducing.reduction import reduce_journal
-from app.campaign.running.engine import Engine
-from app.campaign.running.events import Event, RowCommitted, RowStarted, State
-from app.campaign.running.operator import BackDoor
-from app.campaign.schedule.file import read_schedule
-from app.desktop.cut import Cut, LiveCut, Points
-from app.desktop.cutplot import CutPlot
-from app.desktop.theme import LIGHT
-from app.rig import open_rig, read_rig
-from protocols.clock import VirtualClock
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reducing.compare import signed_theta
+from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
+from goniotwin.app.campaign.running.operator import BackDoor
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.desktop.cut import Cut, LiveCut, Points
+from goniotwin.app.desktop.cutplot import CutPlot
+from goniotwin.app.desktop.theme import LIGHT
+from goniotwin.app.rig import open_rig, read_rig
+from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import Writer
 
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from app.desktop.naming import next_journal
-from app.desktop.pace import PacedClock
-from app.desktop.runpanel import in_words
-from app.desktop.theme import DARK, LIGHT, Colours
+from goniotwin.app.desktop.naming import next_journal
+from goniotwin.app.desktop.pace import PacedClock
+from goniotwin.app.desktop.runpanel import in_words
+from goniotwin.app.desktop.theme import DARK, LIGHT, Colours
 
 
 def test_a_change_of_pace_is_no_jump_and_wakes_whoever_sleeps() -> None:

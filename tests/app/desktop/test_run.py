@@ -11,15 +11,15 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QApplication, QPushButton
 from pytestqt.qtbot import QtBot
 
-from app.campaign.journal.writing import Journal
-from app.campaign.running.events import Positions, RowCommitted, State
-from app.campaign.running.operator import BackDoor
-from app.desktop import MainWindow, rigthread, run_desktop
-from app.desktop.allowed import BUSY
-from app.desktop.cut import Cut, LiveCut
-from app.rig import OpenRig, RigFile
-from drivers import Axis, DeviceError, Rig
-from drivers.errors import NoAnswer
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
+from goniotwin.app.campaign.running.operator import BackDoor
+from goniotwin.app.desktop import MainWindow, rigthread, run_desktop
+from goniotwin.app.desktop.allowed import BUSY
+from goniotwin.app.desktop.cut import Cut, LiveCut
+from goniotwin.app.rig import OpenRig, RigFile
+from goniotwin.drivers import Axis, DeviceError, Rig
+from goniotwin.drivers.errors import NoAnswer
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
 from tests.conftest import RIG
 

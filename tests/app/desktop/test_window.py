@@ -7,9 +7,9 @@ import pytest
 from PySide6.QtWidgets import QAbstractButton, QApplication, QComboBox, QProgressBar
 from pytestqt.qtbot import QtBot
 
-from app.desktop import MainWindow, Theme
-from app.desktop.messages import DEVICES
-from drivers import Rig
+from goniotwin.app.desktop import MainWindow, Theme
+from goniotwin.app.desktop.messages import DEVICES
+from goniotwin.drivers import Rig
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
 from tests.conftest import Writer
 

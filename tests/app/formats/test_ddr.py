@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from app.formats import DdrTable, FormatError, bsdf, read_ddr, write_ddr
+from goniotwin.app.formats import DdrTable, FormatError, bsdf, read_ddr, write_ddr
 
 SPECTRAL = """\
 ;; our own comment, wl 1 and sigma in it

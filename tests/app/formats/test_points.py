@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from app.formats import FormatError, read_points_csv, write_points_csv
+from goniotwin.app.formats import FormatError, read_points_csv, write_points_csv
 
 
 def test_a_file_says_what_it_is_then_names_its_columns(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from app.formats import FormatError, read_rayset, write_rayset
-from twin.optics.illumination import IlluminationUnit
-from twin.optics.rayset import Rayset, record
+from goniotwin.app.formats import FormatError, read_rayset, write_rayset
+from goniotwin.twin.optics.illumination import IlluminationUnit
+from goniotwin.twin.optics.rayset import Rayset, record
 
 UNIT = IlluminationUnit()
 FINITE = st.floats(-1e6, 1e6)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.formats import read_zemax, write_zemax
+from goniotwin.app.formats import read_zemax, write_zemax
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT.parent / "shared" / "data" / "real_bsdf"

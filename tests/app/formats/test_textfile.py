@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from app.formats.comments import comment_lines
-from app.formats.errors import FormatError
-from app.formats.textfile import read_text, write_text
+from goniotwin.app.formats.comments import comment_lines
+from goniotwin.app.formats.errors import FormatError
+from goniotwin.app.formats.textfile import read_text, write_text
 
 
 def test_a_file_is_replaced_as_a_whole_and_nothing_is_left_beside_it(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from app.formats import FormatError, ZemaxBsdf, read_zemax, write_zemax
+from goniotwin.app.formats import FormatError, ZemaxBsdf, read_zemax, write_zemax
 
 # One rotation, two incidences, azimuths 0 and 180, radials 0, 10, 90: the least that has every list.
 GOOD = """\

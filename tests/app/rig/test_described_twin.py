@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 import tomlkit
 
-from app.errors import UserError
-from app.rig import AXES, RigDescription, axis_settings, open_rig, parse_rig
-from app.rig.described_twin import Described, described_twin
-from protocols.clock import VirtualClock
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import AXES, RigDescription, axis_settings, open_rig, parse_rig
+from goniotwin.app.rig.described_twin import Described, described_twin
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import TwinModel
 from tests.conftest import RIG, Change, changed
-from twin import TwinModel
 
 
 def real_rig(*changes: Change) -> RigDescription:

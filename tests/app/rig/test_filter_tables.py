@@ -5,18 +5,18 @@ import re
 import pytest
 import tomlkit
 
-from app.campaign.planning.check import checked_plan
-from app.campaign.planning.plan import make_plan
-from app.campaign.schedule.file import parse_schedule
-from app.errors import UserError
-from app.rig import monochromator_settings, parse_rig, read_rig
-from app.rig.described_twin import described_twin
-from app.rig.served_file import served_rig
-from drivers import OrderFilter
-from mocks.served import Endpoint
+from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import monochromator_settings, parse_rig, read_rig
+from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.app.rig.served_file import served_rig
+from goniotwin.drivers import OrderFilter
+from goniotwin.mocks.served import Endpoint
+from goniotwin.twin.plant import OrderSorting, WheelFilter
 from tests.app.campaign.filter_bench import BELIEVED, FILTERS, THERE, second_order
 from tests.conftest import RIG, SMALL, Change, Writer, changed
-from twin.plant import OrderSorting, WheelFilter
 
 
 def test_without_the_table_there_are_none(write_rig: Writer) -> None:

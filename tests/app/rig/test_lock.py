@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import UserError
-from app.rig.lock import RigLock
-from protocols.clock import RealClock
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.protocols.clock import RealClock
 
 HOLD = """
 import sys
 from pathlib import Path
-from app.rig.lock import RigLock
-from protocols.clock import RealClock
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.protocols.clock import RealClock
 lock = RigLock(["/dev/axes"], "measuring paint", Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()

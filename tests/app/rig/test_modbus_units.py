@@ -2,8 +2,8 @@
 
 import pytest
 
-from app.errors import UserError
-from app.rig.modbus_units import ModbusUnits, rtu_address
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.modbus_units import ModbusUnits, rtu_address
 
 
 def test_a_serial_address_says_port_unit_and_baud_rate() -> None:

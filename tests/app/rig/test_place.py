@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import UserError
-from app.rig.lock import RigLock
-from app.rig.place import place_of
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.place import place_of
 
 
 @pytest.mark.parametrize(

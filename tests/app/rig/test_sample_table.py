@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.errors import UserError
-from app.formats.zemax import ZemaxBsdf, write_zemax
-from app.rig import read_rig
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.zemax import ZemaxBsdf, write_zemax
+from goniotwin.app.rig import read_rig
+from goniotwin.twin.optics import Scatterer, albedo, evaluate, light_direction
+from goniotwin.twin.plant import TwinModel
 from tests.conftest import Writer
-from twin.optics import Scatterer, albedo, evaluate, light_direction
-from twin.plant import TwinModel
 
 GAUSSIAN = """[twin.samples.gaussian-5]
 model = "gaussian"

@@ -2,10 +2,10 @@
 
 import pytest
 
-from app.errors import UserError
-from app.rig import read_rig
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from goniotwin.twin.optics import Instrument, RealSensor
 from tests.conftest import Writer
-from twin.optics import Instrument, RealSensor
 
 LIGHT = "[twin.light]"
 FORWARD = '[twin.optics]\nestimator = "forward"\n\n'

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.errors import UserError
-from app.simulation.grid import Detectors, detectors_at, numbers, output_phi, output_theta
-from app.simulation.regridded import interpolated, regridded
-from twin.optics import arc_direction, from_specular, specular_direction, to_specular
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.grid import Detectors, detectors_at, numbers, output_phi, output_theta
+from goniotwin.app.simulation.regridded import interpolated, regridded
+from goniotwin.twin.optics import arc_direction, from_specular, specular_direction, to_specular
 
 
 @settings(deadline=None, max_examples=40)

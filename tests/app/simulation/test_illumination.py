@@ -5,18 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.errors import UserError
-from app.formats import read_points_csv, read_rayset, write_rayset
-from app.simulation.assumptions import assumptions
-from app.simulation.effort import Effort
-from app.simulation.files import summary as simulated_summary
-from app.simulation.illumination import Illuminated, illuminated, summary
-from app.simulation.illumination_shown import check_names, write_illumination
-from app.simulation.sample import parse_sample
-from app.simulation.simulate import Task, simulate
-from app.simulation.source import read_source, unit_for
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import read_points_csv, read_rayset, write_rayset
+from goniotwin.app.simulation.assumptions import assumptions
+from goniotwin.app.simulation.effort import Effort
+from goniotwin.app.simulation.files import summary as simulated_summary
+from goniotwin.app.simulation.illumination import Illuminated, illuminated, summary
+from goniotwin.app.simulation.illumination_shown import check_names, write_illumination
+from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.simulate import Task, simulate
+from goniotwin.app.simulation.source import read_source, unit_for
+from goniotwin.twin.optics import IlluminationUnit, Instrument
 from tests.twin.optics.agreement import agree
-from twin.optics import IlluminationUnit, Instrument
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 UNIT = unit_for(WIDE, 555.0, 0.0, 5.0)

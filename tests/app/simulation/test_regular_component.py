@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.simulation.assumptions import assumptions
-from app.simulation.files import summary
-from app.simulation.regular import seen_within_deg
-from app.simulation.sample import parse_sample
-from app.simulation.simulate import Simulation, Task, simulate
-from twin.optics import Instrument, lambertian, regular, specular_direction, throughput
+from goniotwin.app.simulation.assumptions import assumptions
+from goniotwin.app.simulation.files import summary
+from goniotwin.app.simulation.regular import seen_within_deg
+from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.twin.optics import Instrument, lambertian, regular, specular_direction, throughput
 
 OPEN = Instrument(obstruction=False)
 

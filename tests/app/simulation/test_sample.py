@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.errors import UserError
-from app.formats import DdrTable, ZemaxBsdf, write_ddr, write_zemax
-from app.simulation.sample import parse_sample, table_files
-from twin.optics import albedo, evaluate, from_specular, gaussian, lambertian, light_direction, summed
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import DdrTable, ZemaxBsdf, write_ddr, write_zemax
+from goniotwin.app.simulation.sample import parse_sample, table_files
+from goniotwin.twin.optics import albedo, evaluate, from_specular, gaussian, lambertian, light_direction, summed
 
 SIGMA, PHI, THETA = np.array([0.0, 60.0]), np.array([0.0, 180.0]), np.array([0.0, 20.0, 180.0])
 VALUES = np.array([0.3, 0.2, 0.1]) * np.ones((1, 2, 2, 3))

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import UserError
-from app.simulation.shadow import shadows, write_shadows
-from twin.optics import Instrument
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.shadow import shadows, write_shadows
+from goniotwin.twin.optics import Instrument
 
 
 def test_every_direction_of_both_arcs_is_in_the_csv_and_it_says_that_it_is_simulated(tmp_path: Path) -> None:

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.errors import UserError
-from app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
-from app.simulation.effort import Effort
-from app.simulation.files import summary, write
-from app.simulation.sample import parse_sample
-from app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
+from goniotwin.app.simulation.effort import Effort
+from goniotwin.app.simulation.files import summary, write
+from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.twin.optics import Instrument, arc_direction, evaluate, light_direction
 from tests.twin.optics.agreement import agree
-from twin.optics import Instrument, arc_direction, evaluate, light_direction
 
 OPEN = Instrument(obstruction=False)
 WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.errors import UserError
-from app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
-from app.simulation.effort import Effort
-from app.simulation.files import check_names, ddr_table, summary, write
-from app.simulation.sample import parse_sample
-from app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
+from goniotwin.app.simulation.effort import Effort
+from goniotwin.app.simulation.files import check_names, ddr_table, summary, write
+from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
 from tests.twin.optics.agreement import agree
-from twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
 
 # Wider detectors than the instrument's, so that few paths make many hits.
 WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)

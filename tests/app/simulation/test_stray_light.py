@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.simulation import estimate
-from app.simulation.assumptions import assumptions
-from app.simulation.effort import Effort
-from app.simulation.files import summary
-from app.simulation.sample import parse_sample
-from app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.app.simulation import estimate
+from goniotwin.app.simulation.assumptions import assumptions
+from goniotwin.app.simulation.effort import Effort
+from goniotwin.app.simulation.files import summary
+from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.twin.optics import Instrument, SampleFrames
 from tests.twin.optics.agreement import agree
-from twin.optics import Instrument, SampleFrames
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 FRAMES = SampleFrames(reflectance=0.5)

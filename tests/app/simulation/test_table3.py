@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from app.simulation.corner import Component, deviating, tilts, worst_corner
-from app.simulation.cut import cuts, in_plane_theta, theory
-from app.simulation.explained import (
+from goniotwin.app.simulation.corner import Component, deviating, tilts, worst_corner
+from goniotwin.app.simulation.cut import cuts, in_plane_theta, theory
+from goniotwin.app.simulation.explained import (
     PAPER,
     SIGMAS_DEG,
     WIDTHS_DEG,
@@ -21,10 +21,10 @@ from app.simulation.explained import (
     rms_table,
     tilted,
 )
-from app.simulation.table3 import STEPS, Table3, table3
-from app.simulation.table3_shown import figures, show
-from app.simulation.table3_words import as_dict, assumptions
-from twin.optics import Instrument
+from goniotwin.app.simulation.table3 import STEPS, Table3, table3
+from goniotwin.app.simulation.table3_shown import figures, show
+from goniotwin.app.simulation.table3_words import as_dict, assumptions
+from goniotwin.twin.optics import Instrument
 
 OPEN = Instrument(obstruction=False)
 # Percent, sigma 0, 30, 60 by widths of 2, 5, 15, 30 deg: from an independent prototype that shared no code with this one.

@@ -5,11 +5,11 @@ import struct
 import numpy as np
 import pytest
 
-from protocols import adam
+from goniotwin.protocols import adam
+from goniotwin.twin.devices import Adam4117, Adam6017
+from goniotwin.twin.devices.adam import ModbusFault
+from goniotwin.twin.plant import Plant
 from tests.conftest import RigOpener
-from twin.devices import Adam4117, Adam6017
-from twin.devices.adam import ModbusFault
-from twin.plant import Plant
 
 T = 100.0
 PERIOD = 0.08  # eight channels at 100 conversions a second

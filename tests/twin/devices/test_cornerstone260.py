@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from protocols.clock import VirtualClock
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices import Cornerstone260
 from tests.conftest import RigOpener
-from twin import VirtualRig
-from twin.devices import Cornerstone260
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
-from twin.devices import Adam4117, Adam6017, AdamModule, RtuStation, TcpStation
-from twin.optics import Instrument
-from twin.plant import Plant, TwinModel
+from goniotwin.twin.devices import Adam4117, Adam6017, AdamModule, RtuStation, TcpStation
+from goniotwin.twin.optics import Instrument
+from goniotwin.twin.plant import Plant, TwinModel
 
 BYTE_S = 10 / 9600
 PLANT = Plant(TwinModel(seed=1, axes={}, samples={}, instrument=Instrument(), noise=False))

@@ -4,14 +4,14 @@ import pytest
 import usb.core
 import usbtmc
 
-from mocks.virtual_usb import installed
-from protocols.clock import RealClock, VirtualClock
-from protocols.usbtmc import MsgId, message, request_in
+from goniotwin.mocks.virtual_usb import installed
+from goniotwin.protocols.clock import RealClock, VirtualClock
+from goniotwin.protocols.usbtmc import MsgId, message, request_in
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices import Pm100d, UsbTmcDevice
+from goniotwin.twin.devices.usbtmc import BULK_OUT, Stall
+from goniotwin.twin.doors import TwinUsbBackend
 from tests.conftest import RigOpener
-from twin import VirtualRig
-from twin.devices import Pm100d, UsbTmcDevice
-from twin.devices.usbtmc import BULK_OUT, Stall
-from twin.doors import TwinUsbBackend
 
 
 @pytest.fixture

@@ -2,11 +2,11 @@
 
 import pytest
 
-from app.rig import OpenRig
-from protocols.tmcl import Axis, Command, MoveType, Reply, Request, Status
-from protocols.tmcl_parameters import Global
+from goniotwin.app.rig import OpenRig
+from goniotwin.protocols.tmcl import Axis, Command, MoveType, Reply, Request, Status
+from goniotwin.protocols.tmcl_parameters import Global
+from goniotwin.twin.devices import TmclLine
 from tests.conftest import RigOpener
-from twin.devices import TmclLine
 
 SIGMA = 4
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from protocols.tmcl import Axis, Command, Reply, Request, Status
-from protocols.tmcl_parameters import USER_BANK, Global, Search
+from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
+from goniotwin.protocols.tmcl_parameters import USER_BANK, Global, Search
+from goniotwin.twin.devices import TmclLine
+from goniotwin.twin.plant import AxisController, Mechanics, Plant, TwinModel
 from tests.twin.devices.tmcl_bench import PER_DEG, Bench
-from twin.devices import TmclLine
-from twin.plant import AxisController, Mechanics, Plant, TwinModel
 
 
 def test_settings_survive_a_reset_where_they_were_stored() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocols.tmcl import Axis, Command, Reply, Request, Status
+from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
 from tests.twin.devices.tmcl_bench import Bench
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from protocols.tmcl import Axis, Command
-from protocols.tmcl_parameters import ErrorFlag, Search, SearchMode
+from goniotwin.protocols.tmcl import Axis, Command
+from goniotwin.protocols.tmcl_parameters import ErrorFlag, Search, SearchMode
 from tests.twin.devices.tmcl_bench import PER_DEG, Bench
 
 TURN = 51_200

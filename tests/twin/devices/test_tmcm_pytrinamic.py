@@ -7,10 +7,10 @@ from pytrinamic.connections.tmcl_interface import TmclInterface
 from pytrinamic.modules import TMCM1240, TMCM6214
 from pytrinamic.tmcl import GetInfoNotAvailableError, TMCLCommand, TMCLReplyChecksumError, TMCLReplyStatusError
 
-from protocols.tmcl_parameters import SearchMode
+from goniotwin.protocols.tmcl_parameters import SearchMode
+from goniotwin.twin.devices import TmclLine
+from goniotwin.twin.plant import AxisController
 from tests.twin.devices.tmcl_bench import PER_DEG, Bench
-from twin.devices import TmclLine
-from twin.plant import AxisController
 
 MOTOR = 4
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from protocols.clock import VirtualClock
-from protocols.usbtmc import Header, MsgId, Request, Status, message, request_in, trigger
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.protocols.usbtmc import Header, MsgId, Request, Status, message, request_in, trigger
+from goniotwin.twin.devices import Pm100d, UsbTmcDevice
+from goniotwin.twin.devices.usb_standard import configuration_descriptor
+from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, INTERRUPT_IN, Overflow, Stall
 from tests.conftest import RigOpener
-from twin.devices import Pm100d, UsbTmcDevice
-from twin.devices.usb_standard import configuration_descriptor
-from twin.devices.usbtmc import BULK_IN, BULK_OUT, INTERRUPT_IN, Overflow, Stall
 
 OUT = MsgId.DEV_DEP_MSG_OUT
 IDENTITY = b"Thorlabs,PM100D,TWIN0001,2.8.0\n"

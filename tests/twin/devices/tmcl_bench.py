@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from protocols.tmcl import Axis, Command, Reply, Request, Status
-from protocols.tmcl_parameters import Global, Search
-from twin.devices import TmclLine
-from twin.plant import AxisController, Mechanics, Plant, TwinModel
+from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
+from goniotwin.protocols.tmcl_parameters import Global, Search
+from goniotwin.twin.devices import TmclLine
+from goniotwin.twin.plant import AxisController, Mechanics, Plant, TwinModel
 
 MOTOR = 4
 GEAR = 36.0  # 10 deg of the axis are a turn of the motor: 51200 microsteps

@@ -3,10 +3,10 @@
 import pytest
 from pymodbus.exceptions import ModbusIOException
 
-from protocols import adam
-from protocols.clock import VirtualClock
+from goniotwin.protocols import adam
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin.doors import NoSuchTwin, TwinModbusClient, TwinRtuClient
 from tests.conftest import RigOpener
-from twin.doors import NoSuchTwin, TwinModbusClient, TwinRtuClient
 
 SERIAL_MODULES = (
     ('kind = "adam-6017"', 'kind = "adam-4117"'),

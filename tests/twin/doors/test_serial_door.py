@@ -3,9 +3,9 @@
 import pytest
 import serial
 
-import twin.doors  # noqa: F401  (registers the handler)
-from protocols.clock import VirtualClock
-from protocols.tmcl import Command, Request
+import goniotwin.twin.doors  # noqa: F401  (registers the handler)
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.protocols.tmcl import Command, Request
 from tests.conftest import RigOpener
 
 FRAME = Request(1, Command.FIRMWARE_VERSION, 1, 0).encode()

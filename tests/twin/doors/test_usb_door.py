@@ -5,12 +5,12 @@ import usb.core
 import usb.util
 import usbtmc
 
-from mocks.virtual_usb import installed
-from protocols.clock import RealClock, VirtualClock
-from protocols.usbtmc import MsgId, message, request_in
+from goniotwin.mocks.virtual_usb import installed
+from goniotwin.protocols.clock import RealClock, VirtualClock
+from goniotwin.protocols.usbtmc import MsgId, message, request_in
+from goniotwin.twin.doors import TwinUsbBackend
+from goniotwin.twin.rig import VirtualRig
 from tests.conftest import RigOpener
-from twin.doors import TwinUsbBackend
-from twin.rig import VirtualRig
 
 RESOURCE = "USB::0x1313::0x8078::TWIN0001::INSTR"
 IDENTITY = "Thorlabs,PM100D,TWIN0001,2.8.0"

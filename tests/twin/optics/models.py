@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from twin.optics import Scatterer, gaussian, lambertian, regular, scattered, sided, summed, tabulated
+from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, scattered, sided, summed, tabulated
 
 Floats = npt.NDArray[np.float64]
 

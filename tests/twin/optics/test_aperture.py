@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from twin.optics import Instrument, arc_direction, forward, gaussian, lambertian, luminance_factor, throughput
-from twin.optics.aperture import aperture_sizes, apertures, cone_nodes, detector_frames, side_nodes
-from twin.optics.detector_block import BLOCK, DX, MOMENTS, PX, ROWS, M
-from twin.optics.frames import Floats
-from twin.optics.scene import scene_at
-from twin.optics.wide_aperture import common_disc, hole_nodes, wide_apertures
+from goniotwin.twin.optics import Instrument, arc_direction, forward, gaussian, lambertian, luminance_factor, throughput
+from goniotwin.twin.optics.aperture import aperture_sizes, apertures, cone_nodes, detector_frames, side_nodes
+from goniotwin.twin.optics.detector_block import BLOCK, DX, MOMENTS, PX, ROWS, M
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.scene import scene_at
+from goniotwin.twin.optics.wide_aperture import common_disc, hole_nodes, wide_apertures
 
 ZENITHS_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
 SECOND = [5, 7, 12, 14]

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from twin.optics import Instrument, arc_direction, from_specular, gaussian, lambertian, luminance_factor, throughput
+from goniotwin.twin.optics import Instrument, arc_direction, from_specular, gaussian, lambertian, luminance_factor, throughput
 
 REFLECTED = 0.95**3
 PUPIL_SINE2 = math.sin(math.atan(5.0 / 800.0)) ** 2

@@ -7,10 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from goniotwin.twin.optics import (
+    Deviation,
+    Instrument,
+    Scatterer,
+    forward,
+    from_specular,
+    gaussian,
+    lambertian,
+    regular,
+    throughput,
+)
+from goniotwin.twin.optics.frames import Floats
 from tests.twin.optics.agreement import agree
 from tests.twin.optics.models import ANISOTROPIC, TABLE
-from twin.optics import Deviation, Instrument, Scatterer, forward, from_specular, gaussian, lambertian, regular, throughput
-from twin.optics.frames import Floats
 
 MEASURED = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
 SIGMA = [0.0, 30.0, 60.0, 80.0, 150.0]
@@ -159,7 +169,7 @@ def measured() -> Scatterer:
     """The black paint's table, from either side alike, which is no part of this repository."""
     if not MEASURED.is_file():
         pytest.skip(f"the measured paint is not there: {MEASURED}")
-    from app.rig.sample_table import MeasuredTable, scatterer
+    from goniotwin.app.rig.sample_table import MeasuredTable, scatterer
 
     return scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
 

@@ -8,8 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from tests.twin.optics.models import MODELS, named
-from twin.optics import (
+from goniotwin.twin.optics import (
     Instrument,
     Reflectance,
     Scatterer,
@@ -24,9 +23,10 @@ from twin.optics import (
     spectral,
     summed,
 )
-from twin.optics.chunks import CHUNK
-from twin.optics.frames import Floats
-from twin.optics.paths import BLOCK
+from goniotwin.twin.optics.chunks import CHUNK
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.paths import BLOCK
+from tests.twin.optics.models import MODELS, named
 
 REFLECTED = 0.95**3
 PUPIL_SINE2 = math.sin(math.atan(5.0 / 800.0)) ** 2

@@ -6,12 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from goniotwin.twin.optics import (
+    IlluminationUnit,
+    Instrument,
+    forward,
+    from_specular,
+    gaussian,
+    lambertian,
+    record,
+    replay,
+    spectral,
+)
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.mirrors import pupil
+from goniotwin.twin.optics.rayset import RaySource
 from tests.twin.optics.agreement import agree
-from twin.optics import IlluminationUnit, Instrument, forward, from_specular, gaussian, lambertian, record, replay, spectral
-from twin.optics.frames import Floats
-from twin.optics.holder import SampleFrames
-from twin.optics.mirrors import pupil
-from twin.optics.rayset import RaySource
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 UNIT = IlluminationUnit()

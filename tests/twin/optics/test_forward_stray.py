@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.optics import (
+from goniotwin.twin.optics import (
     Instrument,
     Scatterer,
     arc_direction,
@@ -18,8 +18,8 @@ from twin.optics import (
     regular,
     throughput,
 )
-from twin.optics.holder import SampleFrames
-from twin.optics.stray import PATHS, stray, stray_throughput
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.stray import PATHS, stray, stray_throughput
 
 OPEN = Instrument(obstruction=False)
 # One detector that takes all that leaves upwards.

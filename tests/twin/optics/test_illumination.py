@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin.optics.deviation import Deviation
-from twin.optics.illumination import ARC, ELEMENTS, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
-from twin.optics.instrument import Instrument
-from twin.optics.spectrum import xenon
+from goniotwin.twin.optics.deviation import Deviation
+from goniotwin.twin.optics.illumination import ARC, ELEMENTS, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.spectrum import xenon
 
 
 def test_the_beam_is_that_of_the_instrument() -> None:

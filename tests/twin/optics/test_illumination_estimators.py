@@ -8,15 +8,15 @@ import numba
 import numpy as np
 import pytest
 
+from goniotwin.twin.optics.beam import Illumination
+from goniotwin.twin.optics.chunks import CHUNK
+from goniotwin.twin.optics.deviation import Deviation
+from goniotwin.twin.optics.illumination import ELEMENTS, IlluminationUnit
+from goniotwin.twin.optics.illumination_adjoint import adjoint_illumination
+from goniotwin.twin.optics.illumination_figure import illumination_figure
+from goniotwin.twin.optics.illumination_forward import forward_illumination
+from goniotwin.twin.optics.spectrum import luminous, xenon
 from tests.twin.optics.agreement import agree
-from twin.optics.beam import Illumination
-from twin.optics.chunks import CHUNK
-from twin.optics.deviation import Deviation
-from twin.optics.illumination import ELEMENTS, IlluminationUnit
-from twin.optics.illumination_adjoint import adjoint_illumination
-from twin.optics.illumination_figure import illumination_figure
-from twin.optics.illumination_forward import forward_illumination
-from twin.optics.spectrum import luminous, xenon
 
 UNIT = IlluminationUnit()
 # Far beyond what is permitted, so that every element cuts or moves the light, and none the same way.

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from twin.optics import Instrument
+from goniotwin.twin.optics import Instrument
 
 
 def test_the_beam_of_the_default_has_the_divergence_that_the_paper_asks_for() -> None:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.optics import (
+from goniotwin.twin.optics import (
     Deviation,
     Instrument,
     Scatterer,
@@ -17,9 +17,9 @@ from twin.optics import (
     tabulated,
     throughput,
 )
-from twin.optics.frames import Floats
-from twin.optics.gaussian_rays import gaussian_values
-from twin.optics.instrument import ELEMENTS
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.gaussian_rays import gaussian_values
+from goniotwin.twin.optics.instrument import ELEMENTS
 
 OPEN = Instrument(obstruction=False)
 MANY = 1 << 14

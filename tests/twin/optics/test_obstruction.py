@@ -5,13 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from goniotwin.twin.optics import Instrument, forward, from_specular, light_direction, throughput, visible_fraction
+from goniotwin.twin.optics.bounces import on_mount
+from goniotwin.twin.optics.holder import SampleFrames
+from goniotwin.twin.optics.mirrors import ALONG_Y
+from goniotwin.twin.optics.scattering import lambertian
+from goniotwin.twin.optics.setting import set_up
 from tests.twin.optics.agreement import agree
-from twin.optics import Instrument, forward, from_specular, light_direction, throughput, visible_fraction
-from twin.optics.bounces import on_mount
-from twin.optics.holder import SampleFrames
-from twin.optics.mirrors import ALONG_Y
-from twin.optics.scattering import lambertian
-from twin.optics.setting import set_up
 
 SIGMA = 30.0
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from goniotwin.twin.optics.deviation import Deviation
+from goniotwin.twin.optics.illumination import IlluminationUnit
+from goniotwin.twin.optics.illumination_forward import forward_illumination
+from goniotwin.twin.optics.instrument import Instrument
+from goniotwin.twin.optics.mirrors import pupil
+from goniotwin.twin.optics.rayset import Rayset, record, replay
 from tests.twin.optics.agreement import agree
-from twin.optics.deviation import Deviation
-from twin.optics.illumination import IlluminationUnit
-from twin.optics.illumination_forward import forward_illumination
-from twin.optics.instrument import Instrument
-from twin.optics.mirrors import pupil
-from twin.optics.rayset import Rayset, record, replay
 
 UNIT = IlluminationUnit()
 AWRY = replace(UNIT, deviations={"output_condenser": Deviation(5.0, 0.0, 2.0, 0.05, 0.3, 0.0), "arc": Deviation(x_mm=0.3)})

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.optics import (
+from goniotwin.twin.optics import (
     Instrument,
     gaussian,
     light_direction,
@@ -16,8 +16,8 @@ from twin.optics import (
     summed,
     throughput,
 )
-from twin.optics.frames import Floats
-from twin.optics.scene import scene_at
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.scene import scene_at
 
 OPEN = Instrument(obstruction=False)
 REFLECTED = 0.95**3

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.optics.models import SINGLE, named
-from twin.optics import (
+from goniotwin.twin.optics import (
     Scatterer,
     albedo,
     evaluate,
@@ -19,6 +18,7 @@ from twin.optics import (
     light_direction,
     regular,
 )
+from tests.twin.optics.models import SINGLE, named
 
 
 def test_the_ideal_diffuser_has_a_luminance_factor_of_one_everywhere() -> None:

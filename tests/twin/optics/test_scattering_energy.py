@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.twin.optics.models import BRUSHED, TABLE, named
-from twin.optics import (
+from goniotwin.twin.optics import (
     Scatterer,
     albedo,
     evaluate,
@@ -19,6 +18,7 @@ from twin.optics import (
     summed,
     tabulated,
 )
+from tests.twin.optics.models import BRUSHED, TABLE, named
 
 INCIDENCES = [0.0, 15.0, 45.0, 70.0, 85.0, 89.0]
 DEFAULTS = [

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from goniotwin.twin.optics import Scatterer, evaluate, from_specular, light_direction, scattered
 from tests.twin.optics.models import Floats, points
-from twin.optics import Scatterer, evaluate, from_specular, light_direction, scattered
 
 SIGMAS = [0.0, 30.0, 60.0]
 

@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, Floats, flipped, named
-from twin.optics import (
+from goniotwin.twin.optics import (
     Scatterer,
     albedo,
     draw,
@@ -24,7 +23,8 @@ from twin.optics import (
     tabulated,
     to_specular,
 )
-from twin.optics.sampling import density_all, scatter_all
+from goniotwin.twin.optics.sampling import density_all, scatter_all
+from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, Floats, flipped, named
 
 # At the edges of the tables' cells, where the density jumps.
 THETA_EDGES = np.array([0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 90.0, 130.0, 180.0])

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, Floats, flipped, named
-from twin.optics import (
+from goniotwin.twin.optics import (
     Scatterer,
     albedo,
     evaluate,
@@ -20,6 +19,7 @@ from twin.optics import (
     sided,
     summed,
 )
+from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, Floats, flipped, named
 
 FRONT = [lambertian(0.8), gaussian(15.0), gaussian(30.0, quantity="intensity"), TABLE, ANISOTROPIC, BRUSHED, POINTS]
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.optics import (
+from goniotwin.twin.optics import (
     Scatterer,
     evaluate,
     from_specular,

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.optics.frames import Floats
-from twin.optics.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
-from twin.optics.scoring import HITS, Room, find_cells, score, score_segment, targets
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
+from goniotwin.twin.optics.scoring import HITS, Room, find_cells, score, score_segment, targets
 
 
 def random_directions(count: int, seed: int) -> Floats:

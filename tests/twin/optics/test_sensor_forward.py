@@ -7,9 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from tests.twin.optics.agreement import agree
-from tests.twin.optics.models import named
-from twin.optics import (
+from goniotwin.twin.optics import (
     Deviation,
     Estimate,
     Instrument,
@@ -24,11 +22,13 @@ from twin.optics import (
     lambertian,
     light_direction,
 )
-from twin.optics.chunks import CHUNK
-from twin.optics.frames import Floats
-from twin.optics.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
-from twin.optics.scoring import HITS, Room, find_cells, score, score_segment, sensor_targets
-from twin.optics.setting import set_up
+from goniotwin.twin.optics.chunks import CHUNK
+from goniotwin.twin.optics.frames import Floats
+from goniotwin.twin.optics.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
+from goniotwin.twin.optics.scoring import HITS, Room, find_cells, score, score_segment, sensor_targets
+from goniotwin.twin.optics.setting import set_up
+from tests.twin.optics.agreement import agree
+from tests.twin.optics.models import named
 
 WIDE = RealSensor(lens_diameter_mm=12.0, aperture_mm=1.05)
 OUT_OF_FOCUS = replace(WIDE, diaphragm_mm=15.0)

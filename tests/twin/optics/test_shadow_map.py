@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.optics import Instrument, shadow_map
+from goniotwin.twin.optics import Instrument, shadow_map
 
 
 def test_mirror_3_hides_the_normal_at_normal_incidence_and_no_more_than_it_covers() -> None:

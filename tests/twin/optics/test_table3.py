@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.optics import Instrument, from_specular, gaussian, luminance_factor
+from goniotwin.twin.optics import Instrument, from_specular, gaussian, luminance_factor
 
 # Percent, by sigma, for widths of 2, 5, 15, 30 deg: from an independent prototype that shared no code with this one.
 PROTOTYPE = {0.0: (4.32, 0.66, 0.07, 0.02), 30.0: (4.05, 0.62, 0.07, 0.02), 60.0: (3.47, 0.53, 0.06, 0.01)}

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.ramp import move_seconds
-from twin.plant.motion import Trajectory, braked, cut, joined, moving, resting, turning, turning_points
+from goniotwin.drivers.ramp import move_seconds
+from goniotwin.twin.plant.motion import Trajectory, braked, cut, joined, moving, resting, turning, turning_points
 
 PLACE = st.floats(-1e6, 1e6)
 SPEED = st.floats(100.0, 1e6)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.plant.noise import normal, process_key, wandering
+from goniotwin.twin.plant.noise import normal, process_key, wandering
 
 COUNT = 20_000
 

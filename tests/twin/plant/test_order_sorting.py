@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.rig import read_rig
+from goniotwin.app.rig import read_rig
+from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
 from tests.conftest import RIG
-from twin.plant import OrderSorting, Plant, WheelFilter
 
 SHARE = 0.25
 LAMP = {380.0: 0.75, 760.0: 0.95 - 0.05 * 110.0 / 130.0}

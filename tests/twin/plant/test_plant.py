@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from protocols.clock import VirtualClock
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.plant.view import Aspect
 from tests.conftest import RigOpener
-from twin import VirtualRig
-from twin.plant.view import Aspect
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.rig import read_rig
+from goniotwin.app.rig import read_rig
+from goniotwin.twin import TwinModel
+from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
+from goniotwin.twin.plant.motion import moving
+from goniotwin.twin.plant.shaft import Leash
+from goniotwin.twin.plant.timeline import Timeline
 from tests.conftest import RIG
-from twin import TwinModel
-from twin.plant import OrderSorting, Plant, WheelFilter
-from twin.plant.motion import moving
-from twin.plant.shaft import Leash
-from twin.plant.timeline import Timeline
 
 STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
 """Between two questions, s: several within a conversion, and long enough for everything to be at rest."""

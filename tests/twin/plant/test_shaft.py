@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.plant import Mechanics
-from twin.plant.motion import moving, turning
-from twin.plant.shaft import Leash, Shaft
+from goniotwin.twin.plant import Mechanics
+from goniotwin.twin.plant.motion import moving, turning
+from goniotwin.twin.plant.shaft import Leash, Shaft
 
 PER_TURN = 51_200
 

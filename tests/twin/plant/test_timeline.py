@@ -1,6 +1,6 @@
 """What was when."""
 
-from twin.plant.timeline import Timeline
+from goniotwin.twin.plant.timeline import Timeline
 
 
 def test_the_past_is_known() -> None:

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.rig import read_rig
+from goniotwin.app.rig import read_rig
+from goniotwin.twin import TwinModel
+from goniotwin.twin.optics import SampleFrames
+from goniotwin.twin.plant import Estimator
+from goniotwin.twin.plant.view import Aspect, View
 from tests.conftest import RIG
-from twin import TwinModel
-from twin.optics import SampleFrames
-from twin.plant import Estimator
-from twin.plant.view import Aspect, View
 
 UPPER = 18
 ACROSS = Aspect("etalon", 0.0, 550.0, 30.0, 0.0, 90.0, 0.0)

@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.rig import read_rig
-from protocols.clock import RealClock, VirtualClock
+from goniotwin.app.rig import read_rig
+from goniotwin.protocols.clock import RealClock, VirtualClock
+from goniotwin.twin import TwinModel, VirtualRig
+from goniotwin.twin.optics import throughput
+from goniotwin.twin.plant import Plant
+from goniotwin.twin.plant.view import OPEN_BEAM
 from tests.conftest import REPOSITORY, RIG
-from twin import TwinModel, VirtualRig
-from twin.optics import throughput
-from twin.plant import Plant
-from twin.plant.view import OPEN_BEAM
 
 FIRST_LIGHT = """
 import sys
 from pathlib import Path
-from app.rig import read_rig
-from protocols.clock import RealClock
-from twin import VirtualRig
+from goniotwin.app.rig import read_rig
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin import VirtualRig
 
 rig = VirtualRig.build(read_rig(Path(sys.argv[1])).model(), RealClock())
 stopwatch = RealClock()
@@ -47,7 +47,7 @@ def test_on_a_real_clock_the_light_of_each_sample_has_been_computed(model: TwinM
         seen.append(scatterer)
         return throughput(instrument, sigma, directions, scatterer, **how)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("twin.plant.view.throughput", recorded)
+    monkeypatch.setattr("goniotwin.twin.plant.view.throughput", recorded)
     VirtualRig.build(model, VirtualClock())
     assert seen == []
     VirtualRig.build(model, RealClock())

@@ -1,0 +1,51 @@
+"""The public API: journals and simulations for scripts and notebooks. `import goniotwin` offers these names."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reducing.reduction import Reduced
+from goniotwin.app.campaign.reducing.reduction import reduce_journal as reduce_open_journal
+from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.simulate import Simulation, Task
+from goniotwin.app.simulation.simulate import simulate as simulate_task
+
+
+def open_journal(path: str | Path) -> Journal:
+    """A campaign's journal, opened for reading; close it, or use it in a `with` statement.
+
+    Raises UserError for a file that is no journal, or a damaged one.
+    """
+    return Journal.open(Path(path))
+
+
+def reduce_journal(journal: Journal | str | Path) -> Reduced:
+    """The BSDF of each sample of a journal with its standard uncertainty (1/sr), flags and directions (deg).
+
+    Takes an open journal or a path. Raises UserError for a file that is no journal, or one without an etalon's readings.
+    """
+    if isinstance(journal, Journal):
+        return reduce_open_journal(journal)
+    with open_journal(journal) as opened:
+        return reduce_open_journal(opened)
+
+
+def simulate(
+    sample: str, sigma_deg: Sequence[float] = (0.0, 30.0, 60.0), *, wavelengths_nm: Sequence[float] | None = None,
+    back: bool = False, transmitted: bool = False,
+) -> Simulation:  # fmt: skip
+    """Luminance factors of a sample as the instrument measures them, by the fast estimator (paper, figure 7).
+
+    `sample` is a model in the words of `goniotwin simulate --sample`; `sigma_deg` are angles of incidence in degrees, from 0
+    to less than 90, ascending; `wavelengths_nm` in nanometres, ascending, or None for a grey table. With `back` the back is
+    lit; `transmitted` looks at the other side. Raises UserError for a model or a grid that cannot be simulated.
+    """
+    sigmas = np.asarray(sigma_deg, dtype=float)
+    if sigmas.ndim != 1 or not sigmas.size or not ((sigmas >= 0.0) & (sigmas < 90.0)).all() or (np.diff(sigmas) <= 0.0).any():
+        raise UserError(f"sigma_deg: {list(sigma_deg)}: give angles from 0 to below 90 deg, ascending")
+    wavelengths = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+    task = Task(parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted)
+    return simulate_task(task)

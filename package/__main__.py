@@ -1,0 +1,19 @@
+"""The command `goniotwin`, also as `python -m goniotwin`."""
+
+import sys
+
+
+def main() -> None:
+    """Run the command line; the version alone is printed without loading anything else."""
+    if sys.argv[1:] == ["--version"]:
+        import goniotwin
+
+        print(f"goniotwin {goniotwin.__version__}")
+        return
+    from goniotwin.app.cli import main as run_command
+
+    run_command()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""The decorator of every compiled function: numba's `njit`, compiled once for all programs of a computer.
+
+Compiled code is kept in files beside the sources, or, where that folder cannot be written to (an installation that belongs to
+another user), in the user's own cache folder. A user without a home (a service, a container) gets a folder among the temporary
+files; without even that each program compiles for itself. numba's own `NUMBA_CACHE_DIR` takes precedence.
+"""
+
+import os
+import stat
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from numba import njit
+from numba.core import config
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function], Function]:
+    """Compile a function at its first call. `options` are those of `numba.njit`; division by zero gives inf or nan."""
+    settings: dict[str, Any] = {"cache": CACHED, "error_model": error_model, **options}
+    compiled: Callable[[Function], Function] = njit(**settings)
+    return compiled
+
+
+def find_cache(sources: Path, home: Path | None, temporary: Path) -> Path | None:
+    """The folder in which compiled code can be kept; None where there is none.
+
+    `sources` is a folder of kernels, `home` the user's (None without one), `temporary` the one for temporary files.
+    """
+    beside = sources / "__pycache__"
+    if _writable(beside):
+        return beside
+    if home is not None and _writable(home / ".cache" / "goniotwin"):
+        return home / ".cache" / "goniotwin"
+    own = temporary / f"goniotwin-{_user()}"
+    # Compiled code is loaded from there and run, so that it has to be out of other users' reach.
+    return own if _writable(own, mode=0o700) and _private(own) else None
+
+
+def _writable(folder: Path, mode: int = 0o777) -> bool:
+    try:
+        folder.mkdir(mode=mode, parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _private(folder: Path) -> bool:
+    about = folder.lstat()
+    return os.name == "nt" or (stat.S_ISDIR(about.st_mode) and about.st_uid == os.getuid() and not about.st_mode & 0o077)
+
+
+def _user() -> str:
+    return os.environ.get("USERNAME", "user") if os.name == "nt" else str(os.getuid())
+
+
+def _home() -> Path | None:
+    try:
+        return Path.home()
+    except RuntimeError:
+        return None
+
+
+def _settle_cache() -> bool:
+    """Tell numba where to keep compiled code, before its first kernel; False where it cannot be kept."""
+    if config.CACHE_DIR:  # type: ignore[attr-defined]
+        return True
+    sources = Path(__file__).parent
+    folder = find_cache(sources, _home(), Path(tempfile.gettempdir()))
+    if folder is not None and folder.parent != sources:  # beside the sources is numba's own first choice
+        config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    return folder is not None
+
+
+CACHED = _settle_cache()
