@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, parse_rig
+from goniotwin.arrays import Ints
 from goniotwin.drivers import wait
 from goniotwin.mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
 from goniotwin.mocks.faulty_line import (
@@ -148,7 +148,7 @@ class PhotodiodesTcp(Bench):
     def break_wire(self) -> None:
         self.rig.photodiodes.close()
         self._gain = 0
-        self._expected: dict[int, npt.NDArray[np.int64]] = {}
+        self._expected: dict[int, Ints] = {}
         self._misfortune: Misfortune = Script(())
         self._lines: list[FaultyLine] = []
         self._connect()

@@ -8,9 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numba
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.blocks import trace, trace_geometry
 from goniotwin.twin.optics.counters import U64
-from goniotwin.twin.optics.frames import Floats, from_specular
+from goniotwin.twin.optics.frames import from_specular
 from goniotwin.twin.optics.holder import SampleFrames
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.paths import BLOCK

@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks import forward as forward_costs
 from benchmarks import illumination as illumination_costs
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, Pose, arc_direction, from_specular, gaussian, luminance_factors, throughput
-from goniotwin.twin.optics.frames import Floats
 
 SIGMA_DEG = (*np.arange(0.0, 86.0, 5.0), 87.0)
 OPEN = Instrument(obstruction=False)

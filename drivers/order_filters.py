@@ -6,10 +6,8 @@ This is the one place that decides: engine, planner and warnings all ask it.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from goniotwin.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers.adam import AdamModule, Check
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
 from goniotwin.drivers.modbus import ModbusUnit, explain, explain_rtu
@@ -20,7 +20,6 @@ from goniotwin.protocols.clock import Clock
 
 __all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
-Counts = npt.NDArray[np.uint16]
 PERIOD_MARGIN = 1.01
 
 
@@ -207,12 +206,12 @@ class Readings:
         return self._counts[: self._taken]
 
     @property
-    def clipped(self) -> npt.NDArray[np.bool_]:
+    def clipped(self) -> Flags:
         """Which of the counts stand at an end of the range: bounds, not readings."""
-        ends: npt.NDArray[np.bool_] = (self.counts == 0) | (self.counts == adam.FULL_SCALE)
+        ends: Flags = (self.counts == 0) | (self.counts == adam.FULL_SCALE)
         return ends
 
-    def mean_volts(self) -> npt.NDArray[np.float64]:
+    def mean_volts(self) -> Floats:
         """The mean of each photodiode's readings, V; NaN where one of them is clipped or none was taken."""
         if not self._taken:
             return np.full(self._settings.count, np.nan)

@@ -8,7 +8,6 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.recorded import Committed
 from goniotwin.app.campaign.planning.plan import Plan
@@ -19,10 +18,9 @@ from goniotwin.app.campaign.reducing.signals import Signal, darks_by_gain, signa
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.rig import RigDescription, photodiode_settings
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import arc_direction, to_specular
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Key = tuple[str, float | None, float, float, float]
 DARKS_KEPT = 8
 CUTS_KEPT = 512

@@ -10,8 +10,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from goniotwin.app.desktop.cut import Cut, Flags, Floats, Points
+from goniotwin.app.desktop.cut import Cut, Points
 from goniotwin.app.desktop.theme import Colours
+from goniotwin.arrays import Flags, Floats
 
 ABOVE_NOISE = 2.0
 """In standard uncertainties: below it a value is not told from nothing."""

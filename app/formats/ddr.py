@@ -11,9 +11,10 @@ import numpy as np
 from goniotwin.app.formats.comments import comment_lines, marked
 from goniotwin.app.formats.ddr_table import END_OF, SOURCES, SYMMETRIES, DdrTable, bsdf
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.numerals import NUMBER, FloatArray, angle_row, digits, row
+from goniotwin.app.formats.numerals import NUMBER, angle_row, digits, row
 from goniotwin.app.formats.textfile import write_text
 from goniotwin.app.formats.words import Words
+from goniotwin.arrays import Floats
 
 __all__ = ["DdrTable", "bsdf", "read_ddr", "write_ddr"]
 
@@ -37,7 +38,7 @@ def write_ddr(path: StrPath, table: DdrTable) -> None:
     ]
     for name in END_OF:
         if name != "psi" or table.symmetry == "ASymmetrical 4D":
-            angles: FloatArray = getattr(table, f"{name}_deg")
+            angles: Floats = getattr(table, f"{name}_deg")
             lines += [f"{name} {angles.size}", f" {angle_row(path, name, angles)}"]
     if not black_and_white:
         angle_row(path, "wl", np.array(table.channels, dtype=np.float64))
@@ -46,7 +47,7 @@ def write_ddr(path: StrPath, table: DdrTable) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _block(table: DdrTable, channel: FloatArray) -> list[str]:
+def _block(table: DdrTable, channel: Floats) -> list[str]:
     factors = "  " + " ".join(["1.0"] * table.sigma_deg.size)
     lines = [" kbdf", *[factors] * table.psi_deg.size, " def"]
     for psi, of_psi in zip(table.psi_deg, channel, strict=True):
@@ -163,7 +164,7 @@ class _Reader:
             raise self.words.fault(f"wl {wavelength_nm:g} does not ascend", "sort the blocks by their wavelength, nm")
         return wavelength_nm
 
-    def _values(self, channel: float | None) -> FloatArray:
+    def _values(self, channel: float | None) -> Floats:
         psi, sigma, phi, theta = (self.angles_of[name].size for name in END_OF)
         factors = np.ones((psi, sigma))
         name = "bw" if channel is None else f"wl {channel:g}"
@@ -176,5 +177,5 @@ class _Reader:
         values = self.words.block(f"def of {name}", psi * sigma * phi, theta, IN_BLOCK)
         self.words.expect("enddef")
         with np.errstate(over="ignore"):  # an overflow becomes inf, which the table refuses
-            scaled: FloatArray = values.reshape(psi, sigma, phi, theta) * factors[:, :, None, None]
+            scaled: Floats = values.reshape(psi, sigma, phi, theta) * factors[:, :, None, None]
         return scaled

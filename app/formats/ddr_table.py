@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.formats.grid import ascending, finite
-from goniotwin.app.formats.numerals import FloatArray
+from goniotwin.arrays import Floats
 
 SOURCES = ("Measured", "Generated", "Edited", "Morphed")
 SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical 4D")
@@ -29,12 +29,12 @@ class DdrTable:
 
     source: str
     symmetry: str
-    psi_deg: FloatArray
-    sigma_deg: FloatArray
-    phi_deg: FloatArray
-    theta_deg: FloatArray
+    psi_deg: Floats
+    sigma_deg: Floats
+    phi_deg: Floats
+    theta_deg: Floats
     channels: tuple[float | None, ...]
-    values: FloatArray
+    values: Floats
     comments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -59,6 +59,6 @@ class DdrTable:
         keep(self, "comments", tuple(self.comments))
 
 
-def bsdf(table: DdrTable) -> FloatArray:
+def bsdf(table: DdrTable) -> Floats:
     """The BSDF in 1/sr, [channel, psi, sigma, phi, theta]."""
     return table.values / np.pi

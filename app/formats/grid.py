@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from goniotwin.app.formats.numerals import FloatArray
+from goniotwin.arrays import Floats
 
 
-def ascending(name: str, values: ArrayLike, low: float, high: float) -> FloatArray:
+def ascending(name: str, values: ArrayLike, low: float, high: float) -> Floats:
     """`values` as a copy in float64; raises ValueError unless a list that ascends strictly within low..high."""
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1 or array.size == 0:
@@ -20,7 +20,7 @@ def ascending(name: str, values: ArrayLike, low: float, high: float) -> FloatArr
     return array
 
 
-def finite(name: str, values: ArrayLike, shape: Sequence[int]) -> FloatArray:
+def finite(name: str, values: ArrayLike, shape: Sequence[int]) -> Floats:
     """`values` as a copy in float64; raises ValueError unless all finite and of this shape."""
     array = np.array(values, dtype=np.float64)
     if array.shape != tuple(shape):

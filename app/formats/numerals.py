@@ -5,12 +5,8 @@ import math
 import re
 from collections.abc import Iterable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
-
-FloatArray = NDArray[np.float64]
+from goniotwin.arrays import Floats
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 COUNT = re.compile(r"[0-9]{1,9}")
@@ -51,7 +47,7 @@ def row(values: Iterable[float], separator: str = " ") -> str:
     return separator.join(f"{value:.9g}" for value in values)
 
 
-def angle_row(path: StrPath, name: str, angles: FloatArray, separator: str = " ") -> str:
+def angle_row(path: StrPath, name: str, angles: Floats, separator: str = " ") -> str:
     """A list of angles in one line; raises FormatError if two of them are the same once written."""
     written = [float(digits(angle)) for angle in angles]
     for before, after in itertools.pairwise(written):

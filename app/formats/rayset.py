@@ -13,8 +13,8 @@ import h5py
 import numpy as np
 
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.numerals import FloatArray
 from goniotwin.app.formats.wholefile import read_whole, write_whole
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.rayset import Rayset
 
 FORMAT = "goniotwin rayset"
@@ -115,7 +115,7 @@ def _attribute(path: StrPath, file: h5py.File, name: str, kind: type) -> Any:
     return kind(value)
 
 
-def _column(path: StrPath, file: h5py.File, name: str, column: Column, flux_unit: str) -> FloatArray:
+def _column(path: StrPath, file: h5py.File, name: str, column: Column, flux_unit: str) -> Floats:
     data = file.get(name)
     if not isinstance(data, h5py.Dataset):
         raise FormatError(path, f"the column {name} is missing", AGAIN)

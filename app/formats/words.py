@@ -12,8 +12,9 @@ from collections.abc import Collection
 import numpy as np
 
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.numerals import COUNT, NUMBER, FloatArray, NotANumber, parse_number
+from goniotwin.app.formats.numerals import COUNT, NUMBER, NotANumber, parse_number
 from goniotwin.app.formats.textfile import LINE_END, read_text
+from goniotwin.arrays import Floats
 
 
 class Words:
@@ -96,7 +97,7 @@ class Words:
         except NotANumber as error:
             raise self.fault(f"{of}: {error.wrong}", error.remedy) from None
 
-    def angles(self, name: str, high: float, low: float = 0.0) -> FloatArray:
+    def angles(self, name: str, high: float, low: float = 0.0) -> Floats:
         """A count and as many angles, deg, that ascend within low..high."""
         count = self.count(f"{name} angles")
         start = self.line
@@ -115,7 +116,7 @@ class Words:
             raise self.fault(f"{name} says {count} angles but has more", "correct the count or the list", start)
         return np.array(angles)
 
-    def block(self, name: str, rows: int, per_row: int, ends: Collection[str]) -> FloatArray:
+    def block(self, name: str, rows: int, per_row: int, ends: Collection[str]) -> Floats:
         """rows x per_row numbers, up to one of the words in `ends` (small letters), which is left to be taken."""
         numbers = array("d")
         in_line: Counter[int | None] = Counter()

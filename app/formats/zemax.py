@@ -13,9 +13,10 @@ import numpy as np
 from goniotwin.app.formats.comments import comment_lines, marked
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
 from goniotwin.app.formats.grid import ascending, finite
-from goniotwin.app.formats.numerals import FloatArray, angle_row, digits, row
+from goniotwin.app.formats.numerals import angle_row, digits, row
 from goniotwin.app.formats.textfile import write_text
 from goniotwin.app.formats.words import Words
+from goniotwin.arrays import Floats
 
 SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D")
 LISTS = ("sample_rotation_deg", "incidence_deg", "azimuth_deg", "radial_deg")
@@ -40,12 +41,12 @@ class ZemaxBsdf:
     source: str
     symmetry: str
     scatter_type: str
-    sample_rotation_deg: FloatArray
-    incidence_deg: FloatArray
-    azimuth_deg: FloatArray
-    radial_deg: FloatArray
-    values: FloatArray
-    tis: FloatArray
+    sample_rotation_deg: Floats
+    incidence_deg: Floats
+    azimuth_deg: Floats
+    radial_deg: Floats
+    values: Floats
+    tis: Floats
     comments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -80,7 +81,7 @@ class _Reader:
     def __init__(self, words: Words) -> None:
         self.words = words
         self.word_of: dict[str, str] = {}
-        self.angles_of: dict[str, FloatArray] = {}
+        self.angles_of: dict[str, Floats] = {}
         self.keywords: dict[str, tuple[str, Callable[[str], None]]] = {
             name.lower(): (name, self._angles if name in LIMITS_DEG else self._word) for name in HEADER
         }
@@ -181,7 +182,7 @@ def write_zemax(path: StrPath, table: ZemaxBsdf) -> None:
         f"ScatterType\t{table.scatter_type}",
     ]
     for name, field in zip(LIMITS_DEG, LISTS, strict=True):
-        angles: FloatArray = getattr(table, field)
+        angles: Floats = getattr(table, field)
         lines += [f"{name}\t{angles.size}", angle_row(path, name, angles, "\t")]
     lines += ["", "Monochrome", "DataBegin"]
     for rotation in range(table.sample_rotation_deg.size):

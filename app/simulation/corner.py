@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.simulation.cut import cuts
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument
 
-Floats = npt.NDArray[np.float64]
 TILT_DEG = 0.05
 SHIFT_MM = 0.1
 EVALUATED = 32

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.reducing.compare import relative_rms_percent
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
 from goniotwin.twin.optics.scattering import Form
 
-Floats = npt.NDArray[np.float64]
 STEP_DEG = 0.5
 WIDTHS = 2.0
 HIGHEST_ZENITH_DEG = 85.0

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.simulation.effort import MOST_PATHS, MOST_RAYS, Effort
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import (
     Instrument,
     RaySource,
@@ -29,8 +29,6 @@ from goniotwin.twin.optics.scattering import Side
 from goniotwin.twin.optics.scene import scene_at
 from goniotwin.twin.optics.score import FINE, TABULATED
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Told = Callable[[float], None]
 """Told the share of the work that is done."""
 NODES, BUNDLE = 7, FINE[-1]

@@ -9,14 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.reducing.compare import relative_rms_percent
 from goniotwin.app.simulation.cut import HIGHEST_ZENITH_DEG, cuts, directions_at, in_plane_theta, theory
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, gaussian, lambertian, throughput
 from goniotwin.twin.optics.scattering import Form
 
-Floats = npt.NDArray[np.float64]
 SIGMAS_DEG = (0.0, 30.0, 60.0)
 WIDTHS_DEG = (2.0, 5.0, 15.0, 30.0)
 PAPER = np.array([[4.79, 2.74, 0.37, 0.20], [4.21, 1.90, 0.56, 0.47], [3.85, 1.83, 0.74, 0.63]])

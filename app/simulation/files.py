@@ -10,9 +10,9 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
 from goniotwin.app.simulation.assumptions import assumptions
 from goniotwin.app.simulation.simulate import Simulation
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import to_specular
 
-Floats = npt.NDArray[np.float64]
 LONGEST_LIST = 2000
 SUFFIXES = (".ddr", ".ddt", ".csv")
 

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.errors import UserError
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction
 
-Floats = npt.NDArray[np.float64]
 HIGHEST_POLAR_DEG = 87.0
 NEAR_STEP_DEG, FAR_STEP_DEG = 0.5, 5.0
 """Of detectors, near the specular direction and in diffuse directions (paper, section 3.1)."""

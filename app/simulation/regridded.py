@@ -7,14 +7,10 @@ better than a line for a lobe that is only a few detectors wide.
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.simulation.grid import Detectors
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import from_specular
-
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 
 def regridded(
@@ -65,7 +61,7 @@ def interpolated(polar_axis: Floats, azimuth_axis: Floats, table: Floats, polar:
     return missing
 
 
-def _in_azimuth(axis: Floats, table: Floats, slopes: Floats, row: Indices, azimuth: Floats) -> Floats:
+def _in_azimuth(axis: Floats, table: Floats, slopes: Floats, row: Ints, azimuth: Floats) -> Floats:
     """Values (...) of rows (...) of the table at azimuth (...)."""
     j, v, outside = _place(axis, azimuth)
     width = axis[j + 1] - axis[j]
@@ -76,7 +72,7 @@ def _in_azimuth(axis: Floats, table: Floats, slopes: Floats, row: Indices, azimu
     return np.where(outside, np.nan, value)
 
 
-def _place(axis: Floats, values: Floats) -> tuple[Indices, Floats, Flags]:
+def _place(axis: Floats, values: Floats) -> tuple[Ints, Floats, Flags]:
     """Index of the interval, the share of the way through it, and whether a value is beyond the axis."""
     index = np.clip(np.searchsorted(axis, values, side="right") - 1, 0, axis.size - 2)
     share = (values - axis[index]) / (axis[index + 1] - axis[index])

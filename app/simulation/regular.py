@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, Scatterer, arc_direction
 from goniotwin.twin.optics.bsdf import REGULAR
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.simulation.effort import Effort
@@ -14,11 +13,10 @@ from goniotwin.app.simulation.grid import HIGHEST_POLAR_DEG, Detectors, detector
 from goniotwin.app.simulation.regridded import regridded
 from goniotwin.app.simulation.regular import RegularPeak, regular_peak, regular_share
 from goniotwin.app.simulation.source import Source
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, visible_fraction
 from goniotwin.twin.optics.bsdf import GAUSSIAN
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
 """Told the share of the work that is done, and what is done now."""
 WHOLE = 1.0 - 1e-9

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.simulation.corner import TILT_DEG, Corner, tilts, with_shifts, worst_corner
 from goniotwin.app.simulation.explained import (
@@ -21,9 +20,9 @@ from goniotwin.app.simulation.explained import (
     tilt_needed,
     tilted,
 )
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument
 
-Floats = npt.NDArray[np.float64]
 CELLS = len(SIGMAS_DEG) * len(WIDTHS_DEG)
 STEPS = CELLS + len(FORMS) * len(RANGES) + 1
 """How often `table3` calls `step`."""

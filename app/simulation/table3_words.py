@@ -3,13 +3,11 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.simulation.corner import SHIFT_MM, TILT_DEG
 from goniotwin.app.simulation.explained import PAPER, SIGMAS_DEG, WIDTHS_DEG, Closest, exponents, range_in_words
 from goniotwin.app.simulation.table3 import POINT_MM, Table3
-
-Floats = npt.NDArray[np.float64]
+from goniotwin.arrays import Floats
 
 
 def assumptions(found: Table3) -> dict[str, dict[str, str]]:

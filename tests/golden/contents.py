@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Flags, Floats
 from tests.conftest import REPOSITORY, changed
 from tests.golden import files, product
 
@@ -153,7 +154,7 @@ def points_record(journal: Path) -> Json:
     return {name: _points_of_one(columns, marks) for name, (columns, marks) in product.points(journal).items()}
 
 
-def _points_of_one(columns: dict[str, npt.NDArray[Any]], marks: dict[str, npt.NDArray[np.bool_]]) -> Json:
+def _points_of_one(columns: dict[str, npt.NDArray[Any]], marks: dict[str, Flags]) -> Json:
     count = len(columns["bsdf"])
     every = 1 if count <= ALL_POINTS else EVERY
     return {
@@ -165,12 +166,12 @@ def _points_of_one(columns: dict[str, npt.NDArray[Any]], marks: dict[str, npt.ND
     }
 
 
-def bits(mark: npt.NDArray[np.bool_]) -> str:
+def bits(mark: Flags) -> str:
     """Eight points a byte, in base 64."""
     return base64.b64encode(np.packbits(mark).tobytes()).decode()
 
 
-def block_sums(column: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+def block_sums(column: npt.NDArray[Any]) -> Floats:
     """For each block of points the sum of the magnitudes, each with a weight of its own, and how many are finite or negative.
 
     No value can change without its block's sum: what is summed is positive.

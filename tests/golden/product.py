@@ -26,6 +26,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli import app as command
 from goniotwin.app.rig import read_rig
 from goniotwin.app.simulation.explained import rms_table
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
 
 COLUMNS = {
@@ -81,7 +82,7 @@ def plan_rows(schedule: Path, rig: Path) -> tuple[list[list[Any]], list[float]]:
     return found, [row.seconds for row in rows]
 
 
-def points(journal: Path) -> dict[str, tuple[dict[str, npt.NDArray[Any]], dict[str, npt.NDArray[np.bool_]]]]:
+def points(journal: Path) -> dict[str, tuple[dict[str, npt.NDArray[Any]], dict[str, Flags]]]:
     """By sample, the columns of the points that a journal reduces to, and what is true or false of each point."""
     with Journal.open(journal) as opened:
         reduced = reduce_journal(opened)
@@ -94,7 +95,7 @@ def points(journal: Path) -> dict[str, tuple[dict[str, npt.NDArray[Any]], dict[s
     }
 
 
-def table3_noise_free() -> npt.NDArray[np.float64]:
+def table3_noise_free() -> Floats:
     """The noise-free cells of the paper's Table 3 (3, 4), percent: sigma by width."""
     return rms_table(Instrument(obstruction=False))
 

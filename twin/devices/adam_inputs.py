@@ -3,12 +3,10 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.protocols import adam
 from goniotwin.twin.plant import Plant
 
-Counts = npt.NDArray[np.int64]
 LOOK_BACK = 64
 """So many conversions before a question about maximum or minimum are looked at; older ones count if they were read."""
 

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.detector_block import (
     A0,
     AHEAD,
@@ -63,7 +64,6 @@ from goniotwin.twin.optics.detector_block import (
     M,
     S,
 )  # fmt: skip
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.kernel import kernel
 

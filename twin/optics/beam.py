@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination import IlluminationUnit
 
 # The centre of the divergence profile is so much of the flux: less would be few rays, more would reach the flank.

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bounces import Stage, bounce, by_cosine
 from goniotwin.twin.optics.counters import scrambled, uniform, word_key
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.outgoing import (
     leave_by_cosine,

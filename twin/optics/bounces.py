@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.counters import uniform
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.meeting import distance_to
 from goniotwin.twin.optics.packed import Lobes, scatter_at_sample

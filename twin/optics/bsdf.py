@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.tables import anisotropic, hermite, place, tabular
 

@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.aperture import detector_frame
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.meeting import distance_to
 

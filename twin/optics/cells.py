@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from goniotwin.twin.optics.frames import Floats, from_specular
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.frames import from_specular
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.tables import (
     azimuth_place,

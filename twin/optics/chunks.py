@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numba
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 
 CHUNK = 65536
 Result = TypeVar("Result")

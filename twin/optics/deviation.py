@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ them. What only one direction needs (emitting, weighing by the chord) stands wit
 
 import math
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 

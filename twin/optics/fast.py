@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf import LAMBERTIAN
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.lobes import Lobe, parameters
 from goniotwin.twin.optics.scatterer import Scatterer

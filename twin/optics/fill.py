@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.aperture import apertures, detector_frames
 from goniotwin.twin.optics.bundle import arrival, detector_ray, view
 from goniotwin.twin.optics.detector_block import BLOCK, DX, PX, ROWS, M
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.nodes import NODES, place_nodes
 from goniotwin.twin.optics.obstruction import FREE, HIDDEN, PARTLY, hidden, mirrors_near, shadow

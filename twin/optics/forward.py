@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.blocks import trace
 from goniotwin.twin.optics.chunks import CHUNK, check_seed, summed, until
 from goniotwin.twin.optics.counters import U64
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.holder import SampleFrames
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.paths import BLOCK

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from goniotwin.arrays import Floats
 
 
 def _directions(directions: npt.ArrayLike) -> Floats:

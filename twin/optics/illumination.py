@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.deviation import NONE, Deviation, by_name, rotation_and_shift
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.spectrum import Passband, Spectrum, xenon
 
 ELEMENTS = ("arc", "reflector", "input_condenser", "slit", "output_condenser", "unit")

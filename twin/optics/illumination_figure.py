@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.beam import Illumination
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.illumination import IlluminationUnit
 from goniotwin.twin.optics.illumination_adjoint import adjoint_illumination
 

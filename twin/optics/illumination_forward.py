@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.beam import Illumination, checked_square, mean_and_error, widest_angle
 from goniotwin.twin.optics.chunks import check_seed, until
 from goniotwin.twin.optics.counters import scrambled, uniform
 from goniotwin.twin.optics.elements import bend, reflected, to_plane
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.illumination import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
 

@@ -8,9 +8,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, bent, evaluate_all, regular_share
 from goniotwin.twin.optics.cells import cell_shares
-from goniotwin.twin.optics.frames import Floats, from_specular, light_direction
+from goniotwin.twin.optics.frames import from_specular, light_direction
 
 Quantity = Literal["luminance", "intensity"]
 KernelArguments = tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]

@@ -2,7 +2,7 @@
 
 import math
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.deviation import Deviation, rotation_and_shift
-from goniotwin.twin.optics.frames import Floats, light_direction
+from goniotwin.twin.optics.frames import light_direction
 from goniotwin.twin.optics.instrument import Instrument
 
 ALONG_Y = np.array([0.0, 1.0, 0.0])

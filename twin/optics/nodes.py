@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.detector_block import (
     BLOCK,
     DX,
@@ -65,7 +66,6 @@ from goniotwin.twin.optics.detector_block import (
     WZ,
     M,
 )  # fmt: skip
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 NODES = 7

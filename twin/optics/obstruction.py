@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.aperture import aperture_sizes, detector_frame
 from goniotwin.twin.optics.bundle import cone, detector_ray, ray_bundle, view
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.meeting import distance_to

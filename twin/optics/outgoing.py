@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.counters import scrambled, uniform, upper_24, word
 from goniotwin.twin.optics.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.packed import TRANSMITS, Lobes, lobe_arrays
 from goniotwin.twin.optics.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ

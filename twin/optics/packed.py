@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf import canonical, from_canonical
 from goniotwin.twin.optics.counters import uniform
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.lobes import ALBEDO_SIGMA_DEG, Lobe
 from goniotwin.twin.optics.sampling import scatter

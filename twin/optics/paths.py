@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.counters import high_16, low_16, word
 from goniotwin.twin.optics.elementary import turned_by
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 BLOCK = 2048

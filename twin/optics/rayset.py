@@ -4,12 +4,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics.chunks import check_seed
 from goniotwin.twin.optics.counters import scrambled, uniform
 from goniotwin.twin.optics.elements import bend, to_plane
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.illumination import OUTPUT, SLIT, IlluminationUnit
 from goniotwin.twin.optics.illumination_adjoint import emission_per_mm3_sr, lit_length
 from goniotwin.twin.optics.kernel import kernel
@@ -75,7 +74,7 @@ class Rayset:
             raise ValueError("geometry is empty: give the illumination unit's fingerprint")
         check_seed(self.seed)
 
-    def _refuse(self, wrong: npt.NDArray[np.bool_], name: str, what: str) -> None:
+    def _refuse(self, wrong: Flags, name: str, what: str) -> None:
         if np.any(wrong):
             ray = int(np.argmax(wrong))
             raise ValueError(f"ray {ray}: {name} {getattr(self, name)[ray]} {what}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 
 NOMINAL_DEG = 45.0
 """The beam's axis meets each of the three mirrors at this angle."""

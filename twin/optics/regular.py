@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.aperture import detector_frame
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 HOLE_NODES, SLOPE_NODES = 12, 16

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, bent, bsdf, from_canonical, regular_share
 from goniotwin.twin.optics.cells import cell_density, cell_direction
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.tables import plane_of_incidence
 

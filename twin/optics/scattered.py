@@ -14,7 +14,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.twin.optics.frames import Floats, from_specular, to_specular
+from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics.frames import from_specular, to_specular
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.scatterer import Scatterer
 from goniotwin.twin.optics.scattering import Side
@@ -112,7 +113,7 @@ def _points(lists: dict[str, npt.ArrayLike], last_theta_deg: float) -> dict[str,
     return points
 
 
-def _no_duplicates(indices: npt.NDArray[np.int64], directions: Floats, place: str) -> None:
+def _no_duplicates(indices: Ints, directions: Floats, place: str) -> None:
     _, first, which = np.unique(np.round(directions, 7) + 0.0, axis=0, return_index=True, return_inverse=True)
     again = np.flatnonzero(first[which.ravel()] != np.arange(indices.size))
     if again.size:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf import canonical, evaluate_all
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.lobes import ALBEDO_SIGMA_DEG, Lobe, frozen, turned
 from goniotwin.twin.optics.sampling import scatter_all
 

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf import GAUSSIAN, LAMBERTIAN, REGULAR
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.lobes import Lobe, Quantity, frozen, normal_reflectance, parameters
 from goniotwin.twin.optics.scatterer import Scatterer, on_side
 

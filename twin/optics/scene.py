@@ -11,8 +11,9 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.deviation import Deviation, rotation_and_shift
-from goniotwin.twin.optics.frames import Floats, direction_rows
+from goniotwin.twin.optics.frames import direction_rows
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.meeting import distance_to

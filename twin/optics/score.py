@@ -13,11 +13,11 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.aperture import aperture_sizes, cone_nodes, side_nodes
 from goniotwin.twin.optics.bsdf import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, bsdf, regular_share
 from goniotwin.twin.optics.bundle import cone, ray_bundle
 from goniotwin.twin.optics.fill import fill_nodes, fill_rays
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.gaussian_rays import gaussian_values
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.kernel import kernel
@@ -190,7 +190,7 @@ class _Score:
         return sums
 
     def _with_bundles(
-        self, centres: Floats, axes: Floats, rest: npt.NDArray[np.int64], lobes: Iterable[int], sums: Floats,
+        self, centres: Floats, axes: Floats, rest: Ints, lobes: Iterable[int], sums: Floats,
         taken: Floats | None = None,
     ) -> None:  # fmt: skip
         """Fills sums[lobes, rest] by a whole bundle each; with `taken` (n,) as means over it, times what was taken.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
 from goniotwin.twin.optics.sensor import RealSensor, passes

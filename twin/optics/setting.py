@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.blocks import Strata
 from goniotwin.twin.optics.bounces import Stage
-from goniotwin.twin.optics.frames import Floats, direction_rows
+from goniotwin.twin.optics.frames import direction_rows
 from goniotwin.twin.optics.holder import SampleFrames
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.mirrors import pupil, reflect

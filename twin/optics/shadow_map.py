@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.twin.optics.frames import Floats, arc_direction
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.frames import arc_direction
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.obstruction import visible_fraction
 

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 
 Unit = Literal["W", "lm"]
 LUMEN_PER_WATT = 683.0

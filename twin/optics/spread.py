@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 POLAR_STEP_DEG, AZIMUTH_STEP_DEG = 5.0, 10.0

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.chunks import check_seed
 from goniotwin.twin.optics.forward import run_sums
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.holder import SampleFrames
 from goniotwin.twin.optics.instrument import Instrument
 from goniotwin.twin.optics.obstruction import visible_fraction

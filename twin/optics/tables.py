@@ -7,7 +7,7 @@ Directions are canonical (see twin.optics.bsdf): light and observer in front.
 
 import math
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf import ANISOTROPIC, TABLE
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.lobes import Lobe, frozen, parameters
 from goniotwin.twin.optics.scatterer import Scatterer, SpectralWeights
 from goniotwin.twin.optics.scattering import Side, axis, sides_of

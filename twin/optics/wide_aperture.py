@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.aperture import CLOSER
 from goniotwin.twin.optics.detector_block import (
     AHEAD,
@@ -41,7 +42,6 @@ from goniotwin.twin.optics.detector_block import (
     MVV,
     M,
 )  # fmt: skip
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.kernel import kernel
 
 WIDE = 0.7

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.plant.lamp import lamp_level
 from goniotwin.twin.plant.noise import normal, wandering
@@ -14,12 +15,11 @@ BOLTZMANN_J_PER_K = 1.380649e-23
 SETTLED = 12.0
 """Time constants after which an amplifier is at rest: its tail, a fifth of a count at full scale, ends there, so that what
 is read afterwards does not depend on when."""
-Floats = npt.NDArray[np.float64]
 Keys = npt.NDArray[np.uint64]
 
 
 @kernel()
-def conversions(t: float, period: float, channels: int) -> tuple[npt.NDArray[np.int64], float, float]:
+def conversions(t: float, period: float, channels: int) -> tuple[Ints, float, float]:
     """Of a module's channels, converted one after the other within each `period` s: the last conversion of each that is over
     at `t`, by its number, and the times of the earliest and of the latest of these, s.
     """
@@ -39,7 +39,7 @@ def converted(
     begin: int,
     end: int,
     first: int,
-    numbers: npt.NDArray[np.int64],
+    numbers: Ints,
     period: float,
     signal_a: Floats,
     dark_a: Floats,

@@ -5,13 +5,14 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.plant.model import Light
 from goniotwin.twin.plant.noise import normal, process_key, wandering
 
 
 @kernel()
-def lamp_level(t: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[np.uint64]) -> float:
+def lamp_level(t: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> float:
     """Radiance at `t` over the nominal one. `constants` and `keys` as `lamp_constants` makes them."""
     level: float = constants[6] + constants[0] * (t - constants[5]) / 3600.0
     if constants[1] > 0.0:
@@ -22,7 +23,7 @@ def lamp_level(t: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[n
 
 
 @kernel()
-def lamp_mean(start: float, end: float, constants: npt.NDArray[np.float64], keys: npt.NDArray[np.uint64]) -> float:
+def lamp_mean(start: float, end: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> float:
     """Mean level over [start, end), sampled once a flicker period at least."""
     count = max(1, math.ceil((end - start) / constants[2]))
     total: float = 0.0
@@ -32,7 +33,7 @@ def lamp_mean(start: float, end: float, constants: npt.NDArray[np.float64], keys
     return mean
 
 
-def lamp_constants(light: Light, seed: int, noise: bool) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint64]]:
+def lamp_constants(light: Light, seed: int, noise: bool) -> tuple[Floats, npt.NDArray[np.uint64]]:
     """What the kernels take: (drift an hour, flicker, its period, wander, its period, from when on the drift goes, the
     level then) and the keys of both processes.
     """

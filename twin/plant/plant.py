@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.reflectance import nominal
 from goniotwin.twin.plant.converter import conversions, converted
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
@@ -16,7 +16,6 @@ from goniotwin.twin.plant.slew import Slewing
 from goniotwin.twin.plant.timeline import Changing, Timeline
 from goniotwin.twin.plant.view import Aspect, View
 
-Floats = npt.NDArray[np.float64]
 MODULE_CHANNELS = 8
 ONE_BY_ONE = tuple((channel, channel + 1) for channel in range(MODULE_CHANNELS))
 MONITOR_PIECES = 16

@@ -8,12 +8,11 @@ from hashlib import blake2b
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer, StrayMap, arc_direction, forward, regular, stray, stray_throughput, throughput
 from goniotwin.twin.plant.model import TwinModel
 
-Floats = npt.NDArray[np.float64]
 Kept = TypeVar("Kept")
 POSES_KEPT = 64
 MAPS_KEPT = 16

@@ -2,12 +2,8 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from goniotwin.app.campaign.row import Row
-
-Counts = npt.NDArray[np.uint16]
+from goniotwin.arrays import Counts
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ islands, and the tree costs the integral of n(c) - 1 over c. See docs/decisions/
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.lattice import WAVELENGTH, Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.lattice import WAVELENGTH, Lattice
 from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.arrays import Floats, Ints
 
 TINY_S = 1e-9
 LEVELS = 200

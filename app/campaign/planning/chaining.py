@@ -5,13 +5,14 @@ from itertools import product
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.lattice import Lattice
 from goniotwin.app.campaign.planning.moves import Moves
 from goniotwin.app.campaign.planning.nesting import moving_seconds, swept
 from goniotwin.app.campaign.planning.order import Order
 from goniotwin.app.campaign.planning.passes import Pass, drift_point
 from goniotwin.app.campaign.row import NOTHING
 from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
 
 

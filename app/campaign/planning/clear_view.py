@@ -4,13 +4,11 @@ import math
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.mirrors import mirrors_at
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 TINY = 1e-9
 
 

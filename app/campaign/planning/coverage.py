@@ -4,13 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.directions import Floats, Seen, directions_seen
+from goniotwin.app.campaign.planning.directions import Seen, directions_seen
 from goniotwin.app.campaign.planning.sides import incidence_deg
 from goniotwin.app.campaign.schedule.certificate import Certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Floats
 
 
 def uncovered(schedule: ScheduleDescription, seen: list[Seen]) -> Iterator[str]:

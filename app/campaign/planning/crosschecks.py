@@ -1,16 +1,14 @@
 """Poses beyond the grids that hold the others to account: mirror images, overlapping photodiodes, the open beam."""
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.planning.sides import far_arc, lit_sides, polar_deg, rig_sigma_deg
 from goniotwin.app.campaign.planning.symmetry import images
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import DECIMALS, grid_values
 from goniotwin.app.rig import RigFile, arc_clearance
+from goniotwin.arrays import Flags, Floats
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 CHECK_TURNS_DEG = (90.0, -90.0, 0.0)
 """By how much an isotropic sample is turned, besides being mirrored, where its symmetry is checked: the first that can be."""
 IN_THE_BEAM_DEG = 180.0

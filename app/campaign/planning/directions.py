@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.planning.shadow import may_be_shadowed, shadowed
 from goniotwin.app.campaign.planning.sides import HALF_TURN_DEG, Arc, incidence_deg, lighting_deg, looking_arcs, polar_deg
@@ -12,10 +11,8 @@ from goniotwin.app.campaign.planning.symmetry import turned
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Flags, Floats, Ints
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 AWAY_FROM_THE_LIGHT_DEG = 180.0
 
 

@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.campaign.planning.lattice import Floats, Lattice
+from goniotwin.app.campaign.planning.lattice import Lattice
 from goniotwin.app.campaign.planning.passes import Pass
 from goniotwin.app.campaign.planning.timing import Lots, Timing
 from goniotwin.app.campaign.row import NOTHING, Row
@@ -19,13 +18,13 @@ from goniotwin.app.campaign.running.averaging import LEAST, readings_needed
 from goniotwin.app.campaign.running.gains import Gains, clipped
 from goniotwin.app.rig import RigDescription, monochromator_settings, photodiode_settings
 from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.arrays import Counts, Flags, Floats, Ints
 from goniotwin.protocols import adam
 from goniotwin.twin.plant import Plant, TwinModel
 from goniotwin.twin.plant.converter import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.view import Aspect
 
-Counts = npt.NDArray[np.uint16]
 LOOKED_AT = 40
 """Rows of each sample, for each of its lattices."""
 GOLDEN = 0.6180339887498949
@@ -80,7 +79,7 @@ class Light:
             gains.read(counts[: max(LEAST, min(sum(lots), MOST_DRAWN))])
             yield gain, lots
 
-    def _read(self, row: Row, gain: int, counts: Counts, waiting: npt.NDArray[np.bool_]) -> tuple[int, ...]:
+    def _read(self, row: Row, gain: int, counts: Counts, waiting: Flags) -> tuple[int, ...]:
         """As the engine does it: a lot, and as long as that is not enough another."""
         if row.target is None:
             return (row.readings,)
@@ -118,7 +117,7 @@ def _normals(columns: int) -> Floats:
     return np.array(drawn).reshape(MOST_DRAWN, columns)
 
 
-def _spread(rows: int) -> npt.NDArray[np.int64]:
+def _spread(rows: int) -> Ints:
     """The numbers of some of so many rows, all where there are few."""
     if rows <= LOOKED_AT:
         return np.arange(rows)

@@ -3,10 +3,9 @@
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from goniotwin.arrays import Floats, Ints
+
 WAVELENGTH = 4
 """The column of the wavelength; before it come gamma, sigma, beta, shift."""
 FILTER = 5

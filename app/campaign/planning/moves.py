@@ -6,17 +6,15 @@ For arrays of moves at once, so that orders of a million rows can be compared; w
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.rig import AXES, RigFile, axis_settings, monochromator_settings
+from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers.axis import ARRIVED_AFTER_S
 from goniotwin.drivers.axis_settings import AxisSettings
 from goniotwin.drivers.monochromator import STATUS_MARGIN_S
 from goniotwin.protocols.cornerstone import Statement, encode_nm
 from goniotwin.protocols.tmcl import FRAME_BYTES
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 CONTROLLER_LATENCY_S = 3.0e-4
 WHEEL_AFTER_POWER_ON = 1
 BEFORE_A_MOVE, AFTER_A_MOVE, BETWEEN_LEGS = 3, 2, 2

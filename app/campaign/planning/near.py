@@ -3,14 +3,13 @@
 from itertools import chain
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.planning.sides import Side, looking_arcs, polar_deg, rig_sigma_deg
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Floats
 
-Floats = npt.NDArray[np.float64]
 MOST_LOOKED_AT = 10_000_000
 TINY_DEG = 1e-6
 

@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice, numbered
+from goniotwin.app.campaign.planning.lattice import Lattice, numbered
 from goniotwin.app.campaign.planning.moves import Moves
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import ArcClearance
 from goniotwin.drivers.interlock import WHOLE_TURN_DEG
-
-Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

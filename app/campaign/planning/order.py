@@ -13,12 +13,13 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.lattice import FILTER, WAVELENGTH, Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
 from goniotwin.app.campaign.planning.moves import Moves
 from goniotwin.app.campaign.planning.nesting import Nest, moving_seconds, visited
 from goniotwin.app.campaign.planning.passes import drift_point
 from goniotwin.app.campaign.planning.rearranging import rearranged
 from goniotwin.app.campaign.schedule.file import NESTED, ScheduleFile
+from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
 
 MOST_CHOICES = 3

@@ -6,12 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from goniotwin.app.campaign.planning.crosschecks import open_beam_poses
-from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.lattice import Lattice
 from goniotwin.app.campaign.planning.poses import Poses, etalon_poses, sample_poses
 from goniotwin.app.campaign.row import MIRRORED, NOTHING
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile, monochromator_settings
+from goniotwin.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.planning.crosschecks import mirror_images, overlap_poses
 from goniotwin.app.campaign.planning.near import near_poses
@@ -12,10 +11,7 @@ from goniotwin.app.campaign.planning.symmetry import one_of_each
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
-
+from goniotwin.arrays import Flags, Floats
 
 MOST_FURTHER = 4_000_000
 

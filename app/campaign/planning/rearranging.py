@@ -10,11 +10,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from goniotwin.app.campaign.planning.bound import least_moving_seconds
-from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.lattice import Lattice
 from goniotwin.app.campaign.planning.moves import Moves
 from goniotwin.app.campaign.planning.nesting import Loop, looped, moving_seconds
 from goniotwin.app.campaign.planning.shortening import shortened
 from goniotwin.app.campaign.planning.steps import Steps
+from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
 
 MOST_POINTS = 1500

@@ -4,14 +4,12 @@ import math
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.planning.clear_view import certainly_clear
 from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 WHOLE = 1.0 - 1e-9
 GLANCE, CLOSELY = 16, 256
 """Rays from the illuminated spot to a photodiode."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.lattice import Floats, Ints
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.kernel import kernel
 
 TINY_S = 1e-7

@@ -6,9 +6,10 @@ arc would meet the beam costs BARRED_S besides, so that an order without any is 
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.lattice import Floats, Ints, Lattice
+from goniotwin.app.campaign.planning.lattice import Lattice
 from goniotwin.app.campaign.planning.moves import AFTER_A_MOVE, BEFORE_A_MOVE, Moves
 from goniotwin.app.campaign.planning.nesting import swept_ways
+from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
 
 BARRED_S = 1.0e6

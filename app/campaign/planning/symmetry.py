@@ -6,13 +6,11 @@ isotropic one all gammas are alike, and beta is what -beta is.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.campaign.schedule.pose_tables import Symmetry
+from goniotwin.arrays import Flags, Floats
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 TURN_DEG = 360.0
 
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.lattice import Floats, Ints
-from goniotwin.app.campaign.planning.nesting import Flags, swept_ways
+from goniotwin.app.campaign.planning.nesting import swept_ways
 from goniotwin.app.campaign.planning.passes import Pass, drift_point
 from goniotwin.app.campaign.planning.timing import Timing
 from goniotwin.app.campaign.row import NOTHING, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import ArcClearance
 
 

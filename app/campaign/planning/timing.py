@@ -5,13 +5,14 @@ import math
 import numpy as np
 
 from goniotwin.app.campaign.planning.lattice import WAVELENGTH
-from goniotwin.app.campaign.planning.moves import Floats, Moves
+from goniotwin.app.campaign.planning.moves import Moves
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.averaging import LEAST as LEAST_AVERAGED
 from goniotwin.app.campaign.running.gains import in_order
 from goniotwin.app.campaign.running.performing import MONITORED_S
 from goniotwin.app.campaign.running.warming import EVERY_S, LEAST
 from goniotwin.app.rig import AXES, RigFile, axis_settings, monochromator_settings, photodiode_settings
+from goniotwin.arrays import Floats
 from goniotwin.drivers.monitor import ANSWER_MARGIN_S
 from goniotwin.drivers.monochromator import STATUS_MARGIN_S
 

@@ -6,7 +6,6 @@ How much light a sample sends to each at that pose only a rehearsal knows: see a
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.planning.directions import Seen
 from goniotwin.app.campaign.planning.plan import Plan
@@ -15,6 +14,7 @@ from goniotwin.app.campaign.planning.sides import HALF_TURN_DEG, Arc, far_arc, p
 from goniotwin.app.campaign.schedule.measuring import DriftTable
 from goniotwin.app.campaign.spoken import numbers
 from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Ints
 
 
 def unwatched(plan: Plan, seen: list[Seen]) -> Iterator[str]:
@@ -42,12 +42,12 @@ def unwatched(plan: Plan, seen: list[Seen]) -> Iterator[str]:
         )
 
 
-def _channels(rig: RigFile, arc: Arc) -> npt.NDArray[np.int64]:
+def _channels(rig: RigFile, arc: Arc) -> Ints:
     first = 0 if arc == "upper" else len(rig.photodiodes.upper_deg)
     return first + np.arange(len(polar_deg(rig, arc)))
 
 
-def _hidden(rig: RigFile, table: DriftTable, arc: Arc) -> npt.NDArray[np.int64]:
+def _hidden(rig: RigFile, table: DriftTable, arc: Arc) -> Ints:
     signed = np.array(polar_deg(rig, arc), dtype=float) + table.shift_deg
     azimuth = table.beta_deg + np.where(signed < 0.0, HALF_TURN_DEG, 0.0)
     zenith = np.abs(signed) if arc == "upper" else HALF_TURN_DEG - np.abs(signed)

@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import arc_direction, to_specular
 
-Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float, float]
 
 
@@ -22,7 +21,7 @@ class ArcView:
     azimuth from the normal of the side that the arc is on, the azimuth from the plane of incidence's half with the light.
     """
 
-    channels: npt.NDArray[np.int64]
+    channels: Ints
     zenith: Floats
     azimuth: Floats
     theta: Floats
@@ -50,7 +49,7 @@ def arc_views(rig: RigFile, pose: Pose) -> list[ArcView]:
     return [_view(channels, np.array(polar, dtype=float), pose, low) for channels, polar, low in views if len(channels)]
 
 
-def _view(channels: npt.NDArray[np.int64], at_rest: Floats, pose: Pose, lower: bool) -> ArcView:
+def _view(channels: Ints, at_rest: Floats, pose: Pose, lower: bool) -> ArcView:
     _, sigma, beta, shift = pose
     signed = at_rest + shift
     azimuth = np.full(signed.size, beta)

@@ -21,11 +21,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.campaign.reducing.points import BsdfPoints, Flags, Floats
+from goniotwin.app.campaign.reducing.points import BsdfPoints
+from goniotwin.arrays import Flags, Floats, Ints
 
-Ints = npt.NDArray[np.int64]
 KNOWN_TO = 0.01
 """An overlap of two photodiodes that is known no better does not connect them."""
 HUBER = 2.0

@@ -7,16 +7,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.reducing.reduction import BsdfPoints
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.sample_table import GaussianTable
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 HIGHEST_ZENITH_DEG = 85.0
 WIDTHS = 2.0
 

@@ -12,10 +12,11 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.journal.recorded import Committed, RowData
-from goniotwin.app.campaign.reducing.signals import Flags, Signal, darks_by_gain, signal
+from goniotwin.app.campaign.reducing.signals import Signal, darks_by_gain, signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.measuring import DriftTable
 from goniotwin.app.rig import RigFile, photodiode_settings
+from goniotwin.arrays import Flags
 
 LIGHT = 5.0
 """A photodiode whose signal is below so many standard uncertainties says nothing about the light."""

@@ -12,14 +12,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.reducing.local_parabola import Parabola, local_parabola, reach
-from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.points import BsdfPoints
 from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 
-Ints = npt.NDArray[np.int64]
 WINDOW = 5.0
 """Values within so many standard deviations of the field's directions are taken together: less it does not tell apart."""
 LONGEST_RAD = math.radians(6.0)

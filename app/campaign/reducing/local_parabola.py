@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from goniotwin.arrays import Floats, Ints
+
 MOST = 24
 """Neighbours on each side."""
 NEAR = 1.0 + 1e-9

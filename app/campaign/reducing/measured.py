@@ -15,14 +15,14 @@ from goniotwin.app.campaign.journal.recorded import Committed
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reducing.arcs import Pose
 from goniotwin.app.campaign.reducing.drifting import drifts
-from goniotwin.app.campaign.reducing.points import Flags, Floats
-from goniotwin.app.campaign.reducing.signals import Ints, Signal, darks_by_gain, dead_since, mean_signal, middle, signal
+from goniotwin.app.campaign.reducing.signals import Signal, darks_by_gain, dead_since, mean_signal, middle, signal
 from goniotwin.app.campaign.reducing.traced import with_tracing_error
 from goniotwin.app.campaign.reducing.watching import unseen
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, photodiode_settings
+from goniotwin.arrays import Flags, Floats, Ints
 
 DECIMALS = 6
 HALF_TURN_DEG = 180.0

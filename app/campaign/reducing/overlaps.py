@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.reducing.agreement import plausible
-from goniotwin.app.campaign.reducing.calibrating import Factors, Ints, Pairs, calibrated
-from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.calibrating import Factors, Pairs, calibrated
+from goniotwin.app.campaign.reducing.points import BsdfPoints
 from goniotwin.app.campaign.reducing.steepness import steepness
+from goniotwin.arrays import Floats, Ints
 
 HALF_TURN_DEG = 180.0
 RESOLVED = 0.1

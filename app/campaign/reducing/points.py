@@ -4,10 +4,8 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+from goniotwin.arrays import Flags, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class BsdfPoints:
     gamma_deg: Floats
     beta_deg: Floats
     shift_deg: Floats
-    photodiode: npt.NDArray[np.int64]
+    photodiode: Ints
     zenith_deg: Floats
     azimuth_deg: Floats
     theta_deg: Floats
@@ -59,7 +57,7 @@ class BsdfPoints:
     mirrored: Flags
     u_field: Floats
 
-    def where(self, chosen: Flags | npt.NDArray[np.int64]) -> "BsdfPoints":
+    def where(self, chosen: Flags | Ints) -> "BsdfPoints":
         """Some of the points, or all in another order."""
         return BsdfPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.campaign.reducing.points import Flags, Floats
-from goniotwin.app.campaign.reducing.signals import Ints, Signal
+from goniotwin.app.campaign.reducing.signals import Signal
 from goniotwin.app.rig import RigDescription
+from goniotwin.arrays import Flags, Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from goniotwin.app.campaign.reducing.overlaps import Overlaps
 from goniotwin.app.campaign.reducing.points import BsdfPoints as BsdfPoints
 from goniotwin.app.campaign.reducing.points import joined
 from goniotwin.app.campaign.reducing.row_points import row_points
-from goniotwin.app.campaign.reducing.signals import Ints
 from goniotwin.app.campaign.reducing.subtracted import subtracted
 from goniotwin.app.campaign.reducing.symmetry import Symmetrical
 from goniotwin.app.campaign.reducing.tally import Tally
@@ -38,6 +37,7 @@ from goniotwin.app.campaign.schedule.certificate import Certificate, constant, p
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
+from goniotwin.arrays import Ints
 
 ROWS_AT_ONCE = 256
 """So many rows have some megabytes of points."""

@@ -9,13 +9,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.reducing.reduction import BsdfPoints
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import from_specular
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 FINEST_DEG = 0.1
 WIDEST_GAP_DEG = 3.0
 """Measured directions further apart than this say nothing of what is between them."""
@@ -103,7 +101,7 @@ def _table(points: BsdfPoints) -> tuple[Floats, Floats, Floats]:
         return rows, columns, total / count
 
 
-def _place(grid: Floats, values: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
+def _place(grid: Floats, values: Floats) -> tuple[Ints, Floats]:
     """Index of the grid's value below, and the share of the way to the next one."""
     if grid.size == 1:
         return np.zeros(values.shape, dtype=np.int64), np.zeros(values.shape)
@@ -113,7 +111,7 @@ def _place(grid: Floats, values: Floats) -> tuple[npt.NDArray[np.int64], Floats]
     return index, share
 
 
-def _gap(grid: Floats, index: npt.NDArray[np.int64], share: Floats) -> Floats:
+def _gap(grid: Floats, index: Ints, share: Floats) -> Floats:
     """How far apart the two values are that a place lies between; 0 where it lies on one."""
     if grid.size == 1:
         return np.zeros(index.shape)

@@ -7,12 +7,13 @@ import numpy as np
 from goniotwin.app.campaign.planning.shadow import shadowed
 from goniotwin.app.campaign.reducing.arcs import ArcView, arc_views
 from goniotwin.app.campaign.reducing.measured import Key, Measured, key_of
-from goniotwin.app.campaign.reducing.points import BsdfPoints, Flags
+from goniotwin.app.campaign.reducing.points import BsdfPoints
 from goniotwin.app.campaign.reducing.ratio import Ratio
 from goniotwin.app.campaign.reducing.signals import Signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import Certificate, constant
 from goniotwin.app.rig import RigDescription
+from goniotwin.arrays import Flags
 
 ETALON_SIGNAL = 5.0
 """An etalon's signal below so many standard uncertainties is none: there is nothing to divide by."""

@@ -9,17 +9,14 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.recorded import Committed, Reading, RowData
 from goniotwin.app.campaign.running.gains import clipped
 from goniotwin.app.errors import UserError
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import PhotodiodeSettings
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 LEAST_FREEDOM = 3.0
 GONE_BELOW = 10.0
 """A dark current that is no more than so many times the noise of one reading cannot be missed."""

@@ -7,7 +7,8 @@ narrow lobe.
 
 import numpy as np
 
-from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.points import BsdfPoints
+from goniotwin.arrays import Floats
 
 DECIMALS = 3
 """Directions that are nearer than a thousandth of a degree are one."""

@@ -15,9 +15,10 @@ import numpy as np
 
 from goniotwin.app.campaign.planning.symmetry import canonical
 from goniotwin.app.campaign.reducing.agreement import plausible
-from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.points import BsdfPoints
 from goniotwin.app.campaign.reducing.steepness import steepness
 from goniotwin.app.campaign.schedule.pose_tables import Symmetry
+from goniotwin.arrays import Floats
 
 Columns = dict[str, Floats]
 RESOLVED = 0.05

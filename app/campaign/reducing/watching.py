@@ -6,8 +6,9 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.recorded import Committed
 from goniotwin.app.campaign.reducing.drifting import CERTAIN
-from goniotwin.app.campaign.reducing.signals import Flags, Signal
+from goniotwin.app.campaign.reducing.signals import Signal
 from goniotwin.app.campaign.spoken import numbers
+from goniotwin.arrays import Flags
 
 A_TENTH = 0.1
 """A loss of so much that would not be certain leaves a photodiode unwatched."""

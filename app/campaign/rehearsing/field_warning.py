@@ -4,15 +4,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reducing.arcs import arc_views
 from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, Scatterer, arc_direction, evaluate, light_direction, luminance_factor
 from goniotwin.twin.optics.bsdf import REGULAR
 
-Floats = npt.NDArray[np.float64]
 NOTICEABLE = 0.01
 FAINTEST = 1e-3
 """Values below this share of a sample's greatest are left out: far down a flank the change is large, and of nothing."""

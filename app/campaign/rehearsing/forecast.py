@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reducing.points import BsdfPoints, Floats
+from goniotwin.app.campaign.reducing.points import BsdfPoints
 from goniotwin.app.campaign.reducing.reduction import ROWS_AT_ONCE, Reduction
 from goniotwin.app.campaign.reducing.tally import Tally
 from goniotwin.app.campaign.reducing.verdicts import Verdicts
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
+from goniotwin.arrays import Floats
 
 PERCENTILES = (5, 50, 95)
 WELL_KNOWN = 0.1

@@ -7,9 +7,10 @@ import numpy as np
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.planning.sides import looking_arcs, polar_deg
 from goniotwin.app.campaign.rehearsing.field_warning import field_warnings
-from goniotwin.app.campaign.rehearsing.watch import Flags, Watch
+from goniotwin.app.campaign.rehearsing.watch import Watch
 from goniotwin.app.campaign.row import NOTHING, Row
 from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.arrays import Flags
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate
 from goniotwin.twin.optics.bsdf import REGULAR
 

@@ -4,18 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.recorded import RowData
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.running.gains import clipped
 from goniotwin.app.rig import AXES
+from goniotwin.arrays import Flags, Floats
 from goniotwin.drivers import PhotodiodeSettings
 from goniotwin.protocols import adam
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 
 @dataclass

@@ -7,12 +7,9 @@ again from the journal. The reduction does not use this scatter, which was looke
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.campaign.journal.recorded import Counts
+from goniotwin.arrays import Counts, Flags, Floats
 
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 LEAST = 4
 """Readings that have to be there before their scatter says anything."""
 MORE = 4

@@ -8,14 +8,11 @@ alone, so that a resumed campaign decides the same.
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.campaign.journal.recorded import Counts
 from goniotwin.app.campaign.row import Row
+from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.protocols import adam
 
-Flags = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
 SATURATED = "saturated"
 """The flag of a row in which some photodiode is clipped at each gain."""
 UNDER_RANGE = "under range"

@@ -5,15 +5,16 @@ from functools import partial
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.recorded import Counts, Reading, RowData
+from goniotwin.app.campaign.journal.recorded import Reading, RowData
 from goniotwin.app.campaign.row import NOTHING, Row
-from goniotwin.app.campaign.running.averaging import LEAST, Floats, readings_needed
-from goniotwin.app.campaign.running.gains import UNDER_RANGE, Flags, Gains, clipped, shows_light
+from goniotwin.app.campaign.running.averaging import LEAST, readings_needed
+from goniotwin.app.campaign.running.gains import UNDER_RANGE, Gains, clipped, shows_light
 from goniotwin.app.campaign.running.halt import Halt
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.standstill import Standstill
 from goniotwin.app.campaign.running.warming import EVERY_S, Trace
 from goniotwin.app.rig import AXES
+from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers import AxisSettings, Pending, Rig, Until, wait
 from goniotwin.drivers.axis_settings import ENCODER_TOLERANCE_DEG
 

@@ -13,14 +13,13 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from goniotwin.app.campaign.schedule.measuring import CertificateTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.radiance_factor import refuse_percentage
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
 
-Floats = npt.NDArray[np.float64]
 AXES = ("wavelength_nm", "incidence_deg", "zenith_deg", "azimuth_deg")
 VALUES = ("radiance_factor", "relative_uncertainty")
 SAME = 1e-6
@@ -46,7 +45,7 @@ class Certificate:
             relative += weight * self.relative_uncertainty[place]
         return factor, relative
 
-    def covers(self, axis: str, values: Floats) -> npt.NDArray[np.bool_]:
+    def covers(self, axis: str, values: Floats) -> Flags:
         """At which `values` of one of AXES it says something; azimuths at any turn and to either side."""
         return _within(self.grid[AXES.index(axis)], _folded(values) if axis == "azimuth_deg" else values)
 
@@ -145,9 +144,9 @@ def _gridded(rows: dict[tuple[float, ...], tuple[float, float]], heading: list[s
     return Certificate(grid, values[:, 0].reshape(shape), values[:, 1].reshape(shape))
 
 
-def _corners(grid: tuple[Floats, ...], asked: list[Floats]) -> list[tuple[tuple[npt.NDArray[np.int64], ...], Floats]]:
+def _corners(grid: tuple[Floats, ...], asked: list[Floats]) -> list[tuple[tuple[Ints, ...], Floats]]:
     """The 16 places of the table around each direction, with weights; NaN where one is outside."""
-    corners: list[tuple[tuple[npt.NDArray[np.int64], ...], Floats]] = [((), np.ones(asked[0].shape))]
+    corners: list[tuple[tuple[Ints, ...], Floats]] = [((), np.ones(asked[0].shape))]
     for values, wanted in zip(grid, asked, strict=True):
         if not values.size:
             both = [(np.zeros(wanted.shape, dtype=np.int64), np.ones(wanted.shape))]
@@ -161,7 +160,7 @@ def _corners(grid: tuple[Floats, ...], asked: list[Floats]) -> list[tuple[tuple[
     return corners
 
 
-def _within(values: Floats, wanted: Floats) -> npt.NDArray[np.bool_]:
+def _within(values: Floats, wanted: Floats) -> Flags:
     """Which are between the first and the last of a table's ascending values; all, where it has none."""
     if not values.size:
         return np.ones(np.shape(wanted), dtype=bool)

@@ -4,17 +4,16 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from goniotwin.app.campaign.reducing.arcs import arc_views
 from goniotwin.app.campaign.reducing.field import directions_of, field_uncertainty, field_variance
 from goniotwin.app.campaign.reducing.points import BsdfPoints
 from goniotwin.app.rig import read_rig
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, arc_direction, evaluate, gaussian, light_direction, luminance_factor, to_specular
 from tests.conftest import RIG
 
-Floats = npt.NDArray[np.float64]
 VARIANCE = field_variance(Instrument())
 EVERYWHERE = np.arange(0.0, 85.1, 1.0)
 PLANE = (0.0, 180.0)

@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,9 +14,9 @@ from goniotwin.app.campaign.planning.nesting import Nest, moving_seconds, swept,
 from goniotwin.app.campaign.planning.order import fastest_order
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import AXES, RigFile, arc_clearance, axis_settings, parse_rig
+from goniotwin.arrays import Floats
 from tests.conftest import RIG
 
-Floats = npt.NDArray[np.float64]
 TEXT = RIG.read_text(encoding="utf-8")
 PLAIN = parse_rig(TEXT, RIG.parent, "plain").file
 PLAY = parse_rig(

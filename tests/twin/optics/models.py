@@ -3,11 +3,9 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, scattered, sided, summed, tabulated
-
-Floats = npt.NDArray[np.float64]
 
 SIGMA_AXIS, PHI_AXIS, THETA_AXIS = [0.0, 30.0, 60.0], [0.0, 90.0, 180.0], [0.0, 10.0, 30.0, 90.0]
 TABLE = tabulated(

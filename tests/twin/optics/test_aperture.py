@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, arc_direction, forward, gaussian, lambertian, luminance_factor, throughput
 from goniotwin.twin.optics.aperture import aperture_sizes, apertures, cone_nodes, detector_frames, side_nodes
 from goniotwin.twin.optics.detector_block import BLOCK, DX, MOMENTS, PX, ROWS, M
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.scene import scene_at
 from goniotwin.twin.optics.wide_aperture import common_disc, hole_nodes, wide_apertures
 

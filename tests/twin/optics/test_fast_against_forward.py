@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Deviation,
     Instrument,
@@ -18,7 +19,6 @@ from goniotwin.twin.optics import (
     regular,
     throughput,
 )
-from goniotwin.twin.optics.frames import Floats
 from tests.twin.optics.agreement import agree
 from tests.twin.optics.models import ANISOTROPIC, TABLE
 

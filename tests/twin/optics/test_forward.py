@@ -8,6 +8,7 @@ import numba
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Instrument,
     Reflectance,
@@ -24,7 +25,6 @@ from goniotwin.twin.optics import (
     summed,
 )
 from goniotwin.twin.optics.chunks import CHUNK
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.paths import BLOCK
 from tests.twin.optics.models import MODELS, named
 

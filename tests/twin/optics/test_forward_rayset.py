@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     IlluminationUnit,
     Instrument,
@@ -17,7 +18,6 @@ from goniotwin.twin.optics import (
     replay,
     spectral,
 )
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.holder import SampleFrames
 from goniotwin.twin.optics.mirrors import pupil
 from goniotwin.twin.optics.rayset import RaySource

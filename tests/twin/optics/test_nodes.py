@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Deviation,
     Instrument,
@@ -17,7 +18,6 @@ from goniotwin.twin.optics import (
     tabulated,
     throughput,
 )
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.gaussian_rays import gaussian_values
 from goniotwin.twin.optics.instrument import ELEMENTS
 

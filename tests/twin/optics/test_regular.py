@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Instrument,
     gaussian,
@@ -16,7 +17,6 @@ from goniotwin.twin.optics import (
     summed,
     throughput,
 )
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.scene import scene_at
 
 OPEN = Instrument(obstruction=False)

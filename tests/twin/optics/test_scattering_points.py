@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer, evaluate, from_specular, light_direction, scattered
-from tests.twin.optics.models import Floats, points
+from tests.twin.optics.models import points
 
 SIGMAS = [0.0, 30.0, 60.0]
 

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import (
     Scatterer,
     albedo,
@@ -24,12 +24,12 @@ from goniotwin.twin.optics import (
     to_specular,
 )
 from goniotwin.twin.optics.sampling import density_all, scatter_all
-from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, Floats, flipped, named
+from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, flipped, named
 
 # At the edges of the tables' cells, where the density jumps.
 THETA_EDGES = np.array([0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 90.0, 130.0, 180.0])
 SECTORS, FINE = 6, 24
-Places = npt.NDArray[np.int64]
+Places = Ints
 RINGS = THETA_EDGES.size - 1
 
 

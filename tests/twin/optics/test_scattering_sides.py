@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Scatterer,
     albedo,
@@ -19,7 +20,7 @@ from goniotwin.twin.optics import (
     sided,
     summed,
 )
-from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, Floats, flipped, named
+from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, flipped, named
 
 FRONT = [lambertian(0.8), gaussian(15.0), gaussian(30.0, quantity="intensity"), TABLE, ANISOTROPIC, BRUSHED, POINTS]
 

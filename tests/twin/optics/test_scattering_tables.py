@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer, evaluate, from_specular, light_direction, tabulated
-from tests.twin.optics.models import PSI_AXIS, SIGMA_AXIS, TABLE, THETA_AXIS, TURN_AXIS, UNEVEN, Floats
+from tests.twin.optics.models import PSI_AXIS, SIGMA_AXIS, TABLE, THETA_AXIS, TURN_AXIS, UNEVEN
 
 
 def seen(model: Scatterer, psi: float, sigma: float, theta: float, phi: float) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics.frames import Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
 from goniotwin.twin.optics.scoring import HITS, Room, find_cells, score, score_segment, targets
 

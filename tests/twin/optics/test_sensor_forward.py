@@ -7,6 +7,7 @@ import numba
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Deviation,
     Estimate,
@@ -23,7 +24,6 @@ from goniotwin.twin.optics import (
     light_direction,
 )
 from goniotwin.twin.optics.chunks import CHUNK
-from goniotwin.twin.optics.frames import Floats
 from goniotwin.twin.optics.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
 from goniotwin.twin.optics.scoring import HITS, Room, find_cells, score, score_segment, sensor_targets
 from goniotwin.twin.optics.setting import set_up
