@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reducing.reduction import Reduced
-from goniotwin.app.campaign.reducing.reduction import reduce_journal as reduce_open_journal
+from goniotwin.app.campaign.reduction.reduction import Reduced
+from goniotwin.app.campaign.reduction.reduction import reduce_journal as reduce_open_journal
 from goniotwin.app.errors import UserError
-from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.simulate import Simulation, Task
 from goniotwin.app.simulation.simulate import simulate as simulate_task
 

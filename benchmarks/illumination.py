@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numba
 
-from goniotwin.twin.optics.deviation import Deviation
-from goniotwin.twin.optics.illumination import IlluminationUnit
-from goniotwin.twin.optics.illumination_adjoint import adjoint_illumination
-from goniotwin.twin.optics.illumination_forward import forward_illumination
+from goniotwin.twin.optics.geometry.deviation import Deviation
+from goniotwin.twin.optics.illumination.adjoint import adjoint_illumination
+from goniotwin.twin.optics.illumination.forward import forward_illumination
+from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 
 RELATIVE_ERROR = 0.01
 REPEATS = 101

@@ -16,10 +16,10 @@ from typing import Any
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.check import checked_plan
-from goniotwin.app.campaign.planning.least import least_seconds
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
-from goniotwin.app.campaign.spoken import clock_time
+from goniotwin.app.campaign.wording import clock_time
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.protocols.clock import RealClock
 

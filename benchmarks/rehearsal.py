@@ -34,13 +34,13 @@ from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.rehearsing.rehearsal import performed, prepared, rehearse
-from goniotwin.app.campaign.rehearsing.warnings import heeded
-from goniotwin.app.campaign.rehearsing.watch import Watch
+from goniotwin.app.campaign.rehearsal.rehearsal import performed, prepared, rehearse
+from goniotwin.app.campaign.rehearsal.row_statistics import Watch
+from goniotwin.app.campaign.rehearsal.warnings import heeded
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import photodiode_settings, read_rig
-from goniotwin.drivers.modbus import ModbusBus
+from goniotwin.drivers.photodiodes.modbus import ModbusBus
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 RIG = EXAMPLES / "rigs" / "virtual.toml"

@@ -4,18 +4,18 @@ No call lasts longer than one exchange on its wire; what takes time is started a
 name: they are given openers.
 """
 
-from goniotwin.drivers.axis import Axis, AxisSettings, Homing
+from goniotwin.drivers.device import Pending, Poll, Until, wait
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
-from goniotwin.drivers.interlock import ArcClearance
-from goniotwin.drivers.monitor import Monitor, MonitorSettings
-from goniotwin.drivers.monochromator import Monochromator
-from goniotwin.drivers.monochromator_settings import MonochromatorSettings
-from goniotwin.drivers.order_filters import FilterWheel, OrderFilter
-from goniotwin.drivers.pending import Pending, Poll, Until, wait
-from goniotwin.drivers.photodiodes import PhotodiodeArray, PhotodiodeSettings
+from goniotwin.drivers.monitor.monitor import Monitor, MonitorSettings
+from goniotwin.drivers.monochromator.monochromator import Monochromator
+from goniotwin.drivers.monochromator.order_filters import FilterWheel, OrderFilter
+from goniotwin.drivers.monochromator.settings import MonochromatorSettings
+from goniotwin.drivers.motion.axis import Axis, AxisSettings, Homing
+from goniotwin.drivers.motion.clearance import ArcClearance
+from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.photodiodes.array import PhotodiodeArray, PhotodiodeSettings
 from goniotwin.drivers.rig import Rig
 from goniotwin.drivers.tap import Transcript
-from goniotwin.drivers.tmcl import TmclModule
 
 __all__ = [
     "ArcClearance",

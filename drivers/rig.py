@@ -4,14 +4,14 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from goniotwin.drivers.axis import Axis
+from goniotwin.drivers.device import Pending
 from goniotwin.drivers.errors import BadAnswer, DeviceError, LimitError
-from goniotwin.drivers.interlock import ArcClearance
-from goniotwin.drivers.monitor import Monitor
-from goniotwin.drivers.monochromator import Monochromator
-from goniotwin.drivers.pending import Pending
-from goniotwin.drivers.photodiodes import PhotodiodeArray
-from goniotwin.drivers.tmcl import TmclModule
+from goniotwin.drivers.monitor.monitor import Monitor
+from goniotwin.drivers.monochromator.monochromator import Monochromator
+from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion.clearance import ArcClearance
+from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import Clock
 
 SIMULATED_SERIAL = "TWIN"

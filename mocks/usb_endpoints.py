@@ -2,6 +2,8 @@
 
 Programs with a USB/IP client of their own use it as it is. On Linux `usbip attach` makes of it a device of the system,
 which any program finds. A device is one client's at a time; pulling its plug ends that client's connection.
+
+Virtual USB: the twin's devices found by programs that know nothing of it.
 """
 
 import errno
@@ -11,8 +13,12 @@ import socketserver
 import struct
 import threading
 from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
+import usb.backend.libusb1
 import usb.core
+from usb.backend import IBackend
 
 from goniotwin.mocks.loopback import LoopbackServer
 from goniotwin.protocols import usbip
@@ -233,3 +239,14 @@ def _hang_up(connection: socket.socket) -> None:
         connection.shutdown(socket.SHUT_RDWR)
     except OSError:
         return
+
+
+@contextmanager
+def installed(backend: IBackend) -> Iterator[None]:
+    """Meanwhile `usb.core.find()` without a backend of its own finds the devices of `backend`, in this process."""
+    real: Callable[..., IBackend | None] = usb.backend.libusb1.get_backend
+    usb.backend.libusb1.get_backend = lambda find_library=None: backend  # noqa: ARG005  (pyusb's own signature)
+    try:
+        yield
+    finally:
+        usb.backend.libusb1.get_backend = real

@@ -10,7 +10,7 @@ def main() -> None:
 
         print(f"goniotwin {goniotwin.__version__}")
         return
-    from goniotwin.app.cli import main as run_command
+    from goniotwin.app.cli.main import main as run_command
 
     run_command()
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Slot
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from goniotwin.app.desktop.cutplot import CutPlot
-from goniotwin.app.desktop.panels import AxesPanel, DevicesPanel
-from goniotwin.app.desktop.runpanel import RunPanel
-from goniotwin.app.desktop.setuppanel import RigPanel, SchedulePanel
+from goniotwin.app.desktop.rig.panels import AxesPanel, DevicesPanel
+from goniotwin.app.desktop.run.cut_plot import CutPlot
+from goniotwin.app.desktop.run.panel import RunPanel
+from goniotwin.app.desktop.setup.panels import RigPanel, SchedulePanel
 from goniotwin.app.desktop.theme import Colours
 
 LEFT_WIDTH = 330

@@ -6,10 +6,8 @@ from PySide6.QtCore import QObject, Qt, Signal, Slot
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.desktop.allowed import BUSY, Allowed, allowed
 from goniotwin.app.desktop.layout import Parts
-from goniotwin.app.desktop.liveplot import LivePlot
-from goniotwin.app.desktop.messages import (
+from goniotwin.app.desktop.model.messages import (
     DeviceLost,
     DeviceStatus,
     Message,
@@ -23,6 +21,8 @@ from goniotwin.app.desktop.messages import (
     RunRefused,
     StopFailed,
 )
+from goniotwin.app.desktop.model.permissions import BUSY, Allowed, allowed
+from goniotwin.app.desktop.run.live_plot import LivePlot
 
 SAID = {
     State.RUNNING: "The run goes on.",

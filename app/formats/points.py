@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from goniotwin.app.formats.comments import comment_lines, marked
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
 from goniotwin.app.formats.numerals import NUMBER, NotANumber, digits, parse_number
-from goniotwin.app.formats.textfile import CONTROL, read_text, write_text
+from goniotwin.app.formats.text_file import CONTROL, comment_lines, marked, read_text, write_text
 
 TO_QUOTE = re.compile(r'[,"\r\n]')
 

@@ -13,9 +13,9 @@ import h5py
 import numpy as np
 
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.wholefile import read_whole, write_whole
+from goniotwin.app.formats.whole_file import read_whole, write_whole
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.rayset import Rayset
+from goniotwin.twin.optics.illumination.rayset import Rayset
 
 FORMAT = "goniotwin rayset"
 VERSION = 1

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.formats.comments import comment_lines, marked
 from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.grid import ascending, finite
-from goniotwin.app.formats.numerals import angle_row, digits, row
-from goniotwin.app.formats.textfile import write_text
-from goniotwin.app.formats.words import Words
+from goniotwin.app.formats.numerals import angle_row, ascending, digits, finite, row
+from goniotwin.app.formats.text_file import comment_lines, marked, write_text
+from goniotwin.app.formats.text_words import Words
 from goniotwin.arrays import Floats
 
 SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D")

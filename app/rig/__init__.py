@@ -1,7 +1,7 @@
 """The rig file: where the devices are and what the operator believes of them; and opening what it names."""
 
+from goniotwin.app.rig.file import AXES, RigFile
 from goniotwin.app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
-from goniotwin.app.rig.schema import AXES, RigFile
 from goniotwin.app.rig.settings import (
     arc_clearance,
     axis_settings,

@@ -13,10 +13,10 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AbstractTable
 
-from goniotwin.app.rig.modbus_units import RTU, rtu_address
+from goniotwin.app.rig.addresses import RTU, rtu_address
+from goniotwin.app.rig.file import AXES, AxisTable, RigFile
 from goniotwin.app.rig.opening import TWIN, RigDescription, parse_rig
-from goniotwin.app.rig.sample_words import sample_table
-from goniotwin.app.rig.schema import AXES, AxisTable, RigFile
+from goniotwin.app.rig.samples import sample_table
 from goniotwin.twin.plant import Electronics, Monitor, MonochromatorDrive, WheelFilter
 from goniotwin.twin.plant.converter import SETTLED
 
@@ -38,7 +38,7 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
     """A virtual rig in this process for any rig's file; one that is such already stays what it is.
 
     `etalon` and `samples` are the schedule's names; `models` says by name what they are, in one line each (see
-    app.simulation.sample), before whatever the file says. Raises UserError for a model that is none.
+    app.rig.samples), before whatever the file says. Raises UserError for a model that is none.
     """
     document = tomlkit.parse(real.text)
     assumed: list[str] = []

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.place import place_of
+from goniotwin.app.rig.addresses import place_of
 from goniotwin.protocols.clock import RealClock, calendar_stamp
 
 FOLDER = "goniotwin-locks"

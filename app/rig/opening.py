@@ -9,10 +9,9 @@ import serial
 import usb.core
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.addresses import USBIP_PORT, ModbusUnits, host_and_port, is_port
+from goniotwin.app.rig.file import RigFile
 from goniotwin.app.rig.lock import RigLock
-from goniotwin.app.rig.modbus_units import ModbusUnits
-from goniotwin.app.rig.place import USBIP_PORT, host_and_port, is_port
-from goniotwin.app.rig.schema import RigFile
 from goniotwin.app.rig.settings import (
     arc_clearance,
     axis_settings,
@@ -20,15 +19,15 @@ from goniotwin.app.rig.settings import (
     monochromator_settings,
     photodiode_settings,
 )
-from goniotwin.app.rig.twin_table import model_hash, twin_model
-from goniotwin.app.tables import checked, parse_toml, read_toml
+from goniotwin.app.rig.twin_file import model_hash, twin_model
+from goniotwin.app.toml_file import checked, parse_toml, read_toml
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
-from goniotwin.drivers import tmcl as tmcl_driver
-from goniotwin.drivers import usbtmc as usbtmc_driver
+from goniotwin.drivers.motion.tmcl import module as tmcl_driver
+from goniotwin.drivers.motion.tmcl.module import PortOpener
 from goniotwin.drivers.tap import Explain, Tap, as_text, no_tap
-from goniotwin.drivers.tmcl import PortOpener
-from goniotwin.drivers.usbip import find_usbip
-from goniotwin.drivers.usbtmc import UsbOpener
+from goniotwin.drivers.usb import usbtmc as usbtmc_driver
+from goniotwin.drivers.usb.usbip import find_usbip
+from goniotwin.drivers.usb.usbtmc import UsbOpener
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import TwinModel, VirtualRig
 from goniotwin.twin.doors import TwinUsbBackend, register, unregister

@@ -1,7 +1,7 @@
 """From the operator's part of a rig file to the drivers' settings and the geometry that plans are made with."""
 
-from goniotwin.app.rig.filter_tables import filter_wheel
-from goniotwin.app.rig.schema import AXES, AxisTable, RigFile
+from goniotwin.app.rig.file import AXES, AxisTable, RigFile
+from goniotwin.app.rig.filters import filter_wheel
 from goniotwin.drivers import ArcClearance, AxisSettings, Homing, MonitorSettings, MonochromatorSettings, PhotodiodeSettings
 from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument
@@ -55,10 +55,8 @@ def _axis(name: str, table: AxisTable) -> AxisSettings:
         acceleration=table.acceleration_deg_s2,
         microstep_exponent=table.microsteps.bit_length() - 1,
         stall_speed=table.stall_speed_deg_s,
-        homing=None if homing is None else Homing(
-            homing.mode, homing.speed_deg_s, homing.switch_speed_deg_s, homing.angle_deg, homing.longest_s
-        ),
-        **table.model_dump(
-            exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps", "stall_speed_deg_s", "homing"}
-        ),
+        homing=None
+        if homing is None
+        else Homing(homing.mode, homing.speed_deg_s, homing.switch_speed_deg_s, homing.angle_deg, homing.longest_s),
+        **table.model_dump(exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps", "stall_speed_deg_s", "homing"}),
     )

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError
-from goniotwin.app.formats.wholefile import write_whole
+from goniotwin.app.formats.whole_file import write_whole
 
 
 def save(figure: Figure, path: Path, dots_an_inch: int | None = None) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, read_rayset
 from goniotwin.twin.optics import IlluminationUnit, Instrument, RaySource, replay
-from goniotwin.twin.optics.mirrors import pupil
+from goniotwin.twin.optics.geometry.mirrors import pupil
 
 
 @dataclass(frozen=True, eq=False)

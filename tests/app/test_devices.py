@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.devices import Found, exit_status, found_devices
+from goniotwin.app.cli.instrument import Found, exit_status, found_devices
 from tests.conftest import RIG, Writer
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from goniotwin.app.cli.instrument import home_axes, state_place
 from goniotwin.app.errors import UserError
-from goniotwin.app.homing_command import home_axes, state_place
 from goniotwin.drivers import Axis, DeviceError, TmclModule
 from goniotwin.protocols.tmcl import Request
 from tests.conftest import Change, Writer
@@ -56,7 +56,7 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
         told.extend(name for name, _ in targets)
         return stop(module, targets, then)
 
-    monkeypatch.setattr("goniotwin.app.homing_command.wait", interrupt)
+    monkeypatch.setattr("goniotwin.app.cli.instrument.wait", interrupt)
     monkeypatch.setattr(TmclModule, "stop", heard)
     with pytest.raises(KeyboardInterrupt):
         home_axes(write_rig(*HOMES), [], print)

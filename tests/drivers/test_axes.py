@@ -6,7 +6,7 @@ import pytest
 import serial
 
 from goniotwin.drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
-from goniotwin.drivers.tmcl_rules import CANARY, MARKER_VARIABLE
+from goniotwin.drivers.motion.tmcl.rules import CANARY, MARKER_VARIABLE
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
 from tests.conftest import RigOpener

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.drivers import LimitError, wait
-from goniotwin.drivers.interlock import ArcClearance
+from goniotwin.drivers.motion.clearance import ArcClearance
 from tests.conftest import RigOpener
 
 ARC = ArcClearance(top_polar_deg=85.0)

@@ -3,7 +3,7 @@
 import pytest
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 
-from goniotwin.drivers.modbus import in_words
+from goniotwin.drivers.photodiodes.modbus import in_words
 
 
 @pytest.mark.parametrize(

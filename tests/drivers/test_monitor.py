@@ -3,7 +3,7 @@
 import pytest
 
 from goniotwin.drivers import MonitorSettings, NoAnswer, Refused, wait
-from goniotwin.drivers.usbtmc import UsbTmc
+from goniotwin.drivers.usb.usbtmc import UsbTmc
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.devices.scpi_instrument import Command, ScpiInstrument
 from goniotwin.twin.devices.usbtmc import UsbTmcDevice

@@ -15,7 +15,7 @@ from tests.drivers.photodiode_bench import Bench, bench, break_wires, read
 __all__ = ["bench"]
 
 MOST_S = 5.0
-"""Five timeouts of 1 s: see drivers.adam."""
+"""Five timeouts of 1 s: see drivers.photodiodes.adam."""
 
 
 @pytest.mark.parametrize("serial", [False, True])

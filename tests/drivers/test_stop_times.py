@@ -8,7 +8,7 @@ import pytest
 
 from goniotwin.drivers import DeviceError, LimitError, wait
 from goniotwin.drivers.errors import Interrupted
-from goniotwin.drivers.tmcl import HEARTBEAT_S
+from goniotwin.drivers.motion.tmcl.module import HEARTBEAT_S
 from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener
 from tests.drivers.busy_rig import RESOLUTION_S, BusyRig, Stop, Watched

@@ -20,12 +20,12 @@ import numpy.typing as npt
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.cli import app as command
+from goniotwin.app.cli.main import app as command
 from goniotwin.app.rig import read_rig
-from goniotwin.app.simulation.explained import rms_table
+from goniotwin.app.simulation.paper.explanation import rms_table
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
 

@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.drivers import Transcript, tmcl, usbtmc
-from goniotwin.drivers.modbus import explain, explain_rtu
+from goniotwin.drivers import Transcript
+from goniotwin.drivers.motion.tmcl import module as tmcl
+from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
+from goniotwin.drivers.usb import usbtmc
 from goniotwin.mocks.transcript import Passed, TranscriptError, exchanges, merged, read_transcript
 from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener

@@ -13,7 +13,7 @@ from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.opening import usbip_address
 from goniotwin.drivers import Monitor, MonitorSettings, wait
 from goniotwin.drivers.errors import DeviceError
-from goniotwin.drivers.usbip import UsbIpBackend, find_usbip
+from goniotwin.drivers.usb.usbip import UsbIpBackend, find_usbip
 from goniotwin.mocks.usb_endpoints import UsbEndpoints
 from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import RealClock

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.protocols.clock import RealClock
@@ -132,8 +132,8 @@ def _forks() -> Any:
 
 def _command(files: list[str], arguments: list[str], fate: Fate) -> None:
     """In the new process."""
-    from goniotwin.app.cli import main
-    from goniotwin.app.progress import RowProgress
+    from goniotwin.app.cli.main import main
+    from goniotwin.app.cli.progress import RowProgress
 
     told, out, err = (os.open(file, os.O_WRONLY | os.O_APPEND) for file in files)
     os.dup2(out, 1)

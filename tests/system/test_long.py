@@ -8,8 +8,8 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.compare import compare, in_plane, theory
-from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.comparison import compare, in_plane, theory
+from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from tests.conftest import SCHEDULE, Writer

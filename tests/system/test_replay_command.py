@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from pymodbus.framer import FramerRTU
 
+from goniotwin.app.cli.replay import Replayed, replay_transcripts
 from goniotwin.app.errors import UserError
-from goniotwin.app.replaying import Replayed, replay_transcripts
 from goniotwin.app.rig import read_rig
 from goniotwin.mocks.transcript import read_transcript
 from tests.conftest import Change, Writer

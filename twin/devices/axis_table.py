@@ -79,14 +79,22 @@ _HELD = {
     for number in (15, 16, 18, 19, 20, 21, 22, 23, 27, 28, 31, 32, 33, *range(162, 175), 182, 184, 185, *range(186, 193))
 }
 
-TMCM_6214: dict[int, Parameter] = _MOTION | _HELD | {
-    Axis.ENCODER_RESOLUTION: Parameter(51_200, 1, MAX),
-    202: Parameter(200, 1, 65_535),  # full steps a turn; nothing depends on it here
-    **{number: Parameter(0, MIN, MAX) for number in (40, 41, 42, 43, 177, 179, 201, 213, 240)},
-}
-TMCM_1240: dict[int, Parameter] = _MOTION | _HELD | {
-    Axis.ENCODER_RESOLUTION: _FLAG,  # "clear on null" there
-    202: Parameter(200, 1, 65_535),
-    254: Parameter(0, 0, 5),
-    **{number: Parameter(0, MIN, MAX) for number in (160, 161, 178, 215, 216, 217, 218)},
-}
+TMCM_6214: dict[int, Parameter] = (
+    _MOTION
+    | _HELD
+    | {
+        Axis.ENCODER_RESOLUTION: Parameter(51_200, 1, MAX),
+        202: Parameter(200, 1, 65_535),  # full steps a turn; nothing depends on it here
+        **{number: Parameter(0, MIN, MAX) for number in (40, 41, 42, 43, 177, 179, 201, 213, 240)},
+    }
+)
+TMCM_1240: dict[int, Parameter] = (
+    _MOTION
+    | _HELD
+    | {
+        Axis.ENCODER_RESOLUTION: _FLAG,  # "clear on null" there
+        202: Parameter(200, 1, 65_535),
+        254: Parameter(0, 0, 5),
+        **{number: Parameter(0, MIN, MAX) for number in (160, 161, 178, 215, 216, 217, 218)},
+    }
+)

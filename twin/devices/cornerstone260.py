@@ -21,8 +21,7 @@ from goniotwin.protocols.cornerstone import (
     StatementError,
     encode_status,
 )
-from goniotwin.twin.devices.cornerstone_state import GratingData, State
-from goniotwin.twin.devices.cornerstone_statements import IDENTITY, Refused, Statements
+from goniotwin.twin.devices.cornerstone_statements import IDENTITY, GratingData, Refused, State, Statements
 from goniotwin.twin.plant import Plant
 
 __all__ = ["IDENTITY", "Cornerstone260"]

@@ -117,4 +117,3 @@ class Globals:
         known = {0: number in BANK_0, USER_BANK: number < USER_VARIABLES, 3: number in TIMERS_AND_INTERRUPTS}
         if not known.get(bank, False):
             raise Rejected(Status.WRONG_TYPE)
-

@@ -132,9 +132,7 @@ class _Course:
         self.phases.append(self.t)
         means = self.means
         position = self.trajectory.position(self.t)
-        ahead = joined(
-            self.trajectory, turning(self.t, position, 0.0, velocity, means.acceleration, means.deceleration)
-        )
+        ahead = joined(self.trajectory, turning(self.t, position, 0.0, velocity, means.acceleration, means.deceleration))
         drive = means.driven(ahead)
         direction = 1 if velocity > 0.0 else -1
         found = [when_switched(drive, self.t, switch, wanted, direction) for switch, wanted in seen]

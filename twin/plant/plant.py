@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.reflectance import nominal
+from goniotwin.twin.optics.geometry.reflectance import nominal
 from goniotwin.twin.plant.converter import conversions, converted
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.shaft import Shaft
-from goniotwin.twin.plant.slew import Slewing
-from goniotwin.twin.plant.timeline import Changing, Timeline
+from goniotwin.twin.plant.timeline import Changing, Slewing, Timeline
 from goniotwin.twin.plant.view import Aspect, View
 
 MODULE_CHANNELS = 8

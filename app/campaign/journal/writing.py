@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 
 from goniotwin.app.campaign.journal.reading import DETAILS, Recorded, damage_told, opened_for_reading
-from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row

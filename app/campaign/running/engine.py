@@ -11,17 +11,16 @@ from itertools import accumulate
 from typing import TypeVar
 
 from goniotwin.app.campaign.journal.provenance import versions
-from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.writing import Journal, JournalError
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED, Row
-from goniotwin.app.campaign.running.ending import Endings
 from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.campaign.running.faults import DONE_ABOUT_IT, Policies
 from goniotwin.app.campaign.running.halt import Halt, Stopped
 from goniotwin.app.campaign.running.operator import Operator
-from goniotwin.app.campaign.running.performing import Performer
-from goniotwin.app.campaign.running.recovering import Recovery
+from goniotwin.app.campaign.running.recovery import DONE_ABOUT_IT, Policies, Recovery
+from goniotwin.app.campaign.running.rows import Performer
+from goniotwin.app.campaign.running.stop_conditions import Endings
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import DeviceError, Rig, Until

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.row import Row
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from goniotwin.app.campaign.journal.reading import Recorded
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.planning.timing import Timing
 from goniotwin.app.campaign.row import NOTHING, RESUMED, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError

@@ -16,7 +16,7 @@ import numpy as np
 
 from goniotwin.app.campaign.schedule.measuring import CertificateTable
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.radiance_factor import refuse_percentage
+from goniotwin.app.rig.file import refuse_percentage
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
 

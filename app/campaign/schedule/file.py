@@ -17,8 +17,8 @@ from goniotwin.app.campaign.schedule.measuring import (
     StopTable,
     WarmUpTable,
 )
-from goniotwin.app.campaign.schedule.pose_tables import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
-from goniotwin.app.tables import Table, checked, parse_toml, read_toml
+from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
+from goniotwin.app.toml_file import Table, checked, parse_toml, read_toml
 
 HIGHEST_SIGMA_DEG = 87.0
 NESTED = ("gamma", "sigma", "beta", "shift", "wavelength")

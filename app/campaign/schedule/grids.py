@@ -5,7 +5,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, model_validator
 
-from goniotwin.app.tables import Table
+from goniotwin.app.toml_file import Table
 
 MOST_POINTS = 100_000
 DECIMALS = 6

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from goniotwin.app.tables import Table
+from goniotwin.app.toml_file import Table
 
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Policy = Literal["retry", "reconnect", "skip", "ask", "stop"]

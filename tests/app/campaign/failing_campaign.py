@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.recorded import Committed
+from goniotwin.app.campaign.journal.record import Committed
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.engine import Engine

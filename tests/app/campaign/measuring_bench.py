@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from goniotwin.app.campaign.campaign import operator_for
-from goniotwin.app.campaign.journal.recorded import Committed
+from goniotwin.app.campaign.journal.record import Committed
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row

@@ -12,10 +12,10 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.points import BsdfPoints, joined
-from goniotwin.app.campaign.reducing.reduction import Reduction, reduce_journal
-from goniotwin.app.campaign.rehearsing.forecast import forecast
-from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.reduction.points import BsdfPoints, joined
+from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.rehearsal.forecast import forecast
+from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig

@@ -10,7 +10,7 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.schedule.certificate import constant, parse_certificate, refuse_expired
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_schedule
 from goniotwin.app.campaign.schedule.measuring import CertificateTable

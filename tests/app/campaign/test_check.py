@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.planner import GREAT, HEAD, checking
+from goniotwin.app.campaign.geometry.shadow import certainly_clear, shadowed
 from goniotwin.app.campaign.planning.check import checked_plan, in_words
-from goniotwin.app.campaign.planning.clear_view import certainly_clear
-from goniotwin.app.campaign.planning.directions import directions_seen
+from goniotwin.app.campaign.planning.coverage import directions_seen
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.planning.shadow import shadowed
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import believed_instrument, read_rig
 from goniotwin.twin.optics import arc_direction, visible_fraction

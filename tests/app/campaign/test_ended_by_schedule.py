@@ -9,8 +9,8 @@ import pytest
 from goniotwin.app.campaign.campaign import resume_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse
-from goniotwin.app.campaign.rehearsing.shown import in_words
+from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, prepared, rehearse
+from goniotwin.app.campaign.rehearsal.report import in_words
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig

@@ -8,7 +8,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.reduction import BsdfPoints, reduce_journal
+from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
@@ -17,7 +17,7 @@ from tests.conftest import Writer
 STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 # Wide detectors meet more paths: the campaign is about the two estimators, not about the field.
 OPTICS = "[twin.optics]\nstray = true\nfield_deg = 2.5\nestimator = '{estimator}'\nforward_error = {error}\n\n[twin.light]"
-PAINT_5 = "width_deg = 5.0\nform = \"one_over_e\"\nquantity = \"luminance\"\nreflectance = 0.9\n"
+PAINT_5 = 'width_deg = 5.0\nform = "one_over_e"\nquantity = "luminance"\nreflectance = 0.9\n'
 PAINT_30 = "width_deg = 30.0\nreflectance = 0.5\n\n[twin.frames]\nreflectance = 0.3\n"
 
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.reducing.export import export_csv, export_ddr
-from goniotwin.app.campaign.reducing.overlaps import overlaps
-from goniotwin.app.campaign.reducing.reduction import BsdfPoints, Reduced
-from goniotwin.app.campaign.reducing.regrid import regrid
+from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
+from goniotwin.app.campaign.reduction.overlaps import overlaps
+from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced
+from goniotwin.app.campaign.reduction.specular_grid import regrid
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import read_rig

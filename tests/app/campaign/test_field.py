@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.reducing.arcs import arc_views
-from goniotwin.app.campaign.reducing.field import directions_of, field_uncertainty, field_variance
-from goniotwin.app.campaign.reducing.points import BsdfPoints
+from goniotwin.app.campaign.geometry.directions import arc_views
+from goniotwin.app.campaign.reduction.field_of_view import directions_of, field_uncertainty, field_variance
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.rig import read_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, arc_direction, evaluate, gaussian, light_direction, luminance_factor, to_specular

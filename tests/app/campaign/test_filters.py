@@ -11,7 +11,7 @@ from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.rig import OpenRig

@@ -8,7 +8,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.errors import UserError
 
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.planning.bound import least_moving_seconds
-from goniotwin.app.campaign.planning.lattice import FILTER, WAVELENGTH, Lattice
-from goniotwin.app.campaign.planning.moves import Moves
-from goniotwin.app.campaign.planning.nesting import Nest, moving_seconds, swept, visited
-from goniotwin.app.campaign.planning.order import fastest_order
+from goniotwin.app.campaign.planning.durations import Moves
+from goniotwin.app.campaign.planning.loop_order import Nest, moving_seconds, swept, visited
+from goniotwin.app.campaign.planning.lower_bound import least_moving_seconds
+from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
+from goniotwin.app.campaign.planning.scan_order import fastest_order
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import AXES, RigFile, arc_clearance, axis_settings, parse_rig
 from goniotwin.arrays import Floats

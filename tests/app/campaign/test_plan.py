@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.planner import EXAMPLES, NAMED, nested_like_the_paper
-from goniotwin.app.campaign.planning.least import least_seconds
+from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.planning.timing import Timing
+from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.row import NOTHING, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values

@@ -8,10 +8,10 @@ import pytest
 from goniotwin.app.campaign.campaign import resume_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.campaign.running.faults import Policies, kind_of
+from goniotwin.app.campaign.running.recovery import Policies, kind_of
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused

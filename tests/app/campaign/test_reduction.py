@@ -9,8 +9,8 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.compare import compare, in_plane, relative_rms_percent, theory
-from goniotwin.app.campaign.reducing.reduction import BsdfPoints, Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.comparison import compare, in_plane, relative_rms_percent, theory
+from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.geometry.directions import arc_views
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reducing.arcs import arc_views
-from goniotwin.app.campaign.reducing.export import export_csv
-from goniotwin.app.campaign.reducing.overlaps import overlaps
-from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.export import export_csv
+from goniotwin.app.campaign.reduction.overlaps import overlaps
+from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig

@@ -13,8 +13,8 @@ import serial
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.rehearsing.rehearsal import Rehearsal, prepared, rehearse
-from goniotwin.app.campaign.rehearsing.shown import in_words
+from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, prepared, rehearse
+from goniotwin.app.campaign.rehearsal.report import in_words
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError

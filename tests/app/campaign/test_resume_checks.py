@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.recorded import RowData
+from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.runs import campaign_of
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
-from goniotwin.app.campaign.running.performing import Performer
 from goniotwin.app.campaign.running.resume import rest_of
+from goniotwin.app.campaign.running.rows import Performer
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig

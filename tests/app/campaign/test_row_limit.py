@@ -4,9 +4,9 @@ import re
 
 import pytest
 
+from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.planning.row_limit import fewest_rows
-from goniotwin.app.campaign.planning.timing import Timing
+from goniotwin.app.campaign.planning.validation import fewest_rows
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig

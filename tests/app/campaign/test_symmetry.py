@@ -12,14 +12,14 @@ from typer.testing import CliRunner
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.export import export_csv, export_ddr
-from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.reducing.steepness import steepness
-from goniotwin.app.campaign.reducing.symmetry import Symmetrical
-from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
-from goniotwin.app.campaign.rehearsing.shown import in_words
+from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
+from goniotwin.app.campaign.reduction.points import steepness
+from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.symmetry import Symmetrical
+from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.rehearsal.report import in_words
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.cli import app
+from goniotwin.app.cli.main import app
 from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.twin.optics import Scatterer, tabulated

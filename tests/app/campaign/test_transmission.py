@@ -10,9 +10,9 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reducing.compare import theory
-from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.reduction.comparison import theory
+from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.measuring_bench import QUIET

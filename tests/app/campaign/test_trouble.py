@@ -13,8 +13,8 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reducing.compare import theory
-from goniotwin.app.campaign.reducing.reduction import BsdfPoints, reduce_journal
+from goniotwin.app.campaign.reduction.comparison import theory
+from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowStarted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import OpenRig, parse_rig
@@ -49,8 +49,10 @@ TABLES = "[drift]\nevery_s = 30\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm =
 WRONG_U = 5.0
 STRAY = "[twin.optics]\nstray = true\n\n[twin.frames]\nreflectance = 0.045\n\n[twin.light]"
 FRAMES = (("[twin.light]", STRAY),)
-LIFTED = (("[twin.light]", STRAY.replace("[twin.frames]", "[twin.frames]\ngap_mm = 0.5")),
-          ("signature_uncertainty = 0.01", "signature_uncertainty = 0.3"))
+LIFTED = (
+    ("[twin.light]", STRAY.replace("[twin.frames]", "[twin.frames]\ngap_mm = 0.5")),
+    ("signature_uncertainty = 0.01", "signature_uncertainty = 0.3"),
+)
 WIDE = "[1e8, 1e10, 1e11]"
 PLAY = tuple((old, f"{old}, backlash_deg = 0.2") for old in ("motor = 4, gear = 36.0", "beta = { motor = 5, gear = 18.0"))
 

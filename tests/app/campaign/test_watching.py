@@ -7,11 +7,11 @@ import numpy as np
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reducing.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.rehearsing.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.campaign.spoken import numbers
+from goniotwin.app.campaign.wording import numbers
 from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.measuring_bench import carried_out
 from tests.conftest import RIG

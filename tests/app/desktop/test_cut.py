@@ -8,14 +8,14 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reducing.compare import signed_theta
-from goniotwin.app.campaign.reducing.reduction import reduce_journal
+from goniotwin.app.campaign.reduction.comparison import signed_theta
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.operator import BackDoor
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.desktop.cut import Cut, LiveCut, Points
-from goniotwin.app.desktop.cutplot import CutPlot
+from goniotwin.app.desktop.model.live_cut import Cut, LiveCut, Points
+from goniotwin.app.desktop.run.cut_plot import CutPlot
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.protocols.clock import VirtualClock

@@ -14,9 +14,10 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import BackDoor
-from goniotwin.app.desktop import MainWindow, rigthread, run_desktop
-from goniotwin.app.desktop.allowed import BUSY
-from goniotwin.app.desktop.cut import Cut, LiveCut
+from goniotwin.app.desktop import MainWindow, run_desktop
+from goniotwin.app.desktop.model import rig_thread as rigthread
+from goniotwin.app.desktop.model.live_cut import Cut, LiveCut
+from goniotwin.app.desktop.model.permissions import BUSY
 from goniotwin.app.rig import OpenRig, RigFile
 from goniotwin.drivers import Axis, DeviceError, Rig
 from goniotwin.drivers.errors import NoAnswer
@@ -97,9 +98,7 @@ def test_pause_waits_and_resume_goes_on_without_a_row_twice(qtbot: QtBot, open_w
     db.close()
 
 
-def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(
-    qtbot: QtBot, open_window: WindowOpener
-) -> None:
+def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=4.0))
     heard: list[RowCommitted] = []
     places: list[dict[str, float]] = []
@@ -259,9 +258,7 @@ def test_a_fault_that_the_engine_does_not_know_is_told_and_ends_the_run(
     assert "disk is full" in window.parts.status
 
 
-def test_a_folder_that_cannot_be_made_is_told_and_nothing_moves(
-    qtbot: QtBot, window: MainWindow, journals: Path
-) -> None:
+def test_a_folder_that_cannot_be_made_is_told_and_nothing_moves(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
     journals.write_text("a file, not a folder", encoding="utf-8")
     click(window.parts.run.start_button)
     qtbot.waitUntil(lambda: "Not started" in window.parts.status, timeout=READY_MS)
@@ -321,9 +318,7 @@ def test_a_person_is_asked_to_mount_and_the_run_waits(
     ended(qtbot, window, State.DONE)
 
 
-def test_stop_ends_the_waiting_for_a_person(
-    qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stop_ends_the_waiting_for_a_person(qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rigthread, "operator_for", Helped)
     click(window.parts.run.start_button)
     qtbot.waitUntil(lambda: asks(window, "etalon"), timeout=READY_MS)

@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QAbstractButton, QApplication, QComboBox, QProgres
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.desktop import MainWindow, Theme
-from goniotwin.app.desktop.messages import DEVICES
+from goniotwin.app.desktop.model.messages import DEVICES
 from goniotwin.drivers import Rig
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
 from tests.conftest import Writer
@@ -91,9 +91,7 @@ def test_a_schedule_that_the_rig_cannot_do_is_told_and_cannot_be_started(
     assert "gamma_deg" in window.parts.run.start_button.toolTip()
 
 
-def test_a_rig_whose_port_was_mended_connects_again(
-    qtbot: QtBot, open_window: WindowOpener, write_rig: Writer
-) -> None:
+def test_a_rig_whose_port_was_mended_connects_again(qtbot: QtBot, open_window: WindowOpener, write_rig: Writer) -> None:
     window = open_window(write_rig(('port = "twin://virtual/axes"', 'port = "/dev/no-such-port"')))
     qtbot.waitUntil(lambda: "does not answer" in window.parts.devices.text("axes"), timeout=READY_MS)
     write_rig()

@@ -313,9 +313,7 @@ def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: D
 
 
 @settings(deadline=None, max_examples=60)
-@given(
-    comments=st.lists(st.text() | st.sampled_from(["wl 450", "a\nsigma 2\n0 90", "\r;; phi", "\x85def"]), max_size=4)
-)
+@given(comments=st.lists(st.text() | st.sampled_from(["wl 450", "a\nsigma 2\n0 90", "\r;; phi", "\x85def"]), max_size=4))
 def test_no_comment_changes_what_is_read(folder: Path, comments: list[str]) -> None:
     path = folder / "commented.ddr"
     write_ddr(path, replace(spectral_table(), comments=tuple(comments)))

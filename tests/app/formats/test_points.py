@@ -42,9 +42,7 @@ def test_a_table_without_points_keeps_its_columns(tmp_path: Path) -> None:
     assert {name: column.tolist() for name, column in read_points_csv(path).columns.items()} == {"a": [], "b": []}
 
 
-TEXT = st.text(
-    st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")) | st.sampled_from("\n\r\t,\"'#"), max_size=8
-)
+TEXT = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")) | st.sampled_from("\n\r\t,\"'#"), max_size=8)
 NAMES = st.text(st.characters(min_codepoint=32, max_codepoint=126), min_size=1, max_size=8)
 
 
@@ -85,9 +83,7 @@ def test_what_is_written_is_read_again(
 
 @settings(deadline=None)
 @given(content=st.binary() | st.text(alphabet='ab,"\n\r#1.e-', max_size=60).map(str.encode))
-def test_arbitrary_bytes_raise_nothing_but_a_format_error(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
+def test_arbitrary_bytes_raise_nothing_but_a_format_error(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_bytes(content)
     try:

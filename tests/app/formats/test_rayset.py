@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import FormatError, read_rayset, write_rayset
-from goniotwin.twin.optics.illumination import IlluminationUnit
-from goniotwin.twin.optics.rayset import Rayset, record
+from goniotwin.twin.optics.illumination.rayset import Rayset, record
+from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 
 UNIT = IlluminationUnit()
 FINITE = st.floats(-1e6, 1e6)

@@ -106,9 +106,7 @@ def test_both_spellings_of_asymmetrical_are_read(tmp_path: Path, spelling: str) 
 @pytest.mark.parametrize("word", ["ASymmetrical4D", "ASymmetrical 4D"])
 def test_sample_rotations_are_the_first_dimension(tmp_path: Path, word: str) -> None:
     head, data = (
-        GOOD.replace("PlaneSymmetrical", word)
-        .replace("SampleRotation\t1\n0", "SampleRotation 2\n0 90")
-        .split("DataBegin\n")
+        GOOD.replace("PlaneSymmetrical", word).replace("SampleRotation\t1\n0", "SampleRotation 2\n0 90").split("DataBegin\n")
     )
     blocks = data.removesuffix("DataEnd\n")
     table = read_zemax(good(tmp_path, f"{head}DataBegin\n{blocks}{blocks.replace('0.3', '0.7')}DataEnd\n"))

@@ -3,7 +3,7 @@
 import pytest
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.modbus_units import ModbusUnits, rtu_address
+from goniotwin.app.rig.addresses import ModbusUnits, rtu_address
 
 
 def test_a_serial_address_says_port_unit_and_baud_rate() -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.addresses import place_of
 from goniotwin.app.rig.lock import RigLock
-from goniotwin.app.rig.place import place_of
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.simulation.grid import Detectors, detectors_at, numbers, output_phi, output_theta
-from goniotwin.app.simulation.regridded import interpolated, regridded
+from goniotwin.app.simulation.detectors import Detectors, detectors_at, numbers, output_phi, output_theta
+from goniotwin.app.simulation.specular_grid import interpolated, regridded
 from goniotwin.twin.optics import arc_direction, from_specular, specular_direction, to_specular
 
 

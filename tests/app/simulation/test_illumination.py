@@ -7,12 +7,11 @@ import pytest
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_points_csv, read_rayset, write_rayset
-from goniotwin.app.simulation.assumptions import assumptions
-from goniotwin.app.simulation.effort import Effort
+from goniotwin.app.rig.samples import parse_sample
+from goniotwin.app.simulation.estimate import Effort
+from goniotwin.app.simulation.files import assumptions
 from goniotwin.app.simulation.files import summary as simulated_summary
-from goniotwin.app.simulation.illumination import Illuminated, illuminated, summary
-from goniotwin.app.simulation.illumination_shown import check_names, write_illumination
-from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.illumination import Illuminated, check_names, illuminated, summary, write_illumination
 from goniotwin.app.simulation.simulate import Task, simulate
 from goniotwin.app.simulation.source import read_source, unit_for
 from goniotwin.twin.optics import IlluminationUnit, Instrument

@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.app.simulation.assumptions import assumptions
-from goniotwin.app.simulation.files import summary
-from goniotwin.app.simulation.regular import seen_within_deg
-from goniotwin.app.simulation.sample import parse_sample
-from goniotwin.app.simulation.simulate import Simulation, Task, simulate
+from goniotwin.app.rig.samples import parse_sample
+from goniotwin.app.simulation.files import assumptions, summary
+from goniotwin.app.simulation.simulate import Simulation, Task, seen_within_deg, simulate
 from goniotwin.twin.optics import Instrument, lambertian, regular, specular_direction, throughput
 
 OPEN = Instrument(obstruction=False)

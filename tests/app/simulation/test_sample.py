@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, ZemaxBsdf, write_ddr, write_zemax
-from goniotwin.app.simulation.sample import parse_sample, table_files
+from goniotwin.app.rig.samples import parse_sample, table_files
 from goniotwin.twin.optics import albedo, evaluate, from_specular, gaussian, lambertian, light_direction, summed
 
 SIGMA, PHI, THETA = np.array([0.0, 60.0]), np.array([0.0, 180.0]), np.array([0.0, 20.0, 180.0])

@@ -9,9 +9,9 @@ import pytest
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
-from goniotwin.app.simulation.effort import Effort
+from goniotwin.app.rig.samples import parse_sample
+from goniotwin.app.simulation.estimate import Effort
 from goniotwin.app.simulation.files import check_names, ddr_table, summary, write
-from goniotwin.app.simulation.sample import parse_sample
 from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
 from tests.twin.optics.agreement import agree

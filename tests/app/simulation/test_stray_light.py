@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation import estimate
-from goniotwin.app.simulation.assumptions import assumptions
-from goniotwin.app.simulation.effort import Effort
-from goniotwin.app.simulation.files import summary
-from goniotwin.app.simulation.sample import parse_sample
+from goniotwin.app.simulation.estimate import Effort
+from goniotwin.app.simulation.files import assumptions, summary
 from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument, SampleFrames
 from tests.twin.optics.agreement import agree

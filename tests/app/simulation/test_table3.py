@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from goniotwin.app.simulation.corner import Component, deviating, tilts, worst_corner
-from goniotwin.app.simulation.cut import cuts, in_plane_theta, theory
-from goniotwin.app.simulation.explained import (
+from goniotwin.app.simulation.paper.explanation import (
     PAPER,
     SIGMAS_DEG,
     WIDTHS_DEG,
@@ -21,9 +19,10 @@ from goniotwin.app.simulation.explained import (
     rms_table,
     tilted,
 )
-from goniotwin.app.simulation.table3 import STEPS, Table3, table3
-from goniotwin.app.simulation.table3_shown import figures, show
-from goniotwin.app.simulation.table3_words import as_dict, assumptions
+from goniotwin.app.simulation.paper.gaussian_cut import cuts, in_plane_theta, theory
+from goniotwin.app.simulation.paper.table3 import STEPS, Table3, table3
+from goniotwin.app.simulation.paper.table3_report import as_dict, assumptions, figures, show
+from goniotwin.app.simulation.paper.worst_corner import Component, deviating, tilts, worst_corner
 from goniotwin.twin.optics import Instrument
 
 OPEN = Instrument(obstruction=False)

@@ -4,7 +4,7 @@ import pytest
 import usb.core
 import usbtmc
 
-from goniotwin.mocks.virtual_usb import installed
+from goniotwin.mocks.usb_endpoints import installed
 from goniotwin.protocols.clock import RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import MsgId, message, request_in
 from goniotwin.twin import VirtualRig

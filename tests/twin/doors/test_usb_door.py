@@ -5,7 +5,7 @@ import usb.core
 import usb.util
 import usbtmc
 
-from goniotwin.mocks.virtual_usb import installed
+from goniotwin.mocks.usb_endpoints import installed
 from goniotwin.protocols.clock import RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import MsgId, message, request_in
 from goniotwin.twin.doors import TwinUsbBackend

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.twin.optics.deviation import Deviation, by_name, rotation_and_shift
+from goniotwin.twin.optics.geometry.deviation import Deviation, by_name, rotation_and_shift
 
 ANGLE = st.floats(-180.0, 180.0)
 

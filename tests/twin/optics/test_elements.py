@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics.elements import bend, chord, reflected, to_plane
+from goniotwin.twin.optics.illumination.elements import bend, chord, reflected, to_plane
 
 FRAME = np.vstack([np.zeros(3), np.eye(3)])
 COUNTER = np.random.Generator(np.random.Philox(key=7))

@@ -24,8 +24,8 @@ from goniotwin.twin.optics import (
     spectral,
     summed,
 )
-from goniotwin.twin.optics.chunks import CHUNK
-from goniotwin.twin.optics.paths import BLOCK
+from goniotwin.twin.optics.forward.paths import BLOCK
+from goniotwin.twin.optics.montecarlo.chunks import CHUNK
 from tests.twin.optics.models import MODELS, named
 
 REFLECTED = 0.95**3

@@ -18,9 +18,9 @@ from goniotwin.twin.optics import (
     replay,
     spectral,
 )
-from goniotwin.twin.optics.holder import SampleFrames
-from goniotwin.twin.optics.mirrors import pupil
-from goniotwin.twin.optics.rayset import RaySource
+from goniotwin.twin.optics.geometry.mirrors import pupil
+from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
+from goniotwin.twin.optics.illumination.rayset import RaySource
 from tests.twin.optics.agreement import agree
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)

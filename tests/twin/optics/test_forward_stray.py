@@ -18,8 +18,8 @@ from goniotwin.twin.optics import (
     regular,
     throughput,
 )
-from goniotwin.twin.optics.holder import SampleFrames
-from goniotwin.twin.optics.stray import PATHS, stray, stray_throughput
+from goniotwin.twin.optics.forward.stray_light import PATHS, stray, stray_throughput
+from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
 
 OPEN = Instrument(obstruction=False)
 # One detector that takes all that leaves upwards.

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.twin.optics import arc_direction, from_specular, light_direction, specular_direction, to_specular
-from goniotwin.twin.optics.frames import direction_rows
+from goniotwin.twin.optics.geometry.coordinates import direction_rows
 
 SIGMA = st.floats(0.0, 180.0)
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics.deviation import Deviation
-from goniotwin.twin.optics.illumination import ARC, ELEMENTS, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
-from goniotwin.twin.optics.instrument import Instrument
-from goniotwin.twin.optics.spectrum import xenon
+from goniotwin.twin.optics.geometry.deviation import Deviation
+from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.illumination.spectrum import xenon
+from goniotwin.twin.optics.illumination.unit import ARC, ELEMENTS, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 
 
 def test_the_beam_is_that_of_the_instrument() -> None:

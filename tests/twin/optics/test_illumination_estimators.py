@@ -8,14 +8,14 @@ import numba
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics.beam import Illumination
-from goniotwin.twin.optics.chunks import CHUNK
-from goniotwin.twin.optics.deviation import Deviation
-from goniotwin.twin.optics.illumination import ELEMENTS, IlluminationUnit
-from goniotwin.twin.optics.illumination_adjoint import adjoint_illumination
-from goniotwin.twin.optics.illumination_figure import illumination_figure
-from goniotwin.twin.optics.illumination_forward import forward_illumination
-from goniotwin.twin.optics.spectrum import luminous, xenon
+from goniotwin.twin.optics.geometry.deviation import Deviation
+from goniotwin.twin.optics.illumination.adjoint import adjoint_illumination
+from goniotwin.twin.optics.illumination.beam import Illumination
+from goniotwin.twin.optics.illumination.figure8 import illumination_figure
+from goniotwin.twin.optics.illumination.forward import forward_illumination
+from goniotwin.twin.optics.illumination.spectrum import luminous, xenon
+from goniotwin.twin.optics.illumination.unit import ELEMENTS, IlluminationUnit
+from goniotwin.twin.optics.montecarlo.chunks import CHUNK
 from tests.twin.optics.agreement import agree
 
 UNIT = IlluminationUnit()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from goniotwin.twin.optics import Instrument, light_direction, pupil_image
-from goniotwin.twin.optics.mirrors import mirrors_at, reflect, unfolded
+from goniotwin.twin.optics.geometry.mirrors import mirrors_at, reflect, unfolded
 
 EVERY_SIGMA = np.arange(0.0, 180.1, 7.5)
 

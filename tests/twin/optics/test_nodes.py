@@ -18,8 +18,8 @@ from goniotwin.twin.optics import (
     tabulated,
     throughput,
 )
-from goniotwin.twin.optics.gaussian_rays import gaussian_values
-from goniotwin.twin.optics.instrument import ELEMENTS
+from goniotwin.twin.optics.fast.lobe_sums import gaussian_values
+from goniotwin.twin.optics.geometry.instrument import ELEMENTS
 
 OPEN = Instrument(obstruction=False)
 MANY = 1 << 14

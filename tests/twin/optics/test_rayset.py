@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics.deviation import Deviation
-from goniotwin.twin.optics.illumination import IlluminationUnit
-from goniotwin.twin.optics.illumination_forward import forward_illumination
-from goniotwin.twin.optics.instrument import Instrument
-from goniotwin.twin.optics.mirrors import pupil
-from goniotwin.twin.optics.rayset import Rayset, record, replay
+from goniotwin.twin.optics.geometry.deviation import Deviation
+from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.mirrors import pupil
+from goniotwin.twin.optics.illumination.forward import forward_illumination
+from goniotwin.twin.optics.illumination.rayset import Rayset, record, replay
+from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 from tests.twin.optics.agreement import agree
 
 UNIT = IlluminationUnit()

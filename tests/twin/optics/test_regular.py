@@ -17,7 +17,7 @@ from goniotwin.twin.optics import (
     summed,
     throughput,
 )
-from goniotwin.twin.optics.scene import scene_at
+from goniotwin.twin.optics.geometry.scene import scene_at
 
 OPEN = Instrument(obstruction=False)
 REFLECTED = 0.95**3

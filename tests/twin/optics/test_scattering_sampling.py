@@ -23,7 +23,7 @@ from goniotwin.twin.optics import (
     tabulated,
     to_specular,
 )
-from goniotwin.twin.optics.sampling import density_all, scatter_all
+from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
 from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, flipped, named
 
 # At the edges of the tables' cells, where the density jumps.

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
-from goniotwin.twin.optics.scoring import HITS, Room, find_cells, score, score_segment, targets
+from goniotwin.twin.optics.forward.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
+from goniotwin.twin.optics.forward.scoring import HITS, Room, find_cells, score, score_segment, targets
 
 
 def random_directions(count: int, seed: int) -> Floats:

@@ -20,7 +20,7 @@ from goniotwin.twin.optics import (
     throughput,
     visible_fraction,
 )
-from goniotwin.twin.optics.sensor import passes
+from goniotwin.twin.optics.geometry.sensor import passes
 
 OTHERS = [RealSensor(diaphragm_mm=18.0), RealSensor(detector_side_mm=0.1), RealSensor(detector_mm=40.0)]
 NAMES = ["diaphragm out of focus", "small detector", "detector far behind"]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.twin.optics.spectrum import V_NM, Passband, Spectrum, V, luminous, xenon
+from goniotwin.twin.optics.illumination.spectrum import V_NM, Passband, Spectrum, V, luminous, xenon
 
 
 def test_the_luminous_efficiency_has_its_published_integral() -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.drivers.ramp import move_seconds
+from goniotwin.drivers.motion.settings import move_seconds
 from goniotwin.twin.plant.motion import Trajectory, braked, cut, joined, moving, resting, turning, turning_points
 
 PLACE = st.floats(-1e6, 1e6)

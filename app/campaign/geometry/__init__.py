@@ -1,0 +1,1 @@
+"""The goniophotometer's geometry: arcs, directions, symmetry, and what the mirror unit blocks."""

@@ -1,0 +1,123 @@
+"""How long rows are read whose gains or readings the light decides: foreseen from a twin's light at some of them.
+
+The photocurrents are those of the twin's fast estimator, at rows spread evenly over what is measured with each sample. On
+counts with the noise that the twin has the engine's own rules are then followed: at which gains (running/gains.py), and how
+often (running/averaging.py).
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+
+from goniotwin.app.campaign.planning.durations import Lots, Timing
+from goniotwin.app.campaign.planning.mountings import Pass
+from goniotwin.app.campaign.planning.scan_grid import Lattice
+from goniotwin.app.campaign.readout import LEAST_READINGS, Gains, clipped, readings_needed
+from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.rig import RigDescription, monochromator_settings, photodiode_settings
+from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.arrays import Counts, Flags, Floats, Ints
+from goniotwin.protocols import adam
+from goniotwin.twin.plant import Plant, TwinModel
+from goniotwin.twin.plant.converter import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C
+from goniotwin.twin.plant.noise import normal, process_key
+from goniotwin.twin.plant.view import Aspect
+
+LOOKED_AT = 40
+"""Rows of each sample, for each of its lattices."""
+GOLDEN = 0.6180339887498949
+"""Multiples of it, their whole parts left out, are spread evenly however many there are: in step with no grid."""
+MOST_DRAWN = 1024
+APART = 37
+"""Of the noise that is drawn once, each row begins so much further on."""
+
+
+def twin_of(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel | None:
+    """The twin to ask: that of a virtual rig, or the one that a real rig's file describes; None where asking takes long."""
+    model = described_twin(rig, etalon, samples, {}).rig.model()
+    if model is None or model.estimator.kind != "fast" or model.estimator.stray:
+        return None
+    return model
+
+
+def reading_seconds(rig: RigDescription, model: TwinModel, passes: list[Pass], row: Row, timing: Timing) -> float:
+    """What a row of these passes takes to be read after one like it, on average, s."""
+    light = Light(rig, model)
+    known: dict[Lattice, float] = {}
+    for each in passes:
+        if each.lattice not in known:
+            points = each.lattice.points[_spread(len(each.lattice))]
+            found = [list(light.lots(row, point, number)) for number, point in enumerate(points)]
+            known[each.lattice] = float(np.mean([timing.lots_seconds(lots) for lots in found]))
+    rows = sum(len(each.lattice) for each in passes)
+    return sum(known[each.lattice] * len(each.lattice) for each in passes) / rows
+
+
+class Light:
+    """What a twin's photodiodes give, as counts."""
+
+    def __init__(self, rig: RigDescription, model: TwinModel) -> None:
+        self._settings = photodiode_settings(rig.file)
+        self._wheel = monochromator_settings(rig.file).wheel
+        self._model = model
+        self._plant = Plant(model)
+
+    def lots(self, row: Row, point: Floats, number: int) -> Iterator[Lots]:
+        """Gain by gain, how many readings are taken one lot after the other, of a row at a point (5,)."""
+        gamma, sigma, beta, shift, wavelength = point.tolist()
+        sample = None if row.sample == NOTHING else row.sample
+        sorting = self._wheel.at(wavelength)
+        aspect = Aspect(sample, 0.0, wavelength, sigma, gamma, beta, shift)
+        signal = self._plant.steady_photocurrents_a(aspect, 1 if sorting is None else sorting.position)
+        gains = Gains(row, self._settings.count, max(row.gains))
+        for gain in gains:
+            drawn = _normals(len(signal) + 1)[np.mod(np.arange(MOST_DRAWN) + number * APART, MOST_DRAWN)]
+            counts = self._counts(signal, gain, drawn)
+            lots = self._read(row, gain, counts, gains.waiting)
+            gains.read(counts[: max(LEAST_READINGS, min(sum(lots), MOST_DRAWN))])
+            yield gain, lots
+
+    def _read(self, row: Row, gain: int, counts: Counts, waiting: Flags) -> tuple[int, ...]:
+        """As the engine does it: a lot, and as long as that is not enough another."""
+        if row.target is None:
+            return (row.readings,)
+        dark = self._counts(np.zeros(counts.shape[1]), gain, np.zeros((1, counts.shape[1] + 1)))[0].astype(float)
+        most = max(row.readings, int(row.longest_s / self._settings.period_s))
+        lots = [max(row.readings, LEAST_READINGS)]
+        while sum(lots) <= MOST_DRAWN:
+            taken = counts[: sum(lots)]
+            needed = readings_needed(taken, dark, waiting & ~clipped(taken), row.target, most)
+            if needed <= sum(lots):
+                break
+            lots.append(needed - sum(lots))
+        return tuple(lots)
+
+    def _counts(self, signal_a: Floats, gain: int, drawn: Floats) -> Counts:
+        """Counts (readings, photodiodes) at a gain by its number; in the first column of `drawn` is what the lamp flickers."""
+        electronics, diodes = self._model.electronics, self._model.photodiodes
+        noisy = float(self._model.noise)
+        volts_per_a = electronics.gains_v_per_a[gain]
+        current = signal_a * (1.0 + noisy * self._model.light.flicker * drawn[:, :1]) + diodes.dark_a
+        bandwidth = 0.5 / self._plant.conversion_period_s
+        noise = 2.0 * ELEMENTARY_CHARGE_C * np.abs(current) * bandwidth
+        noise += 4.0 * BOLTZMANN_J_PER_K * electronics.temperature_k * bandwidth / volts_per_a
+        spread = np.sqrt(noise * volts_per_a**2 + electronics.noise_v**2)
+        volts = current * volts_per_a + noisy * spread * drawn[:, 1:] + electronics.offset_v
+        counts = (volts - self._settings.range.low_v) / self._settings.range.lsb_v
+        return np.round(np.clip(counts, 0, adam.FULL_SCALE)).astype(np.uint16)
+
+
+@lru_cache(maxsize=4)
+def _normals(columns: int) -> Floats:
+    """Standard normal numbers (MOST_DRAWN, columns), always the same."""
+    key = process_key(0, "foreseen readings")
+    drawn = [normal(key, np.int64(k)) for k in range(MOST_DRAWN * columns)]
+    return np.array(drawn).reshape(MOST_DRAWN, columns)
+
+
+def _spread(rows: int) -> Ints:
+    """The numbers of some of so many rows, all where there are few."""
+    if rows <= LOOKED_AT:
+        return np.arange(rows)
+    return np.asarray(rows * np.mod(GOLDEN * np.arange(LOOKED_AT), 1.0), dtype=np.int64)

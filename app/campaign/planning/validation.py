@@ -1,0 +1,172 @@
+"""More rows than a campaign may have, refused with the arithmetic before they are built.
+
+What a rig cannot do of a schedule, said before anything is built: file, key, reason, remedy.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from goniotwin.app.campaign.geometry.arcs import lit_sides, rig_sigma_deg
+from goniotwin.app.campaign.geometry.symmetry import one_of_each
+from goniotwin.app.campaign.planning.durations import Timing, fewest_stretches
+from goniotwin.app.campaign.planning.mountings import Pass
+from goniotwin.app.campaign.planning.timeline import Measuring
+from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import AXES, RigDescription, axis_settings
+from goniotwin.drivers import LimitError
+from goniotwin.drivers.motion.axis import Axis, AxisSettings
+
+MOST_ROWS = 1_000_000
+
+
+def refuse_too_many(schedule: ScheduleDescription) -> None:
+    """Raises UserError with the arithmetic where the grids alone make more rows than a campaign may have."""
+    file = schedule.file
+    counts = {
+        "samples and etalon": len(file.samples) + 1 + file.signature,
+        "sides": len(lit_sides(file)),
+        "sigma_deg": len(grid_values(file.sigma_deg)),
+        **_turns(file),
+        "shift_deg": len(grid_values(file.shift_deg)),
+        "wavelength_nm": len(grid_values(file.wavelength_nm)),
+        "repeats": file.repeats,
+    }
+    rows = math.prod(counts.values())
+    if rows > MOST_ROWS:
+        sums = " x ".join(f"{count} {key}" for key, count in counts.items() if count > 1)
+        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take coarser grids")
+    betas = len(grid_values(file.beta_deg))
+    if file.overlap is not None and file.overlap.points > betas:
+        raise UserError(
+            f"{schedule.name}: overlap.points: {file.overlap.points} betas at each sigma, but beta_deg has {betas}; take fewer"
+        )
+
+
+def _turns(file: ScheduleFile) -> dict[str, int]:
+    """How many gammas and betas are left when the symmetry has made some of them superfluous."""
+    gammas, betas = grid_values(file.gamma_deg), grid_values(file.beta_deg)
+    if file.symmetry == "isotropic":
+        poses = np.zeros((len(betas), 4))
+        poses[:, 2] = betas
+        return {"beta_deg": int(one_of_each(poses, file.symmetry).sum())}
+    if file.symmetry == "plane-symmetric" and len(gammas) * len(betas) <= MOST_ROWS:
+        poses = np.zeros((len(gammas) * len(betas), 4))
+        poses[:, 0], poses[:, 2] = np.repeat(gammas, len(betas)), np.tile(betas, len(gammas))
+        return {"pairs of gamma_deg and beta_deg": int(one_of_each(poses, file.symmetry).sum())}
+    return {"gamma_deg": len(gammas), "beta_deg": len(betas)}
+
+
+def refuse_too_many_poses(schedule: ScheduleDescription, mounted: list[list[Pass]]) -> None:
+    """The same where it is what comes beyond the grids: near_specular, overlap, symmetry_check and open_beam."""
+    rows = sum(len(each.lattice) for passes in mounted for each in passes)
+    if rows > MOST_ROWS:
+        wavelengths = len(mounted[0][0].lattice.wavelengths_nm)
+        passes_of = Counter((each.sample, len(each.lattice.poses)) for passes in mounted for each in passes)
+        told = " + ".join(
+            f"{sample}: {poses} poses x {wavelengths} wavelengths x {passes} passes"
+            for (sample, poses), passes in passes_of.items()
+        )
+        raise UserError(
+            f"{schedule.name}: {told} = {rows} rows, more than {MOST_ROWS}; take coarser grids, a narrower near_specular, "
+            "or less of overlap and symmetry_check"
+        )
+
+
+def fewest_rows(mounted: list[list[Pass]], measuring: Measuring, timing: Timing) -> dict[str, int]:
+    """By kind, how many rows a plan has at least, whatever its order: from the least that its rows take to read."""
+    file = measuring.file
+    kinds = {"measure": 0, "drift": 0, "dark": 0}
+    for passes in mounted:
+        row = measuring.row(passes[0].sample)
+        reading = timing.readings_range(row)[0] + timing.readback_s
+        rows = sum(len(each.lattice) for each in passes)
+        checks = 0
+        if file.drift is not None and passes[0].sample != NOTHING:
+            checks = 1 + fewest_stretches(rows, reading, file.drift.every_s)
+        kinds["measure"] += rows
+        kinds["drift"] += checks
+        kinds["dark"] += 1 + fewest_stretches(rows + checks, reading, file.dark_every_s)
+    return kinds
+
+
+def refuse_too_many_beside(schedule: ScheduleDescription, kinds: Mapping[str, int], about: str = "") -> None:
+    """The same where it is the rows between the measurements."""
+    measured, darks, checks = (kinds.get(kind, 0) for kind in ("measure", "dark", "drift"))
+    rows = sum(kinds.values())
+    if rows > MOST_ROWS:
+        file = schedule.file
+        told = [f"{about}{darks} darks (dark_every_s = {file.dark_every_s:g})"]
+        if file.drift is not None:
+            told.append(f"{about}{checks} drift checks (drift.every_s = {file.drift.every_s:g})")
+        others = [f"{count} {kind}" for kind, count in kinds.items() if kind not in ("measure", "dark", "drift")]
+        sums = " + ".join([f"{measured} measurements", *told, *others])
+        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take them less often, or coarser grids")
+
+
+def refuse_beyond_limits(schedule: ScheduleDescription, rig: RigDescription) -> None:
+    """Raises UserError for an angle or a wavelength that the rig does not reach."""
+    settings = axis_settings(rig.file)
+    for key, axis, value in _angles(schedule.file):
+        _check_axis(schedule, rig, key, settings[axis], value)
+    table = rig.file.monochromator
+    drift = schedule.file.drift
+    wavelengths = [("wavelength_nm", each) for each in grid_values(schedule.file.wavelength_nm)]
+    for key, wavelength in [*wavelengths, *([("drift.wavelength_nm", drift.wavelength_nm)] if drift else [])]:
+        if not table.lowest_nm <= wavelength <= table.highest_nm:
+            raise UserError(
+                f"{schedule.name}: {key}: {wavelength:g} nm is outside the monochromator's "
+                f"{table.lowest_nm:g} to {table.highest_nm:g} nm in {rig.name}; take it out of the schedule"
+            )
+
+
+def _angles(file: ScheduleFile) -> Iterator[tuple[str, str, float]]:
+    """Key, axis and angle in degrees of everything that a schedule has an axis go to."""
+    for axis in AXES:
+        for value in grid_values(getattr(file, f"{axis}_deg")):
+            for angle in [rig_sigma_deg(value, side) for side in lit_sides(file)] if axis == "sigma" else [value]:
+                yield f"{axis}_deg", axis, angle
+    if file.near_specular is not None and file.near_specular.shift_deg is not None:
+        for value in grid_values(file.near_specular.shift_deg):
+            yield "near_specular.shift_deg", "shift", value
+    if file.drift is not None:
+        for axis in AXES:
+            yield f"drift.{axis}_deg", axis, getattr(file.drift, f"{axis}_deg")
+
+
+def _check_axis(schedule: ScheduleDescription, rig: RigDescription, key: str, settings: AxisSettings, value: float) -> None:
+    try:
+        Axis.check_limits(settings, value)
+    except LimitError as error:
+        raise UserError(
+            f"{schedule.name}: {key}: {value:g} deg is {error.happened} in {rig.name}; take it out of the schedule"
+        ) from None
+
+
+def gain_numbers(schedule: ScheduleDescription, rig: RigDescription) -> tuple[int, ...]:
+    """The gains to read at, as numbers in the rig's list. Raises UserError for one that the rig does not have."""
+    known = rig.file.photodiodes.gains_v_per_a
+    wanted = schedule.file.gains_v_per_a
+    if wanted == "automatic":
+        return tuple(range(len(known)))
+    for gain in wanted:
+        if gain not in known:
+            has = ", ".join(f"{each:g}" for each in known)
+            raise UserError(f"{schedule.name}: gains_v_per_a: {gain:g} is not among those of {rig.name}: {has}; take one")
+    return tuple(sorted(known.index(gain) for gain in wanted))
+
+
+def refuse_unknown_samples(schedule: ScheduleDescription, rig: RigDescription) -> None:
+    """Raises UserError for a sample that a virtual rig does not have."""
+    if rig.file.twin is None:
+        return  # what a person mounts has whatever name the person gives it
+    known = rig.file.twin.samples
+    for sample in (schedule.file.etalon, *schedule.file.samples):
+        if sample not in known:
+            has = ", ".join(sorted(known)) or "none"
+            raise UserError(f"{schedule.name}: there is no sample {sample!r} in {rig.name}: it has {has}; take one")

@@ -1,0 +1,111 @@
+"""The points of a row: formula 1 for each photodiode of an arc, and what is to be said of each value."""
+
+import math
+
+import numpy as np
+
+from goniotwin.app.campaign.geometry.directions import ArcView, arc_views
+from goniotwin.app.campaign.geometry.shadow import shadowed
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.readings import Key, Measured, key_of
+from goniotwin.app.campaign.reduction.signals import Ratio, Signal
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.certificate import Certificate, constant
+from goniotwin.app.rig import RigDescription
+from goniotwin.arrays import Flags
+
+ETALON_SIGNAL = 5.0
+"""An etalon's signal below so many standard uncertainties is none: there is nothing to divide by."""
+BRIGHT = 20.0
+"""An etalon's signal that should be above so many standard uncertainties, and is none, is that of a dead photodiode."""
+DETECTED = 3.0
+"""A sample's signal below so many standard uncertainties is lost in its noise."""
+GRAZING_DEG = 85.0
+
+
+def live_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -> BsdfPoints:
+    """The upper arc's photodiodes in one row by the rig file's etalon, as far as can be said while a run goes on."""
+    assert row.pose is not None
+    well = np.zeros(len(sample.ratio), dtype=bool)
+    table = rig.file.etalon
+    certificate = constant(table.radiance_factor, table.relative_uncertainty)
+    measured, reference = (Measured(row, found, well, well) for found in (sample, etalon))
+    return _arc_points(rig, measured, arc_views(rig.file, row.pose)[0], reference, (None, None), certificate)
+
+
+def row_points(
+    rig: RigDescription, sample: Measured, etalon: dict[Key, Measured], signature: dict[Key, Measured], certificate: Certificate
+) -> list[BsdfPoints]:
+    """Of each arc whose photodiodes have seen the etalon, too."""
+    row = sample.row
+    assert row.pose is not None
+    blocks = []
+    for view in arc_views(rig.file, row.pose):
+        pose = view.etalon_pose(row.pose)
+        reference = etalon.get(key_of(row, pose))
+        if reference is not None:
+            own = None if view.transmitted else signature.get(key_of(row, row.pose))
+            at_etalon = signature.get(key_of(row, pose))
+            blocks.append(_arc_points(rig, sample, view, reference, (own, at_etalon), certificate))
+    return blocks
+
+
+def _arc_points(
+    rig: RigDescription,
+    sample: Measured,
+    view: ArcView,
+    etalon: Measured,
+    signature: tuple[Measured | None, Measured | None],
+    certificate: Certificate,
+) -> BsdfPoints:
+    row, c, n = sample.row, view.channels, len(view.channels)
+    assert row.pose is not None
+    assert row.wavelength_nm is not None
+    assert etalon.row.pose is not None
+    gamma, sigma, beta, shift = row.pose
+    incidence = 180.0 - etalon.row.pose[1] if etalon.row.pose[1] > 90.0 else etalon.row.pose[1]
+    factor, u_factor = certificate.at(row.wavelength_nm, incidence, view.polar, view.azimuth)
+    own, at_etalon = (None if each is None else each.signal for each in signature)
+    ratio = Ratio.of(rig, sample.signal, etalon.signal, own, at_etalon, c=c)
+    # For transmitted light the mirror unit is elsewhere at the etalon, and hides other directions there.
+    ways = {sigma, etalon.row.pose[1]}
+    hidden = np.any([shadowed(rig.file, there, view.zenith, view.azimuth, gamma) for there in ways], axis=0)
+    no_etalon = np.isfinite(ratio.etalon) & ~(ratio.etalon > ETALON_SIGNAL * np.sqrt(ratio.var_etalon))
+    scale = np.where(no_etalon, np.nan, factor / math.pi)
+    bsdf = ratio.value * scale
+    u_bsdf = np.sqrt(ratio.variance * scale**2 + bsdf**2 * (ratio.relative_variance + u_factor**2))
+    return BsdfPoints(
+        wavelength_nm=np.full(n, row.wavelength_nm),
+        sigma_deg=np.full(n, sigma),
+        gamma_deg=np.full(n, gamma),
+        beta_deg=np.full(n, beta),
+        shift_deg=np.full(n, shift),
+        photodiode=c,
+        zenith_deg=view.zenith,
+        azimuth_deg=view.azimuth,
+        theta_deg=view.theta,
+        phi_deg=view.phi,
+        bsdf=bsdf,
+        u_bsdf=u_bsdf,
+        shadowed=hidden,
+        clipped=ratio.clipped,
+        no_etalon=no_etalon,
+        dead=sample.dead[c] | etalon.dead[c] | _dead(ratio, view, no_etalon & ~hidden),
+        uncertified=np.isnan(factor),
+        drifted=sample.drifted[c] | etalon.drifted[c],
+        under_range=np.isfinite(ratio.sample) & (ratio.sample < DETECTED * np.sqrt(ratio.var_sample)),
+        back=np.full(n, view.back),
+        transmitted=np.full(n, view.transmitted),
+        signature=ratio.signature,
+        mirrored=np.full(n, row.mirrored),
+        u_field=np.full(n, np.nan),
+    )
+
+
+def _dead(ratio: Ratio, view: ArcView, none: Flags) -> Flags:
+    """Which of those that see nothing of the etalon should: by what the others see, over the cosine of their zenith angles."""
+    cosine = np.cos(np.radians(view.polar))
+    lit = (view.polar <= GRAZING_DEG) & (cosine > 0.0)
+    brightness = float(np.nanmedian(np.where(lit, ratio.etalon / cosine, np.nan))) if lit.any() else 0.0
+    dead: Flags = none & lit & (brightness * cosine > BRIGHT * np.sqrt(ratio.var_etalon))
+    return dead

@@ -1,0 +1,55 @@
+"""A rehearsal for a person at a terminal."""
+
+from typing import Any
+
+from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal
+from goniotwin.app.campaign.wording import clock_time
+
+UNITS = ("bytes", "kB", "MB", "GB")
+
+
+def in_words(rehearsal: Rehearsal) -> str:
+    """What it has shown, a line each."""
+    result = rehearsal.result
+    plan = rehearsal.plan
+    lines = [
+        f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}: {result['rows']} of {result['planned']} rows",
+        f"  duration    {clock_time(result['duration_s'])}, and the time to mount",
+        *(f"    {block['name']:14}{clock_time(block['duration_s'])}, {block['rows']} rows" for block in result["blocks"]),
+        f"  axes        {_ranges(result['axes_deg'])}",
+        f"  counts      {_counts(result)}",
+        *(f"  uncertainty {name}: {_spread(spread)}" for name, spread in result["relative_uncertainty"].items()),
+        *(f"  check       {each}" for each in result["checks"]["told"]),
+        f"  lamp        {result['lamp_hours']:.2f} h",
+        f"  journal     {_size(result['journal_bytes'])}",
+        *(f"  assumed     {each}" for each in result["assumed"]),
+        *(f"  WARNING     {each}" for each in result["warnings"]),
+    ]
+    return "\n".join(lines)
+
+
+def _ranges(axes: dict[str, list[float]]) -> str:
+    return ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in axes.items()) + " deg" if axes else "none has moved"
+
+
+def _counts(result: dict[str, Any]) -> str:
+    shares = ", ".join(f"{share:.1%} of the range at {gain} V/A" for gain, share in result["counts"]["share_of_range"].items())
+    return f"at most {shares}; {result['saturated']} values over the range at every gain" if shares else "none"
+
+
+def _spread(spread: dict[str, Any]) -> str:
+    if spread["p50"] is None:
+        return f"none of {spread['directions']} directions has a value"
+    return (
+        f"{spread['p50']:.2%} in the median, {spread['p05']:.2%} to {spread['p95']:.2%} for nine tenths of "
+        f"{spread['above_zero']} directions; {spread['to_a_tenth']} are known to a tenth of their value (of "
+        f"{spread['directions']} measured, {spread['trusted']} can be trusted)"
+    )
+
+
+def _size(size: float) -> str:
+    for unit in UNITS[:-1]:
+        if size < 1000.0:
+            return f"{size:.3g} {unit}"
+        size /= 1000.0
+    return f"{size:.3g} {UNITS[-1]}"

@@ -1,0 +1,1 @@
+"""The rig screen: devices and axes."""

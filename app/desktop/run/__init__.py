@@ -1,0 +1,1 @@
+"""The run screen: start, pause, stop, progress, and the live plot."""

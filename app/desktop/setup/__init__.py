@@ -1,0 +1,1 @@
+"""The set-up screen: rig file, schedule, folder of data files."""

@@ -1,0 +1,88 @@
+"""What is measured on what: the rig's and the schedule's files, and where journals go."""
+
+from pathlib import Path
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
+
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.desktop.model.messages import RigOpened
+from goniotwin.app.desktop.rig.panels import heading
+from goniotwin.app.desktop.run.panel import in_words
+
+
+class RigPanel(QGroupBox):
+    """Which rig is open."""
+
+    open = Signal()
+    connect_again = Signal()
+
+    def __init__(self) -> None:
+        super().__init__("Rig")
+        self._name = heading("no rig")
+        self._name.setAccessibleName("Rig")
+        self.open_button = QPushButton("Open &rig…")
+        self.open_button.setAccessibleName("Open a rig file")
+        self.again_button = QPushButton("&Connect again")
+        self.again_button.setAccessibleName("Connect the rig's devices again")
+        self.open_button.clicked.connect(self.open)
+        self.again_button.clicked.connect(self.connect_again)
+        self.buttons = (self.open_button, self.again_button)
+        _fill(self, [self._name], self.buttons)
+
+    def set_rig(self, rig: RigOpened | None, path: Path) -> None:
+        """The open rig, or that there is none in a file."""
+        self._name.setText(rig.description.file.name if rig else f"no rig: {path.name}")
+        self._name.setToolTip(str(path))
+
+
+class SchedulePanel(QGroupBox):
+    """Which schedule is planned, and into which folder it is measured."""
+
+    open = Signal()
+    choose_folder = Signal()
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__("Schedule")
+        self._name = heading("no schedule")
+        self._name.setAccessibleName("Schedule")
+        self._size = QLabel()
+        self._size.setWordWrap(True)
+        self._folder = QLabel()
+        self._folder.setWordWrap(True)
+        self.open_button = QPushButton("Open &schedule…")
+        self.open_button.setAccessibleName("Open a schedule file")
+        self.folder_button = QPushButton("Save &in…")
+        self.folder_button.setAccessibleName("Choose the folder for journals")
+        self.open_button.clicked.connect(self.open)
+        self.folder_button.clicked.connect(self.choose_folder)
+        self.buttons = (self.open_button, self.folder_button)
+        _fill(self, [self._name, self._size, self._folder], self.buttons)
+        self.set_plan(None)
+        self.set_folder(folder)
+
+    def set_plan(self, plan: Plan | None) -> None:
+        """What there is to measure."""
+        self._name.setText(plan.schedule.file.name if plan else "no schedule")
+        self._name.setToolTip(plan.schedule.name if plan else "")
+        self._size.setVisible(plan is not None)
+        if plan is not None:
+            self._size.setText(f"{len(plan.rows)} rows, {in_words(plan.seconds)} of the rig's time")
+
+    def set_folder(self, folder: Path) -> None:
+        """Where journals go."""
+        # A path has no spaces to wrap at; an invisible one after each separator gives it places.
+        text = str(folder).replace("/", "/\u200b").replace("\\", "\\\u200b")
+        self._folder.setText(f"Journals in {text}")
+        self._folder.setToolTip(str(folder))
+
+
+def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> None:
+    layout = QVBoxLayout(box)
+    layout.setSpacing(4)
+    for label in labels:
+        layout.addWidget(label)
+    row = QHBoxLayout()
+    for button in buttons:
+        row.addWidget(button)
+    layout.addLayout(row)

@@ -1,0 +1,134 @@
+"""The words of a text file one after another, each with its line: what the table formats are parsed from.
+
+Words are separated by any white space; line breaks carry no meaning. A word that begins with the format's comment mark
+makes the rest of its line a comment.
+"""
+
+import re
+from array import array
+from collections import Counter, deque
+from collections.abc import Collection
+
+import numpy as np
+
+from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.numerals import COUNT, NUMBER, NotANumber, parse_number
+from goniotwin.app.formats.text_file import LINE_END, read_text
+from goniotwin.arrays import Floats
+
+
+class Words:
+    """The words still to be taken from a file. Everything raises FormatError, with the line."""
+
+    def __init__(self, path: StrPath, comment_mark: str) -> None:
+        self.path = path
+        self.line: int | None = None
+        """The line of the word taken last."""
+        self.top_comments: list[str] = []
+        self.comments: list[str] = []
+        """All comments, those at the top included."""
+        self._mark = re.compile(r"(?:^|(?<=\s))" + re.escape(comment_mark))
+        self._lines: deque[tuple[int, str]] = deque()
+        self._words: deque[str] = deque()
+        self._words_line = 0
+        for number, line in enumerate(LINE_END.split(read_text(path)), 1):
+            self._sort_line(number, line)
+        self._last_line = self._lines[-1][0] if self._lines else None
+        self._load()
+
+    def _sort_line(self, number: int, line: str) -> None:
+        if mark := self._mark.search(line):
+            comment = line[mark.end() :].removeprefix(" ").rstrip()
+            line = line[: mark.start()]
+            self.comments.append(comment)
+            if not self._lines and not line.strip():
+                self.top_comments.append(comment)
+        if line.strip():
+            self._lines.append((number, line))
+
+    def _load(self) -> None:
+        if not self._words and self._lines:
+            self._words_line, line = self._lines.popleft()
+            self._words.extend(line.split())
+
+    def fault(self, wrong: str, remedy: str, line: int | None = None) -> FormatError:
+        """The error to raise about the word taken last, or about `line`."""
+        return FormatError(self.path, wrong, remedy, line or self.line)
+
+    def peek(self) -> str | None:
+        """The next word, in small letters; None at the end."""
+        return self._words[0].lower() if self._words else None
+
+    def take(self, wanted: str) -> str:
+        """The next word; `wanted` says what it should be."""
+        if not self._words:
+            wrong = f"the file ends where {wanted} should follow"
+            raise self.fault(wrong, "it is cut short: copy it again", self._last_line)
+        self.line = self._words_line
+        word = self._words.popleft()
+        self._load()
+        return word
+
+    def expect(self, keyword: str) -> None:
+        """Take this keyword."""
+        word = self.take(keyword)
+        if word.lower() != keyword.lower():
+            raise self.fault(f"{shown(word)} stands where {keyword} should be", "correct the file")
+
+    def take_line(self, wanted: str) -> str:
+        """The next word and what follows it in its line."""
+        words = [self.take(wanted)]
+        while self._words and self._words_line == self.line:
+            words.append(self.take(wanted))
+        return " ".join(words)
+
+    def count(self, of: str) -> int:
+        """A whole number above 0."""
+        word = self.take(f"the number of {of}")
+        if not COUNT.fullmatch(word) or int(word) == 0:
+            raise self.fault(f"{shown(word)} is not a possible number of {of}", "write a whole number above 0")
+        return int(word)
+
+    def number(self, of: str) -> float:
+        """A finite number."""
+        word = self.take(of)
+        try:
+            return parse_number(word)
+        except NotANumber as error:
+            raise self.fault(f"{of}: {error.wrong}", error.remedy) from None
+
+    def angles(self, name: str, high: float, low: float = 0.0) -> Floats:
+        """A count and as many angles, deg, that ascend within low..high."""
+        count = self.count(f"{name} angles")
+        start = self.line
+        angles = array("d")
+        for taken in range(count):
+            word = self.peek()
+            if word is None or (word[0].isalpha() and word not in ("nan", "inf", "infinity")):
+                raise self.fault(f"{name} says {count} angles but has {taken}", "correct the count or the list", start)
+            angle = self.number(name)
+            if not low <= angle <= high:
+                raise self.fault(f"{name} {angle:g} is outside {low:g} to {high:g} deg", "correct the list")
+            if angles and not angle > angles[-1]:
+                raise self.fault(f"{name} {angle:g} follows {angles[-1]:g}: the list does not ascend", "sort the list")
+            angles.append(angle)
+        if (after := self.peek()) is not None and NUMBER.fullmatch(after):
+            raise self.fault(f"{name} says {count} angles but has more", "correct the count or the list", start)
+        return np.array(angles)
+
+    def block(self, name: str, rows: int, per_row: int, ends: Collection[str]) -> Floats:
+        """rows x per_row numbers, up to one of the words in `ends` (small letters), which is left to be taken."""
+        numbers = array("d")
+        in_line: Counter[int | None] = Counter()
+        surplus = None
+        while (word := self.peek()) is not None and word not in ends:
+            numbers.append(self.number(name))
+            in_line[self.line] += 1
+            if len(numbers) == rows * per_row + 1:
+                surplus = self.line
+        if len(numbers) != rows * per_row:
+            odd = next((line for line, count in in_line.items() if count != per_row), surplus or self.line)
+            size = "few" if len(numbers) < rows * per_row else "many"
+            wrong = f"{name} has too {size} numbers: {len(numbers)}, not {rows} rows of {per_row}"
+            raise self.fault(wrong, "correct this line, or the counts at the top", odd)
+        return np.array(numbers).reshape(rows, per_row)

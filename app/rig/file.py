@@ -1,0 +1,315 @@
+"""The rig file: where the devices are, what the operator believes of them, and, for a virtual rig, what it is.
+
+How high an etalon's radiance factor can be: what is higher was written in percent.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
+
+from goniotwin.app.rig.filters import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
+from goniotwin.app.rig.twin_file import TwinTable
+from goniotwin.app.toml_file import Table
+from goniotwin.protocols import adam
+from goniotwin.twin.optics import Instrument
+
+MOST, MOST_NEAR_GRAZING = 1.5, 5.0
+"""What is white in every direction has 1, in a broad lobe somewhat more, and only one near grazing much more."""
+NEAR_GRAZING_DEG = 60.0
+
+
+def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
+    """Raises ValueError for a radiance factor that no diffuser has."""
+    most = MOST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else MOST
+    if radiance_factor > most:
+        raise ValueError(
+            f"a radiance factor of {radiance_factor:g} is above {most:g}, and no diffuser's is (1 is the ideal one); "
+            f"if it is in percent, write {0.01 * radiance_factor:g}"
+        )
+
+
+AXES = ("gamma", "sigma", "beta", "shift")
+Sense = Literal[1, -1]
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+Polar = Annotated[float, Field(ge=0.0, le=90.0)]
+
+
+class Simulated(Table):
+    """That nothing here is real: the seed of the virtual rig.
+
+    Where another process serves it, so that the file has no [twin]: its model's hash, how fast its time passes, and the
+    port of its back door, through which samples are mounted.
+    """
+
+    seed: int = 1
+    model: str | None = None
+    speed: PositiveFloat = 1.0
+    control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
+
+
+class HomingTable(Table):
+    """A reference search: its mode as Trinamic counts them (1 to 8, and 64 or 128 more), and the angle of the reference.
+
+    Without `angle_deg` the reference is where the axis' microsteps are 0.
+    """
+
+    mode: Annotated[int, Field(ge=1, le=136)]
+    speed_deg_s: PositiveFloat
+    switch_speed_deg_s: PositiveFloat
+    angle_deg: float | None = None
+    longest_s: PositiveFloat = 180.0
+
+    @field_validator("mode")
+    @classmethod
+    def _known_mode(cls, mode: int) -> int:
+        if mode not in (*range(1, 9), *range(65, 69), *range(133, 137)):
+            raise ValueError(f"{mode} is no reference search: 1 to 8 are, 1 to 4 with 64 added and 5 to 8 with 128 added")
+        return mode
+
+
+class AxisTable(Table):
+    """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
+
+    Against backlash every move arrives from one side, which its zero is for. `switches` has the limit switches stop the
+    motor, `max_deviation_deg` the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off. `encoder_tolerance_deg` is
+    how far counter and encoder may be apart at rest (0 is off; 0.05 deg and the backlash where it is not given).
+
+    `power_up_at_reference`: whenever the controller is switched on or resets, the axis stands where its microsteps are 0,
+    as a parking position or a brake sees to. Without it the axis then goes nowhere until it is homed or told its place.
+    """
+
+    motor: Annotated[int, Field(ge=0, le=5)]
+    gear: PositiveFloat
+    lower_deg: float
+    upper_deg: float
+    speed_deg_s: PositiveFloat
+    acceleration_deg_s2: PositiveFloat
+    sense: Sense = 1
+    zero_offset_deg: float = 0.0
+    module: Annotated[int, Field(ge=1, le=255)] = 1
+    full_steps: PositiveInt = 200
+    microsteps: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256] = 256
+    run_current: Annotated[int, Field(ge=0, le=255)] = 128
+    standby_current: Annotated[int, Field(ge=0, le=255)] = 8
+    power_down_s: Annotated[float, Field(ge=0.01, le=655.0)] = 2.0
+    settling_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.1
+    encoder: bool = True
+    encoder_counts: PositiveInt | None = None
+    max_deviation_deg: Annotated[float, Field(ge=0.0)] = 0.0
+    stall_speed_deg_s: Annotated[float, Field(ge=0.0)] = 0.0
+    switches: bool = False
+    swap_switches: bool = False
+    right_polarity: Literal[0, 1] = 0
+    left_polarity: Literal[0, 1] = 0
+    soft_stop: bool = False
+    backlash_deg: Annotated[float, Field(ge=0.0)] = 0.0
+    approach_from: Literal["below", "above"] = "below"
+    homing: HomingTable | None = None
+    homing_required: bool = False
+    power_up_at_reference: bool = False
+    encoder_tolerance_deg: Annotated[float, Field(ge=0.0)] | None = None
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> "AxisTable":
+        if not self.lower_deg < self.upper_deg:
+            raise ValueError(f"lower_deg {self.lower_deg:g} is not below upper_deg {self.upper_deg:g}; exchange them")
+        return self
+
+    @model_validator(mode="after")
+    def _one_way_to_the_reference(self) -> "AxisTable":
+        if self.homing_required and self.power_up_at_reference:
+            raise ValueError("homing_required and power_up_at_reference contradict each other; remove one")
+        return self
+
+
+class AxesTable(Table):
+    """The motion controller and its axes."""
+
+    kind: Literal["tmcl"]
+    port: str
+    baudrate: PositiveInt = 115200
+    heartbeat_s: Annotated[float, Field(ge=0.0, le=65.0)] = 2.0
+    gamma: AxisTable
+    sigma: AxisTable
+    beta: AxisTable
+    shift: AxisTable
+
+    @model_validator(mode="after")
+    def _one_motor_each(self) -> "AxesTable":
+        wired: dict[tuple[int, int], str] = {}
+        for name in AXES:
+            axis: AxisTable = getattr(self, name)
+            place = (axis.module, axis.motor)
+            if place in wired:
+                raise ValueError(f"{wired[place]} and {name} are both motor {axis.motor} of module {axis.module}")
+            wired[place] = name
+        return self
+
+
+class MonochromatorTable(Table):
+    """The monochromator and its timing; `filter_s` is that of the filter wheel from a position to the next.
+
+    With `filters` the wheel is turned with the wavelength; without any nothing turns it.
+    """
+
+    kind: Literal["cornerstone"]
+    port: str
+    baudrate: PositiveInt = 9600
+    lowest_nm: PositiveFloat = 380.0
+    highest_nm: PositiveFloat = 780.0
+    slew_nm_per_s: PositiveFloat = 175.0
+    slew_settle_s: Annotated[float, Field(ge=0.0)] = 0.1
+    shutter_s: Annotated[float, Field(ge=0.0)] = 0.15
+    filter_s: Annotated[float, Field(ge=0.0)] = 1.0
+    grating_s: Annotated[float, Field(ge=0.0)] = 8.0
+    slit_um_per_s: PositiveFloat = 500.0
+    tolerance_nm: PositiveFloat = 0.05
+    filters: list[OrderFilterTable] = []
+
+    @model_validator(mode="after")
+    def _one_filter_at_every_wavelength(self) -> "MonochromatorTable":
+        if self.filters:
+            refuse_positions_taken_twice(self.filters)
+            refuse_bands(self.filters, self.lowest_nm, self.highest_nm)
+        return self
+
+
+class PhotodiodesTable(Table):
+    """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs.
+
+    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is how long one question takes.
+    """
+
+    kind: Literal["adam-6017", "adam-4117"]
+    units: Annotated[list[str], Field(min_length=1)]
+    upper_deg: Annotated[list[Polar], Field(min_length=1)]
+    lower_deg: list[Polar]
+    gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)]
+    gain_uncertainty: Share = 1.0e-3
+    range_code: int = adam.PLUS_MINUS_10_V
+    conversions_per_s: PositiveFloat = 100.0
+    settling_s: Annotated[float, Field(gt=0.0, le=600.0)] = 0.25
+    exchange_s: PositiveFloat = 4.0e-4
+
+    @field_validator("range_code")
+    @classmethod
+    def _known_range(cls, code: int) -> int:
+        if code not in adam.VOLTAGE_RANGES:
+            known = ", ".join(f"0x{each:04X}" for each in adam.VOLTAGE_RANGES)
+            raise ValueError(f"0x{code:04X} is no code of a voltage range; there are {known}")
+        return code
+
+    @field_validator("gains_v_per_a")
+    @classmethod
+    def _each_gain_once(cls, gains: list[float]) -> list[float]:
+        if sorted(set(gains)) != gains:
+            raise ValueError("the gains do not ascend; list each once, the lowest first, as the outputs number them")
+        return gains
+
+    @model_validator(mode="after")
+    def _enough_units(self) -> "PhotodiodesTable":
+        diodes = len(self.upper_deg) + len(self.lower_deg)
+        needed = -(-diodes // adam.CHANNELS)
+        if len(self.units) != needed:
+            raise ValueError(f"{diodes} photodiodes take {needed} units of {adam.CHANNELS}, not {len(self.units)}")
+        return self
+
+    @model_validator(mode="after")
+    def _gain_can_be_set(self) -> "PhotodiodesTable":
+        model = adam.MODELS[self.kind]
+        if len(self.gains_v_per_a) > 1 << model.outputs:
+            raise ValueError(f"an {model.title} has no outputs that could choose between gains; list the one that is fixed")
+        return self
+
+
+class MonitorTable(Table):
+    """The monitor photodiode's instrument."""
+
+    kind: Literal["pm100d"]
+    usb: str
+    dialect: Literal["pm100d", "b2980"] = "pm100d"
+    wavelength_nm: PositiveFloat = 550.0
+    range_a: PositiveFloat = 500e-9
+    samples_per_s: PositiveFloat = 3000.0
+    relative_uncertainty: Share = 3.0e-4
+
+
+class GeometryTable(Table):
+    """The geometry that decides which directions the mirror unit hides, and which a value is a mean of.
+
+    `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm` of the exit
+    pupil, seen over the mirrors, is half of the beam's divergence (5 mm: 0.7 deg, assumed).
+    """
+
+    mirror_distance_mm: PositiveFloat = 200.0
+    mirror_side_mm: PositiveFloat = 20.0
+    mirror_mount_mm: Annotated[float, Field(ge=0.0)] = 0.0
+    spot_side_mm: PositiveFloat = 5.0
+    arc_radius_mm: PositiveFloat = 300.0
+    detector_diameter_mm: PositiveFloat = 5.0
+    field_deg: PositiveFloat = 0.5
+    pupil_radius_mm: PositiveFloat = 5.0
+    shadow_margin_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.2
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> "GeometryTable":
+        self.instrument()
+        return self
+
+    def instrument(self) -> Instrument:
+        """The instrument that the operator believes in. Raises ValueError for dimensions that make none."""
+        return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
+
+
+class SampleUnitTable(Table):
+    """What holds the sample. `signature_uncertainty` is the share (standard uncertainty) by which the instrument's own light is
+    otherwise with a sample in its place than without: the sample hides some of it, and sends its own light to the frames. The
+    default is that of frames 0.5 mm off the sample (2 mm: 0.5); of frames that lie on it 0.01 is more than enough.
+    """
+
+    signature_uncertainty: Share = 0.3
+
+
+class EtalonTable(Table):
+    """The etalon's certificate: its radiance factor (1 is the ideal diffuser), with its relative standard uncertainty."""
+
+    radiance_factor: PositiveFloat = 1.0
+    relative_uncertainty: Share = 0.0
+
+    @field_validator("radiance_factor")
+    @classmethod
+    def _no_percentage(cls, factor: float) -> float:
+        refuse_percentage(factor)
+        return factor
+
+
+class RigFile(Table):
+    """The whole file."""
+
+    name: str
+    simulated: Simulated | None = None
+    axes: AxesTable
+    monochromator: MonochromatorTable
+    photodiodes: PhotodiodesTable
+    monitor: MonitorTable
+    geometry: GeometryTable = GeometryTable()
+    sample_unit: SampleUnitTable = SampleUnitTable()
+    etalon: EtalonTable = EtalonTable()
+    twin: TwinTable | None = None
+
+    @property
+    def addresses(self) -> list[str]:
+        """Where the devices are."""
+        return [self.axes.port, self.monochromator.port, *self.photodiodes.units, self.monitor.usb]
+
+    @model_validator(mode="after")
+    def _says_what_it_is(self) -> "RigFile":
+        virtual = [address for address in self.addresses if address.startswith("twin://")]
+        if virtual and self.simulated is None:
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table")
+        if virtual and self.twin is None:
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [twin] table that says what it is")
+        names = {address.split("/")[2] for address in virtual}
+        if len(names) > 1:
+            raise ValueError(f"its twin:// addresses name several virtual rigs: {', '.join(sorted(names))}; name one")
+        return self

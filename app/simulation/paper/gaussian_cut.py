@@ -1,0 +1,78 @@
+"""A Gaussian in the plane of incidence, as the instrument sees it and as the formula has it (paper, section 4)."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniotwin.app.campaign.reduction.comparison import relative_rms_percent
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
+from goniotwin.twin.optics.bsdf.analytic import Form
+
+STEP_DEG = 0.5
+WIDTHS = 2.0
+HIGHEST_ZENITH_DEG = 85.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """At one sigma: luminance factors (n,) by theory, with a peak of 1, and by the instrument against an ideal diffuser.
+
+    `theta_deg` (n,) ascends; it is positive towards the normal and negative towards grazing.
+    """
+
+    sigma_deg: float
+    theta_deg: Floats
+    theory: Floats
+    simulated: Floats
+
+    @property
+    def relative_deviation(self) -> Floats:
+        """(n,): difference over mean, whose root mean square is the paper's formula 5."""
+        deviation: Floats = (self.simulated - self.theory) / (0.5 * (self.simulated + self.theory))
+        return deviation
+
+    @property
+    def relative_rms_percent(self) -> float:
+        """The paper's formula 5."""
+        return relative_rms_percent(self.simulated, self.theory)
+
+
+def in_plane_theta(sigma_deg: float, width_deg: float, widths: float = WIDTHS, step_deg: float = STEP_DEG) -> Floats:
+    """Signed theta (n,) in steps from the specular direction to `widths` widths, where the zenith angle is below 85 deg."""
+    count = math.floor(widths * width_deg / step_deg + 1e-9)
+    theta = step_deg * np.arange(-count, count + 1, dtype=np.float64)
+    return theta[np.abs(sigma_deg - theta) < HIGHEST_ZENITH_DEG - 1e-9]
+
+
+def directions_at(sigma_deg: float, theta_deg: Floats) -> Floats:
+    """Unit vectors (n, 3) in the plane of incidence at signed theta (n,)."""
+    return from_specular(sigma_deg, np.abs(theta_deg), np.where(theta_deg < 0.0, 180.0, 0.0))
+
+
+def theory(theta_deg: Floats, width_deg: float, form: Form) -> Floats:
+    """Formula 6 with a peak of 1: 1/e at the width, or half where `form` is "half_width"."""
+    exponent = 1.0 if form == "one_over_e" else math.log(2.0)
+    value: Floats = np.exp(-exponent * (theta_deg / width_deg) ** 2)
+    return value
+
+
+def cuts(
+    instrument: Instrument,
+    sigmas_deg: Sequence[float],
+    width_deg: float,
+    form: Form = "one_over_e",
+    widths: float = WIDTHS,
+    rays: int | None = None,
+    step_deg: float = STEP_DEG,
+) -> list[Cut]:
+    """By the fast estimator, one for each sigma; `rays` as `twin.optics.throughput` has it."""
+    thetas = [in_plane_theta(sigma, width_deg, widths, step_deg) for sigma in sigmas_deg]
+    poses = [Pose(sigma, directions_at(sigma, theta)) for sigma, theta in zip(sigmas_deg, thetas, strict=True)]
+    simulated = luminance_factors(instrument, poses, gaussian(width_deg, form, peak=1.0 / math.pi), rays)
+    return [
+        Cut(sigma, theta, theory(theta, width_deg, form), values)
+        for sigma, theta, values in zip(sigmas_deg, thetas, simulated, strict=True)
+    ]

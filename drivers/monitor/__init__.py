@@ -1,0 +1,1 @@
+"""The monitor photodiode behind a SCPI instrument."""

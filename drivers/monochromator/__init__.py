@@ -1,0 +1,1 @@
+"""The Oriel Cornerstone 260 on its serial line, and its order-sorting filters."""

@@ -1,0 +1,1 @@
+"""Axes: degrees above, microsteps on the wire; moves, homing, reference, clearance."""

@@ -1,0 +1,1 @@
+"""Trinamic motion modules on their serial line."""

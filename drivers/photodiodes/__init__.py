@@ -1,0 +1,1 @@
+"""The arc's photodiodes behind Advantech converter modules, on Modbus."""

@@ -1,0 +1,1 @@
+"""USBTMC instruments on pyusb, and USB devices over USB/IP."""

@@ -1,0 +1,1 @@
+"""Scattering models of samples: analytic, tabulated, from scattered points, and combinations of them."""

@@ -1,0 +1,151 @@
+"""What a table's directions are drawn from: its shape in cells of theta and phi, one list for each psi and sigma.
+
+A cell lies between neighbouring angles of the table's lists, and theta's first and last cell reach to 0 and 180 deg,
+for a table's ends hold outside of it. Within a cell all directions are equally likely.
+"""
+
+import math
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.tables import azimuth_place, phi_in_list, place, plane_of_incidence, specular_angles
+from goniotwin.twin.optics.geometry.coordinates import from_specular
+from goniotwin.twin.optics.kernel import kernel
+
+# Points a side of a cell, for the mean of what it scatters.
+FINE = 4
+
+
+@kernel(forceinline=True)
+def theta_cells(th: Floats) -> tuple[int, int]:
+    """Number of cells over theta, and 1 if the first of them lies before the list."""
+    lead = 1 if th[0] > 0.0 else 0
+    tail = 1 if th[th.size - 1] < 180.0 else 0
+    return th.size - 1 + lead + tail, lead
+
+
+@kernel(forceinline=True)
+def _height(th: Floats, lead: int, edge: int) -> float:
+    """sin^2(theta / 2) at an edge of the cells: it grows as the solid angle does."""
+    if edge < lead:
+        return 0.0
+    if edge - lead >= th.size:
+        return 1.0
+    return math.sin(math.radians(0.5 * th[edge - lead])) ** 2
+
+
+@kernel(forceinline=True)
+def _phi_edges(ph: Floats, j: int) -> tuple[float, float]:
+    """Both ends of cell j over phi, deg; a single phi stands for the whole turn."""
+    if ph.size == 1:
+        return 0.0, 360.0
+    return ph[j], ph[j + 1]
+
+
+@kernel()
+def _cell_density(ph: Floats, th: Floats, shares: Floats, n: int, m: int, theta: float, phi: float) -> float:
+    """Density in 1/sr of the list of psi n and sigma m."""
+    count, lead = theta_cells(th)
+    k = 0
+    if theta >= th[0]:
+        k = lead + (place(th, theta)[0] if theta < th[th.size - 1] else th.size - 1)
+    k = min(k, count - 1)
+    j = place(ph, phi)[0]
+    start, end = _phi_edges(ph, j)
+    # Of a list over 180 deg a cell lies on both sides of the plane of incidence.
+    sides = 2.0 if ph.size > 1 and ph[ph.size - 1] <= 180.0 else 1.0
+    area = 2.0 * sides * math.radians(end - start) * (_height(th, lead, k + 1) - _height(th, lead, k))
+    cell = j * count + k
+    below = shares[n, m, cell - 1] if cell > 0 else 0.0
+    return (shares[n, m, cell] - below) / area  # type: ignore[no-any-return]
+
+
+@kernel()
+def cell_density(
+    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
+    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """Density in 1/sr of what `cell_direction` draws: linear between the lists of the sigma and psi round the light's."""
+    sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
+    n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
+    phi = phi_in_list(ph, sign * phi)
+    m, a = place(sig, sigma)
+    m1 = min(m + 1, sig.size - 1)
+    result = (1.0 - share) * (1.0 - a) * _cell_density(ph, th, shares, n, m, theta, phi)
+    if a > 0.0:
+        result += (1.0 - share) * a * _cell_density(ph, th, shares, n, m1, theta, phi)
+    if share > 0.0:
+        result += share * (1.0 - a) * _cell_density(ph, th, shares, n1, m, theta, phi)
+        result += share * a * _cell_density(ph, th, shares, n1, m1, theta, phi)
+    return result
+
+
+@kernel()
+def cell_direction(
+    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
+    lx: float, ly: float, lz: float, u: float, v: float, choice: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """A direction for three uniform numbers in [0, 1): `choice` takes the list, u the cell and theta in it, v phi."""
+    sine, ux, uy = plane_of_incidence(lx, ly)
+    n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
+    m, a = place(sig, math.degrees(math.atan2(sine, lz)))
+    if choice < share:
+        n, choice = n1, choice / share
+    else:
+        choice = (choice - share) / (1.0 - share)
+    if choice < a:
+        m = min(m + 1, sig.size - 1)
+    low, high = -1, shares.shape[2] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if shares[n, m, middle] <= u:
+            low = middle
+        else:
+            high = middle
+    below = shares[n, m, low] if low >= 0 else 0.0
+    rest = (u - below) / (shares[n, m, high] - below)
+    count, lead = theta_cells(th)
+    j, k = high // count, high % count
+    bottom = _height(th, lead, k)
+    theta = 2.0 * math.asin(math.sqrt(min(1.0, bottom + rest * (_height(th, lead, k + 1) - bottom))))
+    start, end = _phi_edges(ph, j)
+    if ph.size > 1 and ph[ph.size - 1] <= 180.0:
+        sign, v = (sign, 2.0 * v) if v < 0.5 else (-sign, 2.0 * v - 1.0)
+    phi = sign * math.radians(start + v * (end - start))
+    inward, across, along = math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)
+    radial = lz * inward - sine * along
+    return radial * ux - across * uy, radial * uy + across * ux, sine * inward + lz * along
+
+
+def cell_shares(sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, values: Floats) -> Floats:
+    """Cumulative shares (psi, sigma, cells) of the light that each cell scatters, for values (psi, sigma, phi, theta).
+
+    Cells run over theta first, then phi. A list that scatters nothing is drawn by solid angle.
+    """
+    edges = np.unique(np.concatenate([[0.0], theta_deg, [180.0]]))
+    turns = phi_deg if phi_deg.size > 1 else np.array([0.0, 360.0])
+    heights = np.sin(np.radians(0.5 * edges)) ** 2
+    inner = (np.arange(FINE) + 0.5) / FINE
+    height = heights[:-1, None] + inner * np.diff(heights)[:, None]
+    theta = np.degrees(2.0 * np.arcsin(np.sqrt(height))).ravel()
+    phi = (turns[:-1, None] + inner * np.diff(turns)[:, None]).ravel()
+    area = np.diff(turns)[:, None] * np.diff(heights)
+    result = np.empty((*values.shape[:2], area.size))
+    for m, sigma in enumerate(sigma_deg):
+        cosine = np.maximum(from_specular(sigma, theta, phi[:, None])[..., 2], 0.0)
+        for n in range(values.shape[0]):
+            scattered = _bilinear(phi_deg, theta_deg, values[n, m], phi, theta) * cosine
+            mean = scattered.reshape(turns.size - 1, FINE, edges.size - 1, FINE).mean(axis=(1, 3))
+            share = (mean if np.any(mean > 0.0) else 1.0) * area
+            total = np.cumsum(share)
+            result[n, m] = total / total[-1]
+    return result
+
+
+def _bilinear(phi_deg: Floats, theta_deg: Floats, values: Floats, phi: Floats, theta: Floats) -> Floats:
+    """Values (phi, theta) at every pair of new angles, the ends held."""
+    over_theta = np.array([np.interp(theta, theta_deg, row) for row in values])
+    if phi_deg.size == 1:
+        return np.broadcast_to(over_theta, (phi.size, theta.size))
+    return np.array([np.interp(phi, phi_deg, column) for column in over_theta.T]).T

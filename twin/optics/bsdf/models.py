@@ -1,0 +1,150 @@
+"""The scattering models as kernels: the value of one lobe for one pair of directions.
+
+A lobe is a code, eight parameters and a table (arrays of one element where there is none), so that every lobe has the
+same types and each kernel is compiled once. Vectors are unit vectors from the sample: l towards the light, d towards
+the observer, z the sample's normal. The models know one pair of sides only: light in front, observer in front.
+`canonical` makes that of any other pair. Where a direction still is not in front (z <= 0) the value is zero.
+
+- LAMBERTIAN: params[0] is the value in 1/sr.
+- GAUSSIAN: params[0] is the peak in 1/sr, params[1] the factor of theta^2 in the exponent (1/rad^2), params[2] is 1
+  where the Gaussian is the intensity, so that its value is divided by the cosine of d, params[3] the share of a lobe
+  cut at 180 deg, params[4] the ratio of refractive indices that bends the lobe's axis (1: it does not).
+- TABLE: see twin.optics.bsdf.tables.
+- ANISOTROPIC: a table with psi, the light's azimuth in the sample's own frame; params[0] is the period of psi in deg,
+  params[1] is 1 where psi is mirrored within it.
+- REGULAR: a mirror's or a clear sheet's share of the light, params[0], or over sigma table[0, sigma, 0, 0] with slopes
+  as in TABLE. It is no function of direction: its value here is zero, and `regular_share` has what it reflects.
+"""
+
+import math
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.tables import anisotropic, hermite, place, tabular
+from goniotwin.twin.optics.kernel import kernel
+
+__all__ = [
+    "ANISOTROPIC",
+    "GAUSSIAN",
+    "LAMBERTIAN",
+    "REGULAR",
+    "TABLE",
+    "analytic",
+    "anisotropic",
+    "bent",
+    "bsdf",
+    "canonical",
+    "evaluate_all",
+    "from_canonical",
+    "regular_share",
+    "tabular",
+]
+
+LAMBERTIAN = 0
+GAUSSIAN = 1
+TABLE = 2
+ANISOTROPIC = 3
+REGULAR = 4
+
+
+@kernel(forceinline=True)
+def canonical(
+    incident: int, transmits: bool, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
+) -> tuple[float, float, float, float, float, float]:
+    """Directions in the sample's own frame as the models take them, for light from the front (1) or the back (-1).
+
+    A sample lit from the back is turned about x, so azimuths change their sign; a transmitted direction is mirrored in
+    the sample's plane, so that straight through becomes specular. Both are in front if they are where the lobe acts.
+    """
+    if incident < 0:
+        ly, lz, dy, dz = -ly, -lz, -dy, -dz
+    if transmits:
+        dz = -dz
+    return lx, ly, lz, dx, dy, dz
+
+
+@kernel(forceinline=True)
+def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
+    """The observer's direction in the sample's own frame of a canonical one: what `canonical` did, undone."""
+    if transmits:
+        dz = -dz
+    if incident < 0:
+        dy, dz = -dy, -dz
+    return dx, dy, dz
+
+
+@kernel(forceinline=True)
+def bent(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, float]:
+    """The light whose specular direction is the axis of a lobe bent by Snell's law: sin(theta_t) = sin(theta_i) / ratio.
+
+    `analytic` takes it in place of the light. Beyond total reflection its z is 0: there is no lobe, and the value is 0.
+    """
+    if ratio == 1.0 or lz <= 0.0:
+        return lx, ly, lz
+    x, y = lx / ratio, ly / ratio
+    return x, y, math.sqrt(max(0.0, 1.0 - x * x - y * y))
+
+
+@kernel(forceinline=True)
+def analytic(
+    kind: int, peak: float, exponent: float, intensity: float,
+    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """`bsdf` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; for a ratio other than 1, l is from `bent`.
+
+    Loops call this themselves: handing arrays to a function costs numba's reference counts, ten times what the model
+    does.
+    """
+    if lz <= 0.0 or dz <= 0.0:
+        return 0.0
+    if kind == LAMBERTIAN:
+        return peak
+    theta = math.acos(min(1.0, max(-1.0, lz * dz - lx * dx - ly * dy)))
+    value = peak * math.exp(-exponent * theta * theta)
+    return value / dz if intensity == 1.0 else value
+
+
+@kernel()
+def regular_share(params: Floats, sig: Floats, table: Floats, lx: float, ly: float, lz: float) -> float:
+    """Share of the light from l that a REGULAR lobe sends on in its one direction; 0 for light that is not in front."""
+    if lz <= 0.0:
+        return 0.0
+    if sig.size == 1:
+        return params[0]  # type: ignore[no-any-return]
+    i, a = place(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
+    w = hermite(a, sig[i + 1] - sig[i])
+    values = w[0] * table[0, i, 0, 0] + w[1] * table[0, i + 1, 0, 0]
+    return values + w[2] * table[1, i, 0, 0] + w[3] * table[1, i + 1, 0, 0]  # type: ignore[no-any-return]
+
+
+@kernel()
+def bsdf(
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
+    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """Value in 1/sr of a lobe for canonical light l and observer d; 0 of a REGULAR one."""
+    if kind == REGULAR:
+        return 0.0
+    if kind == TABLE:
+        return tabular(sig, ph, th, table, lx, ly, lz, dx, dy, dz)
+    if kind == ANISOTROPIC:
+        return anisotropic(sig, ph, th, psi, params[0], params[1], table, lx, ly, lz, dx, dy, dz)
+    if kind == GAUSSIAN:
+        lx, ly, lz = bent(params[4], lx, ly, lz)
+    return analytic(kind, params[0], params[1], params[2], lx, ly, lz, dx, dy, dz)
+
+
+@kernel()
+def evaluate_all(
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
+    incident: int, transmits: bool, light: Floats, observer: Floats,
+) -> Floats:  # fmt: skip
+    """`bsdf` of rows (n, 3) of directions in the sample's own frame."""
+    result = np.empty(light.shape[0])
+    for i in range(light.shape[0]):
+        lx, ly, lz, dx, dy, dz = canonical(
+            incident, transmits, light[i, 0], light[i, 1], light[i, 2], observer[i, 0], observer[i, 1], observer[i, 2]
+        )
+        result[i] = bsdf(kind, params, sig, ph, th, psi, table, lx, ly, lz, dx, dy, dz)
+    return result

@@ -1,0 +1,119 @@
+"""A sample's lobes as one set of arrays, so that one compiled kernel takes any number of them, from either side."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe
+from goniotwin.twin.optics.bsdf.models import canonical, from_canonical
+from goniotwin.twin.optics.bsdf.sampling import scatter
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.montecarlo.counters import uniform
+
+KIND, ABOVE, TRANSMITS, FIRST = range(4)
+"""Columns of `Lobes.heads`; from FIRST on the sizes of sigma, phi, theta, psi, table's first axis and cells' three."""
+SIZES = 8
+
+
+class Lobes(NamedTuple):
+    """`heads` (lobes, 12), see above; ABOVE is 1 for lobes that take light from z > 0 of the scene's frame.
+
+    `params` (lobes, 8), `weights` (lobes,), `albedos` (lobes, 6) at `sines` of incidence (6,), and all arrays of all lobes,
+    `flat`, which begin at `starts` (lobes, 6).
+    """
+
+    heads: np.ndarray
+    params: Floats
+    weights: Floats
+    albedos: Floats
+    sines: Floats
+    flat: Floats
+    starts: np.ndarray
+
+
+def packed(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
+    """Lobes and their weights, for light from the side `incident` above (z > 0 of the scene's frame)."""
+    heads, starts, flat, used = [], [], [], 0
+    for lobe in lobes:
+        kind, _, *arrays = lobe.kernel_arguments
+        arrays.append(lobe.cells)
+        sizes = [each.size for each in arrays[:4]] + [arrays[4].shape[0], *arrays[5].shape]
+        heads.append([kind, int(lobe.incident == incident), int(lobe.transmits), *sizes])
+        begins = used + np.cumsum([0, *(each.size for each in arrays)])
+        starts.append(begins[:-1])
+        used = int(begins[-1])
+        flat += [each.ravel() for each in arrays]
+    return Lobes(
+        np.array(heads, dtype=np.int64),
+        np.array([lobe.params for lobe in lobes]),
+        np.array(weights, dtype=np.float64),
+        np.array([lobe.albedos for lobe in lobes]),
+        np.sin(np.radians(ALBEDO_SIGMA_DEG)),
+        np.concatenate(flat),
+        np.array(starts, dtype=np.int64),
+    )
+
+
+@kernel()
+def lobe_arrays(
+    lobes: Lobes, k: int
+) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
+    """What `scatter` takes of lobe k: kind, params, sigma, phi, theta, psi, table and cells."""
+    size, start, flat = lobes.heads[k, FIRST:], lobes.starts[k], lobes.flat
+    sig, ph = flat[start[0] : start[0] + size[0]], flat[start[1] : start[1] + size[1]]
+    th, psi = flat[start[2] : start[2] + size[2]], flat[start[3] : start[3] + size[3]]
+    table = flat[start[4] : start[4] + size[4] * size[0] * size[1] * size[2]].reshape(size[4], size[0], size[1], size[2])
+    cells = flat[start[5] : start[5] + size[5] * size[6] * size[7]].reshape(size[5], size[6], size[7])
+    return lobes.heads[k, KIND], lobes.params[k], sig, ph, th, psi, table, cells
+
+
+@kernel()
+def lobe_share(lobes: Lobes, k: int, above: bool, sine: float) -> float:
+    """What lobe k is worth drawing: its weight times about its albedo, for light that comes from above or from below."""
+    if (lobes.heads[k, ABOVE] == 1) != above:
+        return 0.0
+    here, total, last = 0.0, 0.0, lobes.sines.size - 1
+    for i in range(last + 1):
+        total += lobes.albedos[k, i]
+    if sine >= lobes.sines[last]:
+        here = lobes.albedos[k, last]
+    else:
+        i = 0
+        while lobes.sines[i + 1] <= sine:
+            i += 1
+        a = (sine - lobes.sines[i]) / (lobes.sines[i + 1] - lobes.sines[i])
+        here = (1.0 - a) * lobes.albedos[k, i] + a * lobes.albedos[k, i + 1]
+    return lobes.weights[k] * max(here, 0.05 * total / (last + 1))  # type: ignore[no-any-return]
+
+
+@kernel()
+def scatter_at_sample(
+    lobes: Lobes, wx: float, wy: float, wz: float, key: np.uint64, counter: int
+) -> tuple[float, float, float, float]:
+    """Where light that goes along w is scattered to, in the scene's frame, and the factor that it keeps; 0 for none of it.
+
+    One lobe is drawn, by `lobe_share`, with the numbers `counter` to `counter` + 3 of the path; the factor is divided by its
+    share.
+    """
+    above = wz < 0.0
+    sine, count, total = np.sqrt(wx * wx + wy * wy), lobes.weights.size, 0.0
+    for k in range(count):
+        total += lobe_share(lobes, k, above, sine)
+    if total == 0.0:
+        return 0.0, 0.0, 1.0, 0.0
+    rest, which, share = uniform(key, counter) * total, -1, 0.0
+    for k in range(count):
+        mine = lobe_share(lobes, k, above, sine)
+        if mine > 0.0:
+            which, share = k, mine
+        rest -= mine
+        if rest < 0.0:
+            break
+    transmits, side = lobes.heads[which, TRANSMITS] == 1, 1 if above else -1
+    lx, ly, lz, _, _, _ = canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
+    dx, dy, dz, factor = scatter(
+        *lobe_arrays(lobes, which), lx, ly, lz, uniform(key, counter + 1), uniform(key, counter + 2), uniform(key, counter + 3)
+    )  # fmt: skip
+    dx, dy, dz = from_canonical(side, transmits, dx, dy, dz)
+    return dx, dy, dz, factor * lobes.weights[which] * total / share

@@ -1,0 +1,131 @@
+"""Drawing scattered directions: sampling and its density, for one lobe and canonical light (see twin.optics.bsdf.models).
+
+Each kind has a draw that follows its own shape, and the density is exactly that of the draw, so value times cosine over
+density has the albedo as its mean. A Gaussian and a table draw a share by the cosine law, so that directions far off
+the lobe get theirs too.
+"""
+
+import math
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.cells import cell_density, cell_direction
+from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, bent, bsdf, from_canonical, regular_share
+from goniotwin.twin.optics.bsdf.tables import plane_of_incidence
+from goniotwin.twin.optics.kernel import kernel
+
+# Of the samples of a Gaussian or a table, those that follow its shape.
+LOBE_SHARE = 0.75
+
+
+@kernel(forceinline=True)
+def analytic_density(
+    kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
+) -> float:
+    """`density` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `bent`, as in `analytic`."""
+    cosine = max(dz, 0.0) / math.pi
+    if kind != GAUSSIAN or lz <= 0.0:
+        return cosine
+    theta = math.acos(min(1.0, max(-1.0, lz * dz - lx * dx - ly * dy)))
+    # The lobe is drawn as a plane Gaussian wrapped onto the sphere: theta / sin(theta) is the stretch.
+    stretch = theta / math.sin(theta) if theta > 1e-9 else 1.0
+    lobe = exponent / (math.pi * cut) * math.exp(-exponent * theta * theta) * stretch
+    return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine
+
+
+@kernel(forceinline=True)
+def analytic_sample(
+    kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, u: float, v: float, choice: float
+) -> tuple[float, float, float]:
+    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `bent`, as in `analytic`."""
+    turn = 2.0 * math.pi * v
+    if kind != GAUSSIAN or choice >= LOBE_SHARE or lz <= 0.0:
+        radius = math.sqrt(u)
+        return radius * math.cos(turn), radius * math.sin(turn), math.sqrt(1.0 - u)
+    theta = math.sqrt(-math.log(1.0 - u * cut) / exponent)
+    sine, ux, uy = plane_of_incidence(lx, ly)
+    inward, across, along = math.sin(theta) * math.cos(turn), math.sin(theta) * math.sin(turn), math.cos(theta)
+    radial = lz * inward - sine * along
+    return radial * ux - across * uy, radial * uy + across * ux, sine * inward + lz * along
+
+
+@kernel()
+def density(
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
+    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """Of the canonical directions that `sample` draws, in 1/sr; 0 of a REGULAR lobe, which draws one only."""
+    if kind == REGULAR:
+        return 0.0
+    if kind in (TABLE, ANISOTROPIC):
+        own = cell_density(params, sig, ph, th, psi, cells, lx, ly, lz, dx, dy, dz)
+        return LOBE_SHARE * own + (1.0 - LOBE_SHARE) * max(dz, 0.0) / math.pi
+    if kind == GAUSSIAN:
+        lx, ly, lz = bent(params[4], lx, ly, lz)
+    return analytic_density(kind, params[1], params[3], lx, ly, lz, dx, dy, dz)
+
+
+@kernel()
+def sample(
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
+    lx: float, ly: float, lz: float, u: float, v: float, choice: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """A canonical direction for three uniform numbers in [0, 1).
+
+    It may point below the surface, where nothing is scattered. Of a REGULAR lobe it is the mirror direction.
+    """
+    if kind == REGULAR:
+        return -lx, -ly, lz
+    if kind in (TABLE, ANISOTROPIC) and choice < LOBE_SHARE and lz > 0.0:
+        return cell_direction(params, sig, ph, th, psi, cells, lx, ly, lz, u, v, choice / LOBE_SHARE)
+    if kind == GAUSSIAN:
+        lx, ly, lz = bent(params[4], lx, ly, lz)
+    return analytic_sample(kind, params[1], params[3], lx, ly, lz, u, v, choice)
+
+
+@kernel()
+def scatter(
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
+    lx: float, ly: float, lz: float, u: float, v: float, choice: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """A drawn direction and its weight: value times cosine over density, or what a REGULAR lobe sends that way.
+
+    The weight's mean is the lobe's albedo. It is 0 where the direction points below the surface.
+    """
+    dx, dy, dz = sample(kind, params, sig, ph, th, psi, cells, lx, ly, lz, u, v, choice)
+    if kind == REGULAR:
+        return dx, dy, dz, regular_share(params, sig, table, lx, ly, lz)
+    value = bsdf(kind, params, sig, ph, th, psi, table, lx, ly, lz, dx, dy, dz)
+    if value == 0.0:
+        return dx, dy, dz, 0.0
+    weight = value * dz / density(kind, params, sig, ph, th, psi, cells, lx, ly, lz, dx, dy, dz)
+    return dx, dy, dz, weight
+
+
+@kernel()
+def scatter_all(
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
+    incident: int, transmits: bool, lx: float, ly: float, lz: float, uniform: Floats,
+) -> Floats:  # fmt: skip
+    """`scatter` for canonical light and rows (n, 3) of numbers: direction in the sample's own frame and weight (n, 4)."""
+    result = np.empty((uniform.shape[0], 4))
+    for i in range(uniform.shape[0]):
+        x, y, z, weight = scatter(
+            kind, params, sig, ph, th, psi, table, cells, lx, ly, lz, uniform[i, 0], uniform[i, 1], uniform[i, 2]
+        )
+        result[i, 0], result[i, 1], result[i, 2] = from_canonical(incident, transmits, x, y, z)
+        result[i, 3] = weight
+    return result
+
+
+@kernel()
+def density_all(
+    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
+    lx: float, ly: float, lz: float, observer: Floats,
+) -> Floats:  # fmt: skip
+    """`density` of rows (n, 3) of canonical directions, for canonical light."""
+    result = np.empty(observer.shape[0])
+    for i in range(observer.shape[0]):
+        result[i] = density(kind, params, sig, ph, th, psi, cells, lx, ly, lz, observer[i, 0], observer[i, 1], observer[i, 2])
+    return result

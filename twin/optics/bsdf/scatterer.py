@@ -1,0 +1,212 @@
+"""A sample: lobes and their weights over the wavelength, and what all of them together scatter.
+
+Values are BSDF in 1/sr; a luminance factor (what formula 1 of the paper calls BSDF) is pi times that. Light and
+observer are directions in the rig's frame; a sample turned by gamma sees them turned by -gamma.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, frozen, turned
+from goniotwin.twin.optics.bsdf.models import canonical, evaluate_all
+from goniotwin.twin.optics.bsdf.sampling import scatter_all
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralWeights:
+    """Weights (lobes, w) of lobes at wavelengths (w,) in nm, ascending: linear between, the ends held."""
+
+    wavelengths_nm: Floats
+    weights: Floats
+
+    def __post_init__(self) -> None:
+        """Checks and copies the arrays. Raises ValueError, naming the argument and the place."""
+        wavelengths, weights = frozen(self.wavelengths_nm), frozen(self.weights)
+        if wavelengths.ndim != 1 or wavelengths.size == 0:
+            raise ValueError(f"wavelengths_nm has the shape {wavelengths.shape}: give a list of at least one")
+        wrong = np.flatnonzero(~(np.isfinite(wavelengths) & (wavelengths > 0.0)))
+        if wrong.size:
+            raise ValueError(f"wavelengths_nm[{wrong[0]}] is {wavelengths[wrong[0]]}: give a positive, finite number")
+        if np.any(np.diff(wavelengths) <= 0.0):
+            raise ValueError("wavelengths_nm is not ascending: sort it, and give each wavelength once")
+        if weights.ndim != 2 or weights.shape[1] != wavelengths.size:
+            raise ValueError(f"weights has the shape {weights.shape}: give (lobes, {wavelengths.size})")
+        holes = np.argwhere(~(np.isfinite(weights) & (weights >= 0.0)))
+        if holes.size:
+            i, j = holes[0]
+            raise ValueError(f"the weight at {wavelengths[j]:g} nm is {weights[i, j]}: give a finite number, not below 0")
+        object.__setattr__(self, "wavelengths_nm", wavelengths)
+        object.__setattr__(self, "weights", weights)
+
+    def at(self, wavelength_nm: npt.ArrayLike) -> Floats:
+        """Weights (lobes, ...) at wavelengths (...)."""
+        wavelengths = np.asarray(wavelength_nm, dtype=np.float64)
+        return np.array([np.interp(wavelengths, self.wavelengths_nm, row) for row in self.weights])
+
+
+@dataclass(frozen=True, eq=False)
+class Scatterer:
+    """A sample. Its value at a wavelength is the sum over the lobes of weight times lobe; without a spectrum all weigh 1.
+
+    Made by the functions of twin.optics.bsdf.analytic, twin.optics.bsdf.tabulated, twin.optics.bsdf.scattered_points and
+    twin.optics.bsdf.combination. Raises ValueError for no lobes, or a spectrum of another number of them.
+    """
+
+    name: str
+    lobes: tuple[Lobe, ...]
+    spectrum: SpectralWeights | None = None
+
+    def __post_init__(self) -> None:
+        """Checks that there are lobes, and weights for them."""
+        if not self.lobes:
+            raise ValueError("lobes is empty: a sample has at least one; a black one is a table of zeros")
+        if self.spectrum is not None and self.spectrum.weights.shape[0] != len(self.lobes):
+            given = self.spectrum.weights.shape[0]
+            raise ValueError(f"spectrum has weights of {given} lobes, but the sample has {len(self.lobes)}")
+
+    def weights(self, wavelength_nm: npt.ArrayLike | None = None) -> Floats:
+        """Weights (lobes,) at a wavelength, or (lobes, ...) at wavelengths (...).
+
+        Raises ValueError where a sample with a spectrum is not told the wavelength, or for one that is not positive.
+        """
+        if wavelength_nm is None:
+            if self.spectrum is not None:
+                raise ValueError(f"wavelength_nm is missing: {self.name} depends on it; say at which it is asked")
+            return np.ones(len(self.lobes))
+        wavelengths = np.asarray(wavelength_nm, dtype=np.float64)
+        if not np.all(np.isfinite(wavelengths) & (wavelengths > 0.0)):
+            raise ValueError(f"wavelength_nm is {wavelength_nm!r}: give positive, finite numbers of nanometres")
+        if self.spectrum is None:
+            return np.ones((len(self.lobes), *wavelengths.shape))
+        return self.spectrum.at(wavelengths)
+
+
+def _rows(light: npt.ArrayLike, observer: npt.ArrayLike, gamma_deg: float) -> tuple[list[Floats], tuple[int, ...]]:
+    """Rows (n, 3) of light and observer in the sample's own frame, and the shape they had."""
+    pair = np.broadcast_arrays(np.asarray(light, float), np.asarray(observer, float))
+    if pair[0].ndim == 0 or pair[0].shape[-1] != 3:
+        raise ValueError(f"light and observer have the shape {pair[0].shape}: give vectors along the last axis")
+    rows = [np.array(vectors, order="C").reshape(-1, 3) for vectors in pair]
+    if gamma_deg != 0.0:
+        rows = [turned(-gamma_deg, vectors) for vectors in rows]
+    return rows, pair[0].shape[:-1]
+
+
+def evaluate(
+    scatterer: Scatterer,
+    light: npt.ArrayLike,
+    observer: npt.ArrayLike,
+    wavelength_nm: float | None = None,
+    gamma_deg: float = 0.0,
+) -> Floats:
+    """BSDF (...) in 1/sr for unit vectors towards `light` and `observer`, (..., 3) each, broadcast.
+
+    Of the lobes, those act whose sides these are. A regular lobe has no finite value and adds 0. `gamma_deg` turns the
+    sample. Raises ValueError for a wrong shape, and for a sample with a spectrum without a wavelength.
+    """
+    rows, shape = _rows(light, observer, gamma_deg)
+    weights = scatterer.weights(wavelength_nm)
+    result: Floats = np.zeros(rows[0].shape[0])
+    for lobe, weight in zip(scatterer.lobes, weights, strict=True):
+        if weight > 0.0:
+            result += weight * evaluate_all(*lobe.kernel_arguments, lobe.incident, lobe.transmits, *rows)
+    return result.reshape(shape)
+
+
+def _incidence(sigma_deg: float) -> tuple[int, float]:
+    """Side that the light comes from, and its polar angle on that side."""
+    if not 0.0 <= sigma_deg <= 180.0 or sigma_deg == 90.0:
+        raise ValueError(f"sigma_deg is {sigma_deg!r}: give an angle of incidence of 0 to 180 deg, but not 90")
+    return (1, sigma_deg) if sigma_deg < 90.0 else (-1, 180.0 - sigma_deg)
+
+
+def albedo(
+    scatterer: Scatterer,
+    sigma_deg: float,
+    transmitted: bool = False,
+    wavelength_nm: float | None = None,
+    gamma_deg: float = 0.0,
+) -> float:
+    """Share of the light at `sigma_deg` that is reflected, or that is transmitted; regular lobes included.
+
+    sigma is 0 to < 90 for light from the front and > 90 to 180 for light from the back. By quadrature: see
+    `Lobe.albedo`. Raises ValueError for another sigma, and for a sample with a spectrum without a wavelength.
+    """
+    incident, polar = _incidence(sigma_deg)
+    # The light's azimuth in the sample's own frame is -gamma; the sample turned about x has it with the other sign.
+    azimuth = -gamma_deg * incident
+    weights = scatterer.weights(wavelength_nm)
+    shares = [
+        float(weight) * lobe.albedo(polar, azimuth)
+        for lobe, weight in zip(scatterer.lobes, weights, strict=True)
+        if lobe.incident == incident and lobe.transmits == transmitted
+    ]
+    return sum(shares, start=0.0)
+
+
+def lobe_shares(scatterer: Scatterer, sigma_deg: float, wavelength_nm: float | None = None) -> Floats:
+    """Probabilities (lobes,) with which to draw from each lobe, for light at `sigma_deg` as in `albedo`.
+
+    In proportion to weight and albedo, this interpolated from a few incidences; a lobe that scatters at any of them
+    has at least a twentieth of its mean. An estimator divides by these numbers, so they decide its noise and never its
+    mean. Without a wavelength the weights are their means over the spectrum's list, for one set of rays that serves all
+    wavelengths. All are 0 where no lobe scatters light from that side.
+    """
+    incident, polar = _incidence(sigma_deg)
+    if wavelength_nm is None and scatterer.spectrum is not None:
+        weights = scatterer.spectrum.weights.mean(axis=1)
+    else:
+        weights = scatterer.weights(wavelength_nm)
+    result = np.zeros(len(scatterer.lobes))
+    for i, lobe in enumerate(scatterer.lobes):
+        if lobe.incident == incident and weights[i] > 0.0:
+            here = float(np.interp(polar, ALBEDO_SIGMA_DEG, lobe.albedos))
+            result[i] = weights[i] * max(here, 0.05 * float(lobe.albedos.mean()))
+    total = result.sum()
+    return result / total if total > 0.0 else result
+
+
+def draw(
+    scatterer: Scatterer,
+    light: npt.ArrayLike,
+    uniform: npt.ArrayLike,
+    wavelength_nm: float | None = None,
+    gamma_deg: float = 0.0,
+) -> tuple[Floats, Floats]:
+    """Scattered directions (n, 3) and weights (n,) for the unit vector towards `light` (3,), from numbers (n, 4).
+
+    The numbers are uniform in [0, 1): the first chooses the lobe by `lobe_shares`, the others the direction. A weight
+    is the lobe's value times cosine over the density and over the lobe's probability, so the mean of the weights is the
+    sum of both albedos. It is 0 for a direction that the lobe does not scatter to. Raises ValueError for wrong shapes.
+    """
+    vector, numbers = np.asarray(light, float), np.asarray(uniform, float)
+    if vector.shape != (3,):
+        raise ValueError(f"light has the shape {vector.shape}: give one vector (3,)")
+    if numbers.ndim != 2 or numbers.shape[1] != 4 or not np.all((numbers >= 0.0) & (numbers < 1.0)):
+        raise ValueError(f"uniform has the shape {numbers.shape}: give (n, 4), numbers from 0 to less than 1")
+    sigma_deg = float(np.degrees(np.arctan2(np.hypot(vector[0], vector[1]), vector[2])))
+    shares, weights = lobe_shares(scatterer, sigma_deg, wavelength_nm), scatterer.weights(wavelength_nm)
+    own = turned(-gamma_deg, vector)
+    directions, scattered = np.tile([0.0, 0.0, 1.0], (numbers.shape[0], 1)), np.zeros(numbers.shape[0])
+    chosen = np.searchsorted(np.cumsum(shares), numbers[:, 0] * shares.sum(), side="right")
+    for i, lobe in enumerate(scatterer.lobes):
+        mine = np.flatnonzero(chosen == i) if shares[i] > 0.0 else np.empty(0, dtype=np.int64)
+        if not mine.size:
+            continue
+        x, y, z = (float(c) for c in own)
+        canonical_light = canonical(lobe.incident, lobe.transmits, x, y, z, 0.0, 0.0, 0.0)[:3]
+        found = scatter_all(
+            *lobe.kernel_arguments, lobe.cells, lobe.incident, lobe.transmits, *canonical_light,
+            np.ascontiguousarray(numbers[mine, 1:]),
+        )  # fmt: skip
+        directions[mine] = turned(gamma_deg, found[:, :3])
+        scattered[mine] = found[:, 3] * weights[i] / shares[i]
+    return directions, scattered
+
+
+def on_side(lobe: Lobe, incident: int, transmits: bool) -> Lobe:
+    """The same model for another pair of sides."""
+    return replace(lobe, incident=incident, transmits=transmits)

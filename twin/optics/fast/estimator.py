@@ -1,0 +1,100 @@
+"""The fast estimator: for a sample whose BSDF is known, from the detectors back to the exit pupil.
+
+Sample and etalon have the same rays, and so have all wavelengths: what frame and mirrors cut cancels in their ratio (paper,
+formula 1).
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
+from goniotwin.twin.optics.bsdf.models import LAMBERTIAN
+from goniotwin.twin.optics.bsdf.scatterer import Scatterer
+from goniotwin.twin.optics.fast.lobe_sums import Pose, lobe_throughputs
+from goniotwin.twin.optics.geometry.instrument import Instrument
+
+WHITE = [
+    Lobe(LAMBERTIAN, parameters(1.0 / math.pi), incident=incident, transmits=transmits)
+    for incident in (1, -1)
+    for transmits in (False, True)
+]
+
+
+def throughput(
+    instrument: Instrument,
+    sigma_deg: float,
+    directions: npt.ArrayLike,
+    scatterer: Scatterer,
+    rays: int | None = None,
+    gamma_deg: float = 0.0,
+    wavelength_nm: float | None = None,
+) -> Floats:
+    """Throughput (n,) in m^2 sr of detectors in `directions` (n, 3): their flux over the radiance of the exit pupil.
+
+    With the mirrors' reflectance, all cosines, the hole of the frame on the sample, the detectors' discs and acceptance
+    cones, every deviation, and, where the instrument says so, what the mirrors hide. Detectors below the sample's plane
+    see what it transmits. `gamma_deg` turns the sample unit. Light and detectors at `sigma_deg` beyond 90 deg meet the
+    sample's back.
+
+    Seven rays a detector, placed by the moments of what its aperture takes; 1024 where a mirror cuts into that. With `rays`
+    it is so many for every detector, from its disc within its cone to the hole and on to the pupil, always the same: slower,
+    and the check of the seven. Detectors do not depend on each other, so results are bit-identical whatever the number
+    of threads. Raises ValueError for a wrong shape, a vector of no length, a number of rays that is no multiple of 4, or a
+    sensor that is no simple detector, a disc with an acceptance cone: only the forward estimator traces such.
+    """
+    (sums,) = lobe_throughputs(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer.lobes, rays)
+    return np.asarray(sums.mirrors(instrument, wavelength_nm) * (scatterer.weights(wavelength_nm) @ sums.lobes))
+
+
+def spectral_throughput(
+    instrument: Instrument,
+    sigma_deg: float,
+    directions: npt.ArrayLike,
+    scatterer: Scatterer,
+    wavelengths_nm: npt.ArrayLike,
+    rays: int | None = None,
+    gamma_deg: float = 0.0,
+) -> Floats:
+    """Throughput (w, n) in m^2 sr at wavelengths (w,), all from one set of rays: nothing here fluoresces (paper, 3.2)."""
+    wavelengths = np.atleast_1d(np.asarray(wavelengths_nm, dtype=np.float64))
+    (sums,) = lobe_throughputs(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer.lobes, rays)
+    mirrors = np.array([sums.mirrors(instrument, float(each)) for each in wavelengths])
+    return np.asarray(mirrors[:, None] * (scatterer.weights(wavelengths).T @ sums.lobes))
+
+
+def luminance_factor(
+    instrument: Instrument,
+    sigma_deg: float,
+    directions: npt.ArrayLike,
+    scatterer: Scatterer,
+    rays: int | None = None,
+    gamma_deg: float = 0.0,
+    wavelength_nm: float | None = None,
+) -> Floats:
+    """Luminance factor (n,), as the instrument measures it against an ideal diffuser (paper, formula 1).
+
+    The diffuser scatters as much to either side and from either side. NaN where it gives no signal: a direction that the
+    mirrors hide has no value.
+    """
+    (factors,) = luminance_factors(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer, rays, wavelength_nm)
+    return factors
+
+
+def luminance_factors(
+    instrument: Instrument,
+    poses: Sequence[Pose],
+    scatterer: Scatterer,
+    rays: int | None = None,
+    wavelength_nm: float | None = None,
+) -> list[Floats]:
+    """`luminance_factor` of many poses at once, (n,) each: a whole BSDF in one call."""
+    weights, own = scatterer.weights(wavelength_nm), len(scatterer.lobes)
+    factors = []
+    for sums in lobe_throughputs(instrument, poses, [*scatterer.lobes, *WHITE], rays, ratios=True):
+        sample, etalon = weights @ sums.lobes[:own], sums.lobes[own:].sum(axis=0)
+        factors.append(np.divide(sample, etalon, out=np.full_like(sample, np.nan), where=etalon > 0.0))
+    return factors

@@ -1,0 +1,177 @@
+"""The fast estimator's rays: seven for a detector, which stand for all that its aperture takes of the beam.
+
+What a lobe gives depends on two offsets above all: how far the observer is from the mirrored light along the great circle
+between them, and how far across it. Both are linear in six numbers: place in the hole, slopes to the detector's axis, place
+on the exit pupil. So their covariance follows from the aperture's moments, and a seven-node rule of the fifth degree
+(Stroud, Secrest 1963) takes its place; its radius is that of the fourth moments, which for discs and squares are below
+a Gaussian's. Each node is a real ray: the six numbers are those to be expected for its offsets.
+"""
+
+import math
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.fast.detector_block import (  # fmt: skip
+    BLOCK,
+    DX,
+    DY,
+    DZ,
+    E1X,
+    E1Y,
+    E1Z,
+    E2X,
+    E2Y,
+    GA1,
+    GA2,
+    GB1,
+    GB2,
+    GP1,
+    GP2,
+    GQ1,
+    GQ2,
+    GU1,
+    GU2,
+    GV1,
+    GV2,
+    LX,
+    LY,
+    LZ,
+    MP,
+    MPP,
+    MPQ,
+    MQ,
+    MQQ,
+    MU,
+    MUP,
+    MUQ,
+    MUU,
+    MUV,
+    MV,
+    MVP,
+    MVQ,
+    MVV,
+    P0,
+    Q0,
+    RADIUS,
+    RAY,
+    T11,
+    T21,
+    T22,
+    U0,
+    V0,
+    WEIGHT,
+    WX,
+    WY,
+    WZ,
+    M,
+)
+from goniotwin.twin.optics.kernel import kernel
+
+NODES = 7
+TINY = 1e-30
+FLATTEST = 1.8
+"""Fourth moment over the square of the second of a uniform distribution: no sum of discs and sides is flatter."""
+HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.pi / 3)] for k in range(6)])
+"""Turned out of the plane of incidence, so that no two nodes are mirror images in it."""
+
+
+@kernel(nogil=True, fastmath={"contract"})
+def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, first: int, stride: int) -> None:
+    """Fills `rays` (7, 7 stride): weight, light's direction (3), observer's direction (3), for the `count` detectors in `w`.
+
+    Node j of a detector is ray j * stride + first + its number. The detectors' frames and moments are in `w`, see
+    twin.optics.fast.aperture; `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
+    Weights have the beam's solid angle in them: cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that
+    takes nothing has weights of 0.
+    """
+    cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
+    bx, by, bz, fx, fy, fz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
+    for k in range(count):
+        dx, dy, dz = w[k + DX], w[k + DY], w[k + DZ]
+        e1x, e1y, e1z, e2x, e2y = w[k + E1X], w[k + E1Y], w[k + E1Z], w[k + E2X], w[k + E2Y]
+        taken = w[k + M]
+        one = 1.0 / taken if taken > 0.0 else 1.0
+        u0, v0, p0, q0 = w[k + MU] * one, w[k + MV] * one, w[k + MP] * one, w[k + MQ] * one
+        uu, uv, vv = w[k + MUU] * one - u0 * u0, w[k + MUV] * one - u0 * v0, w[k + MVV] * one - v0 * v0
+        up, uq = w[k + MUP] * one - u0 * p0, w[k + MUQ] * one - u0 * q0
+        vp, vq = w[k + MVP] * one - v0 * p0, w[k + MVQ] * one - v0 * q0
+        pp, pq, qq = w[k + MPP] * one - p0 * p0, w[k + MPQ] * one - p0 * q0, w[k + MQQ] * one - q0 * q0
+        # The mean ray: mirrored light r, observer o, and the great circle between them with its normal n.
+        rx, ry, rz = u0 - cx, v0 - cy, cz
+        inverse = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
+        rx, ry, rz = rx * inverse, ry * inverse, rz * inverse
+        up_side = 1.0 if dz > 0.0 else -1.0  # what is transmitted is seen in the sample's plane as in a mirror
+        ox, oy, oz = dx + p0 * e1x + q0 * e2x, dy + p0 * e1y + q0 * e2y, up_side * (dz + p0 * e1z)
+        shrink = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz)
+        ox, oy, oz = ox * shrink, oy * shrink, oz * shrink
+        nx, ny, nz = ry * oz - rz * oy, rz * ox - rx * oz, rx * oy - ry * ox
+        sine2 = nx * nx + ny * ny + nz * nz
+        apart = sine2 > 1e-18
+        grow = 1.0 / math.sqrt(sine2 if apart else 1.0)
+        nx, ny, nz = (nx * grow if apart else e2x), (ny * grow if apart else e2y), (nz * grow if apart else 0.0)
+        tx, ty, tz = ny * oz - nz * oy, nz * ox - nx * oz, nx * oy - ny * ox
+        sx, sy, sz = ny * rz - nz * ry, nz * rx - nx * rz, nx * ry - ny * rx
+        # Offsets along (j) and across (k) the circle, by hole (u, v), pupil (a, b) and slopes (p, q).
+        ju, jv = -sx * inverse, -sy * inverse
+        ja = (sx * ax + sy * ay - sz * az) * inverse
+        jb = (sx * bx + sy * by - sz * bz) * inverse
+        ku, kv = -nx * inverse, -ny * inverse
+        ka = (nx * ax + ny * ay - nz * az) * inverse
+        kb = (nx * bx + ny * by - nz * bz) * inverse
+        jp, jq = tx * e1x + ty * e1y + up_side * tz * e1z, tx * e2x + ty * e2y
+        kp, kq = nx * e1x + ny * e1y + up_side * nz * e1z, nx * e2x + ny * e2y
+        gu1, gu2 = uu * ju + uv * jv + up * jp + uq * jq, uu * ku + uv * kv + up * kp + uq * kq
+        gv1, gv2 = uv * ju + vv * jv + vp * jp + vq * jq, uv * ku + vv * kv + vp * kp + vq * kq
+        gp1, gp2 = up * ju + vp * jv + pp * jp + pq * jq, up * ku + vp * kv + pp * kp + pq * kq
+        gq1, gq2 = uq * ju + vq * jv + pq * jp + qq * jq, uq * ku + vq * kv + pq * kp + qq * kq
+        ga1, ga2, gb1, gb2 = 0.25 * ja, 0.25 * ka, 0.25 * jb, 0.25 * kb
+        s11 = ju * gu1 + jv * gv1 + ja * ga1 + jb * gb1 + jp * gp1 + jq * gq1
+        s12 = ju * gu2 + jv * gv2 + ja * ga2 + jb * gb2 + jp * gp2 + jq * gq2
+        s22 = ku * gu2 + kv * gv2 + ka * ga2 + kb * gb2 + kp * gp2 + kq * gq2
+        t11 = math.sqrt(s11)
+        t21 = s12 / t11
+        rest, least = s22 - t21 * t21, 1e-12 * s22 + 1e-30
+        t22 = math.sqrt(rest if rest > least else least)
+        # Fourth cumulants: of a disc -r^4/16 along each of its axes, of a side of the hole -6/5 of its variance squared.
+        # Slopes go with the place in the hole where the disc limits them; what is left of them then is the disc's own.
+        j2, k2 = ja * ja + jb * jb, ka * ka + kb * kb
+        ru, rv = 1.0 / (uu if uu > TINY else TINY), 1.0 / (vv if vv > TINY else TINY)
+        slope2 = pp + qq - (up * up + uq * uq) * ru - (vp * vp + vq * vq) * rv
+        slope2 = slope2 if slope2 > 0.0 else 0.0
+        sides = (gu1 * gu1 * ru) ** 2 + (gv1 * gv1 * rv) ** 2 + (gu2 * gu2 * ru) ** 2 + (gv2 * gv2 * rv) ** 2
+        fourth = 3.0 - ((j2 * j2 + k2 * k2) / 16.0 + 0.5 * slope2 * slope2 + 1.2 * sides) / (s11 * s11 + s22 * s22)
+        fourth = fourth if fourth > FLATTEST else FLATTEST
+        radius = math.sqrt(4.0 / 3.0 * fourth)
+        w[k + U0], w[k + V0], w[k + P0], w[k + Q0] = u0, v0, p0, q0
+        w[k + GU1], w[k + GU2], w[k + GV1], w[k + GV2] = gu1, gu2, gv1, gv2
+        w[k + GA1], w[k + GA2], w[k + GB1], w[k + GB2] = ga1, ga2, gb1, gb2
+        w[k + GP1], w[k + GP2], w[k + GQ1], w[k + GQ2] = gp1, gp2, gq1, gq2
+        w[k + T11], w[k + T21], w[k + T22], w[k + RADIUS] = t11, t21, t22, radius
+    for j in range(NODES):
+        away, level = (0.0, 0.0) if j == 0 else (hexagon[j - 1, 0], hexagon[j - 1, 1])
+        for k in range(count):
+            radius = w[k + RADIUS]
+            share = 1.0 / (3.0 * radius * radius)
+            y2 = radius * level / w[k + T22]
+            y1 = (radius * away - w[k + T21] * y2) / w[k + T11]
+            u, v = w[k + U0] + w[k + GU1] * y1 + w[k + GU2] * y2, w[k + V0] + w[k + GV1] * y1 + w[k + GV2] * y2
+            a, b = w[k + GA1] * y1 + w[k + GA2] * y2, w[k + GB1] * y1 + w[k + GB2] * y2
+            p, q = w[k + P0] + w[k + GP1] * y1 + w[k + GP2] * y2, w[k + Q0] + w[k + GQ1] * y1 + w[k + GQ2] * y2
+            lx = cx + a * ax + b * bx - u
+            ly = cy + a * ay + b * by - v
+            lz = cz + a * az + b * bz
+            inverse = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
+            lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
+            cosine = lx * fx + ly * fy + lz * fz
+            wx = w[k + DX] + p * w[k + E1X] + q * w[k + E2X]
+            wy = w[k + DY] + p * w[k + E1Y] + q * w[k + E2Y]
+            wz = w[k + DZ] + p * w[k + E1Z]
+            shrink = 1.0 / math.sqrt(wx * wx + wy * wy + wz * wz)
+            part = 1.0 - 6.0 * share if j == 0 else share
+            w[k + WEIGHT] = part * w[k + M] * (lz if lz > 0.0 else 0.0) * cosine * inverse * inverse
+            w[k + LX], w[k + LY], w[k + LZ] = lx, ly, lz
+            w[k + WX], w[k + WY], w[k + WZ] = wx * shrink, wy * shrink, wz * shrink
+        for row in range(7):
+            for k in range(count):
+                rays[row, j * stride + first + k] = w[k + RAY + row * BLOCK]

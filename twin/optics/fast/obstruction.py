@@ -1,0 +1,132 @@
+"""What the mirrors hide from a detector.
+
+The mirror unit stands between sample and arc: mirror 3 hides a zone round the retro-direction, which at sigma = 0 is
+the specular direction, and mirror 2 a zone 45 deg from it. That is a fact of the instrument: campaigns plan around it.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.fast.aperture import aperture_sizes, detector_frame
+from goniotwin.twin.optics.fast.ray_bundle import cone, detector_ray, ray_bundle, view
+from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.mirrors import distance_to
+from goniotwin.twin.optics.geometry.scene import scene_at
+from goniotwin.twin.optics.kernel import kernel
+
+FREE, PARTLY, HIDDEN = 0, 1, 2
+
+
+@kernel()
+def may_hide(mirrors: Floats, m: int, half: float, centre: Floats, width: float) -> bool:
+    """Whether square m reaches into the tube of radius `width` round the line from the sample's centre to `centre`.
+
+    A sphere round the mirror stands for it: most detectors are told free of a mirror without tracing a single ray.
+    """
+    along, square, length = 0.0, 0.0, 0.0
+    for c in range(3):
+        along += mirrors[m, 0, c] * centre[c]
+        square += mirrors[m, 0, c] * mirrors[m, 0, c]
+        length += centre[c] * centre[c]
+    foot = min(1.0, max(0.0, along / length))
+    gap2 = square - 2.0 * foot * along + foot * foot * length
+    return gap2 < (width + math.sqrt(2.0) * half) ** 2
+
+
+@kernel(forceinline=True)
+def hidden(
+    mirrors: Floats, near: Floats, half: float, reach: float,
+    px: float, py: float, wx: float, wy: float, wz: float,
+) -> bool:  # fmt: skip
+    """Whether a mirror, of those that are near, cuts the ray from (px, py) on the sample within `reach`."""
+    for m in range(3):  # noqa: SIM110 - a generator in numba is slower
+        if near[m] > 0.0 and distance_to(mirrors, m, half, px, py, 0.0, wx, wy, wz) < reach:
+            return True
+    return False
+
+
+@kernel()
+def mirrors_near(mirrors: Floats, half: float, centre: Floats, sizes: Floats, near: Floats) -> None:
+    """Sets near[m] to 1 where mirror m may hide some of the bundle of a detector at `centre`, and else to 0."""
+    width = max(sizes[0], math.sqrt(2.0) * sizes[1])
+    for m in range(3):
+        near[m] = 1.0 if may_hide(mirrors, m, half, centre, width) else 0.0
+
+
+@kernel()
+def shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats, sizes: Floats) -> int:
+    """FREE, HIDDEN, or PARTLY where the mirrors that are near cut some of a detector's rays, or where that is not sure.
+
+    Hole and disc are convex, so what the rays cover in a mirror's plane is the hull of the lines between the hole's corners
+    and those of a square round the disc: all of them within the mirror hide it, all of them beyond one side do not.
+    """
+    e1x, e1y, e1z, e2x, e2y = detector_frame(d[0], d[1], d[2])
+    result = FREE
+    for m in range(3):
+        if near[m] == 0.0:
+            continue
+        low_u, high_u, low_v, high_v = math.inf, -math.inf, math.inf, -math.inf
+        first, last = math.inf, -math.inf
+        for corner in range(16):
+            px, py = (1.0 if corner & 1 else -1.0) * sizes[1], (1.0 if corner & 2 else -1.0) * sizes[1]
+            s, t = (1.0 if corner & 4 else -1.0) * sizes[0], (1.0 if corner & 8 else -1.0) * sizes[0]
+            wx = centre[0] + s * e1x + t * e2x - px
+            wy = centre[1] + s * e1y + t * e2y - py
+            wz = centre[2] + s * e1z
+            cx, cy, cz = mirrors[m, 0, 0] - px, mirrors[m, 0, 1] - py, mirrors[m, 0, 2]
+            slope = wx * mirrors[m, 1, 0] + wy * mirrors[m, 1, 1] + wz * mirrors[m, 1, 2]
+            share = (cx * mirrors[m, 1, 0] + cy * mirrors[m, 1, 1] + cz * mirrors[m, 1, 2]) / slope
+            first, last = min(first, share), max(last, share)
+            x, y, z = share * wx - cx, share * wy - cy, share * wz - cz
+            u = x * mirrors[m, 2, 0] + y * mirrors[m, 2, 1] + z * mirrors[m, 2, 2]
+            v = x * mirrors[m, 3, 0] + y * mirrors[m, 3, 1] + z * mirrors[m, 3, 2]
+            low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
+        if first > 0.0 and last < 1.0:  # every line meets the plane between sample and detector
+            if high_u < half and low_u > -half and high_v < half and low_v > -half:
+                return HIDDEN
+            if low_u > half or high_u < -half or low_v > half or high_v < -half:
+                continue
+        elif last < 0.0 or first > 1.0:
+            continue
+        result = PARTLY
+    return result
+
+
+@kernel(nogil=True)
+def visible(centres: Floats, directions: Floats, rays: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
+    """Share (n,) of the rays of a bundle that no mirror cuts, of detectors at `centres` that look along -`directions`."""
+    result = np.zeros(directions.shape[0])
+    near, axes, slopes = np.zeros(3), np.zeros((4, 3)), cone(rays, sizes)
+    for k in range(directions.shape[0]):
+        view(centres[k], directions[k], axes)
+        mirrors_near(mirrors, half, centres[k], sizes, near)
+        seen, free = 0.0, 0.0
+        for j in range(rays.shape[0]):
+            weight, px, py, wx, wy, wz, length = detector_ray(axes, rays, slopes, j, sizes)
+            seen += weight
+            if weight > 0.0 and not hidden(mirrors, near, half, length, px, py, wx, wy, wz):
+                free += weight
+        if seen > 0.0:
+            result[k] = free / seen
+    return result
+
+
+def visible_fraction(
+    instrument: Instrument, sigma_deg: float, directions: npt.ArrayLike, rays: int = 256, gamma_deg: float = 0.0
+) -> Floats:
+    """Share (n,) of each detector's rays from the illuminated spot that no mirror cuts, for `directions` (n, 3).
+
+    Whether or not the instrument's `obstruction` is on. 0 for a detector in the sample's plane, which sees nothing.
+    From `rays` deterministic rays a detector; of a sensor that is no simple one, of all that could pass. Raises ValueError
+    for a wrong shape or a vector of no length.
+    """
+    if instrument.sensor is not None:
+        instrument = replace(instrument, sensor=None, field_deg=instrument.sensor.widest_deg)
+    scene = scene_at(instrument, sigma_deg, gamma_deg)
+    centres, axes = scene.detectors(instrument, directions)
+    half = 0.5 * instrument.blocking_side_mm
+    return np.asarray(visible(centres, axes, ray_bundle(rays), aperture_sizes(instrument), scene.mirrors, half))

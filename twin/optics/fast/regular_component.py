@@ -1,0 +1,112 @@
+"""What a detector gets of light that is reflected regularly, or passes straight through: an image of the exit pupil.
+
+A mirror keeps radiance. So a detector sees the pupil through the hole, mirrored in the sample's plane or as it is, and
+gets the measure of all rays that cross the hole and the disc, lie within the acceptance cone, and come from the pupil. From
+a point of the hole the last three are discs in the plane of slopes (the pupil's an ellipse), so that along one slope each
+leaves a chord, in closed form; the other slope and the hole take Gauss-Legendre nodes. The field is smooth but for kinks,
+and no ray is thrown.
+"""
+
+import math
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.fast.aperture import detector_frame
+from goniotwin.twin.optics.kernel import kernel
+
+HOLE_NODES, SLOPE_NODES = 12, 16
+
+
+def line_nodes(count: int) -> Floats:
+    """Gauss-Legendre places within -1..1 and their shares (n, 2)."""
+    places, weights = np.polynomial.legendre.leggauss(count)
+    return np.stack([places, 0.5 * weights], axis=1)
+
+
+@kernel(forceinline=True)
+def conic(
+    q: float, d: Floats, e1: Floats, e2: Floats, image: Floats, square_radius: float, hn: float, ha: float, hb: float
+) -> tuple[float, float, float]:
+    """Of rays of slope q: those of slopes p come from the image with a p^2 + 2 b p + c <= 0; returns a, b, c.
+
+    A ray h + s w, h from the image's centre to the hole, meets the image's plane at coordinates (x, y) / (w n), where
+    x = (h a)(w n) - (h n)(w a), and y alike with its other axis, are linear in w = d + q e2 + p e1.
+    """
+    wx, wy, wz = d[0] + q * e2[0], d[1] + q * e2[1], d[2] + q * e2[2]
+    n0 = wx * image[3, 0] + wy * image[3, 1] + wz * image[3, 2]
+    n1 = e1[0] * image[3, 0] + e1[1] * image[3, 1] + e1[2] * image[3, 2]
+    x0 = ha * n0 - hn * (wx * image[1, 0] + wy * image[1, 1] + wz * image[1, 2])
+    x1 = ha * n1 - hn * (e1[0] * image[1, 0] + e1[1] * image[1, 1] + e1[2] * image[1, 2])
+    y0 = hb * n0 - hn * (wx * image[2, 0] + wy * image[2, 1] + wz * image[2, 2])
+    y1 = hb * n1 - hn * (e1[0] * image[2, 0] + e1[1] * image[2, 1] + e1[2] * image[2, 2])
+    limit = square_radius * square_radius
+    return x1 * x1 + y1 * y1 - limit * n1 * n1, x0 * x1 + y0 * y1 - limit * n0 * n1, x0 * x0 + y0 * y0 - limit * n0 * n0
+
+
+@kernel(nogil=True)
+def image_measures(
+    centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, transmits: bool, hole: Floats, line: Floats, result: Floats
+) -> None:
+    """Fills `result` (n,) with the measures of n detectors, mm^2 sr: 0 for those that do not see the pupil's image.
+
+    `hole` and `line` (n, 2) are nodes over a side of the hole and over a slope; `pupil` (4, 3) as in `place_nodes`.
+    """
+    radius, half, tangent = sizes[0], sizes[1], sizes[2] / math.sqrt(1.0 - sizes[2] * sizes[2])
+    image = pupil.copy()
+    if not transmits:
+        image[:, 2] *= -1.0
+    square_radius = image[1, 0] ** 2 + image[1, 1] ** 2 + image[1, 2] ** 2
+    e1, e2 = np.zeros(3), np.zeros(3)
+    for n in range(axes.shape[0]):
+        d, centre = axes[n], centres[n]
+        result[n] = 0.0
+        if (d[2] < 0.0) != transmits:  # reflected light leaves on the light's side, transmitted light on the other
+            continue
+        e1[0], e1[1], e1[2], e2[0], e2[1] = detector_frame(d[0], d[1], d[2])
+        ahead = centre[0] * d[0] + centre[1] * d[1] + centre[2] * d[2]
+        total = 0.0
+        for i in range(hole.shape[0]):
+            for j in range(hole.shape[0]):
+                u, v = half * hole[i, 0], half * hole[j, 0]
+                # The disc's centre and radius in slopes, as seen from (u, v).
+                distance = ahead - u * d[0] - v * d[1]
+                p0 = ((centre[0] - u) * e1[0] + (centre[1] - v) * e1[1] + centre[2] * e1[2]) / distance
+                q0 = ((centre[0] - u) * e2[0] + (centre[1] - v) * e2[1]) / distance
+                reach = radius / distance
+                low, high = max(-tangent, q0 - reach), min(tangent, q0 + reach)
+                hx, hy, hz = u - image[0, 0], v - image[0, 1], -image[0, 2]
+                hn = hx * image[3, 0] + hy * image[3, 1] + hz * image[3, 2]
+                ha = hx * image[1, 0] + hy * image[1, 1] + hz * image[1, 2]
+                hb = hx * image[2, 0] + hy * image[2, 1] + hz * image[2, 2]
+                # Where b^2 - a c, which is quadratic in q, is not below 0 there are rays from the image.
+                a, b, c = conic(0.0, d, e1, e2, image, square_radius, hn, ha, hb)
+                middle = b * b - a * c
+                a, b, c = conic(1.0, d, e1, e2, image, square_radius, hn, ha, hb)
+                above = b * b - a * c
+                a, b, c = conic(-1.0, d, e1, e2, image, square_radius, hn, ha, hb)
+                below = b * b - a * c
+                bend, lean = 0.5 * (above + below) - middle, 0.5 * (above - below)
+                root = lean * lean - 4.0 * bend * middle
+                if not (a > 0.0 and bend < 0.0 and root > 0.0):
+                    continue
+                root = math.sqrt(root)
+                low, high = max(low, (-lean + root) / (2.0 * bend)), min(high, (-lean - root) / (2.0 * bend))
+                if not high > low:
+                    continue
+                inner = 0.0
+                for k in range(line.shape[0]):
+                    q = 0.5 * (high + low) + 0.5 * (high - low) * line[k, 0]
+                    beside = q - q0
+                    chord = math.sqrt(max(0.0, reach * reach - beside * beside))
+                    cone = math.sqrt(max(0.0, tangent * tangent - q * q))
+                    a, b, c = conic(q, d, e1, e2, image, square_radius, hn, ha, hb)
+                    root = math.sqrt(max(0.0, b * b - a * c))
+                    left, right = max(p0 - chord, -cone, (-b - root) / a), min(p0 + chord, cone, (-b + root) / a)
+                    if right > left:
+                        p = 0.5 * (left + right)
+                        stretch = 1.0 + p * p + q * q
+                        # Radiance is kept: the measure is area, the cosine with the sample's normal, solid angle.
+                        inner += line[k, 1] * (right - left) * abs(d[2] + p * e1[2]) / (stretch * stretch)
+                total += hole[i, 1] * hole[j, 1] * inner * (high - low)
+        result[n] = total * 4.0 * half * half

@@ -1,0 +1,1 @@
+"""The forward estimator: Monte Carlo from the source to all detectors at once."""

@@ -1,0 +1,130 @@
+"""A block of forward paths from the source to the detectors: its strata one after the other, each a row of plain loops.
+
+A stratum is so many paths of every block that are drawn the same way: those of one lobe, or those that land on the frame.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes
+from goniotwin.twin.optics.forward.bounces import Stage, bounce, by_cosine
+from goniotwin.twin.optics.forward.outgoing import (
+    leave_by_cosine,
+    leave_by_lobe,
+    leave_by_model,
+    meet_frame,
+    meet_mirror,
+    meet_nothing,
+    path_key,
+    weigh_lobe,
+)
+from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, arrive
+from goniotwin.twin.optics.forward.scoring import HITS, Room, Targets, find_cells, score
+from goniotwin.twin.optics.forward.spread import BINS, Spread
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.montecarlo.counters import scrambled, uniform, word_key
+
+U64 = np.uint64
+COSINE, SHAPE, REST, MODEL, FRAME = range(5)
+"""Ways to draw: a Lambertian lobe; a Gaussian's shape, and by the cosine what is left of it; any other lobe; the frame."""
+FRAMES_STREAM = 1 << 16
+"""The frame's paths have their random numbers whatever lobes the sample has: so in a difference of two samples, or of one and
+none, the noise of what the frame itself scatters cancels, as the light does."""
+
+
+class Strata(NamedTuple):
+    """`ways` (n, 3): how to draw, of which lobe, how many of a block's paths. `gains` (n, 2): the factor of the weights, and
+    for a Gaussian how many of its paths follow its shape. `lit` is how much wider than the hole the square of light is.
+    """
+
+    ways: np.ndarray
+    gains: Floats
+    lit: float
+
+
+@kernel(nogil=True)
+def leave(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.ndarray, lobes: Lobes) -> None:
+    """Directions and weights of the paths of stratum k that have arrived at the sample."""
+    way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
+    gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.heads[which, TRANSMITS] == 1
+    if way == SHAPE:
+        leave_by_lobe(buffer, count, keys[2:], lobes.params[which], share, transmits, gain)
+    elif way == MODEL:
+        leave_by_model(buffer, count, key, k, which, gain, lobes)
+    else:
+        # Lambert's law has the density cosine / pi.
+        leave_by_cosine(buffer, count, keys[2:], transmits, gain * lobes.params[which, 0] * np.pi)
+        if way == REST:
+            weigh_lobe(buffer, count, lobes.params[which], share, transmits, gain)
+
+
+@kernel(nogil=True)
+def trace(
+    first: int, last: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes, stage: Stage, targets: Targets,
+    spread: Spread, longest: int, detectors: int,
+) -> Floats:  # fmt: skip
+    """Sums (detectors, 4) over blocks first..last-1: of the weights of paths that were scattered once and of their squares, and
+    the same of all others; after them those of the map's bins. `longest` is how many detectors a cell has at most.
+    """
+    sums = np.zeros((detectors + BINS if spread.wanted else detectors, 4))
+    buffer, found = np.empty(ROWS * BLOCK, np.float32), np.empty(BLOCK, np.int32)
+    most = HITS + longest + 1
+    room = Room(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    start, keys = scrambled(U64(seed)), np.empty(4, np.uint32)
+    for block in range(first, last):
+        key = scrambled(start + U64(block) * U64(0xD1342543DE82EF95))
+        for k in range(strata.ways.shape[0]):
+            count, inside = strata.ways[k, 2], strata.ways[k, 0] != FRAME
+            stream = k if inside else FRAMES_STREAM
+            for n in range(4):
+                keys[n] = word_key(key, 4 * stream + n)
+            arrive(buffer, count, keys, beam, inside, strata.lit)
+            if not inside:
+                for i in range(count):
+                    if buffer[i + FLUX] > 0.0:
+                        own = path_key(key, stream, i)
+                        dx, dy, dz = by_cosine(True, uniform(own, 0), uniform(own, 1))
+                        weight = buffer[i + FLUX] * strata.gains[k, 0]
+                        bounce(
+                            stage, lobes, targets, spread, own, 1, False,
+                            np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), stage.gap, dx, dy, dz, weight, sums,
+                        )  # fmt: skip
+                continue
+            leave(buffer, strata, k, key, keys, lobes)
+            meet_nothing(buffer, count)
+            if stage.obstruction:
+                for m in range(3):
+                    meet_mirror(buffer, count, stage.mirrors[m], stage.blocking_half)
+            if stage.gap > 0.0:
+                meet_frame(buffer, count, stage.hole_half, stage.gap)
+            if detectors > 0:
+                find_cells(buffer, count, targets.cells, found)
+                score(buffer, count, found, targets, room, sums)
+            for i in range(count):
+                if buffer[i + STOP] < np.inf and buffer[i + WEIGHT] > 0.0:
+                    weight = np.float64(buffer[i + WEIGHT])
+                    dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
+                    bounce(
+                        stage, lobes, targets, spread, path_key(key, k, i), 1, True,
+                        np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), 0.0, dx, dy, dz, weight, sums,
+                    )  # fmt: skip
+    return sums
+
+
+@kernel(nogil=True)
+def trace_geometry(blocks: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes) -> float:
+    """The same without what follows the scattering, for its speed: the sum of the last path's direction of each block."""
+    buffer, keys, total = np.empty(ROWS * BLOCK, np.float32), np.empty(4, np.uint32), 0.0
+    start = scrambled(U64(seed))
+    for block in range(blocks):
+        key = scrambled(start + U64(block) * U64(0xD1342543DE82EF95))
+        for k in range(strata.ways.shape[0]):
+            if strata.ways[k, 0] != FRAME:
+                for n in range(4):
+                    keys[n] = word_key(key, 4 * k + n)
+                arrive(buffer, strata.ways[k, 2], keys, beam, True, strata.lit)
+                leave(buffer, strata, k, key, keys, lobes)
+                total += buffer[strata.ways[k, 2] - 1 + DX]
+    return total

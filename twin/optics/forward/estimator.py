@@ -1,0 +1,140 @@
+"""The forward estimator: Monte Carlo from the source over real mirrors and the sample to all detectors at once.
+
+It traces every interaction and is the reference: it knows nothing of the unfolded path, of a detector's own rays or of moments,
+so that it can hold the fast estimator. Numbers are counter-based: a path's are a function of seed and path, and partial sums
+are added in the order of the chunks, so results are bit-identical whatever the number of threads. Geometry is in single
+precision up to the first scattering (0.1 micrometres, 1e-7 rad), sums and all that follows in double.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.scatterer import Scatterer
+from goniotwin.twin.optics.forward.blocks import trace
+from goniotwin.twin.optics.forward.paths import BLOCK
+from goniotwin.twin.optics.forward.setting import Setting, set_up
+from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
+from goniotwin.twin.optics.illumination.rayset import RaySource
+from goniotwin.twin.optics.montecarlo.chunks import CHUNK, check_seed, summed, until
+from goniotwin.twin.optics.montecarlo.counters import U64
+
+FIRST_PATHS = 1 << 18
+DARK_PATHS = 1 << 22
+MOST_PATHS = 1 << 38
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What `forward` found, (n,) each in m^2 sr with its standard error: all of the throughput, and the two parts of it.
+
+    Single is what was scattered once, by the sample, after the three mirrors: what the fast estimator is about. Stray is
+    the rest: light of the frames, and light that met something between. `paths` is how many were traced. The flux on a
+    detector is its throughput times `radiance`: the exit pupil's own, or, for a rayset, that of a uniform exit pupil that
+    gives the hole as much light, in `unit` / (m^2 sr).
+    Each contribution counts for itself in the errors, and light that is drawn in several ways as if it were drawn at random:
+    what is stated is never too small but where a path meets one detector twice.
+    """
+
+    throughput_m2sr: Floats
+    standard_error: Floats
+    single_m2sr: Floats
+    single_error: Floats
+    stray_m2sr: Floats
+    stray_error: Floats
+    paths: int
+    radiance: float = 1.0
+    unit: str | None = None
+
+
+def forward(
+    instrument: Instrument,
+    sigma_deg: float,
+    directions: npt.ArrayLike,
+    scatterer: Scatterer | None,
+    paths: int | None = None,
+    seed: int = 0,
+    gamma_deg: float = 0.0,
+    wavelength_nm: float | None = None,
+    relative_error: float | None = None,
+    source: RaySource | None = None,
+    max_interactions: int = 8,
+    sample_frames: SampleFrames | None = None,
+) -> Estimate:
+    """Throughput of detectors in `directions` (n, 3): what they get of a uniform exit pupil's radiance, or of a rayset.
+
+    Without a `scatterer` there is no sample: the open beam. A detector counts a ray that crosses its disc within its
+    acceptance cone (or, of an instrument with a `sensor`, its lens, and reaches what is behind) before it meets something,
+    however many detectors it crosses. Give `paths`, which is rounded up to a
+    multiple of 2048, or `relative_error`: then it goes on until the median over all detectors that got any light, of standard
+    error over throughput, is below that.
+
+    A `source` takes the place of the exit pupil: its rays are drawn at random, and stated errors are about its own mean, not
+    about that of all raysets like it. Without `wavelength_nm` it is the mean of the rays'. Light that misses a mirror of the
+    beam is lost. With the instrument's `obstruction` mirrors stop scattered light, and reflect it; without it there are none
+    for that light. A path ends with `max_interactions`, the first scattering included.
+
+    Raises ValueError for directions that are none, fewer than 2 paths, a seed that is none, both or neither of paths and
+    relative error, an error that 2^38 paths do not reach or that is wanted of no light, fewer than 1 interaction, and for a
+    sample with a spectrum without a wavelength.
+    """
+    check_seed(seed)
+    if (paths is None) == (relative_error is None):
+        raise ValueError("give either paths or relative_error")
+    if paths is not None and paths < 2:
+        raise ValueError(f"paths is {paths}: give at least 2, for an error needs two")
+    if max_interactions < 1:
+        raise ValueError(f"max_interactions is {max_interactions}: give at least 1, the first scattering")
+    if source is not None and wavelength_nm is None:
+        wavelength_nm = float(np.average(source.wavelength_nm, weights=source.flux))
+    setting = set_up(
+        instrument, sigma_deg, directions, scatterer, gamma_deg, wavelength_nm, source, max_interactions,
+        sample_frames or SampleFrames(),
+    )  # fmt: skip
+    return _run(setting, paths, relative_error, seed)
+
+
+def traced(setting: Setting, seed: int, first: int, last: int) -> Floats:
+    """Sums (rows, 4) over paths first..last-1, both multiples of a block: see `trace`."""
+    if not setting.strata.ways.size:
+        return np.zeros((setting.rows, 4))
+    sums: Floats = trace(
+        first // BLOCK, last // BLOCK, U64(seed), setting.beam, setting.strata, setting.lobes, setting.stage,
+        setting.targets, setting.spread, setting.longest, setting.detectors,
+    )  # fmt: skip
+    return sums
+
+
+def run_sums(setting: Setting, paths: int, seed: int) -> tuple[Floats, int]:
+    """The sums over so many paths, and how many they are, rounded up."""
+    rounded = BLOCK * math.ceil(paths / BLOCK)
+    return summed(lambda first, last: traced(setting, seed, first, last), 0, rounded), rounded
+
+
+def _run(setting: Setting, paths: int | None, relative_error: float | None, seed: int) -> Estimate:
+    scale = 1.0 / setting.radiance
+
+    def estimate(sums: Floats, done: int) -> tuple[float, float, Estimate]:
+        parts = np.stack([sums[:, 0:2] + sums[:, 2:4], sums[:, 0:2], sums[:, 2:4]])
+        mean, square = parts[:, :, 0] / done, parts[:, :, 1] / done
+        error = np.sqrt(np.maximum(square - mean**2, 0.0) / (done - 1))
+        known, wrong = mean * scale, error * scale
+        found = Estimate(
+            known[0], wrong[0], known[1], wrong[1], known[2], wrong[2], done, setting.radiance, setting.unit
+        )  # fmt: skip
+        lit = mean[0] > 0.0
+        if not np.any(lit):
+            return 0.0, 0.0, found
+        return 1.0, float(np.median(error[0][lit] / mean[0][lit])), found
+
+    # Chunks grow with the number of detectors, so that adding their sums remains cheap.
+    chunk = CHUNK * min(16, max(1, setting.rows // 4096))
+    rounded = None if paths is None else BLOCK * math.ceil(paths / BLOCK)
+    return until(
+        lambda first, last: traced(setting, seed, first, last), estimate, rounded, relative_error, max(FIRST_PATHS, chunk),
+        DARK_PATHS, MOST_PATHS, chunk,
+    )  # fmt: skip

@@ -1,0 +1,151 @@
+"""How forward paths leave the sample: a direction drawn for each path of a block, and what it weighs.
+
+A weight is flux times value times cosine over the density of the draw. Of a Gaussian so many paths follow its shape, and the
+others the cosine, so that detectors far off the lobe get theirs too; the density is that of both together. Lambertian and
+Gaussian lobes are drawn in single precision and as vectors, with 24 bits for each angle; all others by
+twin.optics.bsdf.sampling, path by path.
+"""
+
+import math
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes, lobe_arrays
+from goniotwin.twin.optics.bsdf.sampling import scatter
+from goniotwin.twin.optics.forward.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.montecarlo.counters import scrambled, uniform, upper_24, word
+from goniotwin.twin.optics.montecarlo.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
+
+F32 = np.float32
+U64 = np.uint64
+ONE, TWO, ZERO, HALF, QUARTER = (np.float32(x) for x in (1.0, 2.0, 0.0, 0.5, 0.25))
+TINY = np.float32(1e-30)
+
+
+@kernel(fastmath={"contract"})
+def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits: bool, gain: float) -> None:
+    """Paths by Lambert's law, with the two words of `keys` (2,); their weight is FLUX times `gain`."""
+    factor, way = F32(gain), F32(-1.0 if transmits else 1.0)
+    for i in range(count):
+        height = upper_24(word(keys[0], i))
+        cos, sin = turned_by(upper_24(word(keys[1], i)))
+        radius = np.sqrt(height)
+        buffer[i + DX], buffer[i + DY], buffer[i + DZ] = radius * cos, radius * sin, way * np.sqrt(ONE - height)
+        buffer[i + WEIGHT] = buffer[i + FLUX] * factor
+
+
+@kernel(fastmath={"contract"})
+def leave_by_lobe(
+    buffer: np.ndarray, count: int, keys: np.ndarray, params: Floats, share: float, transmits: bool, gain: float
+) -> None:
+    """Paths by the shape of a Gaussian lobe (twin.optics.bsdf.models), of which `share` of its paths are; weight as above."""
+    peak, inverse, cut = F32(params[0] * gain), F32(1.0 / params[1]), F32(params[3])
+    intensity, ratio = params[2] == 1.0, F32(1.0 / params[4])
+    lobe, rest = F32(share * params[1] / (math.pi * params[3])), F32((1.0 - share) / math.pi)
+    way = F32(-1.0 if transmits else 1.0)
+    for i in range(count):
+        below = ONE - upper_24(word(keys[0], i)) * cut
+        cos, sin = turned_by(upper_24(word(keys[1], i)))
+        square = max(minus_log(below), ZERO) * inverse
+        half = QUARTER * square
+        sinc, cos_half = sine_ratio(half), cosine(half)
+        # sin(theta) / theta, sin(theta) and cos(theta), by the half angle
+        stretch = sinc * cos_half
+        sine, along = np.sqrt(square) * stretch, TWO * cos_half * cos_half - ONE
+        lx, ly, lz = -buffer[i + WX] * ratio, -buffer[i + WY] * ratio, -buffer[i + WZ]
+        across = lx * lx + ly * ly
+        lz = np.sqrt(max(ONE - across, ZERO)) if ratio != ONE else lz
+        turn = ONE / np.sqrt(max(across, TINY))
+        ux, uy = (lx * turn, ly * turn) if across > TINY else (ONE, ZERO)
+        radial = lz * sine * cos - across * turn * along
+        dz = across * turn * sine * cos + lz * along
+        buffer[i + DX], buffer[i + DY] = radial * ux - sine * sin * uy, radial * uy + sine * sin * ux
+        buffer[i + DZ] = way * dz
+        value = peak * below
+        scattered = value if intensity else value * dz
+        density = lobe * below / stretch + rest * dz
+        weight = buffer[i + FLUX] * scattered / density
+        buffer[i + WEIGHT] = weight if (dz > ZERO) & (lz > ZERO) else ZERO
+
+
+@kernel(fastmath={"contract"})
+def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, transmits: bool, gain: float) -> None:
+    """Of paths that left by the cosine, the weight that they have for a Gaussian lobe, of which `share` went the other way."""
+    peak, exponent = F32(params[0] * gain), F32(params[1])
+    intensity, ratio = params[2] == 1.0, F32(1.0 / params[4])
+    lobe, rest = F32(share * params[1] / (math.pi * params[3])), F32((1.0 - share) / math.pi)
+    way = F32(-1.0 if transmits else 1.0)
+    for i in range(count):
+        lx, ly, lz = -buffer[i + WX] * ratio, -buffer[i + WY] * ratio, -buffer[i + WZ]
+        lz = np.sqrt(max(ONE - lx * lx - ly * ly, ZERO)) if ratio != ONE else lz
+        dz = way * buffer[i + DZ]
+        ax, ay, az = buffer[i + DX] + lx, buffer[i + DY] + ly, dz - lz
+        # The chord between lobe axis and direction: no cancellation near the axis.
+        sine_half = HALF * np.sqrt(ax * ax + ay * ay + az * az)
+        theta = TWO * arcsine(sine_half)
+        sine = TWO * sine_half * np.sqrt(max(ONE - sine_half * sine_half, TINY))
+        stretch = theta / sine if sine_half > F32(1e-4) else ONE
+        below = exp_minus(exponent * theta * theta)
+        value = peak * below
+        scattered = value if intensity else value * dz
+        density = lobe * below * stretch + rest * dz
+        weight = buffer[i + FLUX] * scattered / density
+        buffer[i + WEIGHT] = weight if (dz > ZERO) & (lz > ZERO) else ZERO
+
+
+@kernel(fastmath={"contract"})
+def meet_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> None:
+    """STOP becomes the distance to a mirror where that is met before."""
+    cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
+    nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
+    ux, uy, uz = F32(mirror[2, 0]), F32(mirror[2, 1]), F32(mirror[2, 2])
+    vx, vy, vz = F32(mirror[3, 0]), F32(mirror[3, 1]), F32(mirror[3, 2])
+    limit = F32(half)
+    for i in range(count):
+        x, y, z = buffer[i + PX] - cx, buffer[i + PY] - cy, -cz
+        dx, dy, dz = buffer[i + DX], buffer[i + DY], buffer[i + DZ]
+        distance = -(x * nx + y * ny + z * nz) / (dx * nx + dy * ny + dz * nz)
+        x, y, z = x + distance * dx, y + distance * dy, z + distance * dz
+        u, v, stop = abs(x * ux + y * uy + z * uz), abs(x * vx + y * vy + z * vz), buffer[i + STOP]
+        met = (u <= limit) & (v <= limit) & (distance > ZERO) & (distance < stop)
+        buffer[i + STOP] = distance if met else stop
+
+
+@kernel(fastmath={"contract"})
+def meet_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
+    """The same for the frame's own side, which faces the sample."""
+    limit, height = F32(hole), F32(gap)
+    for i in range(count):
+        distance = height / abs(buffer[i + DZ])
+        x, y = buffer[i + PX] + distance * buffer[i + DX], buffer[i + PY] + distance * buffer[i + DY]
+        free = (abs(x) <= limit) & (abs(y) <= limit)
+        stop = buffer[i + STOP]
+        buffer[i + STOP] = stop if free else min(stop, distance)
+
+
+@kernel()
+def meet_nothing(buffer: np.ndarray, count: int) -> None:
+    """STOP is infinite."""
+    for i in range(count):
+        buffer[i + STOP] = F32(np.inf)
+
+
+@kernel()
+def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
+    """Of one path of a block: for what is drawn path by path."""
+    return scrambled(key + U64(stratum * 65536 + i + 1) * U64(0xD1342543DE82EF95))
+
+
+@kernel()
+def leave_by_model(buffer: np.ndarray, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
+    """Paths by any lobe, one after the other: number `which` of the packed ones."""
+    arrays = lobe_arrays(lobes, which)
+    transmits = lobes.heads[which, TRANSMITS] == 1
+    for i in range(count):
+        own = path_key(key, stratum, i)
+        lx, ly, lz = -np.float64(buffer[i + WX]), -np.float64(buffer[i + WY]), -np.float64(buffer[i + WZ])
+        dx, dy, dz, weight = scatter(*arrays, lx, ly, lz, uniform(own, 0), uniform(own, 1), uniform(own, 2))
+        buffer[i + DX], buffer[i + DY], buffer[i + DZ] = dx, dy, -dz if transmits else dz
+        buffer[i + WEIGHT] = buffer[i + FLUX] * weight * gain

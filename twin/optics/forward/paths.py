@@ -1,0 +1,166 @@
+"""Forward paths from the source over the three real mirrors into the hole, a block at a time.
+
+A block's paths lie in one buffer of single precision, a row for each coordinate. All rows have the same length, a constant
+of the compiled code, so LLVM knows that they do not overlap and makes vectors of each pass: 5 ns a path for all of them.
+Everything is in the sample's frame (twin.optics.geometry.scene), mirrors where they stand and not unfolded. Numbers for place
+on the pupil and in the hole have 16 bits, 0.1 micrometres.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.montecarlo.counters import high_16, low_16, word
+from goniotwin.twin.optics.montecarlo.elementary import turned_by
+
+BLOCK = 2048
+F32 = np.float32
+ONE, TWO, ZERO = np.float32(1.0), np.float32(2.0), np.float32(0.0)
+# Where a row begins in the buffer. First the place and direction of the ray, later, of the ray that leaves the sample:
+X, Y, Z, WX, WY, WZ = (row * BLOCK for row in range(6))
+FLUX, PX, PY, DX, DY, DZ, WEIGHT, STOP = (row * BLOCK for row in range(6, 14))
+ROWS = 14
+# Of the hole's half side, how far the aim goes beyond: the hole itself decides which ray is in it.
+MARGIN = 1.002
+
+
+class Beam(NamedTuple):
+    """What lights the sample, lengths in mm: `pupil` (4, 3) is centre, two axes as long as its radius, and its normal along
+    the light; `aim` (3, 3) the images, in the three mirrors, of the hole's centre and of its half sides; `mirrors` (3, 4, 3);
+    `reflectance` (3, 2) that of each for cosine c is r[0] + r[1] c; half sides of mirrors, hole and frames; the frames' gap.
+    `rays` (n, 6) and `flux` (n,) take the pupil's place, where there are any.
+    """
+
+    pupil: Floats
+    aim: Floats
+    mirrors: Floats
+    reflectance: Floats
+    mirror_half: float
+    hole_half: float
+    frame_half: float
+    gap: float
+    rays: Floats
+    flux: Floats
+
+
+@kernel(fastmath={"contract"})
+def aim_at_hole(buffer: np.ndarray, count: int, key: np.uint32) -> None:
+    """Fills PX, PY with points of the hole, in units of its half side, and a little beyond."""
+    for i in range(count):
+        bits = word(key, i)
+        buffer[i + PX] = (TWO * low_16(bits) - ONE) * F32(MARGIN)
+        buffer[i + PY] = (TWO * high_16(bits) - ONE) * F32(MARGIN)
+
+
+@kernel()
+def aim_beside_hole(buffer: np.ndarray, count: int, key: np.uint32, lit: float) -> None:
+    """The same, uniformly over the square `lit` times as wide, but for the hole: four equal rectangles like a windmill."""
+    for i in range(count):
+        bits = word(key, i)
+        s, t = F32(-1.0) + (F32(lit) + ONE) * low_16(bits), ONE + (F32(lit) - ONE) * high_16(bits)
+        quarter = i & 3
+        if quarter & 1:
+            s, t = -t, s
+        if quarter & 2:
+            s, t = -s, -t
+        buffer[i + PX], buffer[i + PY] = s, t
+
+
+@kernel(fastmath={"contract"})
+def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, aim: Floats) -> None:
+    """Rays from uniform points of the pupil to where PX, PY aim; FLUX is the cosine there over the squared length, 1/mm^2."""
+    p00, p01, p02 = F32(pupil[0, 0]), F32(pupil[0, 1]), F32(pupil[0, 2])
+    p10, p11, p12 = F32(pupil[1, 0]), F32(pupil[1, 1]), F32(pupil[1, 2])
+    p20, p21, p22 = F32(pupil[2, 0]), F32(pupil[2, 1]), F32(pupil[2, 2])
+    p30, p31, p32 = F32(pupil[3, 0]), F32(pupil[3, 1]), F32(pupil[3, 2])
+    a00, a01, a02 = F32(aim[0, 0]), F32(aim[0, 1]), F32(aim[0, 2])
+    a10, a11, a12 = F32(aim[1, 0]), F32(aim[1, 1]), F32(aim[1, 2])
+    a20, a21, a22 = F32(aim[2, 0]), F32(aim[2, 1]), F32(aim[2, 2])
+    for i in range(count):
+        bits = word(key, i)
+        radius = np.sqrt(low_16(bits))
+        cos, sin = turned_by(high_16(bits))
+        u, v, s, t = radius * cos, radius * sin, buffer[i + PX], buffer[i + PY]
+        x, y, z = p00 + u * p10 + v * p20, p01 + u * p11 + v * p21, p02 + u * p12 + v * p22
+        wx, wy, wz = a00 + s * a10 + t * a20 - x, a01 + s * a11 + t * a21 - y, a02 + s * a12 + t * a22 - z
+        inverse = ONE / np.sqrt(wx * wx + wy * wy + wz * wz)
+        wx, wy, wz = wx * inverse, wy * inverse, wz * inverse
+        buffer[i + X], buffer[i + Y], buffer[i + Z] = x, y, z
+        buffer[i + WX], buffer[i + WY], buffer[i + WZ] = wx, wy, wz
+        buffer[i + FLUX] = (wx * p30 + wy * p31 + wz * p32) * inverse * inverse
+
+
+@kernel()
+def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flux: Floats) -> None:
+    """Rays of a rayset, each drawn as likely as any other; FLUX is the ray's own."""
+    for i in range(count):
+        k = (np.int64(word(key, i)) * np.int64(rays.shape[0])) >> 32
+        buffer[i + X], buffer[i + Y], buffer[i + Z] = rays[k, 0], rays[k, 1], rays[k, 2]
+        buffer[i + WX], buffer[i + WY], buffer[i + WZ] = rays[k, 3], rays[k, 4], rays[k, 5]
+        buffer[i + FLUX] = flux[k]
+
+
+@kernel(fastmath={"contract"})
+def over_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
+    """Takes the rays to a mirror and reflects them there; one that misses it carries nothing any more."""
+    cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
+    nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
+    ux, uy, uz = F32(mirror[2, 0]), F32(mirror[2, 1]), F32(mirror[2, 2])
+    vx, vy, vz = F32(mirror[3, 0]), F32(mirror[3, 1]), F32(mirror[3, 2])
+    limit, r0, r1 = F32(half), F32(reflectance[0]), F32(reflectance[1])
+    for i in range(count):
+        x, y, z = buffer[i + X] - cx, buffer[i + Y] - cy, buffer[i + Z] - cz
+        wx, wy, wz = buffer[i + WX], buffer[i + WY], buffer[i + WZ]
+        along = wx * nx + wy * ny + wz * nz
+        distance = -(x * nx + y * ny + z * nz) / along
+        x, y, z = x + distance * wx, y + distance * wy, z + distance * wz
+        u, v = abs(x * ux + y * uy + z * uz), abs(x * vx + y * vy + z * vz)
+        met = (u <= limit) & (v <= limit) & (distance > ZERO) & (along < ZERO)
+        buffer[i + FLUX] = buffer[i + FLUX] * (r0 - r1 * along) if met else ZERO
+        buffer[i + X], buffer[i + Y], buffer[i + Z] = x + cx, y + cy, z + cz
+        along = TWO * along
+        buffer[i + WX], buffer[i + WY], buffer[i + WZ] = wx - along * nx, wy - along * ny, wz - along * nz
+
+
+@kernel(fastmath={"contract"})
+def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, inside: bool, project: bool) -> None:
+    """Takes the rays to the frame's plane, and those of the hole on to the sample: their place there is PX, PY.
+
+    `inside` keeps what goes through the hole, and else what lands on the frame is kept, where it lands. With `project`
+    FLUX is multiplied by the cosine to the normal.
+    """
+    limit, edge, height = F32(hole), F32(frame), F32(gap)
+    for i in range(count):
+        wx, wy, wz = buffer[i + WX], buffer[i + WY], buffer[i + WZ]
+        down = ONE / wz
+        x, y = buffer[i + X] - (buffer[i + Z] - height) * down * wx, buffer[i + Y] - (buffer[i + Z] - height) * down * wy
+        hit = (abs(x) <= limit) & (abs(y) <= limit)
+        if inside:
+            x, y = x - height * down * wx, y - height * down * wy
+        else:
+            hit = not hit
+        hit = hit & (abs(x) <= edge) & (abs(y) <= edge) & (wz < ZERO)
+        flux = buffer[i + FLUX]
+        if project:
+            flux = -flux * wz
+        buffer[i + PX], buffer[i + PY] = x, y
+        buffer[i + FLUX] = flux if hit else ZERO
+
+
+@kernel()
+def arrive(buffer: np.ndarray, count: int, keys: np.ndarray, beam: Beam, inside: bool, lit: float) -> None:
+    """All of it: rays in the hole or, without `inside`, on the frame round it; `keys` (2,) of the two words of a path."""
+    uniform_pupil = beam.rays.shape[0] == 0
+    if not uniform_pupil:
+        leave_rays(buffer, count, keys[0], beam.rays, beam.flux)
+    else:
+        if inside:
+            aim_at_hole(buffer, count, keys[0])
+        else:
+            aim_beside_hole(buffer, count, keys[0], lit)
+        leave_pupil(buffer, count, keys[1], beam.pupil, beam.aim)
+    for m in range(3):
+        over_mirror(buffer, count, beam.mirrors[m], beam.mirror_half, beam.reflectance[m])
+    land(buffer, count, beam.hole_half, beam.frame_half, beam.gap, inside, uniform_pupil)

@@ -1,0 +1,188 @@
+"""What a forward run needs to know, made from instrument, sample and source: the kernels' arguments."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.analytic import regular
+from goniotwin.twin.optics.bsdf.packed_lobes import Lobes, packed
+from goniotwin.twin.optics.bsdf.scatterer import Scatterer
+from goniotwin.twin.optics.forward.blocks import Strata
+from goniotwin.twin.optics.forward.bounces import Stage
+from goniotwin.twin.optics.forward.paths import Beam
+from goniotwin.twin.optics.forward.scoring import Targets, sensor_targets, targets
+from goniotwin.twin.optics.forward.spread import BINS, Spread
+from goniotwin.twin.optics.forward.strata import MM2_TO_M2, strata
+from goniotwin.twin.optics.geometry.coordinates import direction_rows
+from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.mirrors import pupil, reflect
+from goniotwin.twin.optics.geometry.reflectance import share_reflected
+from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
+from goniotwin.twin.optics.geometry.scene import Scene, scene_at
+from goniotwin.twin.optics.illumination.rayset import RaySource
+
+OPEN_BEAM = regular(transmits=True, side="both")
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The arguments of the kernels (see their types); how many `detectors` there are, `rows` of their sums, and detectors of a
+    cell at most, `longest`. `radiance` and `unit` are those of `Estimate`.
+    """
+
+    scene: Scene
+    beam: Beam
+    strata: Strata
+    lobes: Lobes
+    stage: Stage
+    targets: Targets
+    spread: Spread
+    longest: int
+    detectors: int
+    radiance: float
+    unit: str | None
+
+    @property
+    def rows(self) -> int:
+        """Of the sums."""
+        return self.detectors + (BINS if self.spread.wanted else 0)
+
+
+def set_up(
+    instrument: Instrument,
+    sigma_deg: float,
+    directions: npt.ArrayLike,
+    scatterer: Scatterer | None,
+    gamma_deg: float,
+    wavelength_nm: float | None,
+    source: RaySource | None,
+    max_interactions: int,
+    frames: SampleFrames,
+    spread: bool = False,
+) -> Setting:
+    """Everything for `forward`, see there. With `spread` stray light is spread over a map."""
+    sample = scatterer or OPEN_BEAM
+    scene = scene_at(instrument, sigma_deg, gamma_deg)
+    rows = np.asarray(directions, dtype=np.float64)
+    centres, axes = scene.detectors(instrument, rows) if rows.size else (np.zeros((0, 3)), direction_rows(np.zeros((0, 3))))
+    if instrument.sensor is None:
+        found = targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
+    else:
+        found = sensor_targets(centres, axes, _along_the_arc(instrument, scene, rows), instrument.sensor)
+    beam = _beam(instrument, scene, wavelength_nm, source, frames)
+    weights = sample.weights(wavelength_nm)
+    kept = [k for k in range(len(sample.lobes)) if weights[k] > 0.0]
+    kept = kept or [0]
+    lobes = packed(tuple(sample.lobes[k] for k in kept), weights[kept], scene.incident)
+    half_field = math.radians(0.5 * instrument.field_deg)
+    radiance, unit = 1.0, None
+    inside, outside = 1.0, frames.lit**2 - 1.0
+    if source is not None:
+        inside, outside = _landing(beam)
+        radiance, unit = inside / _etendue(beam), source.unit
+    return Setting(
+        scene,
+        beam,
+        strata(instrument.pupil_radius_mm, beam, lobes, frames, outside / inside, spread),
+        lobes,
+        Stage(
+            scene.mirrors,
+            0.5 * instrument.mirror_side_mm,
+            0.5 * instrument.blocking_side_mm,
+            instrument.obstruction,
+            share_reflected(instrument.mirror_reflectance, wavelength_nm, np.arange(91.0)),
+            beam.hole_half,
+            beam.frame_half,
+            frames.gap_mm,
+            frames.reflectance,
+            max_interactions,
+        ),
+        found,
+        Spread(spread, len(axes), instrument.arc_radius_mm, 0.5 * instrument.detector_diameter_mm, half_field),
+        int(np.diff(found.starts).max()),
+        len(axes),
+        radiance,
+        unit,
+    )
+
+
+def _along_the_arc(instrument: Instrument, scene: Scene, rows: Floats) -> Floats:
+    """Of each detector the unit vector (n, 3) in the sample's frame along that side of its square that lies along the arc.
+
+    A sensor that was turned on by a quarter about its level side would look along the other one: every deviation is in it.
+    """
+    if not rows.size:
+        return np.zeros((0, 3))
+    own = instrument.deviation("sensor")
+    quarter = replace(own, rx_deg=0.0, ry_deg=own.ry_deg + 90.0)
+    _, sides = scene.detectors(replace(instrument, deviations={**instrument.deviations, "sensor": quarter}), rows)
+    return sides
+
+
+def _beam(
+    instrument: Instrument, scene: Scene, wavelength_nm: float | None, source: RaySource | None, frames: SampleFrames
+) -> Beam:
+    centre, axis_u, axis_v = pupil(instrument)
+    normal, radius = np.cross(axis_v, axis_u), instrument.pupil_radius_mm
+    own = np.array([centre - scene.origin, radius * axis_u, radius * axis_v, normal]) @ scene.to_sample.T
+    hole = 0.5 * instrument.spot_side_mm
+    aim = np.array([[0.0, 0.0, frames.gap_mm], [hole, 0.0, 0.0], [0.0, hole, 0.0]])
+    for place, mirror_normal in scene.mirrors[::-1, :2]:
+        aim[0] = reflect(aim[0] - place, mirror_normal) + place
+        aim[1:] = [reflect(axis, mirror_normal) for axis in aim[1:]]
+    rays, flux = np.zeros((0, 6)), np.zeros(0)
+    if source is not None:
+        rays = np.hstack([(source.rays[:, :3] - scene.origin) @ scene.to_sample.T, source.rays[:, 3:] @ scene.to_sample.T])
+        flux = np.array(source.flux)
+    return Beam(
+        own, aim, np.array(scene.mirrors), _linear_reflectance(instrument, scene, wavelength_nm),
+        0.5 * instrument.mirror_side_mm, hole, 0.5 * frames.side_mm, frames.gap_mm, rays, flux,
+    )  # fmt: skip
+
+
+def _linear_reflectance(instrument: Instrument, scene: Scene, wavelength_nm: float | None) -> Floats:
+    """Of each mirror (3, 2), linear in the cosine over the degree on either side of the beam's axis."""
+    angles = scene.mirror_angles_deg
+    near, far = np.maximum(angles - 1.0, 0.0), np.minimum(angles + 1.0, 90.0)
+    middle, first, last = (share_reflected(instrument.mirror_reflectance, wavelength_nm, each) for each in (angles, near, far))
+    slope = (last - first) / (np.cos(np.radians(far)) - np.cos(np.radians(near)))
+    return np.stack([middle - slope * np.cos(np.radians(angles)), slope], axis=1)
+
+
+def _landing(beam: Beam) -> tuple[float, float]:
+    """Flux of the rays that come over all mirrors into the hole, and of those that fall beside it, without losses."""
+    place, along = beam.rays[:, :3].copy(), beam.rays[:, 3:].copy()
+    kept = np.ones(len(place), dtype=bool)
+    for centre, normal, axis_u, axis_v in beam.mirrors:
+        slope = along @ normal
+        place += (((centre - place) @ normal) / slope)[:, None] * along
+        kept &= (np.abs((place - centre) @ axis_u) <= beam.mirror_half) & (
+            np.abs((place - centre) @ axis_v) <= beam.mirror_half
+        )
+        along -= 2.0 * slope[:, None] * normal
+    place += ((beam.gap - place[:, 2]) / along[:, 2])[:, None] * along
+    hole = np.all(np.abs(place[:, :2]) <= beam.hole_half, axis=1)
+    inside = float(beam.flux[kept & hole].sum())
+    if inside <= 0.0:
+        raise ValueError("source: none of its rays comes over the mirrors into the hole; replay it at the instrument's pupil")
+    return inside, float(beam.flux[kept & ~hole].sum())
+
+
+def _etendue(beam: Beam) -> float:
+    """Of the uniform exit pupil and the hole, in m^2 sr, with mirrors that are large enough and lose nothing."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    turns = np.arange(12) * (math.pi / 6.0)
+    radii, shares = np.sqrt(0.5 * (nodes + 1.0)), 0.5 * weights / turns.size
+    starts = beam.pupil[0] + (radii[:, None, None] * np.cos(turns)[:, None]) * beam.pupil[1]
+    starts = starts + (radii[:, None, None] * np.sin(turns)[:, None]) * beam.pupil[2]
+    ends = beam.aim[0] + nodes[:, None, None] * beam.aim[1] + nodes[:, None] * beam.aim[2]
+    lines = ends[:, :, None, None] - starts
+    square = np.sum(lines**2, axis=-1)
+    normal = np.cross(beam.aim[1], beam.aim[2]) / np.linalg.norm(np.cross(beam.aim[1], beam.aim[2]))
+    element = np.abs(lines @ normal) * (lines @ beam.pupil[3]) / square**2
+    mean = np.einsum("ijkl,i,j,k->", element, weights / 2.0, weights / 2.0, shares)
+    area = math.pi * float(beam.pupil[1] @ beam.pupil[1]) * 4.0 * beam.hole_half**2
+    return float(mean) * area * MM2_TO_M2

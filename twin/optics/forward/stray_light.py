@@ -1,0 +1,107 @@
+"""Stray light as a map over directions, so that the fast estimator, which knows of none, can have it added.
+
+Stray is what `Estimate` calls so: light of the frames, and light that met a mirror, a frame or the sample again. It changes
+slowly with direction, so one forward run tells it for detectors everywhere: see twin.optics.forward.spread for how.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.scatterer import Scatterer
+from goniotwin.twin.optics.fast.obstruction import visible_fraction
+from goniotwin.twin.optics.forward.estimator import run_sums
+from goniotwin.twin.optics.forward.setting import set_up
+from goniotwin.twin.optics.forward.spread import AZIMUTH_BINS, AZIMUTH_STEP_DEG, POLAR_BINS, POLAR_STEP_DEG, bin_cosines
+from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
+from goniotwin.twin.optics.geometry.scene import scene_at
+from goniotwin.twin.optics.illumination.rayset import RaySource
+from goniotwin.twin.optics.montecarlo.chunks import check_seed
+
+PATHS = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class StrayMap:
+    """Stray throughput over the cosine of a detector's polar angle, in m^2 sr, as means over bins of the sample's frame.
+
+    `values` and their standard errors `errors` are (2, 18, 36): the side that the light comes from and the other one, polar
+    angle in steps of 5 deg, azimuth in steps of 10 deg. `detector` are arc radius and diameter in mm and field in deg, for
+    which it holds. Light that goes back over the mirrors towards the lamp is not in it: that is as narrow as the beam, and no
+    photodiode can stand there.
+    """
+
+    sigma_deg: float
+    gamma_deg: float
+    values: Floats
+    errors: Floats
+    paths: int
+    detector: tuple[float, float, float]
+
+
+def stray(
+    instrument: Instrument,
+    sigma_deg: float,
+    scatterer: Scatterer | None,
+    paths: int = PATHS,
+    seed: int = 0,
+    gamma_deg: float = 0.0,
+    wavelength_nm: float | None = None,
+    source: RaySource | None = None,
+    max_interactions: int = 8,
+    sample_frames: SampleFrames | None = None,
+) -> StrayMap:
+    """The map for a sample, `scatterer`, at one place of mirror unit and sample unit; see `forward` for the arguments.
+
+    Half of the paths are those that land on a frame first. Raises ValueError as `forward` does, and for a sensor that is no
+    simple detector, for light is spread over discs with acceptance cones: see `Instrument.simplified`.
+    """
+    instrument = instrument.simplified()
+    check_seed(seed)
+    if paths < 2:
+        raise ValueError(f"paths is {paths}: give at least 2, for an error needs two")
+    setting = set_up(
+        instrument, sigma_deg, np.zeros((0, 3)), scatterer, gamma_deg, wavelength_nm, source, max_interactions,
+        sample_frames or SampleFrames(), spread=True,
+    )  # fmt: skip
+    sums, done = run_sums(setting, paths, seed)
+    mean, square = sums[:, 2] / done, sums[:, 3] / done
+    error = np.sqrt(np.maximum(square - mean**2, 0.0) / (done - 1))
+    shape = (2, POLAR_BINS, AZIMUTH_BINS)
+    scale = 1.0 / (setting.radiance * bin_cosines()[:, None])
+    return StrayMap(
+        sigma_deg, gamma_deg, mean.reshape(shape) * scale, error.reshape(shape) * scale, done, _detector(instrument)
+    )  # fmt: skip
+
+
+def stray_throughput(found: StrayMap, directions: npt.ArrayLike, instrument: Instrument) -> Floats:
+    """Stray throughput (n,) in m^2 sr of detectors in `directions` (n, 3): to be added to that of the fast estimator.
+
+    Linear between the middles of the map's bins, times the share of the detector that no mirror hides. Raises ValueError for
+    directions that are none, and for an instrument with other detectors than the map's.
+    """
+    instrument = instrument.simplified()
+    if _detector(instrument) != found.detector:
+        raise ValueError(f"the map is for arc, disc and field {found.detector}, the instrument has {_detector(instrument)}")
+    _, axes = scene_at(instrument, found.sigma_deg, found.gamma_deg).detectors(instrument, directions)
+    polar = np.degrees(np.arccos(np.clip(np.abs(axes[:, 2]), 0.0, 1.0))) / POLAR_STEP_DEG - 0.5
+    azimuth = np.degrees(np.arctan2(axes[:, 1], axes[:, 0])) / AZIMUTH_STEP_DEG - 0.5
+    polar = np.clip(polar, 0.0, POLAR_BINS - 1.0)
+    low = np.minimum(np.floor(polar).astype(int), POLAR_BINS - 2)
+    first = np.floor(azimuth).astype(int)
+    side = (axes[:, 2] < 0.0).astype(int)
+    result = np.zeros(axes.shape[0])
+    for i, share in ((low, 1.0 - (polar - low)), (low + 1, polar - low)):
+        for j, part in ((first, 1.0 - (azimuth - first)), (first + 1, azimuth - first)):
+            result += share * part * found.values[side, i, j % AZIMUTH_BINS]
+    result *= np.abs(axes[:, 2])
+    if instrument.obstruction:
+        result *= visible_fraction(instrument, found.sigma_deg, directions, gamma_deg=found.gamma_deg)
+    return result
+
+
+def _detector(instrument: Instrument) -> tuple[float, float, float]:
+    return instrument.arc_radius_mm, instrument.detector_diameter_mm, instrument.field_deg

@@ -1,0 +1,1 @@
+"""The instrument's geometry: coordinates, mirrors, sensor, sample frames, deviations, the scene at a pose."""

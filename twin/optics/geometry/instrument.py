@@ -1,0 +1,107 @@
+"""The instrument's dimensions: from the exit pupil over the mirror unit and the sample's frame to a detector."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
+
+from goniotwin.twin.optics.geometry.deviation import NONE, Deviation, by_name
+from goniotwin.twin.optics.geometry.reflectance import Reflectance
+from goniotwin.twin.optics.geometry.sensor import RealSensor
+
+ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Dimensions in mm, angles in degrees (paper, sections 3.1 and 3.2).
+
+    Given by the paper: the distances of 200 mm, the mirrors' reflectance, the spot of 5 x 5 mm, detectors of 5 mm
+    diameter with an acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of
+    0.7 deg (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
+
+    `field_deg` is the full width of a detector's acceptance cone. `obstruction` says whether the mirrors, and the mounts that
+    reach `mirror_mount_mm` beyond their edges all round and are black, hide directions from the detectors.
+
+    Without a `sensor` detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count what is within the
+    cone. With one each detector is such a unit, its lens where the disc was, and these two are the lens' diameter and the
+    sensor's field: whatever is given for them is replaced, for one instrument cannot have two kinds of detectors.
+
+    `deviations` are by element: `pupil` (the illumination unit's end, about its own centre), `mirror_1` to `mirror_3` (each in
+    its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
+    sigma: across, along the axis, towards the light), `sample` (in the frame that turns with gamma), `arc` (the rig's frame)
+    and `sensor` (each detector in its own frame: away from the normal, level, along its view).
+
+    Raises ValueError, naming the field, for a value that no instrument can have.
+    """
+
+    pupil_radius_mm: float = 5.0
+    pupil_to_mirror_mm: float = 200.0
+    mirror_distance_mm: float = 200.0
+    mirror_side_mm: float = 20.0
+    mirror_mount_mm: float = 0.0
+    mirror_reflectance: float | Reflectance = 0.95
+    spot_side_mm: float = 5.0
+    arc_radius_mm: float = 300.0
+    detector_diameter_mm: float = 5.0
+    field_deg: float = 0.5
+    obstruction: bool = True
+    deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False)
+    sensor: RealSensor | None = None
+
+    def __post_init__(self) -> None:
+        if self.sensor is not None:
+            object.__setattr__(self, "detector_diameter_mm", self.sensor.lens_diameter_mm)
+            object.__setattr__(self, "field_deg", self.sensor.field_deg)
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name in ("obstruction", "deviations", "sensor") or isinstance(value, Reflectance):
+                continue
+            if entry.name == "mirror_mount_mm" and value == 0.0:
+                continue
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{entry.name} is {value!r}: give a positive, finite number")
+        if not isinstance(self.mirror_reflectance, Reflectance) and self.mirror_reflectance > 1.0:
+            raise ValueError(f"mirror_reflectance is {self.mirror_reflectance!r}: give a share of at most 1")
+        if self.field_deg >= 180.0:
+            raise ValueError(f"field_deg is {self.field_deg!r}: give the cone's full width, less than 180 deg")
+        known = by_name(self.deviations, ELEMENTS)
+        object.__setattr__(self, "deviations", MappingProxyType(dict(sorted(known.items()))))
+
+    def deviation(self, element: str) -> Deviation:
+        """Of one element; none where none is given."""
+        return self.deviations.get(element, NONE)
+
+    def simplified(self) -> "Instrument":
+        """The same with virtual detectors, a disc with an acceptance cone each, which is all that the fast estimator knows.
+
+        Raises ValueError, with the reason, where the sensor is not such a detector (`RealSensor.simple`).
+        """
+        if self.sensor is None:
+            return self
+        if self.sensor.departure is not None:
+            raise ValueError(
+                f"the sensor is no simple detector, a disc with an acceptance cone: {self.sensor.departure}; "
+                "use the forward estimator, which traces lens, diaphragm and detector"
+            )
+        return replace(self, sensor=None)
+
+    @property
+    def blocking_side_mm(self) -> float:
+        """Side of the square that is in the light's way: a mirror with its mount."""
+        return self.mirror_side_mm + 2.0 * self.mirror_mount_mm
+
+    @property
+    def pupil_distance_mm(self) -> float:
+        """Length of the beam's axis from the exit pupil over the three mirrors to the sample."""
+        return self.pupil_to_mirror_mm + 3.0 * self.mirror_distance_mm
+
+    @property
+    def divergence_deg(self) -> float:
+        """Full angle of the beam at the sample's centre."""
+        return 2.0 * math.degrees(math.atan(self.pupil_radius_mm / self.pupil_distance_mm))
+
+    @property
+    def grey(self) -> bool:
+        """Whether its mirrors reflect all wavelengths alike."""
+        return not isinstance(self.mirror_reflectance, Reflectance) or self.mirror_reflectance.wavelength_nm.size == 1

@@ -1,0 +1,142 @@
+"""The mirror unit: three plane squares that carry the beam from the illumination axis to the sample.
+
+The light comes along y to mirror 1 at (0, -d, 0), goes out along l to mirror 2, runs parallel to y to mirror 3 at d l,
+and comes back along -l to the sample: the corners of a square of side d, turned about y by sigma (paper, figure 4).
+Which way along y the light comes is not in the paper; here it is from negative y.
+
+Where a ray meets a mirror.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.geometry.coordinates import light_direction
+from goniotwin.twin.optics.geometry.deviation import Deviation, rotation_and_shift
+from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.kernel import kernel
+
+ALONG_Y = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Mirrors:
+    """Three squares in the order in which the light meets them, each array (3, 3): one row a mirror, in mm.
+
+    `normals` face the light, `axes_u` and `axes_v` are unit vectors along the sides.
+    """
+
+    centres: Floats
+    normals: Floats
+    axes_u: Floats
+    axes_v: Floats
+
+    @property
+    def packed(self) -> Floats:
+        """As kernels take them, (3, 4, 3): centre, normal and the two axes of each mirror."""
+        return np.ascontiguousarray(np.stack([self.centres, self.normals, self.axes_u, self.axes_v], axis=1))
+
+
+def reflect(vector: Floats, normal: Floats) -> Floats:
+    """A vector (3,) as a plane of that unit normal reflects it."""
+    image: Floats = vector - 2.0 * float(vector @ normal) * normal
+    return image
+
+
+def mirrors_at(instrument: Instrument, sigma_deg: float) -> Mirrors:
+    """The mirrors of the unit turned to `sigma_deg`. Raises ValueError unless that is finite."""
+    if not math.isfinite(sigma_deg):
+        raise ValueError(f"sigma_deg is {sigma_deg!r}: give the mirror unit's angle in degrees")
+    light = light_direction(sigma_deg)
+    distance = instrument.mirror_distance_mm
+    centres = distance * np.array([-ALONG_Y, light - ALONG_Y, light])
+    # A mirror that turns unit direction a into b has its normal along b - a.
+    normals = np.array([light - ALONG_Y, ALONG_Y - light, -light - ALONG_Y]) / math.sqrt(2.0)
+    across = np.array([-light[2], 0.0, light[0]])
+    axes_u = np.array([across, across, across])
+    # normal x across, with the normals as above
+    axes_v = np.array([ALONG_Y + light, -ALONG_Y - light, ALONG_Y - light]) / math.sqrt(2.0)
+    unit = Mirrors(centres, normals, axes_u, axes_v)
+    if any(name.startswith("mirror") for name in instrument.deviations):
+        unit = _deviating(instrument, unit, np.array([-across, ALONG_Y, light]))
+    return unit
+
+
+def _deviating(instrument: Instrument, unit: Mirrors, frame: Floats) -> Mirrors:
+    centres, normals = unit.centres.copy(), unit.normals.copy()
+    axes_u, axes_v = unit.axes_u.copy(), unit.axes_v.copy()
+    for k in range(3):
+        own = np.array([axes_u[k], axes_v[k], normals[k]])
+        turn, shift = _in_rig(instrument.deviation(f"mirror_{k + 1}"), own)
+        centres[k] += shift
+        axes_u[k], axes_v[k], normals[k] = own @ turn.T
+    turn, shift = _in_rig(instrument.deviation("mirror_unit"), frame)
+    return Mirrors(centres @ turn.T + shift, normals @ turn.T, axes_u @ turn.T, axes_v @ turn.T)
+
+
+def _in_rig(deviation: Deviation, axes: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and shift (3,) in the rig's frame of a deviation that is given along `axes`, one a row."""
+    turn, shift = rotation_and_shift(deviation)
+    return axes.T @ turn @ axes, shift @ axes
+
+
+def pupil(instrument: Instrument) -> tuple[Floats, Floats, Floats]:
+    """Centre (mm) and two unit axes, (3,) each, of the exit pupil itself, before mirror 1."""
+    centre = -(instrument.mirror_distance_mm + instrument.pupil_to_mirror_mm) * ALONG_Y
+    turn, shift = rotation_and_shift(instrument.deviation("pupil"))
+    return centre + shift, turn[:, 0].copy(), turn[:, 2].copy()
+
+
+def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
+    """Centre (mm) and two unit axes, (3,) each, of the exit pupil as the sample sees it in the three mirrors.
+
+    Exact: the pupil is reflected in the three planes, one after the other. The axes turn with sigma, as the beam's
+    section does.
+    """
+    centre, axis_u, axis_v = placed(np.array(pupil(instrument)), unfolding(mirrors_at(instrument, sigma_deg))[0])
+    return centre, axis_u, axis_v
+
+
+def unfolding(unit: Mirrors) -> tuple[Floats, Floats]:
+    """Maps (4, 4) of homogeneous columns that unfold the path: of what is before mirror 1, and (3, 4, 4) of each mirror.
+
+    Each mirror is reflected in those that follow it, so that the path from the sample to the pupil's image is straight.
+    """
+    maps = np.zeros((3, 4, 4))
+    maps[:, :3, :3] = np.eye(3) - 2.0 * unit.normals[:, :, None] * unit.normals[:, None, :]
+    maps[:, :3, 3] = 2.0 * np.sum(unit.centres * unit.normals, axis=1)[:, None] * unit.normals
+    maps[:, 3, 3] = 1.0
+    last_two = maps[2] @ maps[1]
+    return last_two @ maps[0], np.array([last_two, maps[2], np.eye(4)])
+
+
+def placed(rows: Floats, maps: Floats) -> Floats:
+    """Rows (..., n, 3), of which the first is a point and the others are vectors, as a map (..., 4, 4) takes them."""
+    turned = rows @ np.swapaxes(maps[..., :3, :3], -1, -2)
+    turned[..., 0, :] += maps[..., :3, 3]
+    return np.ascontiguousarray(turned)
+
+
+def unfolded(unit: Mirrors) -> Mirrors:
+    """The mirrors as the sample sees them: each one's image in those that follow, so that the path is straight."""
+    seen = placed(unit.packed, unfolding(unit)[1])
+    return Mirrors(seen[:, 0], seen[:, 1], seen[:, 2], seen[:, 3])
+
+
+@kernel(forceinline=True)
+def distance_to(
+    mirrors: Floats, m: int, half: float, px: float, py: float, pz: float, wx: float, wy: float, wz: float
+) -> float:
+    """Distance from p along the unit vector w to the square m of half side `half`; infinite where the ray misses it."""
+    cx, cy, cz = mirrors[m, 0, 0] - px, mirrors[m, 0, 1] - py, mirrors[m, 0, 2] - pz
+    slope = wx * mirrors[m, 1, 0] + wy * mirrors[m, 1, 1] + wz * mirrors[m, 1, 2]
+    # A ray within the mirror's plane divides by zero: infinite or NaN, and then the last line says no.
+    distance = (cx * mirrors[m, 1, 0] + cy * mirrors[m, 1, 1] + cz * mirrors[m, 1, 2]) / slope
+    x, y, z = distance * wx - cx, distance * wy - cy, distance * wz - cz
+    u = x * mirrors[m, 2, 0] + y * mirrors[m, 2, 1] + z * mirrors[m, 2, 2]
+    v = x * mirrors[m, 3, 0] + y * mirrors[m, 3, 1] + z * mirrors[m, 3, 2]
+    if distance > 0.0 and abs(u) <= half and abs(v) <= half:
+        return distance  # type: ignore[no-any-return]
+    return math.inf

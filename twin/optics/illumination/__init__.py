@@ -1,0 +1,1 @@
+"""The illumination unit from the xenon arc to the exit pupil, and its light on the sample."""

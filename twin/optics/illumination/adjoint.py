@@ -1,0 +1,139 @@
+"""The illumination of the sample, backwards: from the square where the sample is over the exit pupil to the arc.
+
+Every ray ends in the arc or beside it, and its weight is the length that it has within the arc's cylinder, directly and by
+the reflector, for an optically thin arc has a radiance in proportion to that. So nearly all rays count, alike.
+"""
+
+import math
+
+import numpy as np
+
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.illumination.beam import Illumination, checked_square, mean_and_error, widest_angle
+from goniotwin.twin.optics.illumination.elements import bend, chord, reflected, to_plane
+from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
+from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.montecarlo.chunks import check_seed, until
+from goniotwin.twin.optics.montecarlo.counters import scrambled, uniform
+
+U64 = np.uint64
+# Few enough to be quick, and enough for their scatter to be known.
+FIRST_RAYS = 512
+DARK_RAYS = 1 << 18
+MOST_RAYS = 1 << 30
+
+
+@kernel(forceinline=True)
+def lit_length(frames: Floats, sizes: Floats, x: Floats, w: Floats) -> float:
+    """Of a ray that goes backwards from between slit and condenser: weighted length in mm within the arc, 0 if vignetted.
+
+    Directly and by the reflector, each times its share of the light; with the change of radiance in the input condenser.
+    """
+    u, v = to_plane(frames[INPUT], x, w)
+    if not u * u + v * v <= sizes[5] * sizes[5]:
+        return 0.0
+    gain = bend(frames[INPUT], u, v, -1.0 / sizes[4], w)
+    length: float = sizes[10] * chord(frames[ARC], sizes[0], sizes[1], x, w)
+    if sizes[11] > 0.0 and reflected(frames[REFLECTOR], sizes[2], sizes[3], x, w):
+        length += sizes[11] * chord(frames[ARC], sizes[0], sizes[1], x, w)
+    weighted: float = length / gain
+    return weighted
+
+
+@kernel(nogil=True)
+def _trace(
+    first: int, last: int, seed: np.uint64, frames: Floats, sizes: Floats,
+    side: float, cells: int, bins: int, widest: float,
+) -> Floats:  # fmt: skip
+    """Sums (2, cells^2 + bins) of the weights, in 1/mm, and of their squares over rays first..last-1."""
+    sums = np.zeros((2, cells * cells + bins))
+    x, w = np.empty(3), np.empty(3)
+    start = scrambled(U64(seed))
+    for ray in range(first, last):
+        key = scrambled(start + U64(ray) * U64(0xD1342543DE82EF95))
+        # The cells take turns, so that each has its share of the rays.
+        cell = ray % (cells * cells)
+        i, j = cell // cells, cell % cells
+        x[0] = ((i + uniform(key, 0)) / cells - 0.5) * side
+        x[1] = sizes[12]
+        x[2] = ((j + uniform(key, 1)) / cells - 0.5) * side
+        radius, turn = sizes[7] * math.sqrt(uniform(key, 2)), 2.0 * math.pi * uniform(key, 3)
+        u, v = radius * math.cos(turn), radius * math.sin(turn)
+        square = 0.0
+        for c in range(3):
+            w[c] = frames[OUTPUT, 0, c] + u * frames[OUTPUT, 1, c] + v * frames[OUTPUT, 3, c] - x[c]
+            square += w[c] * w[c]
+        leaving = 0.0
+        for c in range(3):
+            x[c] += w[c]
+            w[c] /= math.sqrt(square)
+            leaving -= w[c] * frames[OUTPUT, 2, c]
+        cosine = -w[1]
+        angle = math.atan(math.hypot(w[0], w[2]) / cosine)
+        gain = bend(frames[OUTPUT], u, v, -1.0 / sizes[6], w)
+        u, v = to_plane(frames[SLIT], x, w)
+        if not (abs(u) <= sizes[8] and abs(v) <= sizes[9]):
+            continue
+        weight = lit_length(frames, sizes, x, w) * cosine * leaving / (square * gain)
+        place = cells * cells + min(bins - 1, int(angle / widest * bins))
+        sums[0, cell] += weight
+        sums[1, cell] += weight * weight
+        sums[0, place] += weight
+        sums[1, place] += weight * weight
+    return sums
+
+
+def emission_per_mm3_sr(unit: IlluminationUnit) -> float:
+    """What the arc emits of the wavelengths that pass: radiance per length within it, in the lamp's unit / (mm^3 sr)."""
+    return unit.band_flux / (4.0 * math.pi * unit.arc_volume_mm3)
+
+
+def adjoint_illumination(
+    unit: IlluminationUnit,
+    *,
+    rays: int | None = None,
+    relative_error: float | None = None,
+    cells: int = 5,
+    bins: int = 40,
+    side_mm: float | None = None,
+    seed: int = 0,
+) -> Illumination:
+    """The same as `forward_illumination`, by rays from the square to a point of the exit pupil and back to the arc.
+
+    `rays` is rounded up so that each cell has as many, and at least 2. The flux' error is that of its cells together; all
+    errors are those of means of weights. Raises ValueError as `forward_illumination`; the bound is 2^30 rays.
+    """
+    side = checked_square(unit, side_mm, cells, bins)
+    check_seed(seed)
+    frames, sizes, widest = unit.frames, unit.sizes, widest_angle(unit, side)
+    places = cells * cells
+    if rays is not None and rays >= 2:
+        rays = places * max(2, math.ceil(rays / places))
+    first_rays = places * max(2, math.ceil(FIRST_RAYS / places))
+    cell_mm2 = (side / cells) ** 2
+    # Flux that a mean weight of 1 in one cell stands for.
+    scale = emission_per_mm3_sr(unit) * math.pi * unit.exit_pupil_radius_mm**2 * cell_mm2
+
+    def trace(first: int, last: int) -> Floats:
+        sums: Floats = _trace(first, last, U64(seed), frames, sizes, side, cells, bins, widest)
+        return sums
+
+    def estimate(sums: Floats, count: int) -> tuple[float, float, Illumination]:
+        mean, error = mean_and_error(sums[:, :places], count // places)
+        ring, ring_error = mean_and_error(sums[:, places:], count)
+        found = Illumination(
+            flux=float(mean.sum()) * scale,
+            flux_error=math.sqrt(float(np.sum(error**2))) * scale,
+            unit=unit.lamp.unit,
+            emitted_flux=unit.band_flux,
+            rays=count,
+            side_mm=side,
+            irradiance=mean.reshape(cells, cells) * (scale / (cell_mm2 * 1e-6)),
+            irradiance_error=error.reshape(cells, cells) * (scale / (cell_mm2 * 1e-6)),
+            angle_edges_deg=np.degrees(np.linspace(0.0, widest, bins + 1)),
+            angular_flux=ring * (scale * places),
+            angular_flux_error=ring_error * (scale * places),
+        )
+        return found.flux, found.flux_error, found
+
+    return until(trace, estimate, rays, relative_error, first_rays, DARK_RAYS, MOST_RAYS)
