@@ -14,7 +14,7 @@ from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.planning.shadow import shadowed
 from app.campaign.schedule.file import parse_schedule, read_schedule
 from app.rig import believed_instrument, read_rig
-from benchmarks.planner import GREAT, HEAD, checking
+from tests.app.campaign.planner_bench import GREAT, HEAD, checking
 from tests.conftest import RIG, SCHEDULE
 from twin.optics import arc_direction, visible_fraction
 
@@ -125,7 +125,7 @@ def test_what_is_called_clear_at_a_glance_no_ray_finds_hidden(
 
 
 def test_a_hundred_thousand_rows_are_checked_within_seconds() -> None:
-    """Within one on an idle machine: see `benchmarks/planner.py`. Here others may be busy."""
+    """Within one on an idle machine: see `tests/app/campaign/planner_bench.py`. Here others may be busy."""
     (found,) = [each for each in checking(VIRTUAL, {"100,000 rows": GREAT["100,000 rows"]}) if each["rows"] > 100_000]
     assert found["check_s"] < 10.0
 

@@ -9,7 +9,7 @@ from app.campaign.planning.check import checked_plan
 from app.campaign.planning.plan import Plan, make_plan
 from app.campaign.schedule.file import parse_schedule
 from app.rig import RigDescription, parse_rig, read_rig
-from benchmarks.planner import GREAT, HEAD, RUN, checking
+from tests.app.campaign.planner_bench import GREAT, HEAD, RUN, checking
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

@@ -15,7 +15,7 @@ from app.campaign.schedule.file import parse_schedule, read_schedule
 from app.campaign.schedule.grids import grid_values
 from app.errors import UserError
 from app.rig import read_rig
-from benchmarks.planner import EXAMPLES, NAMED, nested_like_the_paper
+from tests.app.campaign.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
 from tests.conftest import RIG
 from twin.optics import arc_direction, specular_direction
 
