@@ -2,9 +2,9 @@
 
 import pytest
 
-from benchmarks.failing_drivers import BENCHES, Bench
-from benchmarks.fault_table import AGAIN, ERROR, NOTICED, RIGHT, STUCK, WRONG, Cell, as_markdown, case, failures, main
 from goniotwin.mocks.faults import Fault
+from tests.drivers.failing_drivers import BENCHES, Bench
+from tests.drivers.fault_table import AGAIN, ERROR, NOTICED, RIGHT, STUCK, WRONG, Cell, as_markdown, case, failures, table
 
 
 @pytest.mark.parametrize("kind", BENCHES)
@@ -33,6 +33,7 @@ def test_a_wrong_value_and_a_stuck_driver_are_told() -> None:
 
 @pytest.mark.long
 def test_a_hundred_cases_of_each_fault_on_each_wire(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = table(100)
     with capsys.disabled():
-        print()
-        assert main(["--cases", "100"]) == 0
+        print(f"\n{as_markdown(rows)}")
+    assert failures(rows) == []

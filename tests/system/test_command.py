@@ -1,17 +1,25 @@
 """The command `goniotwin`, as people and programs call it."""
 
+import contextlib
+import io
 import json
 import os
 import re
+import signal
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from goniotwin.app.cli.main import main
+from goniotwin.app.ending import REQUESTS
 from tests.conftest import RIG, SCHEDULE, Change, Writer
+
+Call = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -24,6 +32,30 @@ def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedPro
         timeout=300,
         check=False,
     )
+
+
+def invoked(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Runs it in this process: a hundred times cheaper, for what starts nothing (help, refusals) and for short work."""
+    given = [str(each) for each in arguments]
+    handlers = {number: signal.getsignal(number) for number in REQUESTS}
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as err,
+    ):
+        patch.setattr(sys, "argv", ["goniotwin", *given])
+        try:
+            with pytest.raises(SystemExit) as ended:
+                main()
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+    assert isinstance(ended.value.code, int)
+    return subprocess.CompletedProcess(given, ended.value.code, out.getvalue(), err.getvalue())
+
+
+CALLS = [pytest.param(invoked, id="here"), pytest.param(goniotwin, id="in a process", marks=pytest.mark.long)]
+"""Each way to call it gives the same: in this process always, in one of its own in `make test-long`."""
 
 
 def answer(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
@@ -52,7 +84,7 @@ def test_the_demo_says_how_good_it_is(demo: tuple[Path, dict[str, Any]]) -> None
 
 
 def test_check_foretells_the_journals_duration(demo: tuple[Path, dict[str, Any]]) -> None:
-    foretold = answer(goniotwin("check", SCHEDULE, "--rig", RIG, "--json"))
+    foretold = answer(invoked("check", SCHEDULE, "--rig", RIG, "--json"))
     assert foretold["rows"] == 130
     assert foretold["duration_s"] == pytest.approx(demo[1]["duration_s"], rel=0.01)
     database = sqlite3.connect(demo[0] / "quick.journal")
@@ -90,23 +122,25 @@ def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
-    for name, threads in (("one", "1"), ("two", "2"), ("again", "2")):
+    for name, threads in (("one", "1"), ("two", "2")):
         answer(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name, "--json", NUMBA_NUM_THREADS=threads))
+    answer(invoked("run", schedule, "--rig", rig, "--out", tmp_path / "again", "--json"))
     assert dump(tmp_path / "one") == dump(tmp_path / "two") == dump(tmp_path / "again")
     other = write_rig(("seed = 1", "seed = 2"), name="other.toml")
-    answer(goniotwin("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
+    answer(invoked("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
     assert dump(tmp_path / "other") != dump(tmp_path / "one")
 
 
-def test_run_and_export_are_one_after_the_other(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_run_and_export_are_one_after_the_other(write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call) -> None:
     journal = tmp_path / "a.journal"
-    result = answer(goniotwin("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
+    result = answer(call("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
     assert result["state"] == "done"
     assert result["rows"] == result["planned"]
     assert sorted(path.name for path in tmp_path.glob("a.journal*")) == ["a.journal"]  # one file, nothing beside it
     before = journal.read_bytes()
     for name in ("ddr", "csv"):
-        exported = answer(goniotwin("export", journal, "--format", name, "--out", tmp_path / f"a.{name}", "--json"))
+        exported = answer(call("export", journal, "--format", name, "--out", tmp_path / f"a.{name}", "--json"))
         assert exported["values"] > 0
         assert exported["simulated"] is True
         assert "SIMULATED" in (tmp_path / f"a.{name}").read_text(encoding="utf-8")
@@ -125,11 +159,13 @@ BAD: list[tuple[Change | None, Change | None, str]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize(("rig_change", "schedule_change", "named"), BAD)
 def test_bad_input_is_one_line_and_leaves_no_journal(
     write_rig: Writer,
     write_schedule: Writer,
     tmp_path: Path,
+    call: Call,
     rig_change: Change | None,
     schedule_change: Change | None,
     named: str,
@@ -137,7 +173,7 @@ def test_bad_input_is_one_line_and_leaves_no_journal(
     (tmp_path / "broken.bsdf").write_text("Source Measured\nSymmetry PlaneSymmetrical\n", encoding="utf-8")
     rig = write_rig(*([rig_change] if rig_change else []))
     schedule = write_schedule(*([schedule_change] if schedule_change else []))
-    done = goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "a.journal", "--json")
+    done = call("run", schedule, "--rig", rig, "--out", tmp_path / "a.journal", "--json")
     assert done.returncode == 2
     assert named in done.stderr
     assert done.stdout == ""
@@ -146,14 +182,24 @@ def test_bad_input_is_one_line_and_leaves_no_journal(
     assert list(tmp_path.glob("a.journal*")) == []
 
 
+@pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize("command", [[], ["run"], ["check"], ["export"], ["demo"], ["desktop"], ["home"], ["here"]])
-def test_help_is_worth_reading(command: list[str]) -> None:
-    done = goniotwin(*command, "--help")
+def test_help_is_worth_reading(command: list[str], call: Call) -> None:
+    done = call(*command, "--help")
     assert done.returncode == 0
     assert "Usage" in done.stdout
     assert len(done.stdout.splitlines()) > 8
 
 
-def test_a_wrong_option_is_status_2() -> None:
-    assert goniotwin("run", "--nonsense").returncode == 2
-    assert goniotwin("export", "nothing.journal", "--format", "ddr", "--out", "x").returncode == 2
+@pytest.mark.parametrize("call", CALLS)
+def test_a_wrong_option_is_status_2(call: Call) -> None:
+    assert call("run", "--nonsense").returncode == 2
+    assert call("export", "nothing.journal", "--format", "ddr", "--out", "x").returncode == 2
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--nonsense"], ["check", "nothing.toml", "--rig", RIG]])
+def test_a_process_of_its_own_ends_as_a_call_does(arguments: list[object]) -> None:
+    here, there = invoked(*arguments), goniotwin(*arguments)
+    assert (there.returncode, there.stderr) == (here.returncode, here.stderr)
+    # Before that is the program's name, which here is pytest's.
+    assert there.stdout.partition("[OPTIONS]")[2] == here.stdout.partition("[OPTIONS]")[2]

@@ -6,26 +6,29 @@ import pytest
 
 from tests.conftest import RIG, Change, Writer
 from tests.system.conftest import Serve
-from tests.system.test_command import answer, goniotwin
+from tests.system.test_command import CALLS, Call, answer, goniotwin
 
 
-def test_a_rehearsal_is_one_json_object_and_its_points_are_a_csv(write_schedule: Writer, tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_a_rehearsal_is_one_json_object_and_its_points_are_a_csv(write_schedule: Writer, tmp_path: Path, call: Call) -> None:
     schedule, kept, points = write_schedule(), tmp_path / "kept.journal", tmp_path / "points.csv"
-    found = answer(goniotwin("rehearse", schedule, "--rig", RIG, "--out", kept, "--points", points, "--json"))
+    found = answer(call("rehearse", schedule, "--rig", RIG, "--out", kept, "--points", points, "--json"))
     assert found["simulated"] is True
     assert found["rows"] == found["planned"]
     assert kept.stat().st_size == found["journal_bytes"]
     assert points.read_text(encoding="utf-8").startswith("# SIMULATED")
 
 
-def test_it_tells_a_person_the_same_and_that_it_is_simulated(write_schedule: Writer) -> None:
-    done = goniotwin("rehearse", write_schedule(), "--rig", RIG)
+@pytest.mark.parametrize("call", CALLS)
+def test_it_tells_a_person_the_same_and_that_it_is_simulated(write_schedule: Writer, call: Call) -> None:
+    done = call("rehearse", write_schedule(), "--rig", RIG)
     assert done.returncode == 0
     assert done.stdout.startswith("SIMULATED: small rehearsed on virtual goniophotometer")
     for word in ("duration", "axes", "counts", "uncertainty", "lamp", "journal"):
         assert f"\n  {word}" in done.stdout
 
 
+@pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize(
     ("given", "told"),
     [
@@ -35,13 +38,14 @@ def test_it_tells_a_person_the_same_and_that_it_is_simulated(write_schedule: Wri
         (["--sample", "etalon=lambertian", "--sample", "etalon=lambertian"], "is given twice"),
     ],
 )
-def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[str], told: str) -> None:
-    done = goniotwin("rehearse", write_schedule(), "--rig", RIG, *given)
+def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[str], told: str, call: Call) -> None:
+    done = call("rehearse", write_schedule(), "--rig", RIG, *given)
     assert done.returncode == 2
     assert told in " ".join(done.stderr.split())
     assert done.stdout == ""
 
 
+@pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize(
     ("given", "told"),
     [
@@ -53,12 +57,18 @@ def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[s
     ],
 )
 def test_files_that_cannot_be_written_are_refused_before_the_first_row(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], told: str
+    write_rig: Writer,
+    write_schedule: Writer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    given: list[str],
+    told: str,
+    call: Call,
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
     before = sorted(tmp_path.iterdir())
     monkeypatch.chdir(tmp_path)
-    done = goniotwin("rehearse", schedule, "--rig", rig, *given)
+    done = call("rehearse", schedule, "--rig", rig, *given)
     assert done.returncode == 2
     assert told in " ".join(done.stderr.split())
     assert "rows" not in done.stderr

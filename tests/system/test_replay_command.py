@@ -15,7 +15,7 @@ from goniotwin.mocks.transcript import read_transcript
 from tests.conftest import Change, Writer
 from tests.mocks.replay_bench import RTU, TCP, RigMaker, session, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
-from tests.system.test_command import goniotwin
+from tests.system.test_command import CALLS, Call
 
 # Units 20 to 24, where the twin's are 1 to 5.
 REAL_LINE: tuple[Change, ...] = tuple((f'"twin://virtual/adc-{k}"', f'"rtu:COM7?unit={k + 20}"') for k in range(5))
@@ -35,17 +35,19 @@ def replayed(write_rig: Writer, folder: Path, *changes: Change, stem: str = "*",
     return replay_transcripts(sorted(folder.glob(f"{stem}.txt")), read_rig(write_rig(*changes)), None, mount)
 
 
-def test_a_twin_of_the_same_rig_has_no_difference(recorded: Path, write_rig: Writer) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_a_twin_of_the_same_rig_has_no_difference(recorded: Path, write_rig: Writer, call: Call) -> None:
     rig = write_rig(*TCP)
-    done = goniotwin("replay", *sorted(recorded.iterdir()), "--rig", rig, "--mount", "gaussian-5")
+    done = call("replay", *sorted(recorded.iterdir()), "--rig", rig, "--mount", "gaussian-5")
     assert (done.returncode, done.stderr) == (0, "")
     (line,) = done.stdout.splitlines()
     assert line.startswith("no difference; told ")
     assert line.endswith(": axes.txt, monitor.txt, monochromator.txt, " + ", ".join(f"photodiodes-{k}.txt" for k in range(5)))
 
 
-def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, write_rig: Writer) -> None:
-    done = goniotwin("replay", recorded / "monitor.txt", "--rig", write_rig(*TCP))  # it has seen light, and now it is dark
+@pytest.mark.parametrize("call", CALLS)
+def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, write_rig: Writer, call: Call) -> None:
+    done = call("replay", recorded / "monitor.txt", "--rig", write_rig(*TCP))  # it has seen light, and now it is dark
     assert (done.returncode, done.stderr) == (1, "")
     first, asked, was, now, last = done.stdout.splitlines()
     byte = r"byte \d+: [0-9a-f]{2} recorded, [0-9a-f]{2} now"
@@ -56,10 +58,11 @@ def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, writ
     assert re.fullmatch(r"1 difference; told \d+ times: monitor.txt", last)
 
 
-def test_programs_get_one_object(recorded: Path, write_rig: Writer) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_programs_get_one_object(recorded: Path, write_rig: Writer, call: Call) -> None:
     elsewhere = recorded.parent / "what the device said.txt"
     shutil.copy(recorded / "axes.txt", elsewhere)
-    done = goniotwin("replay", elsewhere, "--device", "axes", "--rig", write_rig(*TCP), "--json")
+    done = call("replay", elsewhere, "--device", "axes", "--rig", write_rig(*TCP), "--json")
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
     assert result["transcripts"] == {"what the device said.txt": "axes"}
@@ -139,8 +142,9 @@ def test_other_bad_input_is_told(recorded: Path, write_rig: Writer) -> None:
         replay_transcripts([recorded / "none" / "axes.txt"], rig, None, None)
 
 
-def test_bad_input_is_one_line_with_status_2(recorded: Path, write_rig: Writer) -> None:
-    done = goniotwin("replay", write_rig(name="axes.txt"), "--rig", write_rig())
+@pytest.mark.parametrize("call", CALLS)
+def test_bad_input_is_one_line_with_status_2(recorded: Path, write_rig: Writer, call: Call) -> None:
+    done = call("replay", write_rig(name="axes.txt"), "--rig", write_rig())
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert line.startswith("goniotwin: ")

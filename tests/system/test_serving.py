@@ -14,7 +14,7 @@ from goniotwin.mocks.control import Control, Refused
 from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
 from tests.conftest import RIG
 from tests.system.conftest import Serve, Served, at
-from tests.system.test_command import goniotwin
+from tests.system.test_command import CALLS, Call, goniotwin
 
 
 @pytest.fixture
@@ -89,13 +89,15 @@ def test_an_unmodified_pyusb_program_finds_the_monitor(tmp_path: Path) -> None:
     assert done.returncode == 0
 
 
-def test_devices_of_a_rig_say_who_they_are() -> None:
-    done = goniotwin("devices", "--rig", RIG, "--json")
+@pytest.mark.parametrize("call", CALLS)
+def test_devices_of_a_rig_say_who_they_are(call: Call) -> None:
+    done = call("devices", "--rig", RIG, "--json")
     assert done.returncode == 0, done.stderr
     answers = {each["address"]: each["answers"] for each in json.loads(done.stdout)["devices"]}
     assert answers["axes"] == "TMCM-6214"
     assert answers["monitor"].endswith("2.8.0")
 
 
-def test_devices_of_this_computer_can_be_listed() -> None:
-    assert goniotwin("devices").returncode == 0
+@pytest.mark.parametrize("call", CALLS)
+def test_devices_of_this_computer_can_be_listed(call: Call) -> None:
+    assert call("devices").returncode == 0

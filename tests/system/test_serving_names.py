@@ -7,53 +7,58 @@ import pytest
 from goniotwin.mocks.serial_endpoints import ptys_exist
 from tests.conftest import RIG
 from tests.system.conftest import Serve, at
-from tests.system.test_command import goniotwin
+from tests.system.test_command import CALLS, Call
 
 pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
 
 
-def refused(*options: object) -> str:
+def refused(call: Call, *options: object) -> str:
     """What it says, in one line."""
-    done = goniotwin("serve", "--rig", RIG, *options)
+    done = call("serve", "--rig", RIG, *options)
     assert (done.returncode, done.stdout) == (2, "")
     assert "Traceback" not in done.stderr
     return " ".join(done.stderr.split())
 
 
-def test_a_file_with_a_devices_name_is_left_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_a_file_with_a_devices_name_is_left_alone(tmp_path: Path, call: Call) -> None:
     (tmp_path / "mono").write_text("mine", encoding="utf-8")
-    assert "not this server's; remove it" in refused("--ptys", tmp_path)
+    assert "not this server's; remove it" in refused(call, "--ptys", tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["mono"]
     assert (tmp_path / "mono").read_text(encoding="utf-8") == "mine"
 
 
-def test_a_folder_with_a_devices_name_is_left_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_a_folder_with_a_devices_name_is_left_alone(tmp_path: Path, call: Call) -> None:
     (tmp_path / "axes").mkdir()
-    assert "not this server's; remove it" in refused("--ptys", tmp_path)
+    assert "not this server's; remove it" in refused(call, "--ptys", tmp_path)
     assert (tmp_path / "axes").is_dir()
 
 
-def test_a_file_is_no_folder_for_names(tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_a_file_is_no_folder_for_names(tmp_path: Path, call: Call) -> None:
     (tmp_path / "file").write_text("mine", encoding="utf-8")
-    assert "is not a folder" in refused("--ptys", tmp_path / "file")
-    assert "is not a folder" in refused("--ptys", tmp_path / "file" / "below")
+    assert "is not a folder" in refused(call, "--ptys", tmp_path / "file")
+    assert "is not a folder" in refused(call, "--ptys", tmp_path / "file" / "below")
 
 
-def test_a_second_server_leaves_the_first_its_names(serve: Serve, tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_a_second_server_leaves_the_first_its_names(serve: Serve, tmp_path: Path, call: Call) -> None:
     _, lines = serve(RIG)
     path = Path(at(lines, "axes", "path")["path"])
     before = path.readlink()
     (tmp_path / "mine.toml").write_text("mine", encoding="utf-8")
-    assert "another server has its names there" in refused("--ptys", path.parent)
-    assert "has not written it" in refused("--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
+    assert "another server has its names there" in refused(call, "--ptys", path.parent)
+    assert "has not written it" in refused(call, "--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
     assert path.readlink() == before
     assert path.exists()
 
 
-def test_a_rig_file_that_cannot_be_written_is_told_before_anything_opens(tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_a_rig_file_that_cannot_be_written_is_told_before_anything_opens(tmp_path: Path, call: Call) -> None:
     names = tmp_path / "names"
-    assert "cannot be written" in refused("--ptys", names, "--write-rig", tmp_path / "nowhere" / "rig.toml")
-    assert "has not written it" in refused("--ptys", names, "--write-rig", tmp_path)
+    assert "cannot be written" in refused(call, "--ptys", names, "--write-rig", tmp_path / "nowhere" / "rig.toml")
+    assert "has not written it" in refused(call, "--ptys", names, "--write-rig", tmp_path)
     (tmp_path / "file").write_text("mine", encoding="utf-8")
-    assert "is not a folder" in refused("--ptys", tmp_path / "file", "--write-rig", tmp_path / "rig.toml")
+    assert "is not a folder" in refused(call, "--ptys", tmp_path / "file", "--write-rig", tmp_path / "rig.toml")
     assert [each.name for each in tmp_path.iterdir()] == ["file"]

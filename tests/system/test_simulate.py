@@ -6,7 +6,7 @@ import pytest
 
 from goniotwin.app.formats import read_ddr
 from tests.conftest import RIG
-from tests.system.test_command import answer, goniotwin
+from tests.system.test_command import CALLS, Call, answer, goniotwin
 
 
 def test_simulate_says_what_it_wrote_and_how_good_it_is(tmp_path: Path) -> None:
@@ -86,6 +86,7 @@ def test_the_back_stray_light_and_the_regular_component_are_said(tmp_path: Path)
     assert (plain["side"], plain["stray"], plain["regular"]) == ("front", False, [])
 
 
+@pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -107,9 +108,9 @@ def test_the_back_stray_light_and_the_regular_component_are_said(tmp_path: Path)
         (["illumination", "--out", "a.png", "--rays", "100"], "--rayset"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_no_file(arguments: list[str], named: str, tmp_path: Path) -> None:
+def test_bad_input_is_one_line_and_leaves_no_file(arguments: list[str], named: str, call: Call, tmp_path: Path) -> None:
     given = [str(tmp_path / each) if each.startswith("a.") else each for each in arguments]
-    done = goniotwin("simulate", *given, "--json")
+    done = call("simulate", *given, "--json")
     assert done.returncode == 2
     assert named in done.stderr
     assert done.stdout == ""
@@ -117,9 +118,10 @@ def test_bad_input_is_one_line_and_leaves_no_file(arguments: list[str], named: s
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize("command", [["simulate"], ["simulate", "table3"], ["simulate", "illumination"]])
-def test_help_is_worth_reading(command: list[str]) -> None:
-    done = goniotwin(*command, "--help")
+def test_help_is_worth_reading(command: list[str], call: Call) -> None:
+    done = call(*command, "--help")
     assert done.returncode == 0
     assert "Usage" in done.stdout
     assert len(done.stdout.splitlines()) > 8

@@ -17,7 +17,7 @@ from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import Held, RigLock
 from tests.app.campaign.test_resume import STEADY, stopped_at
 from tests.conftest import SMALL, Writer
-from tests.system.test_command import answer, goniotwin
+from tests.system.test_command import CALLS, Call, answer
 
 SHORT = SMALL + "\n[stop]\nlongest_s = 10\n"
 DIM = SMALL + "\n[stop]\nlamp_below = 0.75\n"
@@ -27,17 +27,18 @@ def rehearsed(schedule: Path, rig: Path, out: Path) -> Rehearsal:
     return rehearse(*prepared(read_schedule(schedule), read_rig(rig), {}), out=out)
 
 
+@pytest.mark.parametrize("call", CALLS)
 def test_a_session_that_the_schedule_ends_says_why_and_has_its_own_status(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call
 ) -> None:
     journal = tmp_path / "a.journal"
-    done = goniotwin("run", write_schedule(text=SHORT), "--rig", write_rig(*STEADY), "--out", journal)
+    done = call("run", write_schedule(text=SHORT), "--rig", write_rig(*STEADY), "--out", journal)
     assert done.returncode == 3
     assert "the schedule has ended it: the session has lasted" in " ".join(done.stderr.split())
     assert "go on with: goniotwin run --resume" in done.stderr
-    again = goniotwin("run", "--resume", journal, "--json")
+    again = call("run", "--resume", journal, "--json")
     assert again.returncode in (0, 3)
-    assert answer(goniotwin("runs", tmp_path, "--json"))["campaigns"][0]["sessions"] == 2
+    assert answer(call("runs", tmp_path, "--json"))["campaigns"][0]["sessions"] == 2
 
 
 def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

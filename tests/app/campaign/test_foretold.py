@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.planner import GREAT, HEAD, RUN, checking
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigDescription, parse_rig, read_rig
+from tests.app.campaign.planner_bench import GREAT, HEAD, RUN, checking
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

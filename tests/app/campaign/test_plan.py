@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.planner import EXAMPLES, NAMED, nested_like_the_paper
 from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
@@ -17,6 +16,7 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import arc_direction, specular_direction
+from tests.app.campaign.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

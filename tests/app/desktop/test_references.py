@@ -13,11 +13,11 @@ from PySide6.QtCore import QEvent, QObject
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from app.campaign.running.events import Positions
-from app.desktop import MainWindow
-from app.desktop.cut import Cut, Points
-from app.desktop.cutplot import CutPlot
-from app.desktop.theme import LIGHT
+from goniotwin.app.campaign.running.events import Positions
+from goniotwin.app.desktop import MainWindow
+from goniotwin.app.desktop.model.live_cut import Cut, Points
+from goniotwin.app.desktop.run.cut_plot import CutPlot
+from goniotwin.app.desktop.theme import LIGHT
 
 REPAINTS = 2000
 NEW_CUT_EVERY = 10

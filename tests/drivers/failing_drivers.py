@@ -25,7 +25,7 @@ from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.devices.line import SerialDevice
 
-RIG = Path(__file__).resolve().parents[1] / "examples" / "rigs" / "virtual.toml"
+RIG = Path(__file__).resolve().parents[2] / "examples" / "rigs" / "virtual.toml"
 RANGE = ("gain_uncertainty", "range_code = 0x0142\ngain_uncertainty")
 """Not the range that a module has after power-on, so that a reset changes something."""
 QUIET = (("noise = true", "noise = false"), RANGE)
