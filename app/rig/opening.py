@@ -11,10 +11,11 @@ import usb.core
 from app.errors import UserError
 from app.rig.lock import RigLock
 from app.rig.modbus_units import ModbusUnits
+from app.rig.model_hash import model_hashes
 from app.rig.place import USBIP_PORT, host_and_port, is_port
 from app.rig.schema import RigFile
 from app.rig.settings import arc_clearance, axis_settings, monitor_settings, monochromator_settings, photodiode_settings
-from app.rig.twin_table import model_hash, twin_model
+from app.rig.twin_table import twin_model
 from app.tables import checked, parse_toml, read_toml
 from drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
 from drivers import tmcl as tmcl_driver
@@ -56,11 +57,18 @@ class RigDescription:
         return twin_model(self.file.twin, self.seed or 0, self.folder, self.name)
 
     def model_hash(self) -> str | None:
-        """The virtual rig's fingerprint, None for a real rig."""
+        """The hash of the virtual rig's model, None for a real rig."""
+        return self.model_hashes()[0]
+
+    def model_hashes(self) -> tuple[str | None, ...]:
+        """All hashes by which the virtual rig's model may be known, older ones too; the one that is written now first."""
         model = self.model()
         if model is not None:
-            return model_hash(model)
-        return self.file.simulated.model if self.file.simulated is not None else None
+            return model_hashes(model)
+        stated = self.file.simulated
+        if stated is None:
+            return (None,)
+        return (stated.model,) if stated.old_model is None else (stated.model, stated.old_model)
 
 
 def read_rig(path: Path) -> RigDescription:

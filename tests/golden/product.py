@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from app.campaign.campaign import run_campaign
 from app.campaign.journal.writing import Journal
@@ -24,6 +25,7 @@ from app.campaign.reducing.reduction import reduce_journal
 from app.campaign.running.events import Event, RowCommitted
 from app.campaign.schedule.file import read_schedule
 from app.cli import app as command
+from app.errors import UserError
 from app.rig import read_rig
 from app.simulation.explained import rms_table
 from twin.optics import Instrument
@@ -66,6 +68,13 @@ def answer(*arguments: object) -> dict[str, Any]:
     assert not status, f"goniotwin {' '.join(map(str, arguments))}: status {status}: {out.getvalue()}"
     result: dict[str, Any] = json.loads(out.getvalue())
     return result
+
+
+def refusal(*arguments: object) -> str:
+    """Why `goniotwin ARGUMENTS` is refused."""
+    with pytest.raises(UserError) as caught, contextlib.redirect_stderr(io.StringIO()):
+        command([*map(str, arguments)], standalone_mode=False)
+    return str(caught.value)
 
 
 def plan_rows(schedule: Path, rig: Path) -> tuple[list[list[Any]], list[float]]:
