@@ -37,12 +37,13 @@ Polar = Annotated[float, Field(ge=0.0, le=90.0)]
 class Simulated(Table):
     """That nothing here is real: the seed of the virtual rig.
 
-    Where another process serves it, so that the file has no [twin]: its model's hash, how fast its time passes, and the
-    port of its back door, through which samples are mounted.
+    Where another process serves it, so that the file has no [twin]: its model's hash (`old_model`: in its first version, which
+    older journals have), how fast its time passes, and the port of its back door, through which samples are mounted.
     """
 
     seed: int = 1
     model: str | None = None
+    old_model: str | None = None
     speed: PositiveFloat = 1.0
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
 

@@ -12,6 +12,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import USBIP_PORT, ModbusUnits, host_and_port, is_port
 from goniotwin.app.rig.file import RigFile
 from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.settings import (
     arc_clearance,
     axis_settings,
@@ -19,7 +20,7 @@ from goniotwin.app.rig.settings import (
     monochromator_settings,
     photodiode_settings,
 )
-from goniotwin.app.rig.twin_file import model_hash, twin_model
+from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.app.toml_file import checked, parse_toml, read_toml
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
 from goniotwin.drivers.motion.tmcl import module as tmcl_driver
@@ -61,11 +62,18 @@ class RigDescription:
         return twin_model(self.file.twin, self.seed or 0, self.folder, self.name)
 
     def model_hash(self) -> str | None:
-        """The virtual rig's fingerprint, None for a real rig."""
+        """The hash of the virtual rig's model, None for a real rig."""
+        return self.model_hashes()[0]
+
+    def model_hashes(self) -> tuple[str | None, ...]:
+        """All hashes by which the virtual rig's model may be known, older ones too; the one that is written now first."""
         model = self.model()
         if model is not None:
-            return model_hash(model)
-        return self.file.simulated.model if self.file.simulated is not None else None
+            return model_hashes(model)
+        stated = self.file.simulated
+        if stated is None:
+            return (None,)
+        return (stated.model,) if stated.old_model is None else (stated.model, stated.old_model)
 
 
 def read_rig(path: Path) -> RigDescription:

@@ -16,7 +16,7 @@ FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start.
 def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed: float) -> str:
     """What the operator believes of a rig, as its file says it, at the endpoints' addresses, and that it is simulated.
 
-    Of its own mechanics and optics nothing is in it but the model's hash.
+    Of its own mechanics and optics nothing is in it but the model's hash, in both versions.
     """
     addresses: dict[str, str] = {}
     control: int | None = None
@@ -33,7 +33,8 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     _table(document, "photodiodes")["units"] = [addresses[f"adc-{k}"] for k in range(len(units))]
     _table(document, "monitor")["usb"] = addresses["monitor"]
     simulated = tomlkit.table()
-    simulated.update({"seed": description.seed, "model": description.model_hash(), "speed": speed})
+    hashes = zip(("model", "old_model"), description.model_hashes(), strict=False)  # an old one is not always there
+    simulated.update({"seed": description.seed, **dict(hashes), "speed": speed})
     if control is not None:
         simulated["control_port"] = control
     document["simulated"] = simulated

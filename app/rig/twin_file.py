@@ -5,12 +5,10 @@ Nothing here is taken from the operator's part of the file: a wrong sign there h
 `[twin.optics]`, `[twin.sensor]`, `[twin.deviations]`: the virtual rig's optics, how they stand, how they are computed.
 """
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from goniotwin.app.rig.filters import WheelFilterTable, refuse_positions_taken_twice
@@ -296,25 +294,6 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
         estimator=table.optics.chosen(),
         order_sorting=OrderSorting(table.monochromator.second_order, tuple(each.filter() for each in table.filters)),
     )
-
-
-def model_hash(model: TwinModel) -> str:
-    """A fingerprint of a model without its seed: everything that decides what the virtual rig does, samples' tables too."""
-    digest = hashlib.sha256()
-    for part in (model.axes, model.instrument, model.frames, model.light, model.photodiodes, model.electronics, model.monitor):
-        digest.update(repr(part).encode())
-    digest.update(repr((model.monochromator, model.controller, model.noise, model.estimator)).encode())
-    if model.order_sorting != OrderSorting():  # so that journals of rigs without it keep their fingerprint
-        digest.update(repr(model.order_sorting).encode())
-    for key, sample in sorted(model.samples.items()):
-        digest.update(f"{key} {len(sample.lobes)} {sample.spectrum is None}".encode())
-        if sample.spectrum is not None:
-            digest.update(sample.spectrum.wavelengths_nm.tobytes() + sample.spectrum.weights.tobytes())
-        for lobe in sample.lobes:
-            digest.update(f"{lobe.kind} {lobe.incident} {lobe.transmits} {lobe.values.shape}".encode())
-            for values in (lobe.params, lobe.sigma_deg, lobe.phi_deg, lobe.theta_deg, lobe.psi_deg, lobe.values):
-                digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def _tuples(table: Table) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
@@ -24,6 +25,7 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import app as command
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.app.simulation.paper.explanation import rms_table
 from goniotwin.arrays import Flags, Floats
@@ -67,6 +69,13 @@ def answer(*arguments: object) -> dict[str, Any]:
     assert not status, f"goniotwin {' '.join(map(str, arguments))}: status {status}: {out.getvalue()}"
     result: dict[str, Any] = json.loads(out.getvalue())
     return result
+
+
+def refusal(*arguments: object) -> str:
+    """Why `goniotwin ARGUMENTS` is refused."""
+    with pytest.raises(UserError) as caught, contextlib.redirect_stderr(io.StringIO()):
+        command([*map(str, arguments)], standalone_mode=False)
+    return str(caught.value)
 
 
 def plan_rows(schedule: Path, rig: Path) -> tuple[list[list[Any]], list[float]]:

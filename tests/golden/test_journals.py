@@ -1,11 +1,15 @@
 """Journals of an older version of the program: they open, reduce, are listed and are resumed as they were then."""
 
+import re
 from pathlib import Path
 
 import pytest
 
+from tests.conftest import changed
 from tests.golden import contents, files, product
 from tests.golden.compare import check_points, check_rows, check_table
+
+LIGHT, FRAMES = "[twin.light]\n", "[twin.frames]\nreflectance = 0.06\n\n"
 
 
 @pytest.fixture
@@ -40,6 +44,34 @@ def test_the_interrupted_one_is_resumed_and_ends_as_a_run_that_nothing_disturbs(
     planned = [contents.exact_part(row) for row in found["rows"] if row["planned"]]
     assert planned == [contents.exact_part(row) for row in undisturbed["rows"]]
     assert len(planned) < len(found["rows"])  # what was mounted is mounted again
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("reflectance = 0.9\n", "reflectance = 0.8\n"),
+        ("gear = 36.0 }", "gear = 36.0, zero_deg = 0.01 }"),
+        (LIGHT, FRAMES + LIGHT),
+    ],
+    ids=["sample", "mechanics", "frames"],
+)
+def test_the_interrupted_one_is_not_resumed_on_another_twin(
+    old: str, new: str, journals: tuple[Path, Path], tmp_path: Path
+) -> None:
+    _, journal = journals
+    before = journal.read_bytes()
+    rig = tmp_path / "rig.toml"
+    rig.write_text(changed(product.campaign_entry(journal, "rig"), ((old, new),)), encoding="utf-8")
+    assert "the model's hash differs" in product.refusal("run", "--resume", journal, "--rig", rig)
+    assert journal.read_bytes() == before
+    rig.write_text(product.campaign_entry(journal, "rig"), encoding="utf-8")
+    assert product.answer("run", "--resume", journal, "--rig", rig)["state"] == "done"
+
+
+def test_the_interrupted_one_with_the_hash_of_another_twin_is_not_resumed(journals: tuple[Path, Path]) -> None:
+    assert re.fullmatch(r'"[0-9a-f]{16}"', product.campaign_entry(journals[1], "model"))  # without the mark of a version
+    product.change_campaign(journals[1], "model", product.campaign_entry(journals[0], "model"))
+    assert "the model's hash differs" in product.refusal("run", "--resume", journals[1])
 
 
 def test_they_know_no_folder_of_the_computer_that_made_them(journals: tuple[Path, Path]) -> None:

@@ -90,12 +90,21 @@ class View:
         self, sample: Scatterer, sigma: float, directions: Floats, wavelength: float | None, aspect: Aspect
     ) -> Floats:  # fmt: skip
         # Each pose has its own random numbers: with the same ones all rows would be wrong in the same way.
-        seed = blake2b(repr((self._model.seed, aspect)).encode(), digest_size=8).digest()
+        seed = blake2b(_seed_text(self._model.seed, aspect).encode(), digest_size=8).digest()
         found = forward(
             self._model.instrument, sigma, directions, sample, seed=int.from_bytes(seed, "big"), gamma_deg=aspect.gamma_deg,
             wavelength_nm=wavelength, relative_error=self._model.estimator.relative_error, sample_frames=self._model.frames,
         )  # fmt: skip
         return found.throughput_m2sr if self._model.estimator.stray else found.single_m2sr
+
+
+def _seed_text(seed: int, aspect: Aspect) -> str:
+    """The text that the seed of a pose is made of. It stays as it is, whatever the class is called: journals rely on it."""
+    return (
+        f"({seed!r}, Aspect(sample={aspect.sample!r}, tilt_deg={aspect.tilt_deg!r}, wavelength_nm={aspect.wavelength_nm!r}, "
+        f"sigma_deg={aspect.sigma_deg!r}, gamma_deg={aspect.gamma_deg!r}, beta_deg={aspect.beta_deg!r}, "
+        f"shift_deg={aspect.shift_deg!r}))"
+    )
 
 
 def _kept(

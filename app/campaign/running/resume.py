@@ -1,5 +1,6 @@
 """Going on with a campaign that was stopped, failed, or killed: at the first row that is not in its journal."""
 
+import json
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -76,15 +77,27 @@ def refuse_another_rig(journal: Recorded, recorded: RigDescription, rig: RigDesc
             f"{rig.name}: is not the rig that {journal.path} was begun on: {told} changed, and only ports may; "
             "go on with the rig as it was, or begin a new campaign"
         )
-    if recorded.simulated and journal.value("model") != _quoted(rig.model_hash()):
+    if recorded.simulated and not _same_model(journal.value("model"), recorded, rig):
         raise UserError(
             f"{rig.name}: its virtual rig is not the one that {journal.path} was begun on (the model's hash differs); "
             "go on with the [twin] as it was, or begin a new campaign"
         )
 
 
-def _quoted(text: str | None) -> str:
-    return "null" if text is None else f'"{text}"'
+def _same_model(stated: str, recorded: RigDescription, rig: RigDescription) -> bool:
+    """Whether a rig's model is the one whose hash a journal states, as JSON.
+
+    The journal and a rig file without [twin] may state it in different versions. Then the rig that the journal has recorded
+    decides, where it has a [twin]: if that gives the hash which the journal states, its other hashes are of the same model.
+    """
+    hashes = [json.dumps(each) for each in rig.model_hashes()]
+    if stated in hashes:
+        return True
+    try:
+        known = [json.dumps(each) for each in recorded.model_hashes()]
+    except UserError:  # files of samples that are not there any more
+        return False
+    return stated in known and not set(known).isdisjoint(hashes)
 
 
 def _without_ports(rig: RigDescription) -> dict[str, Any]:

@@ -15,11 +15,13 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.running.resume import recorded_rig, refuse_another_rig
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import open_rig, read_rig
+from goniotwin.app.rig import RigDescription, open_rig, parse_rig, read_rig
 from goniotwin.app.rig.lock import RigLock
 from tests.conftest import Writer
+from tests.golden import contents
 
 STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 MORE = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2]")
@@ -52,6 +54,12 @@ def stopped_at(plan: Plan, path: Path, t: float) -> None:
 @pytest.fixture
 def steady(write_rig: Writer, write_schedule: Writer) -> Plan:
     return make_plan(read_schedule(write_schedule(MORE)), read_rig(write_rig(*STEADY)))
+
+
+@pytest.fixture
+def journals(tmp_path: Path) -> tuple[Path, Path]:
+    """Copies of the golden ones, which have the first version of the model's hash: a finished and an interrupted one."""
+    return contents.copied(tmp_path)
 
 
 def test_wherever_it_was_stopped_the_planned_rows_are_those_of_an_undisturbed_run(steady: Plan, tmp_path: Path) -> None:
@@ -247,3 +255,33 @@ def test_with_noise_the_differences_to_an_undisturbed_run_are_standard_normal(
     assert np.any(standard != 0.0)  # the rows after the break are other draws
     assert np.mean(standard**2) < 1.5
     assert np.abs(standard).max() < 4.5
+
+
+def stating(recorded: RigDescription, simulated: str) -> RigDescription:
+    """The rig's file without its [twin], as where another process serves it, with other entries of [simulated]."""
+    text = recorded.text.partition("[twin]\n")[0].replace("twin://virtual/", "served-")
+    text = text.replace("[simulated]\nseed = 1\n", f"[simulated]\nseed = 1\n{simulated}\n")
+    return parse_rig(text.replace('usb = "served-monitor"', 'usb = "1313:8078:TWIN0001"'), Path(), "served.toml")
+
+
+def test_a_served_rig_is_known_by_either_version_of_its_models_hash(journals: tuple[Path, Path]) -> None:
+    with Journal.open(journals[1]) as journal:
+        recorded = recorded_rig(journal)
+        new, old = map(str, recorded.model_hashes())
+        assert journal.value("model") == f'"{old}"'
+        for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{new}"', f'model = "{old}"'):
+            refuse_another_rig(journal, recorded, stating(recorded, stated))
+        for stated in ("", 'model = "0123456789abcdef"', f'model = "{old[::-1]}"\nold_model = "2:{old}"'):
+            with pytest.raises(UserError, match="the model's hash differs"):
+                refuse_another_rig(journal, recorded, stating(recorded, stated))
+
+
+def test_a_campaign_of_a_served_rig_is_resumed_where_the_hash_that_it_has_is_stated(journals: tuple[Path, Path]) -> None:
+    """Its own rig file has no [twin] of which another version could be computed."""
+    with Journal.open(journals[1]) as journal:
+        new, old = recorded_rig(journal).model_hashes()
+        recorded = stating(recorded_rig(journal), f'model = "{old}"')
+        for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{old}"'):
+            refuse_another_rig(journal, recorded, stating(recorded_rig(journal), stated))
+        with pytest.raises(UserError, match="the model's hash differs"):
+            refuse_another_rig(journal, recorded, stating(recorded_rig(journal), f'model = "{new}"'))

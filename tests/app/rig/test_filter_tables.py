@@ -133,6 +133,8 @@ def test_a_served_rigs_file_keeps_what_the_operator_believes_of_the_wheel() -> N
     text = served_rig(rig, ends, 1.0)
     served = parse_rig(text, RIG.parent, "served")
     assert served.file.monochromator.filters == rig.file.monochromator.filters
+    assert served.model_hashes() == rig.model_hashes()
+    assert len(served.model_hashes()) == 2
     assert "twin" not in tomlkit.parse(text)
 
 
