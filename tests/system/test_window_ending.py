@@ -26,6 +26,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system end
 LONGEST_S = 300.0
 LONGEST_RUN_S = 3600.0
 ROWS = 3000
+FATAL_PAINTS = 134
+"""After so many, and 717 rows of the same schedule at 60 times, PySide6 6.12.0 on Python 3.11 ended the interpreter."""
 DIFFUSE = REPOSITORY / "examples" / "schedules" / "diffuse-spectral.toml"
 
 
@@ -147,9 +149,9 @@ def test_a_signal_brings_moving_axes_to_rest_and_further_signals_do_not_break_th
 
 @pytest.mark.long
 def test_three_thousand_rows_with_the_plot_in_sight(start_window: Starter) -> None:
-    window = start_window(RIG, DIFFUSE, speed=200.0, longest_s=LONGEST_RUN_S)
+    window = start_window(RIG, DIFFUSE, speed=60.0, longest_s=LONGEST_RUN_S)
     paints = window.after_row(ROWS)
     print(f"\n{ROWS} rows, the plot was painted {paints} times")
-    assert paints > ROWS / 10
+    assert paints > FATAL_PAINTS
     window.process.send_signal(signal.SIGTERM)
     assert campaign_of(check_stopped(window)).rows >= ROWS
