@@ -14,6 +14,8 @@ from mocks.served import ServedRig
 from protocols.clock import RealClock
 from tests.conftest import Writer
 
+pytestmark = pytest.mark.endpoint
+
 
 @pytest.fixture
 def served(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[OpenRig, Control]]:

@@ -19,6 +19,7 @@ from tests.conftest import RigOpener
 from twin import VirtualRig
 from twin.devices.cornerstone260 import IDENTITY
 
+pytestmark = pytest.mark.endpoint
 WALL = RealClock()
 ASK = Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4).encode()
 

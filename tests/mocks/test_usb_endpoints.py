@@ -20,6 +20,7 @@ from protocols.clock import RealClock
 from tests.conftest import Writer
 from twin import VirtualRig
 
+pytestmark = pytest.mark.endpoint
 HOST = "127.0.0.1"
 
 
