@@ -206,7 +206,7 @@ def _models(given: list[str]) -> dict[str, str]:
 def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
     """Raises UserError for files that could not be written when the rehearsal is over."""
     from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.whole_file import refuse_unwritable
+    from goniotwin.app.formats.file import refuse_unwritable
 
     if out is not None and out.exists():
         raise UserError(f"--out {out}: is there already, and no journal is ever overwritten; choose another name")

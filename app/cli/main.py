@@ -131,7 +131,7 @@ def copy_examples(
 ) -> None:
     """Copy the example rigs and schedules into a folder. A file that exists there is never overwritten."""
     from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.whole_file import write_whole
+    from goniotwin.app.formats.file import write_whole
 
     sources = sorted(examples.FOLDER.glob("*/*.toml"))
     copies = {source: folder / source.relative_to(examples.FOLDER) for source in sources}

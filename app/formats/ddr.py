@@ -15,10 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.file import FormatError, StrPath, shown
 from goniotwin.app.formats.numerals import NUMBER, angle_row, ascending, digits, finite, row
-from goniotwin.app.formats.text_file import comment_lines, marked, write_text
-from goniotwin.app.formats.text_words import Words
+from goniotwin.app.formats.text import Words, comment_lines, marked, write_text
 from goniotwin.arrays import Floats
 
 SOURCES = ("Measured", "Generated", "Edited", "Morphed")

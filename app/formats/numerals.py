@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.file import FormatError, StrPath, shown
 from goniotwin.arrays import Floats
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")

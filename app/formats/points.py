@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.file import FormatError, StrPath, shown
 from goniotwin.app.formats.numerals import NUMBER, NotANumber, digits, parse_number
-from goniotwin.app.formats.text_file import CONTROL, comment_lines, marked, read_text, write_text
+from goniotwin.app.formats.text import CONTROL, comment_lines, marked, read_text, write_text
 
 TO_QUOTE = re.compile(r'[,"\r\n]')
 

@@ -12,8 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.whole_file import read_whole, write_whole
+from goniotwin.app.formats.file import FormatError, StrPath, read_whole, shown, write_whole
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.rayset import Rayset
 

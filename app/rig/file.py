@@ -3,13 +3,24 @@
 How high an etalon's radiance factor can be: what is higher was written in percent.
 """
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from goniotwin.app.rig.filters import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
-from goniotwin.app.rig.twin_file import TwinTable
+from goniotwin.app.rig.twin_file import FilterPosition, Polar, Share, TwinTable, refuse_positions_taken_twice
 from goniotwin.app.toml_file import Table
+from goniotwin.drivers import (
+    ArcClearance,
+    AxisSettings,
+    FilterWheel,
+    Homing,
+    MonitorSettings,
+    MonochromatorSettings,
+    OrderFilter,
+    PhotodiodeSettings,
+)
 from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument
 
@@ -30,8 +41,7 @@ def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
 
 AXES = ("gamma", "sigma", "beta", "shift")
 Sense = Literal[1, -1]
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-Polar = Annotated[float, Field(ge=0.0, le=90.0)]
+TINY_NM = 1e-6
 
 
 class Simulated(Table):
@@ -147,6 +157,50 @@ class AxesTable(Table):
         return self
 
 
+class OrderFilterTable(Table):
+    """A position of the wheel and the band for which it is put in, the lower end included, the upper where no other begins.
+
+    `cut_on_nm` is from where on it lets light through; without it, as in a position that is empty, it is not taken to hold
+    anything back.
+    """
+
+    position: FilterPosition
+    name: Annotated[str, Field(min_length=1)]
+    from_nm: PositiveFloat
+    to_nm: PositiveFloat
+    cut_on_nm: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _lets_its_band_through(self) -> "OrderFilterTable":
+        if not self.from_nm < self.to_nm:
+            raise ValueError(f"from_nm {self.from_nm:g} is not below to_nm {self.to_nm:g}; exchange them")
+        if self.cut_on_nm is not None and self.cut_on_nm > self.from_nm:
+            raise ValueError(
+                f"cut_on_nm {self.cut_on_nm:g} is above from_nm {self.from_nm:g}, so it would hold back the very light that it "
+                "is put in for; let its band begin higher, or take another filter"
+            )
+        return self
+
+    def __str__(self) -> str:
+        return f"{self.name!r} ({self.from_nm:g} to {self.to_nm:g} nm)"
+
+
+def refuse_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_nm: float) -> None:
+    """Raises ValueError where bands overlap, or leave a gap between `lowest_nm` and `highest_nm`, naming the keys."""
+    ordered = sorted(filters, key=lambda each: each.from_nm)
+    for below, above in pairwise(ordered):
+        if above.from_nm < below.to_nm - TINY_NM:
+            raise ValueError(f"filters: the bands of {below} and {above} overlap; let one's to_nm be the other's from_nm")
+    ends = [(0.0, ordered[0].from_nm), *((a.to_nm, b.from_nm) for a, b in pairwise(ordered)), (ordered[-1].to_nm, float("inf"))]
+    for end, begin in ends:
+        missing = max(end, lowest_nm), min(begin, highest_nm)
+        if missing[1] - missing[0] > TINY_NM:
+            raise ValueError(
+                f"filters: from {missing[0]:g} to {missing[1]:g} nm there is none; widen a band with from_nm or to_nm, name "
+                "the empty position that belongs there, or narrow lowest_nm and highest_nm"
+            )
+
+
 class MonochromatorTable(Table):
     """The monochromator and its timing; `filter_s` is that of the filter wheel from a position to the next.
 
@@ -170,7 +224,7 @@ class MonochromatorTable(Table):
     @model_validator(mode="after")
     def _one_filter_at_every_wavelength(self) -> "MonochromatorTable":
         if self.filters:
-            refuse_positions_taken_twice(self.filters)
+            refuse_positions_taken_twice([each.position for each in self.filters])
             refuse_bands(self.filters, self.lowest_nm, self.highest_nm)
         return self
 
@@ -314,3 +368,64 @@ class RigFile(Table):
         if len(names) > 1:
             raise ValueError(f"its twin:// addresses name several virtual rigs: {', '.join(sorted(names))}; name one")
         return self
+
+
+def axis_settings(file: RigFile) -> dict[str, AxisSettings]:
+    """By axis."""
+    return {name: _axis(name, getattr(file.axes, name)) for name in AXES}
+
+
+def monochromator_settings(file: RigFile) -> MonochromatorSettings:
+    """Of the monochromator."""
+    table = file.monochromator
+    return MonochromatorSettings(**table.model_dump(exclude={"kind", "port", "filters"}), wheel=filter_wheel(table.filters))
+
+
+def photodiode_settings(file: RigFile) -> PhotodiodeSettings:
+    """Of the photodiodes and their modules."""
+    table = file.photodiodes
+    values = table.model_dump(exclude={"units", "upper_deg", "lower_deg", "gains_v_per_a"})
+    if adam.MODELS[table.kind].serial and "exchange_s" not in table.model_fields_set:
+        values["exchange_s"] = adam.RTU_EXCHANGE_S
+    return PhotodiodeSettings(
+        upper_deg=tuple(table.upper_deg),
+        lower_deg=tuple(table.lower_deg),
+        gains_v_per_a=tuple(table.gains_v_per_a),
+        **values,
+    )
+
+
+def monitor_settings(file: RigFile) -> MonitorSettings:
+    """Of the monitor."""
+    return MonitorSettings(**file.monitor.model_dump(exclude={"kind", "usb"}))
+
+
+def believed_instrument(file: RigFile) -> Instrument:
+    """The instrument as the operator believes it to be: for the directions that the mirror unit hides."""
+    return file.geometry.instrument()
+
+
+def arc_clearance(file: RigFile) -> ArcClearance:
+    """What the arc must keep clear of."""
+    return ArcClearance(top_polar_deg=max(*file.photodiodes.upper_deg, *file.photodiodes.lower_deg, 0.0))
+
+
+def _axis(name: str, table: AxisTable) -> AxisSettings:
+    homing = table.homing
+    return AxisSettings(
+        name=name,
+        speed=table.speed_deg_s,
+        acceleration=table.acceleration_deg_s2,
+        microstep_exponent=table.microsteps.bit_length() - 1,
+        stall_speed=table.stall_speed_deg_s,
+        homing=None
+        if homing is None
+        else Homing(homing.mode, homing.speed_deg_s, homing.switch_speed_deg_s, homing.angle_deg, homing.longest_s),
+        **table.model_dump(exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps", "stall_speed_deg_s", "homing"}),
+    )
+
+
+def filter_wheel(filters: Sequence[OrderFilterTable]) -> FilterWheel:
+    """For the driver."""
+    ordered = sorted(filters, key=lambda each: each.from_nm)
+    return FilterWheel(tuple(OrderFilter(each.position, each.name, each.from_nm, each.cut_on_nm) for each in ordered))

@@ -10,16 +10,16 @@ import usb.core
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import USBIP_PORT, ModbusUnits, host_and_port, is_port
-from goniotwin.app.rig.file import RigFile
-from goniotwin.app.rig.lock import RigLock
-from goniotwin.app.rig.model_hash import model_hashes
-from goniotwin.app.rig.settings import (
+from goniotwin.app.rig.file import (
+    RigFile,
     arc_clearance,
     axis_settings,
     monitor_settings,
     monochromator_settings,
     photodiode_settings,
 )
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.app.toml_file import checked, parse_toml, read_toml
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript

@@ -5,13 +5,12 @@ Nothing here is taken from the operator's part of the file: a wrong sign there h
 `[twin.optics]`, `[twin.sensor]`, `[twin.deviations]`: the virtual rig's optics, how they stand, how they are computed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from goniotwin.app.rig.filters import WheelFilterTable, refuse_positions_taken_twice
 from goniotwin.app.rig.samples import SampleTable, scatterer
 from goniotwin.app.toml_file import Table
 from goniotwin.twin.optics import Deviation, Instrument, RealSensor, SampleFrames
@@ -26,7 +25,13 @@ from goniotwin.twin.plant import (
     OrderSorting,
     Photodiodes,
     TwinModel,
+    WheelFilter,
 )
+
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Polar = Annotated[float, Field(ge=0.0, le=90.0)]
+FilterPosition = Annotated[int, Field(ge=1, le=6)]
 
 
 class OpticsTable(Table):
@@ -131,11 +136,6 @@ def built(optics: OpticsTable, deviations: Mapping[str, DeviationTable], unit: S
     return Instrument(**dimensions, deviations=standing, sensor=sensor)
 
 
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Polar = Annotated[float, Field(ge=0.0, le=90.0)]
-
-
 class MechanicsTable(Table):
     """An axis as it is."""
 
@@ -233,6 +233,25 @@ class DriveTable(Table):
     second_order: Share = 0.0
 
 
+class WheelFilterTable(Table):
+    """A filter in the virtual rig's wheel: see `twin.plant.WheelFilter`. A position without one is open."""
+
+    position: FilterPosition
+    cut_on_nm: PositiveFloat
+    transmittance: Annotated[float, Field(gt=0.0, le=1.0)] = WheelFilter.transmittance
+
+    def filter(self) -> WheelFilter:
+        """For the model."""
+        return WheelFilter(**self.model_dump())
+
+
+def refuse_positions_taken_twice(positions: Sequence[int]) -> None:
+    """Raises ValueError, naming the position."""
+    for position in positions:
+        if (count := positions.count(position)) > 1:
+            raise ValueError(f"filters: position {position} is given {count} times; there is one filter in each, so leave one")
+
+
 class TwinTable(Table):
     """The virtual rig. `noise` off silences every random process and leaves the quantisation."""
 
@@ -257,7 +276,7 @@ class TwinTable(Table):
 
     @model_validator(mode="after")
     def _filters_have_their_places(self) -> "TwinTable":
-        refuse_positions_taken_twice(self.filters)
+        refuse_positions_taken_twice([each.position for each in self.filters])
         for each in self.filters:
             if each.position > self.monochromator.filters:
                 raise ValueError(

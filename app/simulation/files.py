@@ -3,15 +3,18 @@
 What a reader has to know about a simulation's numbers, in words.
 """
 
+import io
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
+from goniotwin.app.formats.file import write_whole
 from goniotwin.app.simulation.simulate import Simulation, Task, acting, refracted_axes
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import to_specular
@@ -284,3 +287,13 @@ def _block(found: Simulation, k: int, row: int) -> dict[str, npt.NDArray[Any]]:
         "standard_error": at.ratio.standard_error[row],
         "flags": np.where(at.hidden, "hidden", np.where(at.unmet, "no-hits", "")),
     }
+
+
+def save(figure: Figure, path: Path, dots_an_inch: int | None = None) -> None:
+    """With the figure's own resolution unless told. Raises UserError where no file can be written."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi="figure" if dots_an_inch is None else dots_an_inch)
+    try:
+        write_whole(path, content.getvalue())
+    except FormatError as error:
+        raise UserError(str(error)) from None

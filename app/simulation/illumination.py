@@ -18,7 +18,7 @@ from matplotlib.patches import Rectangle
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
-from goniotwin.app.simulation.picture import save
+from goniotwin.app.simulation.files import save
 from goniotwin.twin.optics import (
     Illumination,
     IlluminationFigure,

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
-from goniotwin.app.simulation.picture import save
+from goniotwin.app.simulation.files import save
 from goniotwin.twin.optics import Instrument, ShadowMap, shadow_map
 
 SUFFIXES = (".csv", ".png")

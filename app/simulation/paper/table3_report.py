@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.table import Table
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.simulation.files import save
 from goniotwin.app.simulation.paper.explanation import PAPER, SIGMAS_DEG, WIDTHS_DEG, Closest, exponents, range_in_words
 from goniotwin.app.simulation.paper.gaussian_cut import STEP_DEG, cuts, theory
 from goniotwin.app.simulation.paper.table3 import POINT_MM, Table3
 from goniotwin.app.simulation.paper.worst_corner import SHIFT_MM, TILT_DEG, deviating
-from goniotwin.app.simulation.picture import save
 from goniotwin.arrays import Floats
 
 
