@@ -15,7 +15,7 @@ from goniotwin.app.campaign.running.operator import BackDoor, Operator, Person, 
 from goniotwin.app.campaign.running.resume import rest_of
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
-from goniotwin.app.rig.lock import Held, RigLock
+from goniotwin.app.rig.lock import RigInUse, RigLock
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -92,8 +92,8 @@ def _alone(journal_path: Path, plan: Plan, *, file: bool = False) -> Iterator[No
         place = f"/goniotwin-journal/{about.st_dev}/{about.st_ino}"
     try:
         lock = RigLock([place], f"{plan.schedule.file.name} ({journal_path})")
-    except Held as held:
-        raise Held(str(journal_path), held.holder) from None
+    except RigInUse as held:
+        raise RigInUse(str(journal_path), held.holder) from None
     try:
         yield
     finally:
@@ -114,7 +114,7 @@ def _carried_out(
     engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
     state = engine.run()
     (rows, of), skipped = journal.counted(), len(journal.skipped())
-    trouble = opened.transcript_trouble
+    trouble = opened.transcript_error
     faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
     return Outcome(state, engine.ended_by_schedule, rows, skipped, of, journal.seconds, faults, plan.rig.simulated)
 

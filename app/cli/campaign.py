@@ -206,7 +206,7 @@ def _models(given: list[str]) -> dict[str, str]:
 def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
     """Raises UserError for files that could not be written when the rehearsal is over."""
     from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.file import refuse_unwritable
+    from goniotwin.app.formats.file import check_writable
 
     if out is not None and out.exists():
         raise UserError(f"--out {out}: is there already, and no journal is ever overwritten; choose another name")
@@ -215,7 +215,7 @@ def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
     for option, path in (("--points", points), ("--out", out)):
         if path is not None:
             try:
-                refuse_unwritable(path)
+                check_writable(path)
             except FormatError as error:
                 raise UserError(f"{option} {error}") from None
 

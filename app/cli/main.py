@@ -131,7 +131,7 @@ def copy_examples(
 ) -> None:
     """Copy the example rigs and schedules into a folder. A file that exists there is never overwritten."""
     from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.file import write_whole
+    from goniotwin.app.formats.file import write_file
 
     sources = sorted(examples.FOLDER.glob("*/*.toml"))
     copies = {source: folder / source.relative_to(examples.FOLDER) for source in sources}
@@ -141,7 +141,7 @@ def copy_examples(
     try:
         for source, copy in copies.items():
             copy.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(copy, source.read_bytes())
+            write_file(copy, source.read_bytes())
     except (OSError, FormatError) as error:
         raise UserError(f"{folder}: cannot be written: {error}; choose another folder") from None
     copied = list(copies.values())

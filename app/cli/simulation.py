@@ -80,15 +80,21 @@ def illumination(
 
     from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.formats import FormatError, write_rayset
-    from goniotwin.app.simulation.illumination import check_names, estimate_in_words, illuminated, summary, write_illumination
-    from goniotwin.app.simulation.source import unit_for
+    from goniotwin.app.simulation.illumination import (
+        check_file_names,
+        format_estimate,
+        simulate_illumination,
+        summary,
+        write_illumination,
+    )
+    from goniotwin.app.simulation.source import illumination_unit
 
-    check_names(out, rayset)
+    check_file_names(out, rayset)
     instrument, _ = instrument_and_frames(rig)
-    unit = unit_for(instrument, wavelength, interval, bandwidth)
+    unit = illumination_unit(instrument, wavelength, interval, bandwidth)
     wanted = None if rayset is None else (RAYSET_RAYS if rays is None else rays)
     with ShareProgress(Console(stderr=True), "illumination") as progress:
-        found = illuminated(unit, error, seed, wanted, progress)
+        found = simulate_illumination(unit, error, seed, wanted, progress)
     write_illumination(found, out)
     if rayset is not None and found.rayset is not None:
         try:
@@ -100,7 +106,7 @@ def illumination(
         print(json.dumps(result, indent=2, allow_nan=False))
         return
     side = f"{unit.field_side_mm:g} x {unit.field_side_mm:g} mm"
-    told = ", ".join(estimate_in_words(*each) for each in (("forward", found.forward), ("adjoint", found.adjoint)))
+    told = ", ".join(format_estimate(*each) for each in (("forward", found.forward), ("adjoint", found.adjoint)))
     print(f"SIMULATED, the illumination of the sample: {out}")
     print(f"flux into {side}: {told}; they differ by {abs(found.difference_over_error):.1f} standard errors")
     width, width_error = found.adjoint.full_width_deg
@@ -207,26 +213,26 @@ def simulate(
 
     from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.rig.samples import parse_sample, table_files
-    from goniotwin.app.simulation.detectors import numbers
-    from goniotwin.app.simulation.estimate import Effort
-    from goniotwin.app.simulation.files import check_names, summary, write
+    from goniotwin.app.simulation.detectors import parse_list
+    from goniotwin.app.simulation.estimate import EstimatorSettings
+    from goniotwin.app.simulation.files import check_file_names, summary, write_simulation
     from goniotwin.app.simulation.simulate import Task
     from goniotwin.app.simulation.simulate import simulate as simulated
 
     def given(text: str | None, name: str, low: float, high: float) -> Any:
-        return None if text is None else numbers(text, name, low, high)
+        return None if text is None else parse_list(text, name, low, high)
 
     instrument, frames = instrument_and_frames(rig, no_obstruction)
     wavelengths = given(wavelength, "--wavelength", 200.0, 2500.0)
     read = table_files(sample) + ([] if source is None else [source])
     task = Task(
         sample=parse_sample(sample),
-        sigma_deg=numbers(sigma, "--sigma", 0.0, SIGMA_END_DEG),
+        sigma_deg=parse_list(sigma, "--sigma", 0.0, SIGMA_END_DEG),
         instrument=instrument,
-        effort=Effort(estimator, rays, paths, error, seed),
+        estimator=EstimatorSettings(estimator, rays, paths, error, seed),
         wavelengths_nm=wavelengths,
         back=side == "back",
-        transmitted=check_names(out, read, transmitted),
+        transmitted=check_file_names(out, read, transmitted),
         stray=with_stray,
         frames=frames,
         source=_source(source, wavelengths, interval, bandwidth, instrument),
@@ -238,7 +244,7 @@ def simulate(
     with ShareProgress(Console(stderr=True), "simulating") as progress:
         found = simulated(task, progress)
     for path in out:
-        write(found, path)
+        write_simulation(found, path)
     result = summary(found, out)
     if as_json:
         print(json.dumps(result, indent=2, allow_nan=False))
@@ -269,7 +275,7 @@ def _tell(result: dict[str, Any]) -> None:
 
 def _source(path: Path | None, wavelengths: Any, interval: float | None, bandwidth: float | None, instrument: Any) -> Any:
     """The rayset that is to be the source, if any. Raises UserError."""
-    from goniotwin.app.simulation.source import read_source, unit_for
+    from goniotwin.app.simulation.source import illumination_unit, read_source
 
     if path is None:
         given = [name for name, value in (("--interval", interval), ("--bandwidth", bandwidth)) if value is not None]
@@ -278,7 +284,7 @@ def _source(path: Path | None, wavelengths: Any, interval: float | None, bandwid
         return None
     if wavelengths is not None and wavelengths.size != 1:
         raise UserError(f"--source: a rayset is of one wavelength, --wavelength has {wavelengths.size}; give that one")
-    unit = unit_for(
+    unit = illumination_unit(
         instrument,
         WAVELENGTH_NM if wavelengths is None else float(wavelengths[0]),
         INTERVAL_NM if interval is None else interval,
@@ -303,7 +309,7 @@ def table3(
     from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.simulation.paper.table3 import STEPS
     from goniotwin.app.simulation.paper.table3 import table3 as computed
-    from goniotwin.app.simulation.paper.table3_report import as_dict, figures, show
+    from goniotwin.app.simulation.paper.table3_report import as_dict, print_table3, write_figures
 
     done = 0
 
@@ -315,11 +321,11 @@ def table3(
     with ShareProgress(Console(stderr=True), "table 3") as progress:
         found = computed(step)
         progress(1.0, "done")
-    files = {name: str(path) for name, path in figures(found, out).items()} if out is not None else {}
+    files = {name: str(path) for name, path in write_figures(found, out).items()} if out is not None else {}
     if as_json:
         print(json.dumps({**as_dict(found), "files": files}, indent=2, allow_nan=False))
         return
-    show(Console(highlight=False), found)
+    print_table3(Console(highlight=False), found)
     for name, path in files.items():
         print(f"{name}: {path}")
 
@@ -335,10 +341,10 @@ def shadow(
     as_json: Json = False,
 ) -> None:
     """Which directions the mirror unit hides from the photodiodes, on both arcs."""
-    from goniotwin.app.simulation.detectors import numbers
-    from goniotwin.app.simulation.shadow import shadows, write_shadows
+    from goniotwin.app.simulation.detectors import parse_list
+    from goniotwin.app.simulation.shadow import shadow_maps, write_shadows
 
-    maps = shadows(instrument_and_frames(rig)[0], [float(each) for each in numbers(sigma, "--sigma", 0.0, 180.0)], step)
+    maps = shadow_maps(instrument_and_frames(rig)[0], [float(each) for each in parse_list(sigma, "--sigma", 0.0, 180.0)], step)
     write_shadows(maps, out)
     hidden = {
         f"{each.sigma_deg:g} {'lower' if each.lower else 'upper'}": int((each.visible[:, :-1] < 1.0).sum()) for each in maps

@@ -30,12 +30,12 @@ class FormatError(ValueError):
         return "".join(letter if letter.isprintable() else "?" for letter in message)
 
 
-def shown(word: str) -> str:
+def quote_word(word: str) -> str:
     """A word of a file as a message quotes it: short, and with nothing that a terminal would obey."""
     return ascii(word if len(word) <= LONGEST_WORD else word[:LONGEST_WORD] + "...")
 
 
-def read_whole(path: StrPath) -> bytes:
+def read_file(path: StrPath) -> bytes:
     """The bytes of a file. Raises FormatError if it is absent, not a regular file, or unreadable."""
     try:
         file = Path(path)
@@ -48,7 +48,7 @@ def read_whole(path: StrPath) -> bytes:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
 
 
-def refuse_unwritable(path: StrPath) -> None:
+def check_writable(path: StrPath) -> None:
     """Raises FormatError where `write_whole` certainly could not write, so that nobody works for hours to find out."""
     try:
         file = Path(os.path.realpath(path))
@@ -67,7 +67,7 @@ def refuse_unwritable(path: StrPath) -> None:
         raise FormatError(path, "is not a possible file name", "check the name") from error
 
 
-def write_whole(path: StrPath, content: bytes | Iterable[bytes]) -> None:
+def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
     """Write a file as a whole: under another name in the same folder, onto the disk, then renamed to `path`. A large content
     may come in parts; what is raised while they are made is passed on, and leaves no file.
 

@@ -5,8 +5,8 @@ from goniotwin.app.rig.file import (
     RigFile,
     arc_clearance,
     axis_settings,
-    believed_instrument,
     monochromator_settings,
+    nominal_instrument,
     photodiode_settings,
 )
 from goniotwin.app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
@@ -18,8 +18,8 @@ __all__ = [
     "RigFile",
     "arc_clearance",
     "axis_settings",
-    "believed_instrument",
     "monochromator_settings",
+    "nominal_instrument",
     "open_rig",
     "parse_rig",
     "photodiode_settings",

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from goniotwin.app.rig.twin_file import FilterPosition, Polar, Share, TwinTable, refuse_positions_taken_twice
-from goniotwin.app.toml_file import Table
+from goniotwin.app.rig.twin_file import FilterPosition, Fraction, PolarAngle, TwinTable, refuse_repeated_positions
+from goniotwin.app.toml_file import TomlTable
 from goniotwin.drivers import (
     ArcClearance,
     AxisSettings,
@@ -24,14 +24,14 @@ from goniotwin.drivers import (
 from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument
 
-MOST, MOST_NEAR_GRAZING = 1.5, 5.0
+HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
 """What is white in every direction has 1, in a broad lobe somewhat more, and only one near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
 
 
 def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
     """Raises ValueError for a radiance factor that no diffuser has."""
-    most = MOST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else MOST
+    most = HIGHEST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else HIGHEST_RADIANCE_FACTOR
     if radiance_factor > most:
         raise ValueError(
             f"a radiance factor of {radiance_factor:g} is above {most:g}, and no diffuser's is (1 is the ideal one); "
@@ -44,7 +44,7 @@ Sense = Literal[1, -1]
 TINY_NM = 1e-6
 
 
-class Simulated(Table):
+class SimulatedTable(TomlTable):
     """That nothing here is real: the seed of the virtual rig.
 
     Where another process serves it, so that the file has no [twin]: its model's hash (`old_model`: in its first version, which
@@ -58,7 +58,7 @@ class Simulated(Table):
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 
-class HomingTable(Table):
+class HomingTable(TomlTable):
     """A reference search: its mode as Trinamic counts them (1 to 8, and 64 or 128 more), and the angle of the reference.
 
     Without `angle_deg` the reference is where the axis' microsteps are 0.
@@ -78,7 +78,7 @@ class HomingTable(Table):
         return mode
 
 
-class AxisTable(Table):
+class AxisTable(TomlTable):
     """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
 
     Against backlash every move arrives from one side, which its zero is for. `switches` has the limit switches stop the
@@ -133,7 +133,7 @@ class AxisTable(Table):
         return self
 
 
-class AxesTable(Table):
+class AxesTable(TomlTable):
     """The motion controller and its axes."""
 
     kind: Literal["tmcl"]
@@ -157,7 +157,7 @@ class AxesTable(Table):
         return self
 
 
-class OrderFilterTable(Table):
+class OrderFilterTable(TomlTable):
     """A position of the wheel and the band for which it is put in, the lower end included, the upper where no other begins.
 
     `cut_on_nm` is from where on it lets light through; without it, as in a position that is empty, it is not taken to hold
@@ -185,7 +185,7 @@ class OrderFilterTable(Table):
         return f"{self.name!r} ({self.from_nm:g} to {self.to_nm:g} nm)"
 
 
-def refuse_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_nm: float) -> None:
+def check_filter_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_nm: float) -> None:
     """Raises ValueError where bands overlap, or leave a gap between `lowest_nm` and `highest_nm`, naming the keys."""
     ordered = sorted(filters, key=lambda each: each.from_nm)
     for below, above in pairwise(ordered):
@@ -201,7 +201,7 @@ def refuse_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_
             )
 
 
-class MonochromatorTable(Table):
+class MonochromatorTable(TomlTable):
     """The monochromator and its timing; `filter_s` is that of the filter wheel from a position to the next.
 
     With `filters` the wheel is turned with the wavelength; without any nothing turns it.
@@ -224,12 +224,12 @@ class MonochromatorTable(Table):
     @model_validator(mode="after")
     def _one_filter_at_every_wavelength(self) -> "MonochromatorTable":
         if self.filters:
-            refuse_positions_taken_twice([each.position for each in self.filters])
-            refuse_bands(self.filters, self.lowest_nm, self.highest_nm)
+            refuse_repeated_positions([each.position for each in self.filters])
+            check_filter_bands(self.filters, self.lowest_nm, self.highest_nm)
         return self
 
 
-class PhotodiodesTable(Table):
+class PhotodiodesTable(TomlTable):
     """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs.
 
     An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is how long one question takes.
@@ -237,10 +237,10 @@ class PhotodiodesTable(Table):
 
     kind: Literal["adam-6017", "adam-4117"]
     units: Annotated[list[str], Field(min_length=1)]
-    upper_deg: Annotated[list[Polar], Field(min_length=1)]
-    lower_deg: list[Polar]
+    upper_deg: Annotated[list[PolarAngle], Field(min_length=1)]
+    lower_deg: list[PolarAngle]
     gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)]
-    gain_uncertainty: Share = 1.0e-3
+    gain_uncertainty: Fraction = 1.0e-3
     range_code: int = adam.PLUS_MINUS_10_V
     conversions_per_s: PositiveFloat = 100.0
     settling_s: Annotated[float, Field(gt=0.0, le=600.0)] = 0.25
@@ -277,7 +277,7 @@ class PhotodiodesTable(Table):
         return self
 
 
-class MonitorTable(Table):
+class MonitorTable(TomlTable):
     """The monitor photodiode's instrument."""
 
     kind: Literal["pm100d"]
@@ -286,10 +286,10 @@ class MonitorTable(Table):
     wavelength_nm: PositiveFloat = 550.0
     range_a: PositiveFloat = 500e-9
     samples_per_s: PositiveFloat = 3000.0
-    relative_uncertainty: Share = 3.0e-4
+    relative_uncertainty: Fraction = 3.0e-4
 
 
-class GeometryTable(Table):
+class GeometryTable(TomlTable):
     """The geometry that decides which directions the mirror unit hides, and which a value is a mean of.
 
     `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm` of the exit
@@ -316,20 +316,20 @@ class GeometryTable(Table):
         return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
 
 
-class SampleUnitTable(Table):
+class SampleUnitTable(TomlTable):
     """What holds the sample. `signature_uncertainty` is the share (standard uncertainty) by which the instrument's own light is
     otherwise with a sample in its place than without: the sample hides some of it, and sends its own light to the frames. The
     default is that of frames 0.5 mm off the sample (2 mm: 0.5); of frames that lie on it 0.01 is more than enough.
     """
 
-    signature_uncertainty: Share = 0.3
+    signature_uncertainty: Fraction = 0.3
 
 
-class EtalonTable(Table):
+class EtalonTable(TomlTable):
     """The etalon's certificate: its radiance factor (1 is the ideal diffuser), with its relative standard uncertainty."""
 
     radiance_factor: PositiveFloat = 1.0
-    relative_uncertainty: Share = 0.0
+    relative_uncertainty: Fraction = 0.0
 
     @field_validator("radiance_factor")
     @classmethod
@@ -338,11 +338,11 @@ class EtalonTable(Table):
         return factor
 
 
-class RigFile(Table):
+class RigFile(TomlTable):
     """The whole file."""
 
     name: str
-    simulated: Simulated | None = None
+    simulated: SimulatedTable | None = None
     axes: AxesTable
     monochromator: MonochromatorTable
     photodiodes: PhotodiodesTable
@@ -400,7 +400,7 @@ def monitor_settings(file: RigFile) -> MonitorSettings:
     return MonitorSettings(**file.monitor.model_dump(exclude={"kind", "usb"}))
 
 
-def believed_instrument(file: RigFile) -> Instrument:
+def nominal_instrument(file: RigFile) -> Instrument:
     """The instrument as the operator believes it to be: for the directions that the mirror unit hides."""
     return file.geometry.instrument()
 

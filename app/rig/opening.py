@@ -21,7 +21,7 @@ from goniotwin.app.rig.file import (
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
-from goniotwin.app.toml_file import checked, parse_toml, read_toml
+from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
 from goniotwin.drivers.motion.tmcl import module as tmcl_driver
 from goniotwin.drivers.motion.tmcl.module import PortOpener
@@ -79,12 +79,12 @@ class RigDescription:
 def read_rig(path: Path) -> RigDescription:
     """A rig file. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
-    return RigDescription(text, checked(RigFile, content, str(path)), path.parent, str(path))
+    return RigDescription(text, validate_table(RigFile, content, str(path)), path.parent, str(path))
 
 
 def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
     """A rig file's text, such as a journal holds. Raises UserError."""
-    return RigDescription(text, checked(RigFile, parse_toml(text, name), name), folder, name)
+    return RigDescription(text, validate_table(RigFile, parse_toml(text, name), name), folder, name)
 
 
 @dataclass
@@ -117,7 +117,7 @@ class OpenRig:
             self._lock = None
 
     @property
-    def transcript_trouble(self) -> str | None:
+    def transcript_error(self) -> str | None:
         """Why transcripts are not written to their end; None where they are, or are not wanted."""
         return self._transcript.trouble if self._transcript is not None else None
 

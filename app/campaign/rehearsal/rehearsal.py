@@ -65,7 +65,7 @@ def prepared(schedule: ScheduleDescription, rig: RigDescription, samples: Mappin
         named = ", ".join((file.etalon, *file.samples))
         raise UserError(f"--sample {unknown[0]}: {schedule.name} has no such sample; it has {named}")
     described = described_twin(rig, file.etalon, file.samples, samples)
-    return make_plan(schedule, described.rig), described.assumed
+    return make_plan(schedule, described.rig), described.assumptions
 
 
 def rehearse(

@@ -18,7 +18,7 @@ from goniotwin.app.campaign.schedule.measuring import (
     WarmUpTable,
 )
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
-from goniotwin.app.toml_file import Table, checked, parse_toml, read_toml
+from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
 NESTED = ("gamma", "sigma", "beta", "shift", "wavelength")
@@ -40,7 +40,7 @@ WORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_p
 """What may stand in place of a list."""
 
 
-class ScheduleFile(Table):
+class ScheduleFile(TomlTable):
     """The whole file. Angles in degrees, wavelengths in nanometres, times in seconds."""
 
     name: Name
@@ -127,11 +127,11 @@ class ScheduleDescription:
 def read_schedule(path: Path) -> ScheduleDescription:
     """A schedule file. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
-    file = checked(ScheduleFile, content, str(path))
+    file = validate_table(ScheduleFile, content, str(path))
     certificate = None if file.certificate is None else read_certificate(path.parent, file.certificate)
     return ScheduleDescription(text, file, str(path), certificate)
 
 
 def parse_schedule(text: str, name: str) -> ScheduleDescription:
     """A schedule's text, such as a journal holds. Raises UserError."""
-    return ScheduleDescription(text, checked(ScheduleFile, parse_toml(text, name), name), name)
+    return ScheduleDescription(text, validate_table(ScheduleFile, parse_toml(text, name), name), name)

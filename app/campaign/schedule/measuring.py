@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from goniotwin.app.toml_file import Table
+from goniotwin.app.toml_file import TomlTable
 
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Policy = Literal["retry", "reconnect", "skip", "ask", "stop"]
 
 
-class AveragingTable(Table):
+class AveragingTable(TomlTable):
     """Each row is read on, at each of its gains, until every photodiode that has light knows it to `relative_uncertainty`
     (standard, of noise alone), or for `longest_s`. The schedule's `readings` are then the fewest.
     """
@@ -21,7 +21,7 @@ class AveragingTable(Table):
     longest_s: PositiveFloat = 10.0
 
 
-class WarmUpTable(Table):
+class WarmUpTable(TomlTable):
     """The campaign begins with a wait for the lamp, with open shutter: until the monitor changes by no more than
     `percent_per_10min`, or for `longest_s`.
     """
@@ -30,7 +30,7 @@ class WarmUpTable(Table):
     longest_s: PositiveFloat = 3600.0
 
 
-class DriftTable(Table):
+class DriftTable(TomlTable):
     """Every `every_s` the light at one pose is measured again. Where it, over the monitor's, is another than it was at first
     by more than `limit` (a share), the rows between the checks are flagged, or the run stops as well.
     """
@@ -45,7 +45,7 @@ class DriftTable(Table):
     on_excess: Literal["flag", "stop"] = "flag"
 
 
-class StopTable(Table):
+class StopTable(TomlTable):
     """What ends a run before its last row, in good order: it can be gone on with.
 
     `longest_s` is of the rig's time in one session; `skipped_rows` how many rows of a session may be skipped for faults;
@@ -57,7 +57,7 @@ class StopTable(Table):
     lamp_below: Share | None = None
 
 
-class FaultsTable(Table):
+class FaultsTable(TomlTable):
     """What is done where a device fails in a row, by the kind of fault; without this table the run stops safely.
 
     `wire`: no answer, or a wrong one. `reset`: a device has lost its settings. `refused`: it will not, or cannot. `axis`: it is
@@ -75,7 +75,7 @@ class FaultsTable(Table):
     then: Literal["skip", "ask", "stop"] = "stop"
 
 
-class CertificateTable(Table):
+class CertificateTable(TomlTable):
     """The etalon's certificate, in place of the rig file's `[etalon]`: a CSV `file` beside the schedule, which holds until
     the end of the day `expires`. `accept_expired_by` is the name of who answers for using it after that.
     """

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import ModbusUnits, place_of, rtu_address
+from goniotwin.app.rig.addresses import ModbusUnits, canonical_address, rtu_address
 from goniotwin.app.rig.lock import RigLock
 
 
@@ -56,7 +56,7 @@ def test_units_of_one_port_share_one_wire() -> None:
     ],
 )
 def test_one_place(one: str, other: str) -> None:
-    assert place_of(one) == place_of(other)
+    assert canonical_address(one) == canonical_address(other)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_one_place(one: str, other: str) -> None:
     ],
 )
 def test_two_places(one: str, other: str) -> None:
-    assert place_of(one) != place_of(other)
+    assert canonical_address(one) != canonical_address(other)
 
 
 def test_a_link_and_what_it_points_to_are_locked_together(tmp_path: Path) -> None:
