@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.campaign.journal.record import Committed, Reading, RowData
-from goniotwin.app.campaign.readout import clipped
+from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, RigFile
 from goniotwin.arrays import Flags, Floats, Ints
@@ -110,7 +110,7 @@ def signal(data: RowData, darks: dict[float, Darks], settings: PhotodiodeSetting
         monitor = reading.monitor_a - dark_monitor
         if not monitor > 0.0:
             raise UserError("the monitor saw no light in a row that was measured with the shutter open; is its fibre in?")
-        good = ~clipped(reading.counts)
+        good = ~saturation(reading.counts)
         better = good & (gain > np.where(kept >= 0, np.array(settings.gains_v_per_a)[kept], 0.0))
         ratio[better] = (current / monitor)[better]
         scatter = (noise + shot) / independent(reading) + noise / dark_readings

@@ -10,13 +10,15 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.record import Reading, RowData
 from goniotwin.app.campaign.readout import (
-    LEAST_READINGS,
+    MIN_AVERAGED_READINGS,
+    MONITOR_MEAN_S,
+    NOT_WARM,
     UNDER_RANGE,
-    WARM_UP_EVERY_S,
-    Gains,
+    WARM_UP_PERIOD_S,
+    GainSequence,
     WarmUpTrace,
-    clipped,
     readings_needed,
+    saturation,
     shows_light,
 )
 from goniotwin.app.campaign.row import NOTHING, Row
@@ -69,9 +71,6 @@ class Standstill:
         self.due = max(self._settled, self._clock.now()) if self._stands else self._clock.now() + BETWEEN_S
 
 
-NOT_WARM = "not warm"
-"""The flag of a warm-up that was ended by its time."""
-MONITORED_S = 1.0
 Note = Callable[[str, str], None]
 """Takes a kind and a text for the journal."""
 
@@ -200,12 +199,12 @@ class Performer:
 
     def _read(self, row: Row) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
         """All photodiodes at each gain that is needed, and the flags of the row."""
-        gains = Gains(row, self._rig.photodiodes.settings.count, self._gain)
+        gains = GainSequence(row, self._rig.photodiodes.settings.count, self._gain)
         taken = {}
         for gain in gains:
-            reading = self._averaged(row, gain, gains.waiting)
+            reading = self._averaged(row, gain, gains.saturated)
             taken[gain] = reading
-            gains.read(reading.counts)
+            gains.add(reading.counts)
         readings = tuple(taken[gain] for gain in sorted(taken))
         return readings, (*gains.flags, *self._under_range(row, readings))
 
@@ -220,12 +219,12 @@ class Performer:
         """At one gain: as many readings as the row says, or as its target needs."""
         if row.target is None:
             return self._reading(gain, row.readings)
-        reading = self._reading(gain, max(row.readings, LEAST_READINGS))
+        reading = self._reading(gain, max(row.readings, MIN_AVERAGED_READINGS))
         settings = self._rig.photodiodes.settings
         nothing = np.full(settings.count, -settings.range.low_v / settings.range.lsb_v)
         dark = self._darks.get(settings.gains_v_per_a[gain], nothing)
         most = max(row.readings, int(row.longest_s / settings.period_s))
-        while (needed := readings_needed(reading.counts, dark, wanted & ~clipped(reading.counts), row.target, most)) > len(
+        while (needed := readings_needed(reading.counts, dark, wanted & ~saturation(reading.counts), row.target, most)) > len(
             reading.counts
         ):
             reading = _joined(reading, self._reading(gain, needed - len(reading.counts)))
@@ -251,11 +250,11 @@ class Performer:
         begun = told = self._clock.now()
         trace = WarmUpTrace()
         while True:
-            mean = self._rig.monitor.start_mean(MONITORED_S)
+            mean = self._rig.monitor.start_mean(MONITOR_MEAN_S)
             self.wait(mean)
             now = self._clock.now()
             trace.add(now, mean.current_a)
-            steady, over = trace.steady(row.target), now - begun >= row.longest_s
+            steady, over = trace.is_steady(row.target), now - begun >= row.longest_s
             slope = trace.slope()
             if slope is not None and (steady or over or now - told >= 60.0):
                 told = now
@@ -263,7 +262,7 @@ class Performer:
                 self._note("warm-up", f"monitor {mean.current_a:.6g} A, {change:+.3f} % in 10 min (u {spread:.3f} %)")
             if steady or over:
                 return () if steady else (NOT_WARM,)
-            self.wait(Until(self._clock, now + WARM_UP_EVERY_S - MONITORED_S))
+            self.wait(Until(self._clock, now + WARM_UP_PERIOD_S - MONITOR_MEAN_S))
 
 
 def _joined(first: Reading, second: Reading) -> Reading:
