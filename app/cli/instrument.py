@@ -18,7 +18,7 @@ import usb.core
 from rich.console import Console
 from serial.tools import list_ports
 
-from goniotwin.app.campaign.campaign import clock_of
+from goniotwin.app.campaign.campaign import clock_for
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
 from goniotwin.app.rig.lock import RigLock
@@ -213,7 +213,7 @@ def _known(path: Path, name: str) -> None:
 def _connected(path: Path) -> Iterator[Rig]:
     """A rig of which the axes are connected, and nobody else has it."""
     description = read_rig(path)
-    with open_rig(description, clock_of(description.file)) as opened:
+    with open_rig(description, clock_for(description.file)) as opened:
         try:
             opened.rig.reconnect_axes()
         except DeviceError as error:

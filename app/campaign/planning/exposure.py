@@ -14,7 +14,7 @@ from goniotwin.app.campaign.planning.durations import Lots, Timing
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import Lattice
 from goniotwin.app.campaign.readout import MIN_AVERAGED_READINGS, GainSequence, readings_needed, saturation
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.rig import RigDescription, monochromator_settings, photodiode_settings
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.arrays import Counts, Flags, Floats, Ints
@@ -66,7 +66,7 @@ class Light:
     def lots(self, row: Row, point: Floats, number: int) -> Iterator[Lots]:
         """Gain by gain, how many readings are taken one lot after the other, of a row at a point (5,)."""
         gamma, sigma, beta, shift, wavelength = point.tolist()
-        sample = None if row.sample == NOTHING else row.sample
+        sample = None if row.sample == NO_SAMPLE else row.sample
         sorting = self._wheel.at(wavelength)
         aspect = Aspect(sample, 0.0, wavelength, sigma, gamma, beta, shift)
         signal = self._plant.steady_photocurrents_a(aspect, 1 if sorting is None else sorting.position)

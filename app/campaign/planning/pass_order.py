@@ -10,7 +10,7 @@ from goniotwin.app.campaign.planning.loop_order import moving_seconds, swept
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
 from goniotwin.app.campaign.planning.scan_grid import Lattice
 from goniotwin.app.campaign.planning.scan_order import Order
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
@@ -66,7 +66,7 @@ class Chain:
         ends: list[tuple[float, Floats]] = [(0.0, here)]
         came_from: list[list[int]] = []
         for each, opening, closing in zip(self._passes, self._opening, self._closing, strict=True):
-            check = None if each.sample == NOTHING else self._drift
+            check = None if each.sample == NO_SAMPLE else self._drift
             reached = []
             steps = []
             for way in ways[each.lattice]:

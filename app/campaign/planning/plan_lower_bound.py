@@ -10,7 +10,7 @@ from goniotwin.app.campaign.planning.lower_bound import least_moving_seconds
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH, Lattice
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 
 
 def least_seconds(plan: Plan) -> float:
@@ -35,7 +35,7 @@ def _mounted(plan: Plan, passes: list[Pass], moving: dict[Lattice, float], timin
     row = measuring.row(passes[0].sample)
     reading = timing.readings_range(row)[0] + timing.readback_s
     rows = sum(len(each.lattice) for each in passes)
-    if file.drift is not None and passes[0].sample != NOTHING:
+    if file.drift is not None and passes[0].sample != NO_SAMPLE:
         rows += 1 + fewest_stretches(rows, reading, file.drift.every_s)
     measured = rows * reading + sum(moving[each.lattice] for each in passes)
     stretches = fewest_stretches(rows, reading, file.dark_every_s)

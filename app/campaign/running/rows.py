@@ -21,9 +21,9 @@ from goniotwin.app.campaign.readout import (
     saturation,
     shows_light,
 )
-from goniotwin.app.campaign.row import NOTHING, Row
-from goniotwin.app.campaign.running.halt import Halt
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.campaign.running.stop_request import StopRequest
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers import AxisSettings, DeviceError, Pending, Rig, Until, wait
@@ -37,7 +37,7 @@ BETWEEN_S = 0.03
 LONGEST_S = 5.0
 
 
-class Standstill:
+class AxisSettling:
     """Done at `settled` where the encoders stand by then, as soon as they do else. One axis is asked a poll."""
 
     def __init__(self, clock: Clock, axes: Sequence[Axis], settled: float) -> None:
@@ -75,13 +75,13 @@ Note = Callable[[str, str], None]
 """Takes a kind and a text for the journal."""
 
 
-class Performer:
+class RowExecutor:
     """Carries rows out on a rig, and knows what it has told the devices, so that nothing is told twice.
 
     `between` is called before each question while it waits, `note` with what belongs into the journal beside the row.
     """
 
-    def __init__(self, rig: Rig, operator: Operator, halt: Halt, between: Callable[[], None], note: Note) -> None:
+    def __init__(self, rig: Rig, operator: Operator, halt: StopRequest, between: Callable[[], None], note: Note) -> None:
         self._rig = rig
         self._clock = rig.clock
         self._operator = operator
@@ -195,7 +195,7 @@ class Performer:
         self.wait(*moves)
         self.shutter(opened=True)
         if moved:
-            self.wait(Standstill(self._clock, moved, self._clock.now() + settling))
+            self.wait(AxisSettling(self._clock, moved, self._clock.now() + settling))
 
     def _read(self, row: Row) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
         """All photodiodes at each gain that is needed, and the flags of the row."""
@@ -210,7 +210,7 @@ class Performer:
 
     def _under_range(self, row: Row, readings: tuple[Reading, ...]) -> tuple[str, ...]:
         """Its flag, where the row should show light and does not. Without a dark nothing is said."""
-        if row.kind == "dark" or row.sample == NOTHING or not readings:
+        if row.kind == "dark" or row.sample == NO_SAMPLE or not readings:
             return ()
         dark = self._darks.get(readings[-1].gain_v_per_a)
         return () if dark is None or shows_light(readings[-1].counts, dark) else (UNDER_RANGE,)

@@ -13,7 +13,7 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
-from goniotwin.app.campaign.running.operator import BackDoor
+from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.desktop import MainWindow, run_desktop
 from goniotwin.app.desktop.model import rig_thread as rigthread
 from goniotwin.app.desktop.model.live_cut import Cut, LiveCut
@@ -297,7 +297,7 @@ class Helped:
 
     def __init__(self, opened: OpenRig, _rig: RigFile, ask: rigthread.Ask) -> None:
         assert opened.virtual is not None
-        self._door = BackDoor(opened.virtual)
+        self._door = VirtualOperator(opened.virtual)
         self._ask = ask
 
     def mount(self, sample: str) -> None:
