@@ -54,7 +54,8 @@ class SpectralWeights:
 class Scatterer:
     """A sample. Its value at a wavelength is the sum over the lobes of weight times lobe; without a spectrum all weigh 1.
 
-    Made by the functions of this file and of twin.optics.bsdf.analytic_samples, table_samples and point_samples. Raises ValueError for no lobes, or a spectrum of another number of them.
+    Made by the functions below and by those of twin.optics.bsdf.analytic_samples, table_samples and point_samples. Raises
+    ValueError for no lobes, or a spectrum of another number of them.
     """
 
     name: str
