@@ -122,9 +122,9 @@ def _carried_out(
 def refuse_lost_axes(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:
     """Raises UserError where it is in doubt where an axis of a connected rig is; with `homing`, only of one that cannot."""
     doubts = {
-        name: axis.doubt
+        name: axis.unreferenced_reason
         for name, axis in opened.rig.axes.items()
-        if axis.doubt and not (homing and axis.settings.homing is not None)
+        if axis.unreferenced_reason and not (homing and axis.settings.homing is not None)
     }
     if doubts:
         told = "; ".join(f"{name}: {doubt}" for name, doubt in doubts.items())

@@ -20,7 +20,7 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, axis_settings
 from goniotwin.drivers import LimitError
-from goniotwin.drivers.motion.axis import Axis, AxisSettings
+from goniotwin.drivers.motion import Axis, AxisSettings
 
 MOST_ROWS = 1_000_000
 

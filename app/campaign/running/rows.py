@@ -25,7 +25,7 @@ from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers import AxisSettings, DeviceError, Pending, Rig, Until, wait
-from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion import Axis
 from goniotwin.drivers.motion.settings import ENCODER_TOLERANCE_DEG
 from goniotwin.protocols.clock import Clock
 
