@@ -20,7 +20,7 @@ from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.wording import clock_time
 from goniotwin.app.rig import RigDescription, read_rig
-from tests.app.campaign.planner_bench import EXAMPLES, GREAT, HEAD, NAMED, RUN, checking, nested_like_the_paper
+from tests.app.campaign.planning.planner_bench import EXAMPLES, GREAT, HEAD, NAMED, RUN, checking, nested_like_the_paper
 
 
 def orders(rig: RigDescription) -> list[dict[str, Any]]:

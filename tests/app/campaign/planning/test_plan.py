@@ -16,7 +16,7 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import arc_direction, specular_direction
-from tests.app.campaign.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
+from tests.app.campaign.planning.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)
