@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
+PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest -n 2 --dist worksteal
 
 .PHONY: demo test test-long desktop clean
 
@@ -13,14 +14,16 @@ test: $(READY)
 	@QT_QPA_PLATFORM=offscreen $(BIN)/python -c "import PySide6.QtWidgets" 2>/dev/null || { \
 	  echo "The tests of the window need Qt's system libraries. On Debian and Ubuntu:"; \
 	  echo "  sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"; exit 1; }
-	$(BIN)/ruff check .
-	$(BIN)/mypy
-	PYTHONPATH=$(VENV)/links $(BIN)/lint-imports
-	QT_QPA_PLATFORM=offscreen $(BIN)/pytest -m "not long" -n 2 --dist loadfile
+	@echo "ruff, mypy and lint-imports on one core, numba's kernels compiled on the other"; \
+	$(BIN)/python -m tests.kernels forward >$(VENV)/kernels.log 2>&1 & kernels=$$!; \
+	{ $(BIN)/ruff check . && $(BIN)/ruff format --check --quiet . && $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports && $(BIN)/python -m tests.kernels fast; } \
+	  || { kill $$kernels; exit 1; }; \
+	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }
+	$(PYTEST) -m "not long"
 
-# The slow proofs; run before a change of what they prove is called done.
+# The slow proofs, in full; run before a change of what they prove is called done.
 test-long: $(READY)
-	QT_QPA_PLATFORM=offscreen $(BIN)/pytest -m long
+	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
 
 desktop: $(READY)
 	$(BIN)/goniotwin

@@ -1,9 +1,18 @@
-"""What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers."""
+"""What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers.
 
+Two workers share the tests (`make test`). Those marked `endpoint` open real pseudo-terminals and sockets and wait in real
+time, so that two of them at once would make each other late: they hold a lock from setup to teardown, and come first, so
+that one worker has them all while the other has everything else.
+
+Hypothesis takes its number of examples from a profile: few in `make test`, many in `make test-long`.
+"""
+
+import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from goniotwin import examples
@@ -30,6 +39,36 @@ gains_v_per_a = [1e8, 1e10]
 readings = 2
 dark_readings = 4
 """
+
+hypothesis.settings.register_profile("quick", max_examples=20, deadline=None)
+hypothesis.settings.register_profile("long", max_examples=200, deadline=None)
+hypothesis.settings.load_profile("quick")  # `pytest --hypothesis-profile=long` takes the other
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks whatever serves a rig as `endpoint`, and puts all those first."""
+    for item in items:
+        if "serve" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.endpoint)
+    items.sort(key=lambda item: item.get_closest_marker("endpoint") is None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Runs one test after the other where they are marked `endpoint`, whichever worker they are on."""
+    with contextlib.nullcontext() if item.get_closest_marker("endpoint") is None else alone():
+        return (yield)
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Holds the lock of this repository's tests. Windows has no such lock: run the tests on one worker there."""
+    with (REPOSITORY / "pyproject.toml").open(encoding="utf-8") as file:
+        if sys.platform != "win32":
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)  # until it is closed
+        yield
 
 
 def changed(text: str, changes: tuple[Change, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Plain technical English: the words that make prose hard to read for people in their second language are counted, none is left.
+"""Plain technical English: words that make prose hard to read in a second language are counted; none is left.
 
 `python tests/test_words.py [PATH ...]` lists the places.
 """

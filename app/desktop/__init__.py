@@ -4,34 +4,40 @@
 parts of `layout`; `window` passes on what the person wants.
 """
 
-import signal
 from pathlib import Path
 
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 
+from goniotwin.app.desktop.interrupt import interrupts
 from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.window import MainWindow
 
 __all__ = ["MainWindow", "Theme", "run_desktop"]
+
+STOPPED = 130
+"""Exit status after Ctrl-C, 128 + SIGINT as of a shell."""
 
 
 def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = None, speed: float = 1.0) -> int:
     """Opens the window on a rig and, where one is given, a schedule; returns the exit status when it is closed.
 
     Journals go into the folder `out`, without it into `goniotwin` in the person's own. `speed` is how much faster than
-    ours the time of a virtual rig passes. Files that will not do are named in the window. Ctrl-C in
-    the terminal stops a run and closes the window.
+    ours the time of a virtual rig passes. Files that will not do are named in the window.
+
+    Ctrl-C in the terminal, SIGTERM and SIGHUP stop a run in good order and close the window, without a question. The exit
+    status then is 130, as of the other commands.
     """
     application = QApplication.instance()
     if not isinstance(application, QApplication):
         application = QApplication(["goniotwin"])
     application.setApplicationName("goniotwin")
-    window = MainWindow(Theme(application), rig_path, schedule_path, out or Path.home() / "goniotwin", speed)
-    # Ctrl-C ends the window as it ends any other program; the collector's timer lets Python hear of it.
-    before = signal.signal(signal.SIGINT, lambda _number, _frame: application.quit())
-    try:
-        window.show()
-        return application.exec()
-    finally:
-        signal.signal(signal.SIGINT, before)
-        window.shut_down()
+    with interrupts() as (interrupt, requests):
+        window = MainWindow(Theme(application), rig_path, schedule_path, out or Path.home() / "goniotwin", speed)
+        interrupt.requested.connect(window.stop_and_close, Qt.ConnectionType.QueuedConnection)
+        try:
+            window.show()
+            status = application.exec()
+        finally:
+            window.shut_down()
+    return STOPPED if requests.came else status

@@ -124,6 +124,7 @@ class Session(QObject):
             case RunRefused(reason):
                 self.state = State.IDLE
                 self._parts.say(f"Not started: {reason}", bad=True)
+                self.ended.emit()
             case MountWanted(text):
                 self.mount_wanted.emit(text)
             case PlanMade() | PlanRefused():
@@ -166,12 +167,15 @@ class Session(QObject):
                 else:
                     self._parts.say("All devices answer.")
             case RigClosed(reason):
+                ended = self.busy
                 self._opening, self.rig, self.state = False, None, State.IDLE
                 self._parts.set_simulated(False, None)
                 self._parts.devices.set_devices({})
                 self._parts.axes.set_positions({})
                 self._live.begin(None, "")
                 self._parts.say(reason, bad=True)
+                if ended:
+                    self.ended.emit()
             case DeviceLost(device, reason) if self.rig is not None:
                 devices = {**self.rig.devices, device: DeviceStatus(False, reason)}
                 self.rig = RigOpened(self.rig.description, devices, self.rig.paced)

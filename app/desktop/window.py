@@ -157,6 +157,16 @@ class MainWindow(QMainWindow):
         self.shut_down()
         event.accept()
 
+    @Slot()
+    def stop_and_close(self) -> None:
+        """Stops a run in good order, then closes. Asks nothing: for a request to end from terminal or system."""
+        if not self.session.busy:
+            self.close()
+            return
+        if self.leaving is not None:
+            self.leaving.dismiss()
+        self._stop_and_close()
+
     def _keep_running(self) -> None:
         self.leaving = None
 

@@ -14,6 +14,8 @@ from goniotwin.mocks.served import ServedRig
 from goniotwin.protocols.clock import RealClock
 from tests.conftest import Writer
 
+pytestmark = pytest.mark.endpoint
+
 
 @pytest.fixture
 def served(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[OpenRig, Control]]:

@@ -106,6 +106,7 @@ def test_whatever_is_said_is_answered(door: BackDoor, line: bytes) -> None:
     assert json.dumps(answer)
 
 
+@pytest.mark.endpoint
 def test_a_line_without_end_is_answered_once_and_the_next_one_is_heard(door: BackDoor) -> None:
     server = ControlServer(door)
     server.start()

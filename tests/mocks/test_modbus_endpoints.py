@@ -22,6 +22,7 @@ from goniotwin.protocols.clock import RealClock
 from tests.conftest import RigOpener
 from tests.drivers.photodiode_bench import QUIET, SERIAL
 
+pytestmark = pytest.mark.endpoint
 SETTINGS = {"upper_deg": tuple(float(k) for k in range(36)), "lower_deg": (), "gains_v_per_a": (1e6, 1e8, 1e10, 1e11)}
 PUMPED = 4096
 

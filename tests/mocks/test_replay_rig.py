@@ -78,7 +78,7 @@ ANYTHING = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 @given(ANYTHING)
 def test_any_transcript_can_be_told_to_any_device(transcript: list[Passed]) -> None:
     assert MODEL is not None

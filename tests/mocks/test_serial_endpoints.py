@@ -19,6 +19,7 @@ from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.cornerstone260 import IDENTITY
 from tests.conftest import RigOpener
 
+pytestmark = pytest.mark.endpoint
 WALL = RealClock()
 ASK = Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4).encode()
 

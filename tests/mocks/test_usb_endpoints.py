@@ -20,6 +20,7 @@ from goniotwin.protocols.clock import RealClock
 from goniotwin.twin import VirtualRig
 from tests.conftest import Writer
 
+pytestmark = pytest.mark.endpoint
 HOST = "127.0.0.1"
 
 

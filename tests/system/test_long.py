@@ -8,7 +8,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, in_plane, theory
+from goniotwin.app.campaign.reduction.comparison import compare, theory
 from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
@@ -46,7 +46,7 @@ def test_the_uncertainty_fits_the_deviations_over_many_seeds(
         rig = write_rig(("seed = 1", f"seed = {seed}"), *black)
         reduced = measured(rig, schedule, tmp_path / f"{dark_readings}-{seed}.journal")
         points = reduced.samples["gaussian-5"]
-        good = points.where(points.good & in_plane(points) & (points.zenith_deg < 80.0))
+        good = points.where(points.good & points.in_plane & (points.zenith_deg < 80.0))
         z = (good.bsdf - theory(reduced.rig, "gaussian-5", good)) / good.u_bsdf
         squares.append(float(np.mean(z**2)))
     assert 0.8 < float(np.mean(squares)) < 1.2

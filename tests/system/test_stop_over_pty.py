@@ -15,7 +15,11 @@ from tests.conftest import Writer
 from tests.drivers.busy_rig import BusyRig, Stop
 from tests.drivers.test_stop_times import MOST_S, in_words
 
-pytestmark = [pytest.mark.long, pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.endpoint,
+    pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals"),
+]
 STOPS = {"nobody": 100, "the monochromator": 50, "mute axes": 50}
 WITHIN_S = 60.0
 Work = Callable[[], BusyRig]

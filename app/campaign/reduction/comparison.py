@@ -12,11 +12,9 @@ from goniotwin.app.campaign.reduction.reduction import BsdfPoints
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.samples import GaussianTable
-from goniotwin.arrays import Flags, Floats
+from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS, relative_rms_percent
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
-
-HIGHEST_ZENITH_DEG = 85.0
-WIDTHS = 2.0
 
 
 @dataclass(frozen=True)
@@ -30,14 +28,6 @@ class Comparison:
     relative_rms_percent: float
     count: int
     hidden_deg: tuple[float, ...]
-
-
-def relative_rms_percent(measured: Floats, theory: Floats) -> float:
-    """The paper's formula 5, of luminance factors (or of anything else: a ratio). NaN for no points."""
-    if not measured.size:
-        return math.nan
-    relative = (measured - theory) / (0.5 * (measured + theory))
-    return 100.0 * math.sqrt(float(np.mean(relative**2)))
 
 
 def theory(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
@@ -56,14 +46,14 @@ def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Compar
     if not isinstance(table, GaussianTable):
         raise UserError(f"{rig.name}: {sample!r} is not a Gaussian sample of a virtual rig, so formula 5 has no range")
     points = points.front
-    chosen = in_plane(points) & (points.theta_deg <= WIDTHS * table.width_deg + 1e-6)
+    chosen = points.in_plane & (points.theta_deg <= WIDTHS * table.width_deg + 1e-6)
     chosen &= points.zenith_deg <= HIGHEST_ZENITH_DEG + 1e-6
     found = []
     for sigma in np.unique(points.sigma_deg):
         here = points.where(chosen & (points.sigma_deg == sigma))
         seen = here.where(here.good)
         measured, expected = _once_each(seen, seen.luminance_factor, math.pi * theory(rig, sample, seen))
-        hidden = signed_theta(here.where(here.shadowed))
+        hidden = here.where(here.shadowed).aspecular_deg
         found.append(
             Comparison(
                 float(sigma),
@@ -73,19 +63,6 @@ def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Compar
             )
         )
     return found
-
-
-def in_plane(points: BsdfPoints) -> Flags:
-    """Which lie in the plane of incidence."""
-    offset = np.mod(points.azimuth_deg, 180.0)
-    return (np.minimum(offset, 180.0 - offset) < 1e-6) | (points.zenith_deg < 1e-6)
-
-
-def signed_theta(points: BsdfPoints) -> Floats:
-    """theta, counted positive towards the normal (phi = 0) and negative towards grazing."""
-    towards_normal = np.cos(np.radians(points.phi_deg)) > 0.0
-    signed: Floats = np.where(towards_normal, points.theta_deg, -points.theta_deg)
-    return signed
 
 
 def _once_each(points: BsdfPoints, *values: Floats) -> list[Floats]:

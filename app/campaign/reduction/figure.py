@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from goniotwin.app.campaign.reduction.comparison import Comparison, in_plane, theory
+from goniotwin.app.campaign.reduction.comparison import Comparison, theory
 from goniotwin.app.campaign.reduction.export import heading
 from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced
 from goniotwin.twin.optics import arc_direction, evaluate, light_direction
@@ -19,7 +19,7 @@ COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 def cut_figure(reduced: Reduced, sample: str, comparisons: list[Comparison], path: Path) -> None:
     """Writes the figure of a sample whose theory is known: above the cuts, below the deviation from theory."""
     points = reduced.samples[sample].front
-    chosen = points.where(in_plane(points))
+    chosen = points.where(points.in_plane)
     with mpl.rc_context({"font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(9.0, 6.4), dpi=150, layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))

@@ -81,6 +81,19 @@ class BsdfPoints:
         return self.where(~self.back & ~self.transmitted)
 
     @property
+    def in_plane(self) -> Flags:
+        """Which lie in the plane of incidence, within 1e-6 deg."""
+        offset = np.mod(self.azimuth_deg, 180.0)
+        return (np.minimum(offset, 180.0 - offset) < 1e-6) | (self.zenith_deg < 1e-6)
+
+    @property
+    def aspecular_deg(self) -> Floats:
+        """Aspecular angle: theta, positive towards the normal (phi = 0) and negative towards grazing."""
+        towards_normal = np.cos(np.radians(self.phi_deg)) > 0.0
+        signed: Floats = np.where(towards_normal, self.theta_deg, -self.theta_deg)
+        return signed
+
+    @property
     def luminance_factor(self) -> Floats:
         """pi times the BSDF: 1 for the ideal diffuser."""
         return math.pi * self.bsdf

@@ -138,8 +138,8 @@ def _x_deg(points: BsdfPoints) -> Floats:
 
 
 def _abscissa(sigma_deg: float, polar_deg: Floats, plane_deg: float) -> Floats:
-    """From signed polar angles, positive at the azimuth `plane_deg`: in the plane of incidence to the signed theta of
-    `app.campaign.reduction.comparison`, elsewhere they stay."""
+    """From signed polar angles, positive at the azimuth `plane_deg`: in the plane of incidence to the aspecular angle
+    as `BsdfPoints.aspecular_deg` has it, elsewhere they stay."""
     if not _in_plane(plane_deg):
         return polar_deg
     theta, phi = to_specular(sigma_deg, arc_direction(np.abs(polar_deg), _azimuths(polar_deg, plane_deg)))

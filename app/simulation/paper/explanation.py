@@ -10,8 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.comparison import relative_rms_percent
-from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, cuts, directions_at, in_plane_theta, theory
+from goniotwin.app.simulation.paper.gaussian_cut import (
+    HIGHEST_ZENITH_DEG,
+    cuts,
+    directions_at,
+    in_plane_theta,
+    relative_rms_percent,
+    theory,
+)
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, gaussian, lambertian, throughput
 from goniotwin.twin.optics.bsdf.analytic import Form

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.comparison import relative_rms_percent
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
 from goniotwin.twin.optics.bsdf.analytic import Form
@@ -31,13 +30,25 @@ class Cut:
     @property
     def relative_deviation(self) -> Floats:
         """(n,): difference over mean, whose root mean square is the paper's formula 5."""
-        deviation: Floats = (self.simulated - self.theory) / (0.5 * (self.simulated + self.theory))
-        return deviation
+        return relative_deviation(self.simulated, self.theory)
 
     @property
     def relative_rms_percent(self) -> float:
         """The paper's formula 5."""
         return relative_rms_percent(self.simulated, self.theory)
+
+
+def relative_deviation(measured: Floats, theory: Floats) -> Floats:
+    """Difference over mean, of luminance factors or of any other ratio; the shape of the arguments."""
+    deviation: Floats = (measured - theory) / (0.5 * (measured + theory))
+    return deviation
+
+
+def relative_rms_percent(measured: Floats, theory: Floats) -> float:
+    """Root mean square of the relative deviation, in percent (paper, formula 5). NaN for empty arrays."""
+    if not measured.size:
+        return math.nan
+    return 100.0 * math.sqrt(float(np.mean(relative_deviation(measured, theory) ** 2)))
 
 
 def in_plane_theta(sigma_deg: float, width_deg: float, widths: float = WIDTHS, step_deg: float = STEP_DEG) -> Floats:

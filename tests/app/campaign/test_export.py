@@ -40,7 +40,7 @@ def smooth(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     return np.asarray(1.0 + zenith / 100.0 + zenith / 100.0 * folded / 180.0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(deadline=None)
 @given(st.floats(0.0, 80.0), st.integers(0, 36), st.floats(0.0, 80.0))
 def test_a_grid_gives_back_what_was_measured(sigma: float, column: int, theta: float) -> None:
     points = points_of(sigma, np.arange(0.0, 90.1, 2.5)[:, None], np.arange(0.0, 180.1, 3.0)[None, :])

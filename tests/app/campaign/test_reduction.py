@@ -9,7 +9,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, in_plane, relative_rms_percent, theory
+from goniotwin.app.campaign.reduction.comparison import compare, theory
 from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -93,7 +93,7 @@ def test_what_the_operator_has_wrong_shows_in_the_bsdf(
 def test_the_uncertainty_is_neither_too_small_nor_too_great(demo: Reduced) -> None:
     """Where the lobe is broad against the field (its tails have blur, its flanks none), deviations fit it."""
     points = demo.samples["gaussian-5"]
-    tail = points.where(points.good & in_plane(points) & (points.theta_deg > 25.0) & (points.zenith_deg < 80.0))
+    tail = points.where(points.good & points.in_plane & (points.theta_deg > 25.0) & (points.zenith_deg < 80.0))
     z = (tail.bsdf - theory(demo.rig, "gaussian-5", tail)) / tail.u_bsdf
     assert z.size > 300
     assert 0.7 < float(np.mean(z**2)) < 1.3
@@ -123,7 +123,7 @@ def test_a_measured_black_paint_comes_back(write_rig: Writer, write_schedule: Wr
     rig = write_rig(("[twin.samples.etalon]", f"{sample}[twin.samples.etalon]"))
     reduced = measure(rig, write_schedule(text=BLACK))
     points = reduced.samples["black"]
-    chosen = points.where(points.good & in_plane(points) & (points.zenith_deg < 80.0))
+    chosen = points.where(points.good & points.in_plane & (points.zenith_deg < 80.0))
     expected = np.array([_paint(*angles) for angles in zip(chosen.sigma_deg, chosen.phi_deg, chosen.theta_deg, strict=True)])
     assert chosen.bsdf.size > 400
     assert float((chosen.u_bsdf / expected).max()) <= 0.02
@@ -139,13 +139,6 @@ def _paint(sigma: float, phi: float, theta: float) -> float:
     blocks = [line.split() for line in lines[begin + 1 :] if line.strip() and not line.startswith(("TIS", "DataEnd"))]
     row = blocks[2 * [10.0, 30.0, 50.0, 70.0].index(sigma) + (0 if abs(phi - 180.0) > 90.0 else 1)]
     return float(np.interp(theta, np.arange(161.0), np.array(row, dtype=float)))
-
-
-def test_formula_5_is_symmetric_and_in_percent() -> None:
-    one, two = np.array([1.0, 2.0]), np.array([1.1, 2.0])
-    expected = 100.0 * np.sqrt(0.5 * (0.1 / 1.05) ** 2)
-    assert relative_rms_percent(one, two) == pytest.approx(expected)
-    assert relative_rms_percent(two, one) == pytest.approx(expected)
 
 
 def test_a_clipped_photodiode_gives_no_value(write_rig: Writer, write_schedule: Writer, measure: Measure) -> None:

@@ -57,9 +57,9 @@ def test_repaints_and_signals_lose_no_references(qtbot: QtBot, qapp: QApplicatio
     qtbot.addWidget(plot)
     plot.resize(240, 180)
     plot.show()
-    inner = plot.findChild(pg.PlotWidget)
-    assert inner is not None
-    view = inner.viewport()
+    shown = plot.findChild(pg.PlotWidget)
+    assert shown is not None
+    view = shown.viewport()
     paints = Paints()
     view.installEventFilter(paints)
     plot.show_cut(cut_of(2))

@@ -4,20 +4,23 @@ import gc
 import signal
 import sqlite3
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtWidgets import QApplication, QPushButton
+from PySide6.QtWidgets import QApplication, QFileDialog, QPushButton
 from pytestqt.qtbot import QtBot
 
+from goniotwin.app.campaign.journal.runs import campaign_of
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import BackDoor
-from goniotwin.app.desktop import MainWindow, run_desktop
+from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.model import rig_thread as rigthread
 from goniotwin.app.desktop.model.live_cut import Cut, LiveCut
 from goniotwin.app.desktop.model.permissions import BUSY
+from goniotwin.app.ending import REQUESTS
 from goniotwin.app.rig import OpenRig, RigFile
 from goniotwin.drivers import Axis, DeviceError, Rig
 from goniotwin.drivers.errors import NoAnswer
@@ -199,10 +202,62 @@ def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path) ->
     timer.stop()
 
 
-def test_an_interrupt_from_the_terminal_ends_the_desktop(qapp: QApplication, tmp_path: Path) -> None:
-    QTimer.singleShot(0, lambda: signal.raise_signal(signal.SIGINT))
-    assert run_desktop(RIG, None, tmp_path) == 0
-    qapp.closeAllWindows()
+@pytest.fixture
+def handlers(qapp: QApplication) -> Iterator[None]:
+    """A request to end leaves its handlers in place; they are restored. A desktop that does not end is ended, with status 1."""
+    before = {number: signal.getsignal(number) for number in REQUESTS}
+    patience = QTimer(interval=READY_MS, singleShot=True)
+    patience.timeout.connect(lambda: qapp.exit(1))
+    patience.start()
+    yield
+    patience.stop()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", REQUESTS)
+@pytest.mark.usefixtures("handlers")
+def test_a_signal_ends_the_desktop(qapp: QApplication, tmp_path: Path, number: int) -> None:
+    QTimer.singleShot(0, lambda: signal.raise_signal(number))
+    assert run_desktop(RIG, None, tmp_path) == STOPPED
+    assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_signal_before_the_event_loop_ends_the_desktop(
+    qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    show = MainWindow.show
+
+    def interrupted(window: MainWindow) -> None:
+        signal.raise_signal(signal.SIGINT)
+        show(window)
+
+    monkeypatch.setattr(MainWindow, "show", interrupted)
+    assert run_desktop(RIG, None, tmp_path) == STOPPED
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tmp_path: Path) -> None:
+    """A dialog for files has an event loop of its own inside the window's."""
+
+    def press() -> None:
+        for window in qapp.topLevelWidgets():
+            if isinstance(window, MainWindow) and window.isVisible() and window.parts.rig.open_button.isEnabled():
+                window.parts.rig.open_button.click()
+
+    def look() -> None:
+        if isinstance(qapp.activeModalWidget(), QFileDialog):
+            timer.stop()
+            signal.raise_signal(signal.SIGINT)
+        else:
+            QTimer.singleShot(0, press)
+
+    timer = QTimer(interval=20)
+    timer.timeout.connect(look)
+    timer.start()
+    assert run_desktop(RIG, None, tmp_path) == STOPPED
+    assert qapp.activeModalWidget() is None
 
 
 def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: MainWindow) -> None:
@@ -283,6 +338,32 @@ def test_closing_during_a_run_asks_and_keeps_it_or_stops_it(qtbot: QtBot, open_w
     assert window.session.journal is not None
     with Journal.open(window.session.journal) as journal:
         assert journal.counted()[0] < ROWS
+
+
+def test_a_request_to_end_stops_the_run_and_asks_nothing(qtbot: QtBot, open_window: WindowOpener) -> None:
+    window = ready(qtbot, open_window(speed=1.0))
+    click(window.parts.run.start_button)
+    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
+    assert not window.close()
+    asked = window.leaving
+    assert asked is not None
+    window.stop_and_close()
+    assert window.leaving is None
+    assert not asked.isVisible()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
+    assert window.session.journal is not None
+    assert campaign_of(window.session.journal).state == "stopped"
+
+
+def test_a_request_to_end_closes_the_window_where_the_run_cannot_begin(
+    qtbot: QtBot, window: MainWindow, journals: Path
+) -> None:
+    journals.write_text("a file, not a folder", encoding="utf-8")
+    click(window.parts.run.start_button)
+    assert window.session.busy
+    window.stop_and_close()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
+    assert window.session.journal is None
 
 
 def leave_cycles() -> None:

@@ -241,7 +241,7 @@ def test_arbitrary_bytes_are_refused_and_raise_nothing_else(folder: Path, conten
         read_ddr(path)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None)
 @given(data=st.data())
 def test_a_mutated_file_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
     text = data.draw(st.sampled_from([SPECTRAL, BLACK_AND_WHITE_4D])).encode()
@@ -255,7 +255,7 @@ def test_a_mutated_file_is_a_valid_table_or_refused(folder: Path, data: st.DataO
     read_or_refused(path)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None)
 @given(data=st.data())
 def test_a_file_with_words_exchanged_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
     words = data.draw(st.sampled_from([SPECTRAL, BLACK_AND_WHITE_4D])).split("\n", 2)[2].split()
@@ -295,7 +295,7 @@ def tables(draw: st.DrawFn) -> DdrTable:
     )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(table=tables())
 def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: DdrTable) -> None:
     path = folder / "round.ddr"
@@ -312,7 +312,7 @@ def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: D
     assert first.isascii()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(comments=st.lists(st.text() | st.sampled_from(["wl 450", "a\nsigma 2\n0 90", "\r;; phi", "\x85def"]), max_size=4))
 def test_no_comment_changes_what_is_read(folder: Path, comments: list[str]) -> None:
     path = folder / "commented.ddr"

@@ -60,7 +60,7 @@ def column_sets(draw: st.DrawFn) -> dict[str, np.ndarray[tuple[int], np.dtype[np
     }
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(columns=column_sets(), comments=st.lists(TEXT, max_size=3))
 def test_what_is_written_is_read_again(
     tmp_path_factory: pytest.TempPathFactory,

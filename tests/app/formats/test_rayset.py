@@ -48,7 +48,7 @@ def same(first: Rayset, second: Rayset) -> bool:
 
 
 @given(raysets())
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 def test_what_was_written_is_read(rayset: Rayset) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "beam.h5"
@@ -96,7 +96,7 @@ def refusal(path: Path) -> str:
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(deadline=None)
 def test_any_damage_is_noticed(data: st.DataObject) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "beam.h5"

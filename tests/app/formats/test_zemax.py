@@ -212,7 +212,7 @@ def test_arbitrary_bytes_are_refused_and_raise_nothing_else(folder: Path, conten
         read_zemax(path)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None)
 @given(data=st.data())
 def test_a_mutated_file_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
     text = GOOD.encode()
@@ -226,7 +226,7 @@ def test_a_mutated_file_is_a_valid_table_or_refused(folder: Path, data: st.DataO
     read_or_refused(path)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None)
 @given(data=st.data())
 def test_a_file_with_words_exchanged_is_a_valid_table_or_refused(folder: Path, data: st.DataObject) -> None:
     words = GOOD.split()
@@ -263,7 +263,7 @@ def tables(draw: st.DrawFn) -> ZemaxBsdf:
     )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(table=tables())
 def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: ZemaxBsdf) -> None:
     path = folder / "round.bsdf"

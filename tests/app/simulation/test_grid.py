@@ -11,7 +11,7 @@ from goniotwin.app.simulation.specular_grid import interpolated, regridded
 from goniotwin.twin.optics import arc_direction, from_specular, specular_direction, to_specular
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 890), min_size=1, unique=True).map(sorted))
 def test_a_list_is_read_as_it_is_written(tenths: list[int]) -> None:
     values = [tenth / 10 for tenth in tenths]
@@ -108,7 +108,7 @@ def test_a_missing_detector_leaves_its_surroundings_open_and_the_rest_as_it_was(
     np.testing.assert_allclose(table, 1.0, rtol=1e-12)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_between_detectors_the_value_does_not_leave_theirs(seed: int) -> None:
     generator = np.random.default_rng(seed)

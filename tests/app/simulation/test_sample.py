@@ -31,7 +31,7 @@ shares = st.floats(0.01, 0.45)
 widths = st.floats(0.5, 40.0)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(widths, st.sampled_from(["one_over_e", "half_width"]), st.sampled_from(["luminance", "intensity"]), shares)
 def test_a_gaussian_is_what_its_keys_say(width: float, form: str, quantity: str, share: float) -> None:
     text = f"gaussian:width_deg={width!r},form={form},quantity={quantity},reflectance={share!r}"
@@ -41,7 +41,7 @@ def test_a_gaussian_is_what_its_keys_say(width: float, form: str, quantity: str,
     np.testing.assert_array_equal(evaluate(made, LIGHT, OBSERVERS), evaluate(meant, LIGHT, OBSERVERS))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(shares, widths, shares)
 def test_a_sum_is_the_sum_of_its_parts_in_any_order_and_spacing(white: float, width: float, share: float) -> None:
     parts = [f"lambertian:reflectance={white!r}", f"gaussian:width_deg={width!r},reflectance={share!r}"]
@@ -50,14 +50,14 @@ def test_a_sum_is_the_sum_of_its_parts_in_any_order_and_spacing(white: float, wi
         np.testing.assert_allclose(evaluate(parse_sample(text), LIGHT, OBSERVERS), meant, rtol=1e-12)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(st.text(max_size=40))
 def test_any_text_is_a_sample_or_one_line_of_complaint(text: str) -> None:
     complaint = _complaint(text)
     assert complaint is None or complaint.isprintable()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(
     st.sampled_from(["gaussian", "lambertian", "regular", "phong"]),
     st.lists(

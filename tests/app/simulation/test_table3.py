@@ -19,7 +19,7 @@ from goniotwin.app.simulation.paper.explanation import (
     rms_table,
     tilted,
 )
-from goniotwin.app.simulation.paper.gaussian_cut import cuts, in_plane_theta, theory
+from goniotwin.app.simulation.paper.gaussian_cut import cuts, in_plane_theta, relative_rms_percent, theory
 from goniotwin.app.simulation.paper.table3 import STEPS, Table3, table3
 from goniotwin.app.simulation.paper.table3_report import as_dict, assumptions, figures, show
 from goniotwin.app.simulation.paper.worst_corner import Component, deviating, tilts, worst_corner
@@ -65,6 +65,13 @@ def test_theory_falls_to_what_its_form_says() -> None:
     for widths, percent in ((1.0, 0.36), (2.0, 0.66), (3.0, 1.7), (4.0, 3.3)):
         (cut,) = cuts(OPEN, [0.0], 5.0, widths=widths)
         assert cut.relative_rms_percent == pytest.approx(percent, abs=0.1)
+
+
+def test_formula_5_is_symmetric_and_in_percent() -> None:
+    one, two = np.array([1.0, 2.0]), np.array([1.1, 2.0])
+    expected = 100.0 * np.sqrt(0.5 * (0.1 / 1.05) ** 2)
+    assert relative_rms_percent(one, two) == pytest.approx(expected)
+    assert relative_rms_percent(two, one) == pytest.approx(expected)
 
 
 def test_blur_shift_and_noise_fall_with_the_powers_that_the_explanation_needs(found: Table3) -> None:

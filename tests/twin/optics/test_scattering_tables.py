@@ -34,7 +34,7 @@ def angles(least: float, most: float, count: int) -> st.SearchStrategy[list[floa
     return steps.map(lambda halves: [0.5 * half for half in sorted(halves)])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(angles(1, 80, 5), angles(1, 179, 6), angles(0, 89, 6), angles(0, 359, 5), st.data())
 def test_a_table_made_of_a_smooth_function_gives_it_back_at_its_nodes(
     sigma: list[float], phi: list[float], theta: list[float], psi: list[float], data: Any
@@ -50,7 +50,7 @@ def test_a_table_made_of_a_smooth_function_gives_it_back_at_its_nodes(
     assert seen(model, psi[n], sigma[i], theta[k], turn[j]) == pytest.approx(expected, rel=1e-9)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(st.floats(1.0, 59.0), st.floats(0.0, 360.0), st.floats(0.0, 89.0), st.floats(0.0, 360.0))
 def test_between_its_nodes_a_table_is_between_their_values(sigma: float, phi: float, theta: float, psi: float) -> None:
     model = tabulated(SIGMA_AXIS, TURN_AXIS, THETA_AXIS, UNEVEN, psi_deg=PSI_AXIS)

@@ -103,7 +103,7 @@ def test_the_back_is_as_hidden_as_the_front() -> None:
     assert counts[0] == counts[1][::-1]
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(
     sigma=st.one_of(st.floats(0.0, 87.0), st.floats(93.0, 180.0)),
     gamma=st.floats(0.0, 360.0),

@@ -66,7 +66,7 @@ def schedules(draw: st.DrawFn) -> str:
     return text + "".join(table for table, there in tables.items() if there)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None)
 @given(text=schedules(), rig=st.sampled_from([VIRTUAL, SLOW]))
 def test_no_plan_beats_the_least(text: str, rig: RigDescription) -> None:
     try:

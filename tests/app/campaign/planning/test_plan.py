@@ -64,7 +64,7 @@ orders = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None)
 @given(order=orders, both=st.booleans(), extra=st.sampled_from(["", "repeats = 2\n", "signature = true\nopen_beam = true\n"]))
 def test_the_rows_are_the_same_in_whatever_order(order: str | list[str], both: bool, extra: str) -> None:
     said = f"order = {order!r}\nback_and_forth = {str(both).lower()}\n".replace("'", '"')

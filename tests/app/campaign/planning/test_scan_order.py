@@ -97,7 +97,7 @@ def test_every_nest_visits_every_point_once_and_none_beats_the_bound(
     assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[list(anyhow)]) + 1e-9
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None)
 @given(lattice=lattices(most=6), rig=rigs)
 def test_no_order_at_all_beats_the_bound(lattice: Lattice, rig: RigFile) -> None:
     if len(lattice) > 6:

@@ -1,0 +1,92 @@
+"""Compiles the kernels once, into numba's cache, so that two workers of the tests do not compile each of them twice.
+
+    python -m tests.kernels [fast] [forward]
+
+What the product does with its optics and its planner, each once and as small as it can be. The two parts take about as long
+as each other. A kernel that is missing here is compiled by the first test that needs it: that costs time and nothing else.
+"""
+
+import sys
+
+import numpy as np
+
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.optics import (
+    IlluminationUnit,
+    Instrument,
+    RealSensor,
+    adjoint_illumination,
+    albedo,
+    draw,
+    evaluate,
+    forward,
+    forward_illumination,
+    from_specular,
+    light_direction,
+    shadow_map,
+    throughput,
+)
+from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
+from goniotwin.twin.optics.forward.stray_light import stray, stray_throughput
+from tests.conftest import RIG, SCHEDULE
+from tests.twin.optics.models import MODELS
+
+SIGMA_DEG = 30.0
+PATHS = 10_000
+DIRECTIONS = from_specular(SIGMA_DEG, np.array([1.0, 5.0]), np.array([0.0, 90.0]))
+SENSORS = Instrument(), Instrument(sensor=RealSensor()), Instrument(sensor=RealSensor(diaphragm_mm=15.0))
+
+
+def rig_and_plan() -> None:
+    """The light and the electronics of the virtual rig, and the planner's shortening."""
+    description = read_rig(RIG)
+    model = description.model()
+    assert model is not None
+    VirtualRig.build(model, RealClock())
+    make_plan(read_schedule(SCHEDULE.with_name("transmission.toml")), description)
+
+
+def samples() -> None:
+    """Every model of the tests: values, drawing, densities, the fast estimator."""
+    light, uniform = light_direction(SIGMA_DEG), np.random.default_rng(1).random((10, 4))
+    for model in MODELS:
+        evaluate(model, light, DIRECTIONS)
+        draw(model, light, uniform)
+        albedo(model, SIGMA_DEG, False)
+        throughput(Instrument(), SIGMA_DEG, DIRECTIONS, model)
+        throughput(Instrument(field_deg=20.0, detector_diameter_mm=60.0), SIGMA_DEG, DIRECTIONS, model)
+        for lobe in model.lobes:
+            kind, params, sigma, phi, theta, psi, _ = lobe.kernel_arguments
+            x, y, z = (float(c) for c in light)
+            scatter_all(*lobe.kernel_arguments, lobe.cells, 1, False, x, y, z, uniform[:, :3].copy())
+            density_all(kind, params, sigma, phi, theta, psi, lobe.cells, x, y, z, DIRECTIONS)
+
+
+def traced() -> None:
+    """The forward estimator with every kind of detector, stray light, and the unit before the exit pupil."""
+    for instrument in SENSORS:
+        for model in MODELS:
+            forward(instrument, SIGMA_DEG, DIRECTIONS, model, PATHS, seed=1)
+        forward(instrument, SIGMA_DEG, DIRECTIONS, None, PATHS, seed=1)
+    stray_throughput(stray(Instrument(), SIGMA_DEG, MODELS[0], PATHS), DIRECTIONS, Instrument())
+    shadow_map(Instrument(), SIGMA_DEG, 10.0)
+    forward_illumination(IlluminationUnit(), rays=PATHS)
+    adjoint_illumination(IlluminationUnit(), rays=PATHS)
+
+
+PARTS = {"fast": (rig_and_plan, samples), "forward": (traced,)}
+
+
+def main() -> None:
+    """Compiles the parts that are named, or all of them."""
+    for name in sys.argv[1:] or PARTS:
+        for part in PARTS[name]:
+            part()
+
+
+if __name__ == "__main__":
+    main()
