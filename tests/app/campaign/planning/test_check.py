@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goniotwin.app.campaign.geometry.arcs import directions_seen
 from goniotwin.app.campaign.geometry.shadow import certainly_clear, shadowed
 from goniotwin.app.campaign.planning.check import checked_plan, in_words
-from goniotwin.app.campaign.planning.coverage import directions_seen
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import believed_instrument, read_rig
