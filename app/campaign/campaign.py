@@ -67,7 +67,7 @@ def resume_campaign(
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Goes on at the first row that a journal does not have. Raises UserError, and leaves the journal as it is, where that
-    cannot be: see `rest_of`.
+    cannot be: see `remaining_work`.
     """
     with Journal.open(journal_path) as looked_at:
         begun = remaining_work(looked_at, rig)
@@ -121,9 +121,9 @@ def _carried_out(
 def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:
     """Raises UserError where it is in doubt where an axis of a connected rig is; with `homing`, only of one that cannot."""
     doubts = {
-        name: axis.doubt
+        name: axis.unreferenced_reason
         for name, axis in opened.rig.axes.items()
-        if axis.doubt and not (homing and axis.settings.homing is not None)
+        if axis.unreferenced_reason and not (homing and axis.settings.homing is not None)
     }
     if doubts:
         told = "; ".join(f"{name}: {doubt}" for name, doubt in doubts.items())

@@ -200,7 +200,7 @@ def state_place(path: Path, name: str, angle_deg: float, say: Say) -> None:
                 f"{path}: {name} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and "
                 f"{angle_deg:g} deg is outside; turn it back by hand, or change the limits"
             )
-        axis.assume_referenced(angle_deg)
+        axis.set_position(angle_deg)
         say(f"{name}: is at {axis.position_deg():.3f} deg, as you say")
 
 

@@ -36,7 +36,7 @@ ROW_INDEX = np.dtype(
 
 
 def measured_rows(db: sqlite3.Connection) -> tuple[npt.NDArray[np.void], list[str]]:
-    """Committed rows of measurements that have readings, by their last attempt, in order of time; and the samples' names.
+    """CommittedRow rows of measurements that have readings, by their last attempt, in order of time; and the samples' names.
 
     Raises sqlite3.Error and ValueError for a damaged journal.
     """
@@ -165,7 +165,7 @@ class JournalReader:
             yield from self._rows(f"{LAST_ATTEMPT} {chosen} ORDER BY started_s, p.number", kinds)
 
     def rows_of(self, numbers: Iterable[int]) -> Iterator[CommittedRow]:
-        """Committed rows by their numbers, in that order, each by its last attempt."""
+        """CommittedRow rows by their numbers, in that order, each by its last attempt."""
         with self._reading():
             for number in numbers:
                 yield from self._rows(f"{LAST_ATTEMPT} AND p.number = ?", (number,))

@@ -23,7 +23,7 @@ from goniotwin.app.rig import AXES, RigFile, axis_settings, monochromator_settin
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers.monitor.monitor import ANSWER_MARGIN_S
 from goniotwin.drivers.monochromator.monochromator import STATUS_MARGIN_S
-from goniotwin.drivers.motion.axis import ARRIVED_AFTER_S
+from goniotwin.drivers.motion.move import ARRIVED_AFTER_S
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.protocols.cornerstone import Statement, encode_nm
 from goniotwin.protocols.tmcl import FRAME_BYTES

@@ -148,7 +148,7 @@ def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -
 
 def _referenced(opened: OpenRig) -> list[str]:
     """Axes of which nobody would know where they are after a power-up stand where the twin has them."""
-    doubtful = [name for name, axis in opened.rig.axes.items() if axis.doubt]
+    doubtful = [name for name, axis in opened.rig.axes.items() if axis.unreferenced_reason]
     for name in doubtful:
-        opened.rig.axes[name].assume_referenced()
+        opened.rig.axes[name].set_position()
     return [f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in doubtful]

@@ -145,7 +145,7 @@ class Engine:
         """Where a campaign is gone on with, axes that have lost themselves meanwhile look for their reference first."""
         lost = [] if self._work is self._plan.rows else self._recovery.lost_axes
         for axis in lost:
-            self._note("home", f"{axis.name}: {axis.doubt}")
+            self._note("home", f"{axis.name}: {axis.unreferenced_reason}")
             self._under_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
 
     def _do_rows(self) -> None:

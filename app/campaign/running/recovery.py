@@ -8,11 +8,11 @@ from functools import partial
 from typing import Literal
 
 from goniotwin.app.campaign.running.stop_request import StopRequest
-from goniotwin.app.campaign.schedule.measuring import FaultsTable, Policy
+from goniotwin.app.campaign.schedule.file import FaultsTable, Policy
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Poll, Refused, Rig
 from goniotwin.drivers.errors import Interrupted, Unreferenced
-from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion import Axis
 
 LOOK_S = 0.1
 LONGEST_REST_S = 60.0
@@ -61,7 +61,7 @@ class Recovery:
         axis = self._rig.axes[name]
 
         def rests() -> bool:
-            turns = axis.turns()
+            turns = axis.is_moving()
             if turns and clock.now() > latest:
                 raise DeviceError(name, "wait for it", f"it still turns after {LONGEST_REST_S:g} s", "stop it")
             return not turns
@@ -71,7 +71,7 @@ class Recovery:
     @property
     def lost_axes(self) -> list[Axis]:
         """Those in doubt that can look for their reference."""
-        return [axis for axis in self._rig.axes.values() if axis.doubt and axis.settings.homing is not None]
+        return [axis for axis in self._rig.axes.values() if axis.unreferenced_reason and axis.settings.homing is not None]
 
     def home(self, axis: Axis) -> None:
         """Has it look for its reference. Raises DeviceError."""

@@ -27,7 +27,7 @@ from goniotwin.app.campaign.running.stop_request import StopRequest
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers import AxisSettings, DeviceError, Pending, Rig, Until, wait
-from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion import Axis
 from goniotwin.drivers.motion.settings import ENCODER_TOLERANCE_DEG
 from goniotwin.protocols.clock import Clock
 
