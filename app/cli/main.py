@@ -14,7 +14,7 @@ from goniotwin import examples
 from goniotwin.app.cli import simulation
 from goniotwin.app.cli.campaign import Json, RigOption, TranscriptOption, add_campaign_commands, answer, errors
 from goniotwin.app.cli.instrument import add_axes_commands
-from goniotwin.app.ending import heed_requests_to_end
+from goniotwin.app.end_signals import heed_requests_to_end
 from goniotwin.app.errors import UserError
 
 app = typer.Typer(

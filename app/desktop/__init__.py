@@ -9,7 +9,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 
-from goniotwin.app.desktop.interrupt import interrupts
+from goniotwin.app.desktop.event_loop import interrupts
 from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.window import MainWindow
 

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from goniotwin.app.cli.main import main
-from goniotwin.app.ending import REQUESTS
+from goniotwin.app.end_signals import REQUESTS
 from tests.conftest import RIG, SCHEDULE, Change, Writer
 
 Call = Callable[..., subprocess.CompletedProcess[str]]

@@ -18,9 +18,9 @@ from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import BackDoor
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.model import rig_thread as rigthread
-from goniotwin.app.desktop.model.live_cut import Cut, LiveCut
+from goniotwin.app.desktop.model.live_scan import Cut, LiveCut
 from goniotwin.app.desktop.model.permissions import BUSY
-from goniotwin.app.ending import REQUESTS
+from goniotwin.app.end_signals import REQUESTS
 from goniotwin.app.rig import OpenRig, RigFile
 from goniotwin.drivers import Axis, DeviceError, Rig
 from goniotwin.drivers.errors import NoAnswer

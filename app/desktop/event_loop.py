@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from PySide6.QtCore import QObject, QSocketNotifier, Signal, Slot
 
-from goniotwin.app.ending import EndRequests, requests_to_end_call
+from goniotwin.app.end_signals import EndRequests, requests_to_end_call
 
 MOST_BYTES = 4096
 

@@ -7,12 +7,12 @@ import sys
 
 import pytest
 
-from goniotwin.app.ending import REQUESTS, requests_to_end_call
+from goniotwin.app.end_signals import REQUESTS, requests_to_end_call
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
 PATIENCE = """
 import signal
-from goniotwin.app import ending
+from goniotwin.app import end_signals as ending
 
 ending.LONGEST_S = 0.0
 with ending.requests_to_end_call(lambda: print("stopping", flush=True)):
