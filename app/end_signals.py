@@ -1,8 +1,8 @@
-"""Requests to end, from a terminal or from the system: the first is obeyed in good order, and nothing breaks that order.
+"""Signals that end the program: SIGINT, SIGTERM, SIGHUP. The first one stops it in order; later ones do not break off the stop.
 
-A stop takes its time: stop frames for every axis, the journal's last words, names and ports given back. Whoever presses Ctrl-C
-twice wants it to end, not to be broken off in the middle with an axis on its way. So what comes after the first request is
-not heard while things are put in order; only if that takes longer than it ever should does another one break it off.
+A stop takes time: stop commands for every axis, the last entries of the journal, ports and names released. A second Ctrl-C
+must not break this off with an axis in motion. So later signals are ignored during a stop. Only if the stop takes longer than
+LONGEST_STOP_S does a later signal end the process.
 """
 
 import contextlib
@@ -12,70 +12,70 @@ import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-LONGEST_S = 10.0
-"""Of a stop with every device silent and a journal on a slow disk, by far."""
-SAID = b"\ngoniotwin: stopping\n"
-REQUESTS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+LONGEST_STOP_S = 10.0
+"""Much longer than a stop with every device silent and a journal on a slow disk."""
+STOPPING_MESSAGE = b"\ngoniotwin: stopping\n"
+END_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-class EndRequests:
-    """Signal handlers: the first request calls `act`; `came` whether there was one."""
+class EndSignalHandlers:
+    """Signal handlers. The first signal calls `act`; `received` is True from then on."""
 
     def __init__(self, act: Callable[[], None]) -> None:
-        self.came = False
+        self.received = False
         self._act = act
         self._overdue = threading.Event()
 
-    def first(self, number: int, frame: FrameType | None) -> None:
-        """Handle the first request."""
+    def install(self) -> None:
+        """Set the handlers; a signal that is ignored stays ignored (nohup), except SIGINT."""
+        for number in END_SIGNALS:
+            if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self.handle_first)
+
+    def handle_first(self, number: int, frame: FrameType | None) -> None:
+        """Handle the first signal."""
         del number, frame
-        self.came = True
-        for each in REQUESTS:
-            signal.signal(each, self._further)
-        patience = threading.Timer(LONGEST_S, self._overdue.set)
-        patience.daemon = True
-        patience.start()
-        with contextlib.suppress(OSError):  # of a terminal that has been closed
-            os.write(2, SAID)
+        self.received = True
+        for each in END_SIGNALS:
+            signal.signal(each, self._handle_later)
+        timer = threading.Timer(LONGEST_STOP_S, self._overdue.set)
+        timer.daemon = True
+        timer.start()
+        with contextlib.suppress(OSError):  # the terminal may be closed
+            os.write(2, STOPPING_MESSAGE)
         self._act()
 
-    def _further(self, number: int, frame: FrameType | None) -> None:
-        """Ignore a further request, unless the stop takes longer than LONGEST_S: then the signal ends the process."""
+    def _handle_later(self, number: int, frame: FrameType | None) -> None:
+        """Ignore a later signal; after LONGEST_STOP_S it ends the process."""
         del frame
         if self._overdue.is_set():
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
 
 
-def heed_requests_to_end() -> None:
-    """From now on the first request raises KeyboardInterrupt in the main thread; further ones are ignored."""
-    _install(EndRequests(_interrupt))
+def interrupt_on_end_signal() -> None:
+    """Install handlers: the first signal raises KeyboardInterrupt in the main thread, later ones are ignored."""
+    EndSignalHandlers(_raise_interrupt).install()
 
 
 @contextlib.contextmanager
-def requests_to_end_call(act: Callable[[], None]) -> Iterator[EndRequests]:
-    """While it lasts, the first request calls `act` in the main thread, between two of its statements.
+def call_on_end_signal(act: Callable[[], None]) -> Iterator[EndSignalHandlers]:
+    """Install handlers for the time of the context: the first signal calls `act` in the main thread, between two statements.
 
-    Further ones are ignored. For an event loop, in which a KeyboardInterrupt would be lost. `act` is quick and does not raise.
-    At the end the handlers are restored, unless a request came: then the program is about to end, and further requests stay
-    ignored.
+    Later signals are ignored. For an event loop, in which a KeyboardInterrupt is lost. `act` must be quick and not raise.
+    On exit the previous handlers are restored, unless a signal came: then the program is about to end, and later signals
+    stay ignored.
     """
-    before = {number: signal.getsignal(number) for number in REQUESTS}
-    requests = EndRequests(act)
-    _install(requests)
+    previous = {number: signal.getsignal(number) for number in END_SIGNALS}
+    handlers = EndSignalHandlers(act)
+    handlers.install()
     try:
-        yield requests
+        yield handlers
     finally:
-        if not requests.came:
-            for number, handler in before.items():
+        if not handlers.received:
+            for number, handler in previous.items():
                 signal.signal(number, handler)
 
 
-def _install(requests: EndRequests) -> None:
-    for number in REQUESTS:
-        if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:  # nohup stays nohup
-            signal.signal(number, requests.first)
-
-
-def _interrupt() -> None:
+def _raise_interrupt() -> None:
     raise KeyboardInterrupt

@@ -40,4 +40,4 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
             status = application.exec()
         finally:
             window.shut_down()
-    return STOPPED if requests.came else status
+    return STOPPED if requests.received else status

@@ -1,4 +1,4 @@
-"""Requests to end, where something other than a KeyboardInterrupt answers the first."""
+"""Signals that end the program, handled by a function instead of a KeyboardInterrupt."""
 
 import os
 import signal
@@ -7,61 +7,61 @@ import sys
 
 import pytest
 
-from goniotwin.app.end_signals import REQUESTS, requests_to_end_call
+from goniotwin.app.end_signals import END_SIGNALS, call_on_end_signal
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
-PATIENCE = """
+OVERDUE_STOP = """
 import signal
-from goniotwin.app import end_signals as ending
+from goniotwin.app import end_signals
 
-ending.LONGEST_S = 0.0
-with ending.requests_to_end_call(lambda: print("stopping", flush=True)):
+end_signals.LONGEST_STOP_S = 0.0
+with end_signals.call_on_end_signal(lambda: print("stopping", flush=True)):
     while True:
         signal.raise_signal(signal.SIGTERM)
 """
 
 
-def test_without_a_request_the_handlers_are_restored() -> None:
-    before = [signal.getsignal(number) for number in REQUESTS]
-    with requests_to_end_call(lambda: None) as requests:
-        assert all(signal.getsignal(number) == requests.first for number in REQUESTS)
-    assert [signal.getsignal(number) for number in REQUESTS] == before
-    assert not requests.came
+def test_without_a_signal_the_handlers_are_restored() -> None:
+    before = [signal.getsignal(number) for number in END_SIGNALS]
+    with call_on_end_signal(lambda: None) as handlers:
+        assert all(signal.getsignal(number) == handlers.handle_first for number in END_SIGNALS)
+    assert [signal.getsignal(number) for number in END_SIGNALS] == before
+    assert not handlers.received
 
 
-@pytest.mark.parametrize("number", REQUESTS)
-def test_the_first_request_calls_and_further_ones_are_ignored_from_then_on(number: int) -> None:
-    before = {each: signal.getsignal(each) for each in REQUESTS}
+@pytest.mark.parametrize("number", END_SIGNALS)
+def test_the_first_signal_calls_the_function_and_later_signals_are_ignored(number: int) -> None:
+    before = {each: signal.getsignal(each) for each in END_SIGNALS}
     calls: list[str] = []
     try:
-        with requests_to_end_call(lambda: calls.append("stop")) as requests:
+        with call_on_end_signal(lambda: calls.append("stop")) as handlers:
             os.kill(os.getpid(), number)
-            for each in (*REQUESTS, number):
+            for each in (*END_SIGNALS, number):
                 os.kill(os.getpid(), each)
-        for each in REQUESTS:  # a program that closes its files now is not broken off
+        for each in END_SIGNALS:  # after the context too: the program may still be closing its files
             os.kill(os.getpid(), each)
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
     assert calls == ["stop"]
-    assert requests.came
+    assert handlers.received
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:
     """As nohup does with SIGHUP."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with requests_to_end_call(lambda: None) as requests:
+        with call_on_end_signal(lambda: None) as handlers:
             os.kill(os.getpid(), signal.SIGHUP)
         assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-    assert not requests.came
+    assert not handlers.received
 
 
-def test_a_stop_that_takes_too_long_is_broken_off_by_a_further_request() -> None:
+def test_an_overdue_stop_is_ended_by_a_later_signal() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", PATIENCE], capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, "-c", OVERDUE_STOP], capture_output=True, text=True, timeout=300, check=False
     )  # fmt: skip
     assert done.returncode == -signal.SIGTERM
     assert done.stdout == "stopping\n"
