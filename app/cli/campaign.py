@@ -12,7 +12,7 @@ from goniotwin.app.cli.output import Json, RigOption, RowProgress, TranscriptOpt
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
-    from goniotwin.app.campaign.journal.runs import Campaign
+    from goniotwin.app.campaign.journal.runs import CampaignSummary
     from goniotwin.app.campaign.planning.plan import Plan
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
@@ -161,9 +161,9 @@ def runs(
     as_json: Json = False,
 ) -> None:
     """List the campaigns of a folder: state, rows, time left."""
-    from goniotwin.app.campaign.journal.runs import campaigns_in
+    from goniotwin.app.campaign.journal.runs import campaign_summaries
 
-    found, refused = campaigns_in(folder)
+    found, refused = campaign_summaries(folder)
     answer(
         as_json,
         {"campaigns": [each.as_dict() for each in found], "unreadable": refused},
@@ -173,9 +173,9 @@ def runs(
         print_error(reason)
 
 
-def _print_campaigns(console: Console, folder: Path, campaigns: "list[Campaign]") -> None:
+def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSummary]") -> None:
     """Print one line for each campaign."""
-    from goniotwin.app.campaign.wording import clock_time
+    from goniotwin.app.campaign.wording import duration_text
 
     if not campaigns:
         console.print(f"{folder}: no journals (*.journal)", markup=False)
@@ -189,7 +189,7 @@ def _print_campaigns(console: Console, folder: Path, campaigns: "list[Campaign]"
             f"{each.name}{' (SIMULATED)' if each.simulated else ''}",
             f"[{STATE_STYLES[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
             f"{each.rows}/{each.planned}",
-            clock_time(each.seconds_left) if each.rows < each.planned else "",
+            duration_text(each.seconds_left) if each.rows < each.planned else "",
             each.begun or "",
         )
     console.print(table)

@@ -113,7 +113,7 @@ def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -
                 f"{path}: {name} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and "
                 f"{angle_deg:g} deg is outside; turn the axis back by hand, or change the limits"
             )
-        axis.assume_referenced(angle_deg)
+        axis.set_position(angle_deg)
         report(f"{name}: position set to {axis.position_deg():.3f} deg")
 
 
@@ -127,12 +127,12 @@ def _check_axis(path: Path, name: str) -> None:
 @contextlib.contextmanager
 def _connected_axes(path: Path) -> "Iterator[Rig]":
     """A rig with connected axes, locked against other programs."""
-    from goniotwin.app.campaign.campaign import clock_of
+    from goniotwin.app.campaign.campaign import clock_for
     from goniotwin.app.rig import open_rig, read_rig
     from goniotwin.drivers import DeviceError
 
     description = read_rig(path)
-    with open_rig(description, clock_of(description.file)) as opened:
+    with open_rig(description, clock_for(description.file)) as opened:
         try:
             opened.rig.reconnect_axes()
         except DeviceError as error:
