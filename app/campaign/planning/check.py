@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import lit_arc
-from goniotwin.app.campaign.planning.coverage import directions_seen
+from goniotwin.app.campaign.geometry.arcs import directions_seen, lit_arc
 from goniotwin.app.campaign.planning.durations import Moves
 from goniotwin.app.campaign.planning.loop_order import Nest
 from goniotwin.app.campaign.planning.plan import Made, Plan
-from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
 from goniotwin.app.campaign.planning.scan_order import Order
 from goniotwin.app.campaign.planning.timeline import PlannedRows, Run
@@ -97,7 +95,7 @@ def checked_plan(plan: Plan) -> dict[str, Any]:
         "rows": len(rows),
         "duration_s": plan.seconds,
         "duration_range_s": list(duration_range(plan)),
-        "least_s": least_seconds(plan),
+        "least_s": plan.lower_bound_s,
         "order": loops(sample_order(made)[1]),
         "why": why(plan, made),
         "kinds": rows.kinds,

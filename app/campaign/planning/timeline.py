@@ -13,8 +13,8 @@ from typing import overload
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.collision import swept_ways
 from goniotwin.app.campaign.planning.durations import Timing
-from goniotwin.app.campaign.planning.loop_order import swept_ways
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
 from goniotwin.app.campaign.row import NOTHING, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile

@@ -12,16 +12,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import HALF_TURN_DEG, Arc, far_arc, incidence_deg, lighting_deg, lit_arc, polar_deg
+from goniotwin.app.campaign.geometry.arcs import (
+    HALF_TURN_DEG,
+    Arc,
+    Seen,
+    far_arc,
+    incidence_deg,
+    lighting_deg,
+    lit_arc,
+    polar_deg,
+)
 from goniotwin.app.campaign.geometry.shadow import shadowed
-from goniotwin.app.campaign.planning.coverage import Seen, uncovered
 from goniotwin.app.campaign.planning.durations import Timing, least_warm_up_seconds
 from goniotwin.app.campaign.planning.exposure import LOOKED_AT
 from goniotwin.app.campaign.planning.plan import Made, Plan
 from goniotwin.app.campaign.planning.poses import overlapping_step_deg
 from goniotwin.app.campaign.planning.timeline import PlannedRows, Run
+from goniotwin.app.campaign.planning.validation import covered_directions
+from goniotwin.app.campaign.schedule.certificate import parse_certificate
+from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.campaign.schedule.measuring import DriftTable
 from goniotwin.app.campaign.wording import clock_time, numbers
 from goniotwin.app.rig import RigFile, monochromator_settings
 from goniotwin.arrays import Ints
@@ -103,6 +113,26 @@ def _hidden_photodiodes(rig: RigFile, table: DriftTable, arc: Arc) -> Ints:
     azimuth = table.beta_deg + np.where(signed < 0.0, HALF_TURN_DEG, 0.0)
     zenith = np.abs(signed) if arc == "upper" else HALF_TURN_DEG - np.abs(signed)
     return _channels(rig, arc)[shadowed(rig, table.sigma_deg, zenith, azimuth, table.gamma_deg)]
+
+
+def uncovered(schedule: ScheduleDescription, seen: list[Seen]) -> Iterator[str]:
+    """A warning where some of the directions, at some of the wavelengths, will have no value for want of a certificate."""
+    file = schedule.file
+    if schedule.certificate is None or file.certificate is None:
+        return
+    certificate = parse_certificate(schedule.certificate, file.certificate.file)
+    wavelengths = np.array(grid_values(file.wavelength_nm))
+    within = certificate.covers("wavelength_nm", wavelengths)
+    directions, total = covered_directions(certificate, seen), sum(each.directions for each in seen)
+    outside = [
+        *([f"{(~within).sum()} of {within.size} wavelengths"] if not within.all() else []),
+        *([f"{total - directions} of {total} directions"] if directions < total else []),
+    ]
+    if outside:
+        yield (
+            f"the etalon's certificate {file.certificate.file} says nothing of {' and '.join(outside)}, which will have no "
+            f"value (uncertified): it holds for {certificate}; take one that holds for all, or measure less"
+        )
 
 
 SECOND_ORDER_NM = 710.0

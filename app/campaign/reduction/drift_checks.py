@@ -16,7 +16,7 @@ import numpy as np
 from goniotwin.app.campaign.journal.record import Committed, RowData
 from goniotwin.app.campaign.reduction.signals import Signal, darks_by_gain, signal
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.measuring import DriftTable
+from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import numbers
 from goniotwin.app.rig import RigFile, photodiode_settings
 from goniotwin.arrays import Flags

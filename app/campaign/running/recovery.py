@@ -8,7 +8,7 @@ from functools import partial
 from typing import Literal
 
 from goniotwin.app.campaign.running.halt import Halt
-from goniotwin.app.campaign.schedule.measuring import FaultsTable, Policy
+from goniotwin.app.campaign.schedule.file import FaultsTable, Policy
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Poll, Refused, Rig
 from goniotwin.drivers.errors import Interrupted, Unreferenced

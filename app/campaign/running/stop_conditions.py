@@ -3,8 +3,7 @@
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.reduction.drift_checks import DriftWatch
 from goniotwin.app.campaign.row import SKIPPED, Row
-from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.measuring import StopTable
+from goniotwin.app.campaign.schedule.file import ScheduleFile, StopTable
 from goniotwin.app.rig import RigFile
 
 

@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.row import NOTHING, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import arc_direction, specular_direction
-from tests.app.campaign.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
+from tests.app.campaign.planning.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)
@@ -72,7 +71,7 @@ def test_the_rows_are_the_same_in_whatever_order(order: str | list[str], both: b
     names = {row.identity for row in plan.rows if row.kind == "measure"}
     assert names == {row.identity for row in usual.rows if row.kind == "measure"}
     assert len(names) == plan.rows.kinds["measure"]  # type: ignore[attr-defined]
-    assert least_seconds(plan) <= min(plan.seconds, usual.seconds) <= plan.seconds
+    assert plan.lower_bound_s <= min(plan.seconds, usual.seconds) <= plan.seconds
 
 
 @pytest.mark.parametrize(
@@ -96,7 +95,7 @@ def test_a_rows_duration_is_the_timings(text: str) -> None:
 def test_the_named_schedules_are_within_five_percent_of_the_bound_and_never_slower_than_the_paper(name: str) -> None:
     schedule = read_schedule(EXAMPLES / "schedules" / f"{name}.toml")
     plan = make_plan(schedule, VIRTUAL)
-    least = least_seconds(plan)
+    least = plan.lower_bound_s
     assert least <= plan.seconds <= 1.05 * least
     for both in (False, True):
         paper = make_plan(nested_like_the_paper(schedule, back_and_forth=both), VIRTUAL)
