@@ -132,9 +132,7 @@ def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_run_and_export_are_one_after_the_other(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call
-) -> None:
+def test_run_and_export_are_one_after_the_other(write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call) -> None:
     journal = tmp_path / "a.journal"
     result = answer(call("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
     assert result["state"] == "done"

@@ -100,7 +100,9 @@ def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(
 
 @pytest.mark.parametrize(("back", "transmitted"), WAYS[2:])
 def test_the_forward_estimator_meets_the_same_back(back: bool, transmitted: bool) -> None:
-    grid = {"polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE}
+    grid: dict[str, Any] = {
+        "polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE,
+    }  # fmt: skip
     fast = found(SHEET, back, transmitted, **grid).at[0].ratio
     forward = found(SHEET, back, transmitted, **grid, effort=Effort("forward", paths=1_500_000, seed=3)).at[0].ratio
     many = (forward.standard_error < 0.15 * forward.factor)[0] & np.isfinite(fast.factor[0])
