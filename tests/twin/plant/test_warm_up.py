@@ -14,17 +14,18 @@ from goniotwin.twin import TwinModel, VirtualRig
 from goniotwin.twin.optics import throughput
 from goniotwin.twin.plant import Plant
 from goniotwin.twin.plant.view import OPEN_BEAM
-from tests.conftest import REPOSITORY, RIG
+from tests.conftest import RIG
 
 FIRST_LIGHT = """
 import sys
 from pathlib import Path
+from numba.core.dispatcher import Dispatcher
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import RealClock
 from goniotwin.twin import VirtualRig
 
 rig = VirtualRig.build(read_rig(Path(sys.argv[1])).model(), RealClock())
-kernels = [each for name, module in sorted(sys.modules.items()) if name.startswith("twin") for each in vars(module).values()]
+kernels = [each for name, module in sorted(sys.modules.items()) if name.startswith("goniotwin.twin") for each in vars(module).values()]
 kernels = [each for each in kernels if isinstance(each, Dispatcher)]
 compiled = [each.signatures for each in kernels]
 stopwatch = RealClock()
@@ -73,7 +74,7 @@ def first_light(**environment: str) -> list[str]:
     """How long it takes after the warm-up, how many kernels there are by then, and whether they are all that it needs."""
     done = subprocess.run(
         [sys.executable, "-c", FIRST_LIGHT, str(RIG)],
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY), **environment},
+        env={**os.environ, **environment},
         capture_output=True,
         text=True,
         check=True,
