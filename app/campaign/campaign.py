@@ -114,7 +114,7 @@ def _carried_out(
     engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
     state = engine.run()
     (rows, of), skipped = journal.counted(), len(journal.skipped())
-    trouble = opened.transcript_trouble
+    trouble = opened.transcript_failure
     faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
     return Outcome(state, engine.ended_by_schedule, rows, skipped, of, journal.seconds, faults, plan.rig.simulated)
 

@@ -72,7 +72,7 @@ def test_here_is_what_somebody_says(write_rig: Writer, monkeypatch: pytest.Monke
         stated.append(angle_deg)
         assume(axis, angle_deg)
 
-    monkeypatch.setattr(Axis, "assume_referenced", assumed)
+    monkeypatch.setattr(Axis, "set_position", assumed)
     state_place(write_rig(), "sigma", 12.5, said.append)
     assert (said, stated) == (["sigma: is at 12.500 deg, as you say"], [12.5])
 

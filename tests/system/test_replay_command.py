@@ -52,7 +52,7 @@ def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, writ
     first, asked, was, now, last = done.stdout.splitlines()
     byte = r"byte \d+: [0-9a-f]{2} recorded, [0-9a-f]{2} now"
     assert re.fullmatch(rf"monitor.txt, line \d+, from the device: {byte}(; {byte})*", first)
-    assert re.fullmatch(r" +asked +02 .* 00  \| transfer \d+: up to 4096 bytes, please", asked)
+    assert re.fullmatch(r" +asked +02 .* 00  \| transfer \d+: up to 4096 bytes requested", asked)
     assert re.fullmatch(r" +recorded +02 .*  \| transfer \d+: '1\.\d{8}E-07\\n'", was)
     assert re.fullmatch(r" +now +02 .*  \| transfer \d+: '1\.\d{8}E-11\\n'", now)
     assert re.fullmatch(r"1 difference; told \d+ times: monitor.txt", last)
