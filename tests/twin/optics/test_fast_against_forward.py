@@ -12,7 +12,7 @@ from goniotwin.twin.optics import (
     Deviation,
     Instrument,
     Scatterer,
-    forward,
+    forward_throughput,
     from_specular,
     gaussian,
     lambertian,
@@ -56,7 +56,7 @@ def hold_each_other(
 
     With `seven` so for the few rays too that the fast estimator takes of its own accord, as campaigns have them.
     """
-    estimate = forward(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
+    estimate = forward_throughput(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
     sample = scatterer or regular(transmits=True, side="both")
     expected = throughput(instrument, sigma_deg, directions, sample, rays=rays, gamma_deg=gamma_deg)
     # Slivers of a detector and the lobe's far tail have too few hits for an error that is known.
@@ -158,7 +158,7 @@ def test_they_agree_for_a_mirror_and_the_open_beam(sigma_deg: float, scatterer: 
     narrow = Instrument(obstruction=False)
     directions = rings(sigma_deg, 0.12, 6, transmitted=scatterer is None)
     # These detectors overlap, so their sum's error is not known from theirs.
-    estimate = forward(narrow, sigma_deg, directions, scatterer, 4_000_000, seed=3)
+    estimate = forward_throughput(narrow, sigma_deg, directions, scatterer, 4_000_000, seed=3)
     expected = throughput(narrow, sigma_deg, directions, scatterer or regular(transmits=True, side="both"))
     seen = expected > 0.05 * expected.max()
     assert np.max(np.abs(estimate.single_m2sr - expected)[seen] / estimate.single_error[seen]) < 5.5
