@@ -17,7 +17,7 @@ from goniotwin.app.campaign.planning.durations import TINY, Moves, Timing, fewes
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH, Lattice
 from goniotwin.app.campaign.planning.timeline import Measuring
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 
@@ -89,7 +89,7 @@ def _mounted(measuring: Measuring, passes: list[Pass], moving: dict[Lattice, flo
     row = measuring.row(passes[0].sample)
     reading = timing.readings_range(row)[0] + timing.readback_s
     rows = sum(len(each.lattice) for each in passes)
-    if file.drift is not None and passes[0].sample != NOTHING:
+    if file.drift is not None and passes[0].sample != NO_SAMPLE:
         rows += 1 + fewest_stretches(rows, reading, file.drift.every_s)
     measured = rows * reading + sum(moving[each.lattice] for each in passes)
     stretches = fewest_stretches(rows, reading, file.dark_every_s)

@@ -19,7 +19,7 @@ from goniotwin.app.campaign.planning.loop_order import Nest, moving_seconds, vis
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
 from goniotwin.app.campaign.planning.path_search import rearranged
 from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import NESTED, ScheduleFile
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
@@ -235,7 +235,7 @@ class Chain:
         ends: list[tuple[float, Floats]] = [(0.0, here)]
         came_from: list[list[int]] = []
         for each, opening, closing in zip(self._passes, self._opening, self._closing, strict=True):
-            check = None if each.sample == NOTHING else self._drift
+            check = None if each.sample == NO_SAMPLE else self._drift
             reached = []
             steps = []
             for way in ways[each.lattice]:

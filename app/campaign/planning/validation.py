@@ -14,7 +14,7 @@ from goniotwin.app.campaign.geometry.symmetry import one_of_each
 from goniotwin.app.campaign.planning.durations import Timing, fewest_stretches
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.timeline import Measuring
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import Certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -89,7 +89,7 @@ def fewest_rows(mounted: list[list[Pass]], measuring: Measuring, timing: Timing)
         reading = timing.readings_range(row)[0] + timing.readback_s
         rows = sum(len(each.lattice) for each in passes)
         checks = 0
-        if file.drift is not None and passes[0].sample != NOTHING:
+        if file.drift is not None and passes[0].sample != NO_SAMPLE:
             checks = 1 + fewest_stretches(rows, reading, file.drift.every_s)
         kinds["measure"] += rows
         kinds["drift"] += checks
