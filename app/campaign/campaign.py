@@ -113,7 +113,7 @@ def _carried_out(
     engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
     state = engine.run()
     (rows, of), skipped = journal.counted(), len(journal.skipped())
-    trouble = opened.transcript_error
+    trouble = opened.transcript_failure
     faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
     return Outcome(state, engine.ended_by_schedule, rows, skipped, of, journal.seconds, faults, plan.rig.simulated)
 
