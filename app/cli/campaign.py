@@ -91,7 +91,7 @@ def run(
         "reason": outcome.ended_by_schedule,
         "rows": outcome.rows,
         "skipped": outcome.skipped,
-        "planned": outcome.of,
+        "planned": outcome.planned,
         "duration_s": outcome.seconds,
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
@@ -102,12 +102,12 @@ def run(
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
     mark = "SIMULATED, " if outcome.simulated else ""
     skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
-    rows = f"{outcome.rows} of {outcome.of} rows{skipped} in {outcome.seconds:.1f} s of the rig's time"
+    rows = f"{outcome.rows} of {outcome.planned} rows{skipped} in {outcome.seconds:.1f} s of the rig's time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
     answer(as_json, result, lambda: print("\n".join([text, *(checks.lines if checks is not None else [])])))
     if outcome.ended_by_schedule:
         errors.print(f"goniotwin: the schedule has ended it: {outcome.ended_by_schedule}", style="yellow", markup=False)
-    if outcome.rows < outcome.of:
+    if outcome.rows < outcome.planned:
         errors.print(f"go on with: goniotwin run --resume {journal}", markup=False)
     if outcome.state is not State.DONE or outcome.skipped:
         raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
@@ -177,7 +177,7 @@ def runs(
     """List the campaigns of a folder: how each ended, what is left of it, and how long that takes."""
     from rich.console import Console
 
-    from goniotwin.app.campaign.journal.runs import campaign_summaries
+    from goniotwin.app.campaign.journal.summary import campaign_summaries
     from goniotwin.app.cli.run_list import show
 
     found, refused = campaign_summaries(folder)

@@ -33,7 +33,7 @@ class RowProgress:
             self._bar.update(self._task, now=event.row.identity)
         elif isinstance(event, RowCommitted):
             left = f"rig's time left {event.seconds_left:.0f} s"
-            self._bar.update(self._task, completed=event.done, total=event.of, now=left)
+            self._bar.update(self._task, completed=event.done, total=event.total, now=left)
 
     def __enter__(self) -> "RowProgress":
         return self

@@ -5,7 +5,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from goniotwin.app.campaign.journal.runs import CampaignSummary
+from goniotwin.app.campaign.journal.summary import CampaignSummary
 from goniotwin.app.campaign.wording import duration_text
 
 STYLE = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}

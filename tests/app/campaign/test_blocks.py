@@ -44,7 +44,7 @@ def journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Path:
 
 
 def plan_rows(journal: Journal, sample: str) -> list[Row]:
-    return [row for row in journal.planned() if row.sample == sample and row.kind == "measure"]
+    return [row for row in journal.planned_rows() if row.sample == sample and row.kind == "measure"]
 
 
 def bits(points: BsdfPoints) -> list[bytes]:

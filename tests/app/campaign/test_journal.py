@@ -15,7 +15,7 @@ from goniotwin.app.errors import UserError
 def test_no_journal_is_overwritten(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     path.write_bytes(b"precious")
-    with pytest.raises(UserError, match="is there already"):
+    with pytest.raises(UserError, match="exists already"):
         run_campaign(plan, path)
     assert path.read_bytes() == b"precious"
 
