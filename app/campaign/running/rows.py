@@ -129,7 +129,7 @@ class RowExecutor:
             self._encoder_warnings.add(name)
             self._log_event(
                 "encoder",
-                f"{name}: the encoder is {difference_deg:+.3f} deg ahead of the counter. This is within the backlash, but every "
+                f"{name}: the encoder is {difference_deg:+.3f} deg ahead of the counter. That is within the backlash. But each "
                 f"move arrives from {settings.approach_from}: the zero of the axis, and each of its angles, is off by as much. "
                 f"Home the axis, or set its current position after a move from {settings.approach_from}",
             )
