@@ -55,7 +55,7 @@ class Bench:
         (complaint,) = (line for line in process.complaints if "cannot be written" in line)
         assert f"{path}: cannot be written: " in complaint
         assert complaint.endswith("; free space on the disk")
-        assert process.errors.splitlines()[-1] == f"go on with: goniotwin run --resume {path}"
+        assert process.errors.splitlines()[-1] == f"to continue: goniotwin run --resume {path}"
         assert self._at_rest()
         check_told(path, process.told)
         assert campaign_summary(path).rows == len(process.told)
