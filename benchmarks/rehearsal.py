@@ -138,18 +138,18 @@ def once(plan: Plan) -> list[float]:
 def modbus_exchanges_a_row(plan: Plan) -> float:
     """Counted where the drivers ask."""
     asked = 0
-    ask = ModbusBus.ask
+    exchange = ModbusBus.exchange
 
     def counted(self: ModbusBus, *arguments: object) -> object:
         nonlocal asked
         asked += 1
-        return ask(self, *arguments)  # type: ignore[arg-type]
+        return exchange(self, *arguments)  # type: ignore[arg-type]
 
-    ModbusBus.ask = counted  # type: ignore[method-assign, assignment]
+    ModbusBus.exchange = counted  # type: ignore[method-assign, assignment]
     try:
         rows = len(once(plan))
     finally:
-        ModbusBus.ask = ask  # type: ignore[method-assign]
+        ModbusBus.exchange = exchange  # type: ignore[method-assign]
     return asked / rows
 
 

@@ -122,8 +122,8 @@ def _run_engine(
     engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
     state = engine.run()
     (rows, planned), skipped = journal.row_counts(), len(journal.skipped_numbers())
-    trouble = opened.transcript_trouble
-    faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
+    failure = opened.transcript_failure
+    faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
     return Outcome(state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated)
 
 

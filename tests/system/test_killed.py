@@ -74,7 +74,7 @@ class Bench:
     def _gave_up(self, process: Killable) -> bool:
         """Before it was killed, for an answer that came too late on a busy machine."""
         self.complaints += process.complaints
-        return "no answer" in process.errors
+        return "not responding" in process.errors
 
     def _finish(self, path: Path, told: dict[int, str]) -> None:
         """As an operator would, who does what the messages say."""
