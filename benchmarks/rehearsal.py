@@ -203,7 +203,7 @@ def memory(rows: int) -> dict[str, float]:
     at: dict[int, int] = {}
 
     def weigh(event: Event) -> None:
-        if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.of):
+        if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.total):
             at[event.done] = resident_bytes()
             if event.done == FROM_ROW:
                 forget_most()
