@@ -145,7 +145,7 @@ def test_a_slipped_axis_ends_the_run_and_yields_no_row(bench: MakeBench) -> None
     assert made.journal.counted()[0] == first
     fault = made.journal.faults()[0]
     assert fault.startswith("sigma: ")
-    assert all(part in fault for part in ("counter says 30.000 deg", "encoder", "goniotwin home", "goniotwin here"))
+    assert all(part in fault for part in ("counter is at 30.000 deg", "encoder", "goniotwin home", "goniotwin here"))
 
 
 def test_a_rig_with_a_lost_axis_is_refused_and_leaves_no_journal(
