@@ -15,7 +15,7 @@ from functools import cache
 
 from goniotwin.drivers import DeviceError, Forgotten
 from goniotwin.mocks.faults import Fault, Script
-from tests.drivers.failing_drivers import BENCHES, Bench, WrongValueError
+from tests.drivers.fault_benches import BENCHES, Bench, WrongValueError
 
 TRIES = 4
 PAUSE_S = 6.0

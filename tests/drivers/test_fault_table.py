@@ -3,7 +3,7 @@
 import pytest
 
 from goniotwin.mocks.faults import Fault
-from tests.drivers.failing_drivers import BENCHES, Bench
+from tests.drivers.fault_benches import BENCHES, Bench
 from tests.drivers.fault_table import AGAIN, ERROR, NOTICED, RIGHT, STUCK, WRONG, Cell, as_markdown, case, failures, table
 
 

@@ -13,7 +13,7 @@ from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.usbtmc import HEADER_BYTES
 from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT
 from tests.conftest import RigOpener
-from tests.drivers.failing import Calls
+from tests.drivers.bounded_calls import Calls
 from tests.drivers.monitor_bench import TRUTH_A, Bench, bench
 
 __all__ = ["bench"]

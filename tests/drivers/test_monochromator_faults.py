@@ -8,7 +8,7 @@ from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, wait
 from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Misfortune, Script
 from goniotwin.protocols.cornerstone import Grating
 from tests.conftest import RigOpener
-from tests.drivers.failing import Calls
+from tests.drivers.bounded_calls import Calls
 from tests.drivers.monochromator_bench import DIALECTS, Bench
 
 

@@ -9,7 +9,7 @@ from goniotwin.app.rig import OpenRig
 from goniotwin.drivers import DeviceError, NoAnswer, PhotodiodeArray
 from goniotwin.mocks.faults import ON_MODBUS, ON_MODBUS_RTU, Fault, Misfortune, Script
 from goniotwin.protocols.clock import Clock
-from tests.drivers.failing import Calls
+from tests.drivers.bounded_calls import Calls
 from tests.drivers.photodiode_bench import Bench, bench, break_wires, read
 
 __all__ = ["bench"]
