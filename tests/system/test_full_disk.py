@@ -16,7 +16,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import Held, RigLock
 from goniotwin.mocks.control import Control
-from tests.app.campaign.test_resume import MORE, STEADY, values
+from tests.app.campaign.running.test_resume import MORE, STEADY, values
 from tests.conftest import Writer
 from tests.system.conftest import Serve, at
 from tests.system.killable import FORKED, Fate, Killable, check_told

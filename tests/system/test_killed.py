@@ -18,7 +18,7 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.mocks.control import Control
-from tests.app.campaign.test_resume import MORE, STEADY, as_of_schema_1, stopped_at, values
+from tests.app.campaign.running.test_resume import MORE, STEADY, as_of_schema_1, stopped_at, values
 from tests.conftest import Writer
 from tests.system.conftest import Serve, at
 from tests.system.killable import FORKED, Fate, Killable, check_told

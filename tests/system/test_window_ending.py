@@ -18,7 +18,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.mocks.control import Control
 from goniotwin.protocols.clock import RealClock
-from tests.app.campaign.test_resume import STEADY, values
+from tests.app.campaign.running.test_resume import STEADY, values
 from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.conftest import Serve, at
 

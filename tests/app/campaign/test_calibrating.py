@@ -19,7 +19,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import OpenRig, read_rig
-from tests.app.campaign.measuring_bench import carried_out
+from tests.app.campaign.campaign_bench import carried_out
 from tests.app.campaign.test_export import points_of
 from tests.conftest import SMALL, Writer
 

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.twin.optics import from_specular
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out
+from tests.app.campaign.campaign_bench import QUIET, Run, carried_out
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 GREY = '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.03\n\n'

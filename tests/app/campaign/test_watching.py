@@ -13,7 +13,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import OpenRig, read_rig
-from tests.app.campaign.measuring_bench import carried_out
+from tests.app.campaign.campaign_bench import carried_out
 from tests.conftest import RIG
 
 TEXT = """

@@ -11,8 +11,8 @@ from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State, StateChanged
 from goniotwin.mocks.faults import Fault, Misfortune, Script
-from tests.app.campaign.failing_campaign import FAULTS, POLICIES, Wires, failing_plan, run_with, wrong
-from tests.app.campaign.measuring_bench import Run
+from tests.app.campaign.campaign_bench import Run
+from tests.app.campaign.running.faulty_campaign import FAULTS, POLICIES, Wires, failing_plan, run_with, wrong
 
 KINDS = [(wire, rtu, fault) for (wire, rtu), faults in FAULTS.items() for fault in faults]
 QUICK = KINDS[::2]

@@ -17,9 +17,9 @@ from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from tests.app.campaign.disk import Doing, Told, after_the_power_came_back
-from tests.app.campaign.test_resume import MORE, STEADY, values
-from tests.app.campaign.watched_sqlite import Connection, WatchedDisk
+from tests.app.campaign.journal.recorded_sqlite import Connection, WatchedDisk
+from tests.app.campaign.journal.simulated_disk import Doing, Told, after_the_power_came_back
+from tests.app.campaign.running.test_resume import MORE, STEADY, values
 from tests.conftest import Writer
 from tests.system.killable import digest_of
 

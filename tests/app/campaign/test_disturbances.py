@@ -19,7 +19,7 @@ from goniotwin.app.campaign.running.events import Event, RowStarted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import OpenRig, parse_rig
 from goniotwin.twin.plant import Plant
-from tests.app.campaign.measuring_bench import Run, carried_out
+from tests.app.campaign.campaign_bench import Run, carried_out
 from tests.conftest import RIG, Change, changed
 
 SCHEDULE = """

@@ -22,7 +22,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.drivers import NoAnswer, wait
-from tests.app.campaign.test_resume import STEADY, stopped_at, values
+from tests.app.campaign.running.test_resume import STEADY, stopped_at, values
 from tests.app.test_referencing import HOMES
 from tests.conftest import SMALL, Writer
 

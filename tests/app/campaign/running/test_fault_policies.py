@@ -16,8 +16,8 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
 from goniotwin.drivers.errors import Interrupted, Unreferenced
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, Run, carried_out
+from tests.app.campaign.running.test_resume import stopped_at, values
 from tests.conftest import SMALL, Writer
 
 ROW = 3

@@ -15,8 +15,8 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols import adam
-from tests.app.campaign.measuring_bench import QUIET, carried_out, with_rows
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, carried_out, with_rows
+from tests.app.campaign.running.test_resume import stopped_at, values
 from tests.conftest import Writer
 
 ALL_GAINS = ("[1e8, 1e10]", "[1e6, 1e8, 1e10, 1e11]")

@@ -15,7 +15,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import Held, RigLock
-from tests.app.campaign.test_resume import STEADY, stopped_at
+from tests.app.campaign.running.test_resume import STEADY, stopped_at
 from tests.conftest import SMALL, Writer
 from tests.system.test_command import CALLS, Call, answer
 

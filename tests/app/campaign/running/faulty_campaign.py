@@ -29,7 +29,7 @@ from goniotwin.mocks.faulty_line import (
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.line import SerialDevice
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out, with_rows
+from tests.app.campaign.campaign_bench import QUIET, Run, carried_out, with_rows
 from tests.conftest import RIG, SMALL, Change, changed
 
 RTU: tuple[Change, ...] = (

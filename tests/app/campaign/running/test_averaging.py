@@ -14,8 +14,8 @@ from goniotwin.app.campaign.reduction.signals import middle
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, photodiode_settings, read_rig
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out, with_rows
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, Run, carried_out, with_rows
+from tests.app.campaign.running.test_resume import stopped_at, values
 from tests.conftest import Writer
 
 ONE_GAIN = ("[1e8, 1e10]", "[1e11]")

@@ -19,10 +19,10 @@ from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices import Cornerstone260
 from goniotwin.twin.optics import apply_spectrum, lambertian
-from tests.app.campaign.failing_campaign import POLICIES, Wires, run_with, wrong
-from tests.app.campaign.filter_bench import BELIEVED, THERE, plan_with, rig_with, second_order
-from tests.app.campaign.measuring_bench import Run, carried_out
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import Run, carried_out
+from tests.app.campaign.filter_rig import BELIEVED, THERE, plan_with, rig_with, second_order
+from tests.app.campaign.running.faulty_campaign import POLICIES, Wires, run_with, wrong
+from tests.app.campaign.running.test_resume import stopped_at, values
 
 POSITION = {500.0: 1.0, 600.0: 4.0, 700.0: 2.0, 760.0: 2.0}
 """By wavelength, as the bench's rig file says it."""
