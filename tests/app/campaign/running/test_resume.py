@@ -19,9 +19,14 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, parse_rig, read_rig
 from goniotwin.app.rig.lock import RigLock
-from tests.app.campaign.campaign_bench import THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
+from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.golden import contents
+
+
+@pytest.fixture
+def steady(write_rig: Writer, write_schedule: Writer) -> Plan:
+    return make_plan(read_schedule(write_schedule(THREE_SHIFTS)), read_rig(write_rig(*QUIET)))
 
 
 @pytest.fixture
