@@ -162,12 +162,12 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
 
     Nothing is opened and nothing moves. What the rig cannot do is refused with status 2.
     """
-    from goniotwin.app.campaign.planning.check import checked_plan, in_words
+    from goniotwin.app.campaign.planning.check import check_plan, describe_check
 
     plan = _plan(schedule, rig)
     plan.rig.model()  # samples' files that cannot be read are found now, not at the start
-    result = checked_plan(plan)
-    answer(as_json, result, lambda: print(in_words(plan, result)))
+    result = check_plan(plan)
+    answer(as_json, result, lambda: print(describe_check(plan, result)))
 
 
 def runs(

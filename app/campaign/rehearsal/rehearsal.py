@@ -13,7 +13,7 @@ from typing import Any
 
 from goniotwin.app.campaign.journal.provenance import versions
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import Watch
@@ -83,7 +83,7 @@ def rehearse(
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = performed(plan, path, watch, listeners or [])
-        warnings = [*checked_plan(plan)["warnings"], *warnings_of(plan, watch)]
+        warnings = [*check_plan(plan)["warnings"], *warnings_of(plan, watch)]
         said = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
         foretold = forecast(path, points, [said, *(f"assumed: {each}" for each in (*assumed, *run.assumed))])
         if foretold.trouble:

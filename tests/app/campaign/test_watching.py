@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
@@ -84,7 +84,7 @@ def test_a_rehearsal_warns_of_them_and_says_what_to_do() -> None:
 
 def test_check_warns_of_those_that_no_light_can_reach_at_the_checks_pose() -> None:
     def told(text: str) -> list[str]:
-        return [each for each in checked_plan(planned(text))["warnings"] if "a fault of theirs" in each]
+        return [each for each in check_plan(planned(text))["warnings"] if "a fault of theirs" in each]
 
     assert told(TEXT) == []
     through = 'light = "transmitted"\n' + TEXT.replace("gaussian-5", "opal")
