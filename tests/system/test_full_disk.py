@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
@@ -55,10 +55,10 @@ class Bench:
         (complaint,) = (line for line in process.complaints if "cannot be written" in line)
         assert f"{path}: cannot be written: " in complaint
         assert complaint.endswith("; make room on the disk")
-        assert process.errors.splitlines()[-1] == f"go on with: goniotwin run --resume {path}"
+        assert process.errors.splitlines()[-1] == f"to continue: goniotwin run --resume {path}"
         assert self._at_rest()
         check_told(path, process.told)
-        assert campaign_of(path).rows == len(process.told)
+        assert campaign_summary(path).rows == len(process.told)
         make_room()
         for _ in range(MOST_TRIES):
             resumed = Killable(self.folder, "run", "--resume", path)
@@ -109,7 +109,7 @@ def small_disk(tmp_path: Path) -> Iterator[SmallDisk]:
         subprocess.run(["umount", str(place)], check=True)
 
 
-@pytest.mark.parametrize("sizes", [pytest.param(3, id="3"), pytest.param(25, id="25", marks=pytest.mark.long)])
+@pytest.mark.parametrize("sizes", [pytest.param(2, id="2"), pytest.param(25, id="25", marks=pytest.mark.long)])
 def test_where_the_journal_may_not_grow_the_campaign_fails_and_goes_on_when_it_may(bench: Bench, sizes: int) -> None:
     """A bound for the size of files: how a full disk looks where nobody may make a small one."""
     found = []
@@ -170,5 +170,5 @@ def test_on_a_disk_that_may_only_be_read_a_killed_campaign_says_what_it_has(
     Path(f"{path}-shm").unlink()
     small_disk(MOST_KB * 10, "ro")
     check_told(path, killed.told)
-    campaign = campaign_of(path)
+    campaign = campaign_summary(path)
     assert (campaign.state, campaign.rows) == ("killed", 4)

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRo
 from goniotwin.app.campaign.planning.warnings import duration_range, plan_warnings
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import LOOP_NAMES
-from goniotwin.app.campaign.wording import clock_time
+from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.rig import AXES
 
 COLUMN_NAMES = (*LOOP_NAMES, "filter")
@@ -48,8 +48,8 @@ def explain_order(plan: Plan, details: PlanDetails) -> str:
             for words in _labels(nest, order.loop_order):
                 seconds.setdefault(words, whole)
     count, wheel_s = filter_changes(plan)
-    filters = f"; filter changes: {count}, {clock_time(wheel_s)}" if count else ""
-    told = "; ".join(f"{words}: {clock_time(whole)}" for words, whole in seconds.items())
+    filters = f"; filter changes: {count}, {duration_text(wheel_s)}" if count else ""
+    told = "; ".join(f"{words}: {duration_text(whole)}" for words, whole in seconds.items())
     if plan.schedule.file.order != "fastest":
         return f"as the schedule says. {told}{filters}"
     return f"{told if len(seconds) > 1 else 'there is one loop only'}{filters}"
@@ -78,7 +78,7 @@ def _labels(nest: LoopOrder, taken: LoopOrder) -> list[str]:
 
 
 MAX_LISTED = 6
-__all__ = ["checked_plan", "clock_time", "in_words"]
+__all__ = ["check_plan", "describe_check"]
 
 
 def check_plan(plan: Plan) -> dict[str, Any]:
@@ -132,8 +132,8 @@ def describe_check(plan: Plan, result: dict[str, Any]) -> str:
     lines = [
         f"{file.name} on {plan.rig.file.name}{' (SIMULATED)' if plan.rig.simulated else ''}",
         f"  rows        {result['rows']} ({kinds})",
-        f"  duration    {clock_time(result['duration_s'])}, and the time to mount: {', '.join(result['mountings'])}",
-        f"              (no order could take less than {clock_time(result['least_s'])})",
+        f"  duration    {duration_text(result['duration_s'])}, and the time to mount: {', '.join(result['mountings'])}",
+        f"              (no order could take less than {duration_text(result['least_s'])})",
         f"  order       from the inside: {', '.join(result['order']) or 'one pose, one wavelength'}",
         f"              {result['why']}",
         f"  axes        {ranges} deg",

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.planning.durations import TINY, Moves, Timing, min_i
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH, ScanGrid
 from goniotwin.app.campaign.planning.timeline import RowTemplates
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 
@@ -89,7 +89,7 @@ def _mounted(templates: RowTemplates, passes: list[Pass], moving: dict[ScanGrid,
     row = templates.measurement(passes[0].sample)
     reading = timing.reading_range_s(row)[0] + timing.readback_s
     rows = sum(len(each.grid) for each in passes)
-    if file.drift is not None and passes[0].sample != NOTHING:
+    if file.drift is not None and passes[0].sample != NO_SAMPLE:
         rows += 1 + min_intervals(rows, reading, file.drift.every_s)
     measured = rows * reading + sum(moving[each.grid] for each in passes)
     stretches = min_intervals(rows, reading, file.dark_every_s)

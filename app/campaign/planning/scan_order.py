@@ -1,10 +1,9 @@
-"""In which order to measure: which loop goes inside which, so that the rig takes the least time.
+"""Scan order: the order of a grid's points that takes the least machine time, and the order of the passes.
 
-All nestings are estimated from how often each of their loops steps and what a step costs. Of the best with each loop
-innermost, and of the best with the wavelength outermost, every single move is then added up: these are what the words
-compare, and the fastest of them is taken, rearranged where that makes it shorter still. Where wavelengths share filters, there
-are loop_orders that do one filter after the other, too, with poses between the loop over the filters and that over the wavelengths of
-each.
+All loop orders are estimated: how often each loop steps, and what a step costs. The best ones are then added up move by move:
+the best with each loop innermost, and the best with the wavelength outermost. `check` lists these. The fastest is taken, or a
+path search improves it. Where wavelengths share filters, there are also loop orders with a loop over the filters, and poses
+between it and the loop over the wavelengths of one filter.
 """
 
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from goniotwin.app.campaign.planning.loop_order import LoopOrder, loop_sequence,
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
 from goniotwin.app.campaign.planning.path_search import search_paths
 from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, ScanGrid
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import LOOP_NAMES, ScheduleFile
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
@@ -31,8 +30,10 @@ LARGE_GRID_POINTS, LARGE_GRID_REVERSALS = 20_000, 1
 
 @dataclass(frozen=True)
 class ScanOrder:
-    """The order of a grid's points: their numbers, its seconds of moving (without what comes before the first point), the
-    loop_order that gives it or that it was rearranged from, and the seconds of all loop_orders that were candidates, this one's among them.
+    """The order of a grid's points.
+
+    `sequence` has their numbers, `seconds` is the moving time without the way to the first point. `loop_order` gives the
+    sequence, or the path search started from it. `candidates` are all loop orders that were compared, with their seconds.
     """
 
     sequence: Ints
@@ -97,7 +98,7 @@ def _fastest(
 def _begun_well(
     grid: ScanGrid, loop_order: LoopOrder, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
 ) -> tuple[LoopOrder, Ints, float]:
-    """A loop_order with its order and seconds, begun at other ends of its loops where only then the arc keeps clear of the beam."""
+    """A loop order with its sequence and seconds; loops start at their other ends where only this keeps the arc clear."""
     for size in range(min(most, len(loop_order.columns)) + 1):
         for begun in combinations(loop_order.columns, size):
             turned = replace(loop_order, reversed_columns=frozenset(begun))
@@ -242,7 +243,7 @@ class PassOrder:
         ends: list[tuple[float, Floats]] = [(0.0, here)]
         came_from: list[list[int]] = []
         for each, opening, closing in zip(self._passes, self._opening, self._closing, strict=True):
-            check = None if each.sample == NOTHING else self._drift
+            check = None if each.sample == NO_SAMPLE else self._drift
             reached = []
             steps = []
             for way in ways[each.grid]:

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.geometry.symmetry import unique_pose_mask
 from goniotwin.app.campaign.planning.durations import Timing, min_intervals
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.timeline import RowTemplates
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import Certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -22,7 +22,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, RigFile, axis_settings
 from goniotwin.arrays import Floats
 from goniotwin.drivers import LimitError
-from goniotwin.drivers.motion.axis import Axis, AxisSettings
+from goniotwin.drivers.motion import Axis, AxisSettings
 
 MAX_ROWS = 1_000_000
 
@@ -89,7 +89,7 @@ def min_rows(mounted: list[list[Pass]], templates: RowTemplates, timing: Timing)
         reading = timing.reading_range_s(row)[0] + timing.readback_s
         rows = sum(len(each.grid) for each in passes)
         checks = 0
-        if file.drift is not None and passes[0].sample != NOTHING:
+        if file.drift is not None and passes[0].sample != NO_SAMPLE:
             checks = 1 + min_intervals(rows, reading, file.drift.every_s)
         kinds["measure"] += rows
         kinds["drift"] += checks

@@ -32,7 +32,7 @@ from goniotwin.app.campaign.planning.validation import certified_directions
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.campaign.wording import clock_time, numbers
+from goniotwin.app.campaign.wording import duration_text, number_list
 from goniotwin.app.rig import RigFile, monochromator_settings
 from goniotwin.arrays import Ints
 from goniotwin.twin.optics import Scatterer
@@ -93,12 +93,12 @@ def _unmonitored(plan: Plan, seen: list[ArcDirections]) -> Iterator[str]:
         )
         yield (
             f"the drift checks at sigma {table.sigma_deg:g} deg do not light the side of the etalon that photodiodes "
-            f"{numbers(_channels(rig, dark))} look at: a fault of theirs while the etalon is measured would pass; {other}"
+            f"{number_list(_channels(rig, dark))} look at: a fault of theirs while the etalon is measured would pass; {other}"
         )
     hidden = np.concatenate([_blocked_photodiodes(rig, table, arc) for arc in sorted(arcs)])
     if hidden.size:
         yield (
-            f"at the pose of the drift checks the mirror unit hides photodiodes {numbers(hidden)}: a fault of theirs would "
+            f"at the pose of the drift checks the mirror unit hides photodiodes {number_list(hidden)}: a fault of theirs would "
             "pass; take a [drift] pose that is free"
         )
 
@@ -242,7 +242,7 @@ def _estimated(plan: Plan) -> Iterator[str]:
         least, most = duration_range(plan)
         yield (
             f"the duration is a guess, for {' and '.join(unknown)} is known afterwards: it may be from about "
-            f"{clock_time(least)} to {clock_time(most)}; {_basis(plan)}a rehearsal knows better"
+            f"{duration_text(least)} to {duration_text(most)}; {_basis(plan)}a rehearsal knows better"
         )
 
 

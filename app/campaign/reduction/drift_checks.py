@@ -13,11 +13,11 @@ from functools import partial
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import Committed, RowData
+from goniotwin.app.campaign.journal.record import CommittedRow, RowData
 from goniotwin.app.campaign.reduction.signals import Signal, darks_by_gain, signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import DriftTable
-from goniotwin.app.campaign.wording import numbers
+from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile, photodiode_settings
 from goniotwin.arrays import Flags
 
@@ -126,7 +126,7 @@ class DriftWatch:
     def __init__(self, table: DriftTable | None, rig: RigFile) -> None:
         self._reference = Reference(rig, None if table is None else table.limit)
         self._settings = photodiode_settings(rig)
-        self._darks: list[Committed] = []
+        self._darks: list[CommittedRow] = []
 
     def add(self, row: Row, data: RowData) -> Check | None:
         """A row that has been committed; for a drift row that has something to be compared with, what it says.
@@ -134,7 +134,7 @@ class DriftWatch:
         Raises UserError.
         """
         if row.kind == "dark":
-            self._darks.append(Committed(row, data))
+            self._darks.append(CommittedRow(row, data))
         if row.kind == "mount" or data.readings:
             return self._reference.check(row, lambda: signal(data, darks_by_gain(self._darks, self._settings), self._settings))
         return None
@@ -161,7 +161,7 @@ class Drift:
 
 
 def drifts(
-    rows: Iterable[Committed], signal_of: Callable[[Committed], Signal], rig: RigFile, limit: float | None
+    rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal], rig: RigFile, limit: float | None
 ) -> list[Drift]:
     """All of a campaign: mountings, drift checks and measurements in order of time, of which few are kept. `signal_of` one with
     readings; the `limit` of the schedule's drift checks, None where it has none.
@@ -196,7 +196,7 @@ A_TENTH = 0.1
 """A loss of so much that would not be certain leaves a photodiode unwatched."""
 
 
-def unseen(rows: Iterable[Committed], signal_of: Callable[[Committed], Signal]) -> dict[str, Flags]:
+def unseen(rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal]) -> dict[str, Flags]:
     """By what was mounted, the photodiodes (n,) of which a drift check could not have told that a tenth of the light is lost.
 
     `rows` in order of time, of which only drift checks count. Of campaigns without drift checks nothing.
@@ -227,5 +227,5 @@ def in_words(name: str, photodiodes: tuple[int, ...]) -> str:
     """Of one thing that was mounted."""
     return (
         f"drift checks of {name} saw no light, or too little to tell that a tenth of it is lost, on photodiodes "
-        f"{numbers(photodiodes)}: a fault of theirs would pass"
+        f"{number_list(photodiodes)}: a fault of theirs would pass"
     )

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import Pose
-from goniotwin.app.campaign.journal.record import Committed
+from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.drift_checks import drifts, unseen
 from goniotwin.app.campaign.reduction.signals import (
@@ -93,7 +93,7 @@ class Measurements:
         except UserError as error:
             raise UserError(f"{self._journal.path}: {error}") from None
 
-    def _signal(self, row: Committed) -> Signal:
+    def _signal(self, row: CommittedRow) -> Signal:
         with self._told():
             return with_tracing_error(signal(row.data, self._darks, self._settings), self._rig.file)
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
 from goniotwin.app.campaign.geometry.directions import arc_views
-from goniotwin.app.campaign.journal.reading import Recorded
+from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import Checks
 from goniotwin.app.campaign.reduction.drift_checks import in_words, unwatched
@@ -35,7 +35,7 @@ from goniotwin.app.campaign.reduction.readings import Key, Listed, Measured, Mea
 from goniotwin.app.campaign.reduction.row_points import row_points
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.symmetry import Symmetrical
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.errors import UserError
@@ -45,7 +45,7 @@ from goniotwin.arrays import Ints
 GO_ON = "goniotwin run --resume measures them"
 
 
-def missing(journal: Recorded, without_etalon: Mapping[str, int]) -> Iterator[str]:
+def missing(journal: JournalReader, without_etalon: Mapping[str, int]) -> Iterator[str]:
     """Notes: whether it is finished, rows that were skipped, axes whose encoders stood off, and rows `without_etalon`, by
     sample, that nothing scales.
     """
@@ -122,7 +122,7 @@ class Reduction:
         self._etalon = References(self._measurements, self.schedule.etalon)
         if not len(self._etalon):
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
-        self._signature = References(self._measurements, NOTHING)
+        self._signature = References(self._measurements, NO_SAMPLE)
         self.tallies: dict[str, Tally] = {}
         self._without_etalon: dict[str, int] = {}
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import Committed, Reading, RowData
-from goniotwin.app.campaign.readout import clipped
+from goniotwin.app.campaign.journal.record import CommittedRow, Reading, RowData
+from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, RigFile
 from goniotwin.arrays import Flags, Floats, Ints
@@ -80,7 +80,7 @@ class Darks:
         return counts, float(monitor), float(divided)
 
 
-def darks_by_gain(rows: list[Committed], settings: PhotodiodeSettings) -> dict[float, Darks]:
+def darks_by_gain(rows: list[CommittedRow], settings: PhotodiodeSettings) -> dict[float, Darks]:
     """The darks of all rows, by gain in V/A."""
     found: dict[float, list[Reading]] = defaultdict(list)
     for each in rows:
@@ -110,7 +110,7 @@ def signal(data: RowData, darks: dict[float, Darks], settings: PhotodiodeSetting
         monitor = reading.monitor_a - dark_monitor
         if not monitor > 0.0:
             raise UserError("the monitor saw no light in a row that was measured with the shutter open; is its fibre in?")
-        good = ~clipped(reading.counts)
+        good = ~saturation(reading.counts)
         better = good & (gain > np.where(kept >= 0, np.array(settings.gains_v_per_a)[kept], 0.0))
         ratio[better] = (current / monitor)[better]
         scatter = (noise + shot) / independent(reading) + noise / dark_readings
@@ -129,7 +129,7 @@ def mean_signal(signals: list[Signal]) -> Signal:
     return first if n == 1 else Signal(ratio, variance, np.where(clipped_once, -1, first.gain))
 
 
-def dead_since(rows: list[Committed], settings: PhotodiodeSettings) -> Floats:
+def dead_since(rows: list[CommittedRow], settings: PhotodiodeSettings) -> Floats:
     """From when on each photodiode (n,) has lost its dark current, and so gives none at all: s on the rig's clock, inf where
     it never has. It is the time of the last dark that still had it; said only where it stands out from the noise.
     """

@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from goniotwin.app.campaign.journal.provenance import versions
-from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.rehearsal.forecast import forecast
@@ -20,8 +19,8 @@ from goniotwin.app.campaign.rehearsal.row_statistics import Watch
 from goniotwin.app.campaign.rehearsal.warnings import heeded, warnings_of, worthless
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
-from goniotwin.app.campaign.running.operator import BackDoor
-from goniotwin.app.campaign.running.resume import Rest, rest_of
+from goniotwin.app.campaign.running.operator import VirtualOperator
+from goniotwin.app.campaign.running.resume import RemainingWork, remaining_work
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, photodiode_settings
@@ -126,8 +125,8 @@ def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -
     Where the schedule ends a session, another one goes on, as long as that comes any further.
     """
     faults: list[str] = []
-    with Journal.create(path, plan, versions(), durable=False) as journal:
-        rest: Rest | None = None
+    with Journal.create(path, plan, software_versions(), durable=False) as journal:
+        rest: RemainingWork | None = None
         done = -1
         while True:
             with open_rig(plan.rig, VirtualClock(rest.start_s if rest else 0.0)) as opened:
@@ -135,7 +134,7 @@ def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -
                 referenced = _referenced(opened)
                 assert opened.virtual is not None
                 work = rest.work if rest else None
-                engine = Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [watch, *listeners], work=work)
+                engine = Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), [watch, *listeners], work=work)
                 state = engine.run()
             faults += engine.faults
             if state is State.IDLE and not engine.ended_by_schedule:
@@ -144,12 +143,12 @@ def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -
             if state is not State.IDLE or done <= before:
                 sessions = len(journal.sessions())
                 return Run(state, engine.ended_by_schedule, done, sessions, journal.seconds, tuple(faults), tuple(referenced))
-            rest = rest_of(journal, plan.rig)
+            rest = remaining_work(journal, plan.rig)
 
 
 def _referenced(opened: OpenRig) -> list[str]:
     """Axes of which nobody would know where they are after a power-up stand where the twin has them."""
-    doubtful = [name for name, axis in opened.rig.axes.items() if axis.doubt]
+    doubtful = [name for name, axis in opened.rig.axes.items() if axis.unreferenced_reason]
     for name in doubtful:
-        opened.rig.axes[name].assume_referenced()
+        opened.rig.axes[name].set_position()
     return [f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in doubtful]

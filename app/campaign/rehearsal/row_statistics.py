@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.readout import clipped
+from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.rig import AXES
@@ -70,7 +70,7 @@ class Watch:
             self.largest[gain] = max(self.largest.get(gain, 0), int(highest.max()))
             steps = np.abs(reading.counts.mean(axis=0) - self._zero)
             self.steps[row.sample, gain] = np.maximum(self.steps.get((row.sample, gain), steps), steps)
-        over = np.all([clipped(reading.counts) for reading in data.readings], axis=0)
+        over = np.all([saturation(reading.counts) for reading in data.readings], axis=0)
         self.saturated += int((over & self._heeded(row)).sum())
 
     @property

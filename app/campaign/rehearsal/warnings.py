@@ -16,7 +16,7 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.drift_checks import in_words
 from goniotwin.app.campaign.reduction.points import FIRST, Tally
 from goniotwin.app.campaign.rehearsal.row_statistics import Watch
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.arrays import Flags, Floats
@@ -108,7 +108,7 @@ def heeded(plan: Plan, row: Row) -> Flags:
     With nothing mounted the light goes straight on: the arc that it meets need not see it, unless the campaign is about it.
     """
     upper, lower = (np.full(len(polar_deg(plan.rig.file, arc)), True) for arc in ("upper", "lower"))
-    if row.sample == NOTHING and row.pose is not None and not row.identity.startswith(f"{NOTHING}/open beam/"):
+    if row.sample == NO_SAMPLE and row.pose is not None and not row.identity.startswith(f"{NO_SAMPLE}/open beam/"):
         arcs = tuple(observing_arcs(plan.schedule.file, row.pose[1]))
         upper &= "upper" in arcs
         lower &= "lower" in arcs

@@ -7,7 +7,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleFile, StopTable
 from goniotwin.app.rig import RigFile
 
 
-class Endings:
+class StopConditions:
     """Looks at each row that has been committed. It is told of those of earlier sessions, too, by `recall`."""
 
     def __init__(self, schedule: ScheduleFile, rig: RigFile) -> None:

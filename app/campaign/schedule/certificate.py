@@ -39,8 +39,8 @@ class CertificateTable(Table):
 
 @dataclass(frozen=True)
 class Certificate:
-    """A table on a grid: ascending values of each of INPUT_COLUMNS (none where the certificate has no such column), and on their
-    product the radiance factor and its relative standard uncertainty.
+    """A table on a grid: ascending values of each of INPUT_COLUMNS (none where the certificate has no such column), and on
+    their product the radiance factor and its relative standard uncertainty.
     """
 
     grid: tuple[Floats, ...]

@@ -16,7 +16,7 @@ from pydantic import (
     model_validator,
 )
 
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
 from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
@@ -156,8 +156,8 @@ class ScheduleFile(Table):
     def _etalon_is_no_sample(self) -> "ScheduleFile":
         if self.etalon in self.samples:
             raise ValueError(f"the etalon {self.etalon!r} stands among the samples; it is measured anyway, so remove it")
-        if NOTHING in (self.etalon, *self.samples):
-            raise ValueError(f"{NOTHING!r} is what an empty sample unit is called; give the sample another name")
+        if NO_SAMPLE in (self.etalon, *self.samples):
+            raise ValueError(f"{NO_SAMPLE!r} is what an empty sample unit is called; give the sample another name")
         return self
 
     @field_validator("order", "gains_v_per_a", mode="before")

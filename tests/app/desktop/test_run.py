@@ -12,15 +12,15 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QApplication, QFileDialog, QPushButton
 from pytestqt.qtbot import QtBot
 
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
-from goniotwin.app.campaign.running.operator import BackDoor
+from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.model import rig_thread as rigthread
-from goniotwin.app.desktop.model.live_cut import Cut, LiveCut
+from goniotwin.app.desktop.model.live_scan import Cut, LiveCut
 from goniotwin.app.desktop.model.permissions import BUSY
-from goniotwin.app.ending import REQUESTS
+from goniotwin.app.end_signals import END_SIGNALS
 from goniotwin.app.rig import OpenRig, RigFile
 from goniotwin.drivers import Axis, DeviceError, Rig
 from goniotwin.drivers.errors import NoAnswer
@@ -205,7 +205,7 @@ def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path) ->
 @pytest.fixture
 def handlers(qapp: QApplication) -> Iterator[None]:
     """A request to end leaves its handlers in place; they are restored. A desktop that does not end is ended, with status 1."""
-    before = {number: signal.getsignal(number) for number in REQUESTS}
+    before = {number: signal.getsignal(number) for number in END_SIGNALS}
     patience = QTimer(interval=READY_MS, singleShot=True)
     patience.timeout.connect(lambda: qapp.exit(1))
     patience.start()
@@ -215,7 +215,7 @@ def handlers(qapp: QApplication) -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("number", REQUESTS)
+@pytest.mark.parametrize("number", END_SIGNALS)
 @pytest.mark.usefixtures("handlers")
 def test_a_signal_ends_the_desktop(qapp: QApplication, tmp_path: Path, number: int) -> None:
     QTimer.singleShot(0, lambda: signal.raise_signal(number))
@@ -352,7 +352,7 @@ def test_a_request_to_end_stops_the_run_and_asks_nothing(qtbot: QtBot, open_wind
     assert not asked.isVisible()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert window.session.journal is not None
-    assert campaign_of(window.session.journal).state == "stopped"
+    assert campaign_summary(window.session.journal).state == "stopped"
 
 
 def test_a_request_to_end_closes_the_window_where_the_run_cannot_begin(
@@ -378,7 +378,7 @@ class Helped:
 
     def __init__(self, opened: OpenRig, _rig: RigFile, ask: rigthread.Ask) -> None:
         assert opened.virtual is not None
-        self._door = BackDoor(opened.virtual)
+        self._door = VirtualOperator(opened.virtual)
         self._ask = ask
 
     def mount(self, sample: str) -> None:

@@ -27,6 +27,7 @@ from goniotwin.twin.optics.forward.paths import BLOCK, DX, PX, ROWS, STOP, WEIGH
 from goniotwin.twin.optics.forward.scoring import HITS, Room, find_cells, score, score_segment, sensor_targets
 from goniotwin.twin.optics.forward.setting import set_up
 from goniotwin.twin.optics.montecarlo import CHUNK
+from tests.sizes import parted
 from tests.twin.optics.agreement import agree
 from tests.twin.optics.models import named
 
@@ -95,29 +96,31 @@ def directions(scatterer: Scatterer, sigma_deg: float) -> Floats:
     return from_specular(sigma_deg, np.linspace(2.0, 16.0, 24), np.arange(24) * 50.0)
 
 
+@parted(4)
 @pytest.mark.parametrize("sigma_deg", [30.0, 60.0])
 @pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=named)
 @pytest.mark.parametrize("sensor", [WIDE, RealSensor()], ids=["wide", "default"])
 def test_simple_sensors_get_what_the_simplified_detectors_get(
-    sensor: RealSensor, scatterer: Scatterer, sigma_deg: float
+    sensor: RealSensor, scatterer: Scatterer, sigma_deg: float, part: int
 ) -> None:
     instrument, seen = Instrument(sensor=sensor), directions(scatterer, sigma_deg)
-    paths = 4_000_000 if sensor == WIDE else 16_000_000
+    paths = (4_000_000 if sensor == WIDE else 16_000_000) // part
     real = forward(instrument, sigma_deg, seen, scatterer, paths, seed=1)
     virtual = forward(instrument.simplified(), sigma_deg, seen, scatterer, paths, seed=2)
-    assert np.median(real.standard_error / real.throughput_m2sr) < 0.08
+    assert np.median(real.standard_error / real.throughput_m2sr) < 0.08 * math.sqrt(part)
     agree(real.throughput_m2sr, real.standard_error, virtual.throughput_m2sr, virtual.standard_error)
 
 
+@parted(2)
 @pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=named)
 @pytest.mark.parametrize("sensor", NOT_SIMPLE.values(), ids=NOT_SIMPLE)
-def test_what_is_not_simple_gets_what_plain_monte_carlo_says(sensor: RealSensor, scatterer: Scatterer) -> None:
+def test_what_is_not_simple_gets_what_plain_monte_carlo_says(sensor: RealSensor, scatterer: Scatterer, part: int) -> None:
     instrument = Instrument(sensor=sensor, obstruction=False)
     seen = directions(scatterer, 30.0)
-    found = forward(instrument, 30.0, seen, scatterer, 10_000_000, seed=3)
-    agree(found.single_m2sr, found.single_error, *plainly(instrument, sensor, 30.0, seen, scatterer))
+    found = forward(instrument, 30.0, seen, scatterer, 10_000_000 // part, seed=3)
+    agree(found.single_m2sr, found.single_error, *plainly(instrument, sensor, 30.0, seen, scatterer, 60_000 // part))
     # The disc and cone that one might take it for are another thing.
-    virtual = forward(replace(instrument, sensor=None), 30.0, seen, scatterer, 10_000_000, seed=4)
+    virtual = forward(replace(instrument, sensor=None), 30.0, seen, scatterer, 10_000_000 // part, seed=4)
     error = math.hypot(*(np.linalg.norm(each.single_error) for each in (found, virtual)))
     assert abs(found.single_m2sr.sum() - virtual.single_m2sr.sum()) > 10.0 * error
 
