@@ -52,7 +52,7 @@ def first_collision(rows: Sequence[Row], clearance: ArcClearance) -> str | None:
         hits = np.flatnonzero(crosses_beam(clearance, way))
         if hits.size:
             k = int(hits[0])
-            reason = clearance.veto((way[k, 2], way[k + 1, 2]), (way[k, 3], way[k + 1, 3]))
+            reason = clearance.collision((way[k, 2], way[k + 1, 2]), (way[k, 3], way[k + 1, 3]))
             identity = (
                 piece.scan_pass.identities(piece.points[k : k + 1])[0]
                 if isinstance(piece, MeasurementBlock)
