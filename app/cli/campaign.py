@@ -67,7 +67,7 @@ def run(
     journal, or were skipped, after the sample has been mounted again, a dark taken and the light compared with what it was.
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-    from goniotwin.app.campaign.reduction.verdicts import checked_in
+    from goniotwin.app.campaign.reduction.reduction import checked_in
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.rig import read_rig
 

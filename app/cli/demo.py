@@ -12,9 +12,8 @@ from rich.table import Table
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.comparison import Comparison, compare
+from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut_figure
 from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
-from goniotwin.app.campaign.reduction.figure import cut_figure
 from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule

@@ -25,7 +25,7 @@ from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
 from goniotwin.app.campaign.geometry.directions import arc_views
 from goniotwin.app.campaign.journal.reading import Recorded
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.checks import Checks
+from goniotwin.app.campaign.reduction.checks import Checks, Verdicts
 from goniotwin.app.campaign.reduction.drift_checks import in_words, unwatched
 from goniotwin.app.campaign.reduction.field_of_view import with_field
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
@@ -237,6 +237,25 @@ def reduce_journal(journal: Journal) -> Reduced:
     notes += [f"overlaps of {name}: {each}" for name, found in seen.items() for each in reduction.calibration_told(found)]
     told = (tuple(notes), verdicts, reduction.unwatched())
     return Reduced(journal.value("name"), reduction.rig, journal.simulated, samples, seen, *told)
+
+
+def checked_in(path: Path) -> Verdicts | None:
+    """Of a journal, as far as it goes; None where its schedule asks for no such check."""
+    try:
+        with Journal.open(path) as journal:
+            file = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
+            if file.symmetry_check is None and file.overlap is None:
+                return None
+            reduction = Reduction(journal)
+            found = Verdicts({}, {}, calibrated=reduction.calibrates)
+            for name in file.samples:
+                checks = reduction.checks(name)
+                for block in reduction.blocks(name):
+                    checks.add(block.points)
+                found.add(name, checks)
+            return found
+    except UserError as error:
+        return Verdicts({}, {}, str(error).removeprefix(f"{path}: "))
 
 
 def _certificate(journal: Journal, schedule: ScheduleFile, rig: RigDescription) -> Certificate:

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.geometry.symmetry import canonical
-from goniotwin.app.campaign.reduction.agreement import plausible
-from goniotwin.app.campaign.reduction.points import BsdfPoints, steepness
+from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
 from goniotwin.app.campaign.schedule.refinement import Symmetry
 from goniotwin.arrays import Floats
 

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.checks import Verdicts
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import ROWS_AT_ONCE, Reduction
-from goniotwin.app.campaign.reduction.verdicts import Verdicts
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
 from goniotwin.arrays import Floats

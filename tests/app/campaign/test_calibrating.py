@@ -9,12 +9,10 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.calibration import Factors, Pairs, calibrated
 from goniotwin.app.campaign.reduction.export import export_csv
-from goniotwin.app.campaign.reduction.overlaps import overlaps
+from goniotwin.app.campaign.reduction.overlaps import Factors, Pairs, calibrated, overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.reduction.verdicts import checked_in
+from goniotwin.app.campaign.reduction.reduction import Reduced, checked_in, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import read_points_csv
