@@ -67,7 +67,7 @@ def run(
     journal, or were skipped, after the sample has been mounted again, a dark taken and the light compared with what it was.
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-    from goniotwin.app.campaign.reduction.reduction import checked_in
+    from goniotwin.app.campaign.reduction.reduction import check_journal
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.rig import read_rig
 
@@ -96,7 +96,7 @@ def run(
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
     }
-    if (checks := checked_in(journal)) is not None:
+    if (checks := check_journal(journal)) is not None:
         result["checks"] = checks.as_dict()
     for fault in outcome.faults:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
@@ -141,16 +141,16 @@ def rehearse(
     twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault, 3 where the schedule's own [stop]
     lets it come no further.
     """
-    from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
-    from goniotwin.app.campaign.rehearsal.report import in_words
+    from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
+    from goniotwin.app.campaign.rehearsal.report import report_text
     from goniotwin.app.campaign.schedule.file import read_schedule
     from goniotwin.app.rig import read_rig
 
     _refuse_unwritable(points, out)
-    plan, assumed = prepared(read_schedule(schedule), read_rig(rig), _models(sample or []))
+    plan, assumed = plan_rehearsal(read_schedule(schedule), read_rig(rig), _models(sample or []))
     with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         found = rehearse(plan, assumed, out=out, points=points, listeners=[progress])
-    answer(as_json, found.result, lambda: print(in_words(found)))
+    answer(as_json, found.result, lambda: print(report_text(found)))
     for fault in found.result["faults"]:
         errors.print(f"goniotwin: {fault}", style="red", markup=False)
     if not found.done:

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut_figure
 from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.progress import RowProgress
@@ -65,7 +65,7 @@ def run_demo(
     return result, lambda terminal: _show(terminal, result, found, noise_free)
 
 
-def _measured(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[Reduced, float]:
+def _measured(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[BsdfDataset, float]:
     with RowProgress(console, f"{plan.schedule.file.name}, {title}", len(plan.rows)) as progress:
         outcome = run_campaign(plan, journal, listeners=[progress], transcript=transcript)
     if outcome.state is State.IDLE:

@@ -8,17 +8,17 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.overlaps import OverlapCheck, Overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.readings import PLACE, Listed
-from goniotwin.app.campaign.reduction.symmetry import Symmetrical, SymmetryCheck
+from goniotwin.app.campaign.reduction.readings import PLACE, RowTable
+from goniotwin.app.campaign.reduction.symmetry import SymmetryCheck, SymmetryResult
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.refinement import ANGLE_DEG
 from goniotwin.app.rig import RigFile
 
 
-class Checks:
+class ConsistencyChecks:
     """Of one sample, whose measurements are `listed`. `common` is the relative uncertainty that all its points share."""
 
-    def __init__(self, schedule: ScheduleFile, rig: RigFile, listed: Listed, common: float) -> None:
+    def __init__(self, schedule: ScheduleFile, rig: RigFile, listed: RowTable, common: float) -> None:
         monitor = math.sqrt(2.0) * rig.monitor.relative_uncertainty
         self._overlaps = OverlapCheck(common, monitor, ANGLE_DEG if schedule.overlap is None else schedule.overlap.angle_deg)
         self._symmetry: SymmetryCheck | None = None
@@ -36,25 +36,25 @@ class Checks:
 
     def overlaps(self) -> Overlaps:
         """Of all that was added."""
-        return self._overlaps.verdict()
+        return self._overlaps.result()
 
-    def symmetry(self) -> Symmetrical | None:
+    def symmetry(self) -> SymmetryResult | None:
         """Of all that was added; None where the schedule asks for no such check."""
-        return None if self._symmetry is None else self._symmetry.verdict()
+        return None if self._symmetry is None else self._symmetry.result()
 
 
 @dataclass(frozen=True)
-class Verdicts:
+class CheckResults:
     """By sample; the overlaps as they are before any calibration, and whether the values have been `calibrated` by them.
     `trouble` says why nothing can be said, where that is so.
     """
 
-    symmetry: dict[str, Symmetrical]
+    symmetry: dict[str, SymmetryResult]
     overlaps: dict[str, Overlaps]
     trouble: str = ""
     calibrated: bool = False
 
-    def add(self, name: str, checks: Checks) -> None:
+    def add(self, name: str, checks: ConsistencyChecks) -> None:
         """What the checks of a sample have come to, which has been given all of its points."""
         self.overlaps[name] = checks.overlaps()
         if (symmetry := checks.symmetry()) is not None:
@@ -84,7 +84,7 @@ class Verdicts:
         return told if not self.trouble else [f"the checks cannot be evaluated: {self.trouble}"]
 
     @property
-    def alarming(self) -> list[str]:
+    def alarms(self) -> list[str]:
         """Those of the lines that say that something is not as it was stated."""
         told = [f"symmetry of {name}: {found}" for name, found in self.symmetry.items() if found.pairs and not found.holds]
         return told + [f"overlaps of {name}: {found}" for name, found in self.overlaps.items() if not found.agree]

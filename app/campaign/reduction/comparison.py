@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.reduction.export import heading
-from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.samples import GaussianTable
@@ -35,7 +35,7 @@ class Comparison:
     hidden_deg: tuple[float, ...]
 
 
-def theory(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
+def theoretical_bsdf(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
     """BSDF in 1/sr of the virtual rig's sample at the points' directions. Raises UserError for a rig that is not virtual."""
     scatterer = _scatterer(rig, sample)
     lights = np.array([light_direction(float(sigma)) for sigma in points.sigma_deg]).reshape(-1, 3)
@@ -57,7 +57,7 @@ def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Compar
     for sigma in np.unique(points.sigma_deg):
         here = points.where(chosen & (points.sigma_deg == sigma))
         seen = here.where(here.good)
-        measured, expected = _once_each(seen, seen.luminance_factor, math.pi * theory(rig, sample, seen))
+        measured, expected = _once_each(seen, seen.luminance_factor, math.pi * theoretical_bsdf(rig, sample, seen))
         hidden = here.where(here.shadowed).aspecular_deg
         found.append(
             Comparison(
@@ -87,7 +87,7 @@ def _scatterer(rig: RigDescription, sample: str) -> Scatterer:
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
 
-def cut_figure(reduced: Reduced, sample: str, comparisons: list[Comparison], path: Path) -> None:
+def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison], path: Path) -> None:
     """Writes the figure of a sample whose theory is known: above the cuts, below the deviation from theory."""
     points = reduced.samples[sample].front
     chosen = points.where(points.in_plane)
@@ -103,7 +103,7 @@ def cut_figure(reduced: Reduced, sample: str, comparisons: list[Comparison], pat
 def _cut(
     upper: Axes,
     lower: Axes,
-    reduced: Reduced,
+    reduced: BsdfDataset,
     sample: str,
     points: BsdfPoints,
     comparison: Comparison,
@@ -126,11 +126,11 @@ def _cut(
         )  # fmt: skip
     near = good.theta_deg <= 2.0 * _width(reduced, sample) + 1e-6
     close = good.where(near & (good.zenith_deg <= 85.0))
-    deviation = 100.0 * (close.bsdf / theory(reduced.rig, sample, close) - 1.0)
+    deviation = 100.0 * (close.bsdf / theoretical_bsdf(reduced.rig, sample, close) - 1.0)
     lower.plot(_signed_zenith(close), deviation, ".", ms=4, color=colour)
 
 
-def _dress(upper: Axes, lower: Axes, reduced: Reduced, sample: str) -> None:
+def _dress(upper: Axes, lower: Axes, reduced: BsdfDataset, sample: str) -> None:
     upper.set_ylabel("luminance factor (pi times BRDF)")
     upper.set_ylim(bottom=0.0)
     upper.legend(loc="upper left", framealpha=1.0, edgecolor="white", title="points: measured, lines: theory")
@@ -146,14 +146,14 @@ def _dress(upper: Axes, lower: Axes, reduced: Reduced, sample: str) -> None:
                    va="bottom", color="#a93226", weight="bold")  # fmt: skip
 
 
-def _curve(reduced: Reduced, sample: str, sigma: float, angles: np.ndarray) -> np.ndarray:
+def _curve(reduced: BsdfDataset, sample: str, sigma: float, angles: np.ndarray) -> np.ndarray:
     model = reduced.rig.model()
     assert model is not None
     directions = arc_direction(np.abs(angles), np.where(angles > 0.0, 180.0, 0.0))
     return math.pi * evaluate(model.samples[sample], light_direction(sigma), directions)
 
 
-def _width(reduced: Reduced, sample: str) -> float:
+def _width(reduced: BsdfDataset, sample: str) -> float:
     twin = reduced.rig.file.twin
     assert twin is not None
     return float(getattr(twin.samples[sample], "width_deg", 45.0))

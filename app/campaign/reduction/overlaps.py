@@ -43,7 +43,7 @@ CERTAIN = 4.0
 
 
 @dataclass(frozen=True)
-class Pairs:
+class OverlapPairs:
     """Log ratios of what two photodiodes, `one` and `other`, gave for one direction, with their variances; arrays of one
     length. `together` numbers the pairs of poses, all of which share the monitor's error.
     """
@@ -54,13 +54,13 @@ class Pairs:
     variance: Floats
     together: Ints
 
-    def where(self, chosen: Flags) -> "Pairs":
+    def where(self, chosen: Flags) -> "OverlapPairs":
         """Some of them."""
-        return Pairs(*(getattr(self, name)[chosen] for name in ("one", "other", "ratio", "variance", "together")))
+        return OverlapPairs(*(getattr(self, name)[chosen] for name in ("one", "other", "ratio", "variance", "together")))
 
 
 @dataclass(frozen=True)
-class Factors:
+class CalibrationFactors:
     """By which the values of the `photodiodes` are to be multiplied, each with its standard uncertainty, from so many `pairs`;
     `unconnected` are photodiodes with values that no overlap connects with another: they keep 1. `widened` is by how much the
     scatter of the residuals has widened the uncertainties.
@@ -71,7 +71,7 @@ class Factors:
     uncertainties: tuple[float, ...]
     unconnected: tuple[int, ...]
     pairs: int
-    widened: float
+    widening: float
 
     @property
     def significant(self) -> list[int]:
@@ -83,7 +83,7 @@ class Factors:
         """The factor of a photodiode; 1 where it has none."""
         return dict(zip(self.photodiodes, self.values, strict=True)).get(photodiode, 1.0)
 
-    def told(self, applied: bool) -> Iterator[str]:
+    def sentences(self, applied: bool) -> Iterator[str]:
         """Sentences: what was done, or would be; every factor; and what has none."""
         if not self.photodiodes:
             yield "no overlap is known well enough to calibrate photodiodes against each other; all keep their factor 1"
@@ -97,7 +97,7 @@ class Factors:
         if self.unconnected:
             yield f"not connected by overlaps, factor 1: photodiodes {', '.join(str(k) for k in self.unconnected)}"
 
-    def applied(self, points: BsdfPoints) -> BsdfPoints:
+    def apply(self, points: BsdfPoints) -> BsdfPoints:
         """The points calibrated; their uncertainties have the factors' in them."""
         factor, u = np.ones(points.bsdf.size), np.zeros(points.bsdf.size)
         for k, value, uncertainty in zip(self.photodiodes, self.values, self.uncertainties, strict=True):
@@ -113,7 +113,7 @@ class Factors:
         return {"factors": each, "unconnected": list(self.unconnected), "pairs": self.pairs, "significant": self.significant}
 
 
-def calibrated(pairs: Pairs, monitor: float, seen: set[int]) -> Factors:
+def fit_factors(pairs: OverlapPairs, monitor: float, seen: set[int]) -> CalibrationFactors:
     """From all pairs; `monitor` is the relative standard uncertainty that the pairs of two poses share, `seen` are all
     photodiodes that have values.
     """
@@ -127,7 +127,7 @@ def calibrated(pairs: Pairs, monitor: float, seen: set[int]) -> Factors:
         values += np.exp(-g).tolist()
         uncertainties += (np.exp(-g) * np.sqrt(np.diag(covariance))).tolist()
     order = np.argsort(photodiodes)
-    return Factors(
+    return CalibrationFactors(
         tuple(photodiodes[k] for k in order),
         tuple(values[k] for k in order),
         tuple(uncertainties[k] for k in order),
@@ -137,7 +137,7 @@ def calibrated(pairs: Pairs, monitor: float, seen: set[int]) -> Factors:
     )
 
 
-def _well_known(pairs: Pairs, monitor: float) -> Flags:
+def _well_known(pairs: OverlapPairs, monitor: float) -> Flags:
     """Those of two photodiodes whose mean is known well enough."""
     _, which = np.unique(np.stack([pairs.one, pairs.other], axis=1), axis=0, return_inverse=True)
     which = which.ravel()
@@ -145,7 +145,7 @@ def _well_known(pairs: Pairs, monitor: float) -> Flags:
     return np.asarray((weight > KNOWN_TO**-2)[which], dtype=bool)
 
 
-def _components(pairs: Pairs) -> list[Ints]:
+def _components(pairs: OverlapPairs) -> list[Ints]:
     """The photodiodes of each connected part of the graph of pairs."""
     part = {int(k): int(k) for k in np.union1d(pairs.one, pairs.other)}
     for one, other in np.unique(np.stack([pairs.one, pairs.other], axis=1), axis=0).tolist():
@@ -154,7 +154,7 @@ def _components(pairs: Pairs) -> list[Ints]:
     return [np.array([k for k, belongs in part.items() if belongs == each]) for each in sorted(set(part.values()))]
 
 
-def _solved(pairs: Pairs, members: Ints, monitor: float) -> tuple[Floats, Floats, float]:
+def _solved(pairs: OverlapPairs, members: Ints, monitor: float) -> tuple[Floats, Floats, float]:
     """g of the members, its covariance, and by how much that was widened."""
     one, other = np.searchsorted(members, pairs.one), np.searchsorted(members, pairs.other)
     together = np.unique(pairs.together, return_inverse=True)[1].ravel()
@@ -229,7 +229,7 @@ class Overlaps:
     pairs: int
     chi_square: float
     worst: float
-    factors: Factors
+    factors: CalibrationFactors
 
     def __str__(self) -> str:
         said = "agree" if self.agree else "do NOT agree"
@@ -258,7 +258,7 @@ class OverlapCheck:
         self._monitor = monitor
         self._angle_deg = angle_deg
         self._differences: list[Floats] = []
-        self._pairs: list[Pairs] = []
+        self._pairs: list[OverlapPairs] = []
         self._poses = 0
         self._seen: set[int] = set()
 
@@ -283,17 +283,17 @@ class OverlapCheck:
         self._differences.append((good.bsdf[first] - good.bsdf[second])[known] / spread[known])
         self._pairs.append(self._ratios(good, own, first, second))
 
-    def verdict(self) -> Overlaps:
+    def result(self) -> Overlaps:
         """Of all points that were added."""
         z = np.concatenate(self._differences) if self._differences else np.zeros(0)
         none = np.zeros(0, dtype=np.int64)
-        kept = self._pairs or [Pairs(none, none, np.zeros(0), np.zeros(0), none)]
+        kept = self._pairs or [OverlapPairs(none, none, np.zeros(0), np.zeros(0), none)]
         names = ("one", "other", "ratio", "variance", "together")
-        pairs = Pairs(*(np.concatenate([getattr(each, name) for each in kept]) for name in names))
-        factors = calibrated(pairs, np.sqrt(2.0) * self._monitor, self._seen)
+        pairs = OverlapPairs(*(np.concatenate([getattr(each, name) for each in kept]) for name in names))
+        factors = fit_factors(pairs, np.sqrt(2.0) * self._monitor, self._seen)
         return Overlaps(z.size, float(np.sum(z**2)), float(np.abs(z).max()) if z.size else 0.0, factors)
 
-    def _ratios(self, points: BsdfPoints, own: Floats, first: Ints, second: Ints) -> Pairs:
+    def _ratios(self, points: BsdfPoints, own: Floats, first: Ints, second: Ints) -> OverlapPairs:
         """Log ratios of those pairs that are known well enough, the monitor's part not in their variances."""
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.where(points.bsdf > 0.0, own / points.bsdf**2, np.inf)
@@ -308,11 +308,11 @@ class OverlapCheck:
         variance = relative[first] + relative[second] - 2.0 * self._monitor**2
         ratio = np.log(points.bsdf[first] / points.bsdf[second])
         # What is left beside the monitor's part is never quite nothing: a part in a million stands for what nobody has stated.
-        return Pairs(points.photodiode[first], points.photodiode[second], ratio, np.maximum(variance, 1e-12), together)
+        return OverlapPairs(points.photodiode[first], points.photodiode[second], ratio, np.maximum(variance, 1e-12), together)
 
 
 def overlaps(points: BsdfPoints, common: float) -> Overlaps:
     """Of all points of one sample: see `OverlapCheck`."""
     check = OverlapCheck(common)
     check.add(points)
-    return check.verdict()
+    return check.result()

@@ -41,8 +41,8 @@ class Endings:
         check = self._drift.add(row, data)
         if check is None:
             return None
-        ends = check.excess and self._ends_by_drift
-        beyond = "beyond the limit: " if check.excess else ""
+        ends = check.beyond_limit and self._ends_by_drift
+        beyond = "beyond the limit: " if check.beyond_limit else ""
         return "stop" if ends else "drift", f"{row.identity}: {beyond}{check}"
 
     def _lamp(self, row: Row, data: RowData) -> float | None:
