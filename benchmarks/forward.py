@@ -9,15 +9,14 @@ import numba
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.analytic import gaussian, lambertian
+from goniotwin.twin.optics.bsdf.analytic_samples import gaussian, lambertian
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.forward.blocks import trace, trace_geometry
 from goniotwin.twin.optics.forward.paths import BLOCK
 from goniotwin.twin.optics.forward.setting import Setting, set_up
 from goniotwin.twin.optics.geometry.coordinates import from_specular
-from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
-from goniotwin.twin.optics.montecarlo.counters import U64
+from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames
+from goniotwin.twin.optics.montecarlo import U64
 
 SIGMA_DEG = 30.0
 SAMPLES = {"lambertian": lambertian(), "gaussian": gaussian(5.0)}

@@ -16,11 +16,10 @@ from typing import Any
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
-from goniotwin.app.campaign.wording import clock_time
+from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.rig import RigDescription, read_rig
-from tests.app.campaign.planner_bench import EXAMPLES, GREAT, HEAD, NAMED, RUN, checking, nested_like_the_paper
+from tests.app.campaign.planning.planner_bench import EXAMPLES, GREAT, HEAD, NAMED, RUN, checking, nested_like_the_paper
 
 
 def orders(rig: RigDescription) -> list[dict[str, Any]]:
@@ -37,7 +36,7 @@ def orders(rig: RigDescription) -> list[dict[str, Any]]:
                 "schedule": name,
                 "rows": len(plan.rows),
                 "plan_s": plan.seconds,
-                "over_bound": plan.seconds / least_seconds(plan),
+                "over_bound": plan.seconds / plan.lower_bound_s,
                 "paper_s": paper[False].seconds,
                 "paper_ratio": paper[False].seconds / plan.seconds,
                 "paper_back_and_forth_ratio": paper[True].seconds / plan.seconds,
@@ -69,7 +68,7 @@ def main() -> None:
         print(json.dumps(found))
         return
     for each in found["orders"]:
-        plan, paper = (clock_time(each[key]) for key in ("plan_s", "paper_s"))
+        plan, paper = (duration_text(each[key]) for key in ("plan_s", "paper_s"))
         print(
             f"{each['schedule']:20} {each['rows']:7} rows {plan:>16}, {each['over_bound']:.4f} of the bound; the paper's order "
             f"{paper:>16}, {each['paper_ratio']:.2f} times as long ({each['paper_back_and_forth_ratio']:.2f} back and forth)"

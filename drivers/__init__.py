@@ -10,8 +10,9 @@ from goniotwin.drivers.monitor.monitor import Monitor, MonitorSettings
 from goniotwin.drivers.monochromator.monochromator import Monochromator
 from goniotwin.drivers.monochromator.order_filters import FilterWheel, OrderFilter
 from goniotwin.drivers.monochromator.settings import MonochromatorSettings
-from goniotwin.drivers.motion.axis import Axis, AxisSettings, Homing
+from goniotwin.drivers.motion.axis import Axis
 from goniotwin.drivers.motion.clearance import ArcClearance
+from goniotwin.drivers.motion.settings import AxisSettings, Homing
 from goniotwin.drivers.motion.tmcl.module import TmclModule
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray, PhotodiodeSettings
 from goniotwin.drivers.rig import Rig

@@ -63,7 +63,7 @@ class Rig:
     def start(self, name: str, target_deg: float) -> Pending:
         """Sends an axis to an angle, if no other axis forbids it. Raises LimitError before anything is sent, DeviceError."""
         axis = self.axes[name]
-        stops = self.axes_module.stops  # a stop from now on, whatever is just being asked, forbids the move
+        stops = self.axes_module.stop_count  # a stop from now on, whatever is just being asked, forbids the move
         if self.clearance is not None and name in ("beta", "shift"):
             axis.check_limits(axis.settings, target_deg)
             ways = {each: self._way(each) for each in ("beta", "shift")}
@@ -82,7 +82,7 @@ class Rig:
         move = self._moves.get(name)
         if move is None:
             axis = self.axes[name]
-            if axis.turns():  # over its ramp after a stop, or sent by somebody else: nobody knows yet where it will rest
+            if axis.is_moving():  # over its ramp after a stop, or sent by somebody else: nobody knows yet where it will rest
                 raise LimitError(name, "say where it will be", "it still turns", "start again when it rests")
             here = axis.position_deg()
             self._moves[name] = _Move(here, here, self.clock.now())

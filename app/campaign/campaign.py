@@ -5,14 +5,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from goniotwin.app.campaign.journal.provenance import versions
-from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
-from goniotwin.app.campaign.running.operator import BackDoor, Operator, Person, ServedBackDoor
-from goniotwin.app.campaign.running.resume import rest_of
+from goniotwin.app.campaign.running.operator import HumanOperator, Operator, ServedOperator, VirtualOperator
+from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
 from goniotwin.app.rig.lock import Held, RigLock
@@ -35,7 +34,7 @@ class Outcome:
     simulated: bool
 
 
-def clock_of(file: RigFile, start_s: float = 0.0) -> Clock:
+def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
     """A virtual clock for a virtual rig in this process, real time for any other, at the speed of one that is served."""
     if file.twin is not None and all(address.startswith("twin://") for address in file.addresses):
         return VirtualClock(start_s)
@@ -51,11 +50,11 @@ def run_campaign(
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Runs a plan to its end, or to the first fault. Raises UserError before anything is written, where it cannot start."""
-    with _alone(journal_path, plan), open_rig(plan.rig, clock_of(plan.rig.file), transcript) as opened:
+    with _alone(journal_path, plan), open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # says why not
         operator = _ready(opened, plan, ask)
-        with Journal.create(journal_path, plan, versions()) as journal, _alone(journal_path, plan, file=True):
+        with Journal.create(journal_path, plan, software_versions()) as journal, _alone(journal_path, plan, file=True):
             return _carried_out(opened, plan, journal, operator, listeners, plan.rows)
 
 
@@ -68,14 +67,14 @@ def resume_campaign(
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Goes on at the first row that a journal does not have. Raises UserError, and leaves the journal as it is, where that
-    cannot be: see `rest_of`.
+    cannot be: see `remaining_work`.
     """
     with Journal.open(journal_path) as looked_at:
-        begun = rest_of(looked_at, rig)
+        begun = remaining_work(looked_at, rig)
     plan = begun.plan
     with _alone(journal_path, plan), _alone(journal_path, plan, file=True), Journal.reopen(journal_path) as journal:
-        rest = rest_of(journal, rig)
-        with open_rig(rest.plan.rig, clock_of(rest.plan.rig.file, rest.start_s), transcript) as opened:
+        rest = remaining_work(journal, rig)
+        with open_rig(rest.plan.rig, clock_for(rest.plan.rig.file, rest.start_s), transcript) as opened:
             operator = _ready(opened, rest.plan, ask, homing=True)
             return _carried_out(opened, rest.plan, journal, operator, listeners, rest.work)
 
@@ -104,7 +103,7 @@ def _ready(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None, *, ho
     """Connects the rig, and finds who mounts; with `homing`, axes that can look for their reference will."""
     operator = operator_for(opened, plan.rig.file, ask)
     opened.connect()
-    refuse_lost_axes(opened, plan.rig.name, homing=homing)
+    check_referenced(opened, plan.rig.name, homing=homing)
     return operator
 
 
@@ -119,12 +118,12 @@ def _carried_out(
     return Outcome(state, engine.ended_by_schedule, rows, skipped, of, journal.seconds, faults, plan.rig.simulated)
 
 
-def refuse_lost_axes(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:
+def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:
     """Raises UserError where it is in doubt where an axis of a connected rig is; with `homing`, only of one that cannot."""
     doubts = {
-        name: axis.doubt
+        name: axis.unreferenced_reason
         for name, axis in opened.rig.axes.items()
-        if axis.doubt and not (homing and axis.settings.homing is not None)
+        if axis.unreferenced_reason and not (homing and axis.settings.homing is not None)
     }
     if doubts:
         told = "; ".join(f"{name}: {doubt}" for name, doubt in doubts.items())
@@ -137,9 +136,9 @@ def refuse_lost_axes(opened: OpenRig, rig_name: str, *, homing: bool = False) ->
 def operator_for(opened: OpenRig, rig: RigFile, ask: Callable[[str], None] | None) -> Operator:
     """The back door of a virtual rig, in this process or another; a person at a real one. Raises UserError without any."""
     if opened.virtual is not None:
-        return BackDoor(opened.virtual)
+        return VirtualOperator(opened.virtual)
     if rig.simulated is not None and rig.simulated.control_port is not None:
-        return ServedBackDoor(rig.simulated.control_port)
+        return ServedOperator(rig.simulated.control_port)
     if ask is None:
         raise UserError(f"{rig.name}: somebody has to mount the samples, and nobody can be asked here")
-    return Person(ask)
+    return HumanOperator(ask)

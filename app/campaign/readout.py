@@ -1,15 +1,7 @@
-"""At which gains a row is read: all that are planned, or, where gains are automatic, those that some photodiode needs.
+"""Rules of the readout: auto-range (choice of the gain), averaging, and warm-up of the lamp.
 
-A photodiode needs its highest gain at which it is not clipped. So a row with automatic gains is read from the highest gain
-downwards until nothing is clipped any more, or nothing lower is left. What is decided follows from the counts of the row
-alone, so that a resumed campaign decides the same.
-
-How many readings a row needs so that its photodiodes are known to a relative uncertainty.
-
-Asked after each lot of readings, and answered from their counts and the last dark's alone, so that the answer can be found
-again from the journal. The reduction does not use this scatter, which was looked at to decide when to stop.
-
-Whether a lamp is warm: how steady the monitor's current is, from what it was in the last ten minutes.
+No rig and no I/O: planner, engine and reduction apply the same rules. Each decision follows from the recorded counts alone,
+so that it can be repeated from the journal, and a resumed campaign decides the same.
 """
 
 import math
@@ -23,115 +15,127 @@ from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.protocols import adam
 
 SATURATED = "saturated"
-"""The flag of a row in which some photodiode is clipped at each gain."""
+"""Flag of a row in which a photodiode is saturated at every gain."""
 UNDER_RANGE = "under range"
-"""The flag of a row in which no photodiode shows light, at the highest of its gains."""
-LIGHT_STEPS = 4.0
-"""So many steps of the converter over the dark are light."""
+"""Flag of a row in which no photodiode shows light at the highest gain."""
+NOT_WARM = "not warm"
+"""Flag of a warm-up that reached its time limit before the monitor was steady."""
+
+LIGHT_THRESHOLD_STEPS = 4.0
+"""Difference from the dark reading, in converter steps, from which a mean counts as light."""
+MIN_AVERAGED_READINGS = 4
+"""Smallest number of readings from which the scatter is estimated."""
+MAX_GROWTH = 4
+"""Largest growth of the number of readings in one request: with few readings, noise may look like a strong signal."""
+QUANTISATION_VARIANCE = 1.0 / 12.0
+"""Variance of the rounding to one converter step, in steps squared (uniform distribution)."""
+
+MONITOR_MEAN_S = 1.0
+"""Integration time of one monitor reading during the warm-up."""
+WARM_UP_PERIOD_S = 10.0
+"""Time from one monitor reading of the warm-up to the next."""
+WARM_UP_WINDOW_S = 600.0
+"""Length of the window in which the monitor's slope is fitted."""
+MIN_SLOPE_READINGS = 7
+"""Smallest number of monitor readings for a slope: one minute."""
 
 
 def shows_light(counts: Counts, dark: Floats) -> bool:
-    """Whether any photodiode's mean of the readings (readings, photodiodes) is another than its dark (photodiodes,)."""
-    return bool(np.any(np.abs(counts.mean(axis=0) - dark) >= LIGHT_STEPS))
+    """Return whether the mean of `counts` (readings, photodiodes) differs from `dark` (photodiodes,) in any photodiode."""
+    return bool(np.any(np.abs(counts.mean(axis=0) - dark) >= LIGHT_THRESHOLD_STEPS))
 
 
-def clipped(counts: Counts) -> Flags:
-    """Which photodiodes stand at an end of the range in any of the readings (readings, photodiodes)."""
+def saturation(counts: Counts) -> Flags:
+    """Flags of the photodiodes that are at an end of the converter's range in any of the readings (readings, photodiodes)."""
     ends: Flags = np.any((counts == 0) | (counts == adam.FULL_SCALE), axis=0)
     return ends
 
 
-def in_order(row: Row, now: int | None) -> tuple[int, ...]:
-    """A row's gains as they are read: beginning with the one that the amplifiers have `now`, where it is an outermost one.
+def gain_order(row: Row, current: int | None) -> tuple[int, ...]:
+    """The gains of a row in the order of reading; `current` is the gain that the amplifiers have now.
 
-    Every change of gain wears a relay; two rows in turns share one. But from the highest downwards wherever it is up to the
-    counts which are needed, or how many readings: a photodiode that is done at a higher gain needs nothing at a lower one.
+    Every change of gain wears a relay. So the order begins with `current` where that is the highest or the lowest gain of
+    the row, and two consecutive rows share a gain. With auto-range or a target uncertainty the order always begins with
+    the highest gain, because a photodiode that is done at a higher gain needs no reading at a lower one.
     """
-    downwards = row.automatic or row.target is not None or (bool(row.gains) and now == max(row.gains))
-    return tuple(sorted(row.gains, reverse=downwards))
+    descending = row.automatic or row.target is not None or (bool(row.gains) and current == max(row.gains))
+    return tuple(sorted(row.gains, reverse=descending))
 
 
-class Gains:
-    """Those of one row, in order. `waiting` are the photodiodes that were clipped so far."""
+class GainSequence:
+    """The gains at which a row is read, in order: all planned ones, or with auto-range those that a photodiode needs.
 
-    def __init__(self, row: Row, photodiodes: int, now: int | None) -> None:
+    A photodiode needs its highest gain without saturation. So auto-range reads from the highest gain downwards until no
+    photodiode is saturated or the lowest gain is read. `saturated` (photodiodes,) flags the photodiodes that were saturated
+    at every gain so far; before the first reading all are flagged.
+    """
+
+    def __init__(self, row: Row, photodiodes: int, current: int | None) -> None:
         self._row = row
-        self._gains = in_order(row, now)
-        self.waiting: Flags = np.ones(photodiodes, dtype=bool)
+        self._gains = gain_order(row, current)
+        self.saturated: Flags = np.ones(photodiodes, dtype=bool)
 
     def __iter__(self) -> Iterator[int]:
         for gain in self._gains:
-            if self._row.automatic and not self.waiting.any():
+            if self._row.automatic and not self.saturated.any():
                 return
             yield gain
 
-    def read(self, counts: Counts) -> None:
-        """What came of the gain that was just given."""
-        self.waiting &= clipped(counts)
+    def add(self, counts: Counts) -> None:
+        """Add the readings (readings, photodiodes) at the gain that was just yielded."""
+        self.saturated &= saturation(counts)
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Of the row."""
-        return (SATURATED,) if self._row.gains and self.waiting.any() else ()
+        """Flags of the row: SATURATED or none."""
+        return (SATURATED,) if self._row.gains and self.saturated.any() else ()
 
 
-LEAST_READINGS = 4
-"""Readings that have to be there before their scatter says anything."""
-MORE = 4
-"""So many times as many as there are, at most, are asked for at once: few readings of the dark may look like much light."""
-QUANTISATION = 1.0 / 12.0
-"""Variance of a converter's step, in steps squared."""
+def readings_needed(counts: Counts, dark: Floats, selected: Flags, target: float, max_readings: int) -> int:
+    """Total number of readings after which the mean signal has the relative standard uncertainty `target`.
 
-
-def readings_needed(counts: Counts, dark: Floats, wanted: Flags, target: float, most: int) -> int:
-    """So many readings in all, from what `counts` (LEAST readings or more, photodiodes) are like over the `dark` (n,).
-
-    Of the `wanted` photodiodes those decide that can reach the `target` within `most` readings: where one has no light to
-    speak of, no time makes it known to a share of itself, and the others need not wait for it.
+    The estimate uses the `counts` so far (MIN_AVERAGED_READINGS or more, photodiodes) and the dark reading `dark`
+    (photodiodes,). Only the `selected` photodiodes (photodiodes,) count, and of these only the ones that can reach the target
+    within `max_readings`: a photodiode without light never reaches a relative target, and the others do not wait for it.
+    Returns the number of readings so far where no more are needed. The reduction does not use the scatter of these readings
+    as their uncertainty, because the scatter decided when to stop.
     """
     taken = len(counts)
     signal = np.abs(counts.mean(axis=0) - dark)
-    variance = np.maximum(counts.var(axis=0, ddof=1), QUANTISATION)
+    variance = np.maximum(counts.var(axis=0, ddof=1), QUANTISATION_VARIANCE)
     with np.errstate(divide="ignore", over="ignore"):
         needed = variance / (target * signal) ** 2
-    reachable = needed[wanted & (needed <= most)]
-    return min(max(taken, math.ceil(float(reachable.max()))), MORE * taken) if reachable.size else taken
-
-
-WARM_UP_EVERY_S = 10.0
-"""Between two readings of the monitor."""
-WARM_UP_WINDOW_S = 600.0
-LEAST_STEADY = 7
-"""Readings that a slope is taken from at least: a minute."""
+    reachable = needed[selected & (needed <= max_readings)]
+    return min(max(taken, math.ceil(float(reachable.max()))), MAX_GROWTH * taken) if reachable.size else taken
 
 
 @dataclass
 class WarmUpTrace:
-    """The monitor's current against time, of the last ten minutes."""
+    """Monitor current in A against time in s, over the last WARM_UP_WINDOW_S."""
 
     times_s: list[float] = field(default_factory=list)
     currents_a: list[float] = field(default_factory=list)
 
     def add(self, t: float, current_a: float) -> None:
-        """A reading; what is older than the window goes."""
+        """Add a reading and drop the readings that are older than the window."""
         self.times_s.append(t)
         self.currents_a.append(current_a)
         while self.times_s[0] < t - WARM_UP_WINDOW_S:
             del self.times_s[0], self.currents_a[0]
 
     def slope(self) -> tuple[float, float] | None:
-        """Relative change in ten minutes and its standard uncertainty, by a straight line; None while there is too little."""
-        if len(self.times_s) < LEAST_STEADY:
+        """Relative change in ten minutes and its standard uncertainty, from a straight line; None with too few readings."""
+        if len(self.times_s) < MIN_SLOPE_READINGS:
             return None
         t = np.array(self.times_s) - np.mean(self.times_s)
         current = np.array(self.currents_a)
         rise = float(np.sum(t * current) / np.sum(t**2))
-        left = current - current.mean() - rise * t
-        spread = float(np.sqrt(np.sum(left**2) / (len(t) - 2) / np.sum(t**2)))
+        residual = current - current.mean() - rise * t
+        u_rise = float(np.sqrt(np.sum(residual**2) / (len(t) - 2) / np.sum(t**2)))
         per_window = WARM_UP_WINDOW_S / float(current.mean())
-        return rise * per_window, spread * abs(per_window)
+        return rise * per_window, u_rise * abs(per_window)
 
-    def steady(self, target: float) -> bool:
-        """Whether it changes by no more than the share `target` in ten minutes, with some certainty."""
-        found = self.slope()
-        return found is not None and abs(found[0]) + 2.0 * found[1] <= target
+    def is_steady(self, target: float) -> bool:
+        """Return whether the relative change in ten minutes plus twice its standard uncertainty is at most `target`."""
+        slope = self.slope()
+        return slope is not None and abs(slope[0]) + 2.0 * slope[1] <= target

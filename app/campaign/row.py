@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["mount", "dark", "measure", "drift", "warm-up"]
-NOTHING = "nothing"
+RowKind = Literal["mount", "dark", "measure", "drift", "warm-up"]
+NO_SAMPLE = "nothing"
 """The name of no sample: what a row says that is done with the sample unit empty."""
-MIRRORED = "/mirrored"
+MIRRORED_MARK = "/mirrored"
 """What the identity of a row has in it that only checks the stated symmetry. No name has a slash in it."""
 SKIPPED = "skipped"
 """The flag of a row that was left out for a fault."""
-RESUMED = "resumed "
+RESUME_PREFIX = "resumed "
 """What the identity of a row begins with that nobody has planned: a campaign that is gone on with begins with such rows."""
 
 
@@ -28,7 +28,7 @@ class Row:
 
     number: int
     identity: str
-    kind: Kind
+    kind: RowKind
     sample: str
     seconds: float = 0.0
     wavelength_nm: float | None = None
@@ -42,9 +42,9 @@ class Row:
     @property
     def mirrored(self) -> bool:
         """Whether it is there to check the symmetry: a mirror image of another row."""
-        return MIRRORED in self.identity
+        return MIRRORED_MARK in self.identity
 
     @property
     def added(self) -> bool:
         """Whether it belongs to the beginning of a resumed session, and not to the plan."""
-        return self.identity.startswith(RESUMED)
+        return self.identity.startswith(RESUME_PREFIX)

@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 
 
-def clock_time(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Hours, minutes and seconds, to be read."""
     whole = round(seconds)
     hours, minutes = whole // 3600, whole // 60 % 60
     return f"{hours} h {minutes:02d} min {whole % 60:02d} s" if hours else f"{minutes} min {whole % 60:02d} s"
 
 
-def numbers(values: Iterable[int]) -> str:
+def number_list(values: Iterable[int]) -> str:
     """Whole numbers in order, such as `0 to 4, 7, 9`."""
     runs: list[list[int]] = []
     for value in sorted(values):

@@ -177,10 +177,10 @@ def runs(
     """List the campaigns of a folder: how each ended, what is left of it, and how long that takes."""
     from rich.console import Console
 
-    from goniotwin.app.campaign.journal.runs import campaigns_in
+    from goniotwin.app.campaign.journal.runs import campaign_summaries
     from goniotwin.app.cli.run_list import show
 
-    found, refused = campaigns_in(folder)
+    found, refused = campaign_summaries(folder)
     answer(
         as_json,
         {"campaigns": [each.as_dict() for each in found], "unreadable": refused},

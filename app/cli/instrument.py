@@ -18,7 +18,7 @@ import usb.core
 from rich.console import Console
 from serial.tools import list_ports
 
-from goniotwin.app.campaign.campaign import clock_of
+from goniotwin.app.campaign.campaign import clock_for
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
 from goniotwin.app.rig.lock import RigLock
@@ -200,7 +200,7 @@ def state_place(path: Path, name: str, angle_deg: float, say: Say) -> None:
                 f"{path}: {name} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and "
                 f"{angle_deg:g} deg is outside; turn it back by hand, or change the limits"
             )
-        axis.assume_referenced(angle_deg)
+        axis.set_position(angle_deg)
         say(f"{name}: is at {axis.position_deg():.3f} deg, as you say")
 
 
@@ -213,7 +213,7 @@ def _known(path: Path, name: str) -> None:
 def _connected(path: Path) -> Iterator[Rig]:
     """A rig of which the axes are connected, and nobody else has it."""
     description = read_rig(path)
-    with open_rig(description, clock_of(description.file)) as opened:
+    with open_rig(description, clock_for(description.file)) as opened:
         try:
             opened.rig.reconnect_axes()
         except DeviceError as error:

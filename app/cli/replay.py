@@ -1,4 +1,4 @@
-"""Recorded wires told to the twin's devices: where do these answer otherwise?"""
+"""JournalReader wires told to the twin's devices: where do these answer otherwise?"""
 
 import re
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from typing import Any
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.addresses import RTU, rtu_address
-from goniotwin.drivers.motion.tmcl import module as tmcl
+from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
 from goniotwin.drivers.usb import usbtmc

@@ -5,13 +5,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from goniotwin.app.campaign.journal.runs import Campaign
-from goniotwin.app.campaign.planning.check import clock_time
+from goniotwin.app.campaign.journal.runs import CampaignSummary
+from goniotwin.app.campaign.wording import duration_text
 
 STYLE = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
 
 
-def show(console: Console, folder: Path, campaigns: list[Campaign]) -> None:
+def show(console: Console, folder: Path, campaigns: list[CampaignSummary]) -> None:
     """One line a campaign."""
     if not campaigns:
         console.print(f"{folder}: no journals (*.journal)", markup=False)
@@ -25,7 +25,7 @@ def show(console: Console, folder: Path, campaigns: list[Campaign]) -> None:
             f"{each.name}{' (SIMULATED)' if each.simulated else ''}",
             f"[{STYLE[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
             f"{each.rows}/{each.planned}",
-            clock_time(each.seconds_left) if each.rows < each.planned else "",
+            duration_text(each.seconds_left) if each.rows < each.planned else "",
             each.begun or "",
         )
     console.print(table)

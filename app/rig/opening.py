@@ -23,7 +23,7 @@ from goniotwin.app.rig.settings import (
 from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.app.toml_file import checked, parse_toml, read_toml
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
-from goniotwin.drivers.motion.tmcl import module as tmcl_driver
+from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.motion.tmcl.module import PortOpener
 from goniotwin.drivers.tap import Explain, Tap, as_text, no_tap
 from goniotwin.drivers.usb import usbtmc as usbtmc_driver
@@ -162,7 +162,7 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
         _serial(address(file.axes.port)),
         clock,
         file.axes.baudrate,
-        tap("axes", tmcl_driver.explain),
+        tap("axes", tmcl.explain),
         [each.module for each in settings.values()],
         file.axes.heartbeat_s,
     )

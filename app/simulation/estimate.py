@@ -27,7 +27,7 @@ from goniotwin.twin.optics import (
     stray_throughput,
     throughput,
 )
-from goniotwin.twin.optics.bsdf.analytic import Side
+from goniotwin.twin.optics.bsdf.analytic_samples import Side
 from goniotwin.twin.optics.fast.lobe_sums import FINE, TABULATED
 from goniotwin.twin.optics.geometry.scene import scene_at
 

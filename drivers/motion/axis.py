@@ -1,28 +1,26 @@
-"""An axis of the goniophotometer: degrees above, microsteps on the wire."""
+"""An axis of the goniophotometer: angles in degrees, microsteps on the line."""
 
 import math
 
-from goniotwin.drivers.errors import DeviceError, Forgotten, Interrupted, LimitError, NoAnswer, Refused, Unreferenced
+from goniotwin.drivers.errors import DeviceError, Interrupted, LimitError, Refused, Unreferenced
 from goniotwin.drivers.motion.homing import HomingSearch
-from goniotwin.drivers.motion.move import ARRIVED_AFTER_S as ARRIVED_AFTER_S
-from goniotwin.drivers.motion.move import Move, Switches
+from goniotwin.drivers.motion.move import Move
 from goniotwin.drivers.motion.reference import REMEDY, Reference
-from goniotwin.drivers.motion.settings import AxisSettings as AxisSettings
-from goniotwin.drivers.motion.settings import Homing as Homing
+from goniotwin.drivers.motion.registers import Registers, Switches
+from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.drivers.motion.tmcl.module import TmclModule
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import Axis as Parameter
-from goniotwin.protocols.tmcl import Command, MoveType, Request
+from goniotwin.protocols.tmcl import Command, Request
 from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag, Search
 
 
 class Axis:
     """One motor of a motion module, as an angle.
 
-    It is *referenced* while nothing has put in doubt that the counter knows the angle: a reset of its module, a stall, a
-    deviation of the encoder, a limit switch, or a move of which nobody knows whether it was heard. Unreferenced it goes to
-    no angle, until it has been homed or somebody says where it is. `errors` are the module's error flags since connecting
-    or homing: the module forgets them when they are read.
+    The axis is *referenced* while its counter is known to give its angle. It becomes unreferenced by a reset of its module,
+    a stall, a deviation of the encoder, a limit switch, or a motion command of which the delivery is unknown. An
+    unreferenced axis moves to no angle until it is homed or its position is set.
     """
 
     def __init__(self, module: TmclModule, settings: AxisSettings, clock: Clock) -> None:
@@ -30,53 +28,65 @@ class Axis:
         self._clock = clock
         self.settings = settings
         self.name = settings.name
-        self.errors = ErrorFlag(0)
         self.last_reference_deg: float | None = None
-        self._reference = Reference(module, settings)
+        self._registers = Registers(module, settings)
+        self._reference = Reference(module, self._registers)
         self._taken_up = False
         self._searching = False
-        self.alive_s = module.alive_s
 
-    # ---- whether it knows where it is ----
+    # ---- reference ----
 
     @property
-    def doubt(self) -> str:
-        """Why it is not known where the axis is; empty where it is."""
-        return self._reference.doubt
+    def unreferenced_reason(self) -> str:
+        """Why the axis is unreferenced; empty if it is referenced."""
+        return self._reference.unreferenced_reason
 
     @property
     def referenced(self) -> bool:
-        """Whether it may be sent to an angle."""
-        return not self.doubt
+        """True if the axis may move to an angle."""
+        return not self.unreferenced_reason
 
-    def put_in_doubt(self, reason: str) -> None:
-        """From now on it is not known where the axis is."""
-        self._reference.put_in_doubt(reason)
-
-    def assume_referenced(self, angle_deg: float | None = None) -> None:
-        """Somebody has looked: the axis rests at this angle, or (None) where its counter says. Raises DeviceError."""
+    def set_position(self, angle_deg: float | None = None) -> None:
+        """Set the current position of an axis at rest (manual referencing); None accepts its counter. Raises DeviceError."""
         if angle_deg is not None:
-            self._check_finite(angle_deg, "assume that it is at")
-            self.count_from(self.settings.microsteps(angle_deg))
-        self._module.check_canary(self.settings.module)
-        self._reference.settle()
+            self._check_finite(angle_deg, "set its position to")
+            self._registers.set_counter(self.settings.microsteps(angle_deg))
+        self._registers.check_canary()
+        self._reference.mark_referenced()
         self._taken_up = False
 
-    def count_from(self, microsteps: int) -> None:
-        """Sets counter and encoder; for an axis at rest (a moving one would go astray). Raises DeviceError."""
-        if self.ask(Command.GAP, Parameter.ACTUAL_VELOCITY) != 0:
-            raise DeviceError(self.name, "set its counter", "the axis is moving", "stop it first")
-        self.ask(Command.SAP, Parameter.ACTUAL_POSITION, microsteps)
-        if self.settings.encoder:
-            self.ask(Command.SAP, Parameter.ENCODER_POSITION, self.settings.encoder_value(microsteps))
+    @property
+    def errors(self) -> ErrorFlag:
+        """Error flags of the module since connecting or homing, as far as they have been read."""
+        return self._reference.errors
 
-    # ---- the beginning ----
+    def read_errors(self) -> ErrorFlag:
+        """Read and latch the error flags; a stall or a deviation makes the axis unreferenced. Raises DeviceError."""
+        return self._reference.read_errors()
+
+    # ---- connection ----
 
     def connect(self) -> None:
-        """Writes the settings to the module; the axis stays where it is. Raises DeviceError."""
+        """Write the settings to the module. The axis does not move. Raises DeviceError."""
+        for parameter, value in self._parameters():
+            self._registers.write(parameter, value)
+        try:
+            earlier = self._registers.error_flags()  # reading clears them
+        except (Refused, Interrupted):
+            raise
+        except DeviceError:
+            earlier = self._registers.error_flags()
+        self._reference.restore(earlier)
+        if self.settings.encoder and self.referenced and not self.is_moving():
+            self._read_and_compare()
+        self._reference.errors = ErrorFlag(0)
+        self._taken_up = False
+
+    def _parameters(self) -> list[tuple[Parameter, int]]:
+        """Axis parameters by the settings, in the order in which they are written."""
         settings, each = self.settings, abs(self.settings.microsteps_per_deg)
         deviation = settings.encoder_value(settings.max_deviation_deg * each)
-        written = [
+        parameters = [
             (Parameter.UNIT_MODE, 1),
             (Parameter.MICROSTEP_RESOLUTION, settings.microstep_exponent),
             (Parameter.MAX_VELOCITY, settings.pps(settings.speed)),
@@ -96,204 +106,159 @@ class Axis:
         ]
         if settings.encoder:
             if settings.encoder_counts is not None:
-                written.append((Parameter.ENCODER_RESOLUTION, settings.encoder_counts))
-            written.append((Parameter.MAX_ENCODER_DEVIATION, deviation))
+                parameters.append((Parameter.ENCODER_RESOLUTION, settings.encoder_counts))
+            parameters.append((Parameter.MAX_ENCODER_DEVIATION, deviation))
         if settings.homing is not None:
-            written += [
+            parameters += [
                 (Parameter.REFERENCE_SEARCH_MODE, settings.homing.mode),
                 (Parameter.REFERENCE_SEARCH_SPEED, settings.pps(settings.homing.speed)),
                 (Parameter.REFERENCE_SWITCH_SPEED, settings.pps(settings.homing.switch_speed)),
             ]
-        for parameter, value in written:
-            self.ask(Command.SAP, parameter, value)
-        try:
-            before = self.ask(Command.GAP, Parameter.ERROR_FLAGS)  # reading clears what was before
-        except (Refused, Interrupted):
-            raise
-        except DeviceError:
-            before = self.ask(Command.GAP, Parameter.ERROR_FLAGS)
-        self._reference.connected(ErrorFlag(before & 3))
-        if self.settings.encoder and not self.doubt and not self.turns():
-            self._compared()
-        self.errors = ErrorFlag(0)
-        self._taken_up = False
+        return parameters
 
-    # ---- moving ----
+    # ---- motion ----
 
-    def start(self, target_deg: float, since: int | None = None) -> Move:
-        """Sends the axis to an angle, unless a stop has come since the module's `stops` were `since` (by default: now).
+    def start(self, target_deg: float, stop_count: int | None = None) -> Move:
+        """Start a move to an angle, unless a stop was requested after `stop_count` was read (default: now).
 
-        Raises LimitError or Unreferenced before anything is sent, DeviceError after.
+        Raises LimitError or Unreferenced before anything is sent, DeviceError after that.
         """
         self.check_limits(self.settings, target_deg)
-        if self.doubt:
-            raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.doubt, REMEDY)
-        stops = self._module.stops if since is None else since
-        here = self.ask(Command.GAP, Parameter.ACTUAL_POSITION)
-        self._module.check_canary(self.settings.module)
+        if self.unreferenced_reason:
+            raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.unreferenced_reason, REMEDY)
+        stop_count = self._registers.stop_count if stop_count is None else stop_count
+        here = self._registers.read(Parameter.ACTUAL_POSITION)
+        self._registers.check_canary()
         legs = self.settings.legs(self.settings.angle_deg(here), target_deg, taken_up=self._taken_up)
-        self._taken_up = False
-        move = Move(self, self._clock, f"move to {target_deg:g} deg", legs, here, stops)
+        move = self._new_move(f"move to {target_deg:g} deg", legs, here, stop_count)
         move.begin()
         return move
 
-    def start_by(self, way_deg: float) -> Move:
-        """Turns the axis by an angle, referenced or not; the command is never sent twice. Raises as `start` does."""
-        self._check_finite(way_deg, "turn by")
-        stops = self._module.stops
-        here = self.ask(Command.GAP, Parameter.ACTUAL_POSITION)
-        self._module.check_canary(self.settings.module)
-        target_deg = self.settings.angle_deg(here) + way_deg
+    def start_relative(self, distance_deg: float) -> Move:
+        """Start a turn by an angle, referenced or not. The command is never sent twice. Raises as `start` does."""
+        self._check_finite(distance_deg, "turn by")
+        stop_count = self._registers.stop_count
+        here = self._registers.read(Parameter.ACTUAL_POSITION)
+        self._registers.check_canary()
+        target_deg = self.settings.angle_deg(here) + distance_deg
         if self.referenced:
             self.check_limits(self.settings, target_deg)
-        self._taken_up = False
-        move = Move(self, self._clock, f"turn by {way_deg:g} deg", (target_deg,), here, stops)
-        move.begin(relative=round(way_deg * self.settings.microsteps_per_deg))
+        move = self._new_move(f"turn by {distance_deg:g} deg", (target_deg,), here, stop_count)
+        move.begin(relative=round(distance_deg * self.settings.microsteps_per_deg))
         return move
 
-    def start_homing(self) -> HomingSearch:
-        """Begins the reference search of the settings; when it is done the axis is referenced. Raises DeviceError."""
-        homing = self.settings.homing
-        if homing is None:
-            raise DeviceError(self.name, "home", "the rig file has no [homing] for it", "add it, or say where the axis is")
-        stops = self._module.stops
-        self._module.check_canary(self.settings.module)
-        self.put_in_doubt("it is looking for its reference")
-        self._searching = True
-        self.command(Request(self.settings.module, Command.RFS, Search.START, self.settings.motor), stops)
-        return HomingSearch(self, self._clock, homing, self._module.alive_s)
-
-    def homed(self, reference_deg: float) -> None:
-        """A search has ended well; by its old counter the reference was at `reference_deg`."""
-        self._searching = False
-        self._reference.settle()
-        self.last_reference_deg = reference_deg
-        self.errors = ErrorFlag(0)
+    def _new_move(self, doing: str, legs: tuple[float, ...], here: int, stop_count: int) -> Move:
         self._taken_up = False
+        return Move(self._registers, self._reference, self._clock, doing, legs, here, stop_count, self._note_arrival)
 
-    def arrived(self) -> None:
-        """A move has ended where it was to."""
+    def _note_arrival(self) -> None:
         self._taken_up = True
 
-    def command(self, request: Request, since: int) -> int:
-        """Something that sets it in motion, unless there has been a stop. Not knowing whether it was heard is doubt."""
-        try:
-            return self._module.exchange(request, since)
-        except (Refused, Interrupted, Forgotten):
-            raise
-        except DeviceError as error:
-            if self._module.stops != since:
-                raise  # it was stopped after it, if it has heard it at all: the counter knows where
-            self.put_in_doubt(f"nobody knows whether it heard a command to move ({error.happened})")
-            raise
+    def start_homing(self) -> HomingSearch:
+        """Start the reference search of the settings; at its end the axis is referenced. Raises DeviceError."""
+        homing = self.settings.homing
+        if homing is None:
+            raise DeviceError(
+                self.name, "home", "the rig file has no [homing] for it", "add [homing], or set its position (goniotwin here)"
+            )
+        stop_count = self._registers.stop_count
+        self._registers.check_canary()
+        self._reference.mark_unreferenced("its reference search has not ended")
+        self._searching = True
+        self._reference.send_motion_command(self._registers.request(Command.RFS, Search.START), stop_count)
+        return HomingSearch(self._registers, self._reference, homing, self._clock, self._note_homed)
+
+    def _note_homed(self, old_reference_deg: float) -> None:
+        self._searching = False
+        self._reference.mark_referenced()
+        self.last_reference_deg = old_reference_deg
+        self._reference.errors = ErrorFlag(0)
+        self._taken_up = False
 
     def stop_requests(self) -> list[tuple[str, Request]]:
-        """What brings it to rest over its ramp: the end of a search where one is going on, and MST."""
-        module, motor = self.settings.module, self.settings.motor
-        searching = [(self.name, Request(module, Command.RFS, Search.STOP, motor))] if self._searching else []
-        return [(self.name, Request(module, Command.MST, 0, motor)), *searching]
+        """Requests that stop the axis over its ramp: MST, and the end of a reference search in progress."""
+        searching = [(self.name, self._registers.request(Command.RFS, Search.STOP))] if self._searching else []
+        return [(self.name, self._registers.request(Command.MST, 0)), *searching]
 
     def stop(self) -> None:
-        """Has the axis come to rest over its ramp. From any thread. Raises DeviceError where it is not confirmed."""
+        """Stop the axis over its ramp. Thread-safe. Raises DeviceError if the module does not confirm it."""
         for failure in self._module.stop(self.stop_requests()):
             raise failure
 
     @staticmethod
     def check_limits(settings: AxisSettings, target_deg: float) -> None:
-        """Raises LimitError for an angle that an axis of these settings may not be sent to."""
+        """Raise LimitError for a target outside the soft limits, the approach against backlash included."""
         lower, upper = settings.lower_deg, settings.upper_deg
         remedy = "change the schedule, or the limits in the rig file"
         if not lower <= target_deg <= upper:
             raise LimitError(
                 settings.name, f"move to {target_deg:g} deg", f"outside its soft limits {lower:g} to {upper:g} deg", remedy
             )
-        begins = target_deg + settings.overshoot_deg
-        if not lower <= begins <= upper:
+        approach_deg = target_deg + settings.overshoot_deg
+        if not lower <= approach_deg <= upper:
             raise LimitError(
                 settings.name, f"move to {target_deg:g} deg",
-                f"against backlash it arrives from {settings.approach_from}, begins that at {begins:g} deg, and has soft "
-                f"limits of {lower:g} to {upper:g} deg", remedy,
+                f"against backlash it approaches from {settings.approach_from}, starting at {approach_deg:g} deg, which is "
+                f"outside its soft limits {lower:g} to {upper:g} deg", remedy,
             )  # fmt: skip
 
-    # ---- asking ----
+    # ---- reading ----
 
     def position_deg(self) -> float:
-        """Where the motor's counter says that the axis is; the module is known to have its settings. Raises DeviceError."""
-        return self.settings.angle_deg(self._confirmed(Parameter.ACTUAL_POSITION))
-
-    def turns(self) -> bool:
-        """Whether the motor turns. Raises DeviceError."""
-        return self._confirmed(Parameter.ACTUAL_VELOCITY) != 0
+        """Position by the motor's counter, confirmed by the canary. Raises DeviceError."""
+        return self._registers.position_deg()
 
     def encoder_deg(self) -> float | None:
-        """Where the encoder says that the axis is; None where it has none."""
-        if not self.settings.encoder:
-            return None
-        return self.settings.encoder_angle_deg(self._confirmed(Parameter.ENCODER_POSITION))
+        """Position by the encoder, confirmed by the canary; None for an axis without encoder. Raises DeviceError."""
+        return self._registers.encoder_deg()
+
+    def is_moving(self) -> bool:
+        """True while the motor turns. Raises DeviceError."""
+        return self._registers.read_confirmed(Parameter.ACTUAL_VELOCITY) != 0
 
     def deviation_deg(self) -> float | None:
-        """By how much the encoder is ahead of the counter; None where there is no encoder."""
+        """Encoder minus counter; None for an axis without encoder. Raises DeviceError."""
         encoder = self.encoder_deg()
         return None if encoder is None else encoder - self.position_deg()
 
     def read_back(self) -> tuple[float, float | None]:
-        """Counter and encoder of an axis at rest, of which nobody doubts where it is. Raises DeviceError.
+        """Counter and encoder of a referenced axis at rest. Raises DeviceError, Unreferenced included.
 
-        Where they disagree, asked twice, it is unreferenced from then on."""
-        here, encoder = self._compared()
-        if self.doubt:
-            raise Unreferenced(self.name, f"believe that it is at {here:.3f} deg", self.doubt, REMEDY)
+        If they disagree in two readings, the axis becomes unreferenced.
+        """
+        here, encoder = self._read_and_compare()
+        if self.unreferenced_reason:
+            raise Unreferenced(self.name, f"read back its position {here:.3f} deg", self.unreferenced_reason, REMEDY)
         return here, encoder
 
-    def _compared(self) -> tuple[float, float | None]:
+    def _read_and_compare(self) -> tuple[float, float | None]:
         here, encoder = self.position_deg(), self.encoder_deg()
-        if self._reference.apart(here, encoder):
+        if self._reference.encoder_disagrees(here, encoder):
             here, encoder = self.position_deg(), self.encoder_deg()
             self._reference.compare(here, encoder)
         return here, encoder
 
-    def switches(self) -> Switches:
-        """The limit switches and the home switch, as the module sees them."""
-        right, left, home = (
-            bool(self.ask(Command.GAP, each)) for each in (Parameter.RIGHT_SWITCH, Parameter.LEFT_SWITCH, Parameter.HOME_SWITCH)
-        )
-        return Switches(right, left, home)
+    def read_parameter(self, parameter: Parameter) -> int:
+        """Value of an axis parameter. Raises DeviceError."""
+        return self._registers.read(parameter)
 
-    def read_errors(self) -> ErrorFlag:
-        """Reads the error flags and latches them; a stall or a deviation leaves the axis unreferenced. Raises DeviceError."""
-        try:
-            self.errors |= ErrorFlag(self.ask(Command.GAP, Parameter.ERROR_FLAGS) & 3)
-        except NoAnswer:
-            self.put_in_doubt("its error flags were lost on the way")
-            raise
-        if self.errors:
-            self.put_in_doubt(" and ".join(flag.name or "" for flag in self.errors).lower() + " has stopped it")
-        return self.errors
+    def switches(self) -> Switches:
+        """Limit switches and home switch, as the module reads them. Raises DeviceError."""
+        return self._registers.switches()
 
     def driver_flags(self) -> DriverFlag:
-        """What the motor's driver says of itself (*)."""
-        return DriverFlag(self.ask(Command.GAP, Parameter.DRIVER_FLAGS) & 0xFF)
+        """Status flags of the motor driver (*). Raises DeviceError."""
+        return self._registers.driver_flags()
 
     def check_canary(self) -> None:
-        """Raises Forgotten where its module has reset."""
-        self._module.check_canary(self.settings.module)
+        """Raise Forgotten if the module has reset."""
+        self._registers.check_canary()
 
     def set_currents(self, run: int, standby: int) -> None:
-        """Of 255: turning, and at rest. Until the next connection."""
-        self.ask(Command.SAP, Parameter.RUN_CURRENT, run)
-        self.ask(Command.SAP, Parameter.STANDBY_CURRENT, standby)
-
-    def ask(self, command: Command, number: int, value: int = 0) -> int:
-        """One exchange about this axis."""
-        return self._module.exchange(Request(self.settings.module, command, number, self.settings.motor, value))
-
-    def move_request(self, kind: MoveType, value: int) -> Request:
-        """MVP."""
-        return Request(self.settings.module, Command.MVP, kind, self.settings.motor, value)
-
-    def _confirmed(self, parameter: Parameter) -> int:
-        return self._module.confirmed(Request(self.settings.module, Command.GAP, parameter, self.settings.motor))
+        """Set the motor current while moving and at rest, of 255, until the next connection. Raises DeviceError."""
+        self._registers.write(Parameter.RUN_CURRENT, run)
+        self._registers.write(Parameter.STANDBY_CURRENT, standby)
 
     def _check_finite(self, angle_deg: float, doing: str) -> None:
         if not math.isfinite(angle_deg) or not abs(self.settings.microsteps(angle_deg)) < 2**31:
-            raise LimitError(self.name, f"{doing} {angle_deg:g} deg", "that is no angle its counter can hold")
+            raise LimitError(self.name, f"{doing} {angle_deg:g} deg", "its counter cannot hold this angle")

@@ -1,70 +1,74 @@
-"""A reference search under way: started, polled, and believed only when everything about it is right."""
+"""A reference search in progress: start, poll, and accept the result only if every check passes."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from goniotwin.drivers.errors import DeviceError
+from goniotwin.drivers.motion.reference import Reference, flag_names
+from goniotwin.drivers.motion.registers import Registers
 from goniotwin.drivers.motion.settings import Homing
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import Axis as Parameter
 from goniotwin.protocols.tmcl import Command
 from goniotwin.protocols.tmcl_parameters import Search
 
-if TYPE_CHECKING:
-    from goniotwin.drivers.motion.axis import Axis
-
 POLL_S = 0.1
 NEAR_MICROSTEPS = 1
 
 
 class HomingSearch:
-    """One search. When it is over the counter is 0 at the reference, the encoder is set to agree with it, and the angle
-    at which the old counter had the reference is the axis' `last_reference_deg`: how far it had gone astray."""
+    """One reference search. At its end the counter is 0 at the reference and the encoder is set to agree with it.
 
-    def __init__(self, axis: "Axis", clock: Clock, homing: Homing, alive_s: float) -> None:
-        self._axis = axis
+    `on_success` is called with the angle of the reference by the old counter, degrees: the error of the old reference.
+    """
+
+    def __init__(
+        self, registers: Registers, reference: Reference, homing: Homing, clock: Clock, on_success: Callable[[float], None]
+    ) -> None:
+        self._registers = registers
+        self._reference = reference
         self._clock = clock
         self._homing = homing
-        self._every = min(POLL_S, alive_s)
+        self._on_success = on_success
+        self._interval_s = min(POLL_S, registers.keep_alive_s)
         self._deadline = clock.now() + homing.longest_s
-        self._steps = iter((self._has_found, self._has_no_errors, self._takes_over))
+        self._steps = iter((self._check_position, self._check_errors, self._set_counter))
         self._over = False
-        self._reference = 0.0
-        self.due = clock.now() + self._every
+        self._old_reference_deg = 0.0
+        self.due = clock.now() + self._interval_s
 
     def poll(self) -> bool:
-        """Asks; True when the axis is referenced. Raises DeviceError where the search has failed."""
-        axis = self._axis
+        """Ask the module; True when the axis is referenced. Raises DeviceError for a failed search."""
         if not self._over:
-            self._over = axis.ask(Command.RFS, Search.STATUS) == 0
+            self._over = self._registers.exchange(Command.RFS, Search.STATUS) == 0
             if not self._over and self._clock.now() > self._deadline:
-                axis.ask(Command.RFS, Search.STOP)
+                self._registers.exchange(Command.RFS, Search.STOP)
                 raise self._failed(f"no reference within {self._homing.longest_s:g} s")
-            self.due = self._clock.now() if self._over else self._clock.now() + self._every
+            self.due = self._clock.now() if self._over else self._clock.now() + self._interval_s
             return False
         step = next(self._steps, None)
         if step is not None:
             step()
             self.due = self._clock.now()
             return False
-        axis.check_canary()
-        axis.homed(self._reference)
+        self._registers.check_canary()
+        self._on_success(self._old_reference_deg)
         return True
 
-    def _has_found(self) -> None:
+    def _check_position(self) -> None:
         """A search that was ended by something else leaves the counter as it was."""
-        counter = self._axis.ask(Command.GAP, Parameter.ACTUAL_POSITION)
-        reached = self._axis.ask(Command.GAP, Parameter.POSITION_REACHED)
+        counter = self._registers.read(Parameter.ACTUAL_POSITION)
+        reached = self._registers.read(Parameter.POSITION_REACHED)
         if abs(counter) > NEAR_MICROSTEPS or not reached:
-            raise self._failed("the search was ended before it found anything")
+            raise self._failed("the search was ended before it found a reference")
 
-    def _has_no_errors(self) -> None:
-        if errors := self._axis.read_errors():
-            raise self._failed(" and ".join((flag.name or "").lower() for flag in errors))
-        self._reference = self._axis.settings.angle_deg(self._axis.ask(Command.GAP, Parameter.LAST_REFERENCE_POSITION))
+    def _check_errors(self) -> None:
+        if errors := self._reference.read_errors():
+            raise self._failed(flag_names(errors))
+        self._old_reference_deg = self._registers.settings.angle_deg(self._registers.read(Parameter.LAST_REFERENCE_POSITION))
 
-    def _takes_over(self) -> None:
-        angle, settings = self._homing.angle_deg, self._axis.settings
-        self._axis.count_from(0 if angle is None else settings.microsteps(angle))
+    def _set_counter(self) -> None:
+        angle_deg, settings = self._homing.angle_deg, self._registers.settings
+        self._registers.set_counter(0 if angle_deg is None else settings.microsteps(angle_deg))
 
     def _failed(self, happened: str) -> DeviceError:
-        return DeviceError(self._axis.name, "home", happened, "look at its switches and its way, then home it again")
+        return DeviceError(self._registers.name, "home", happened, "check its switches and its path, then home it again")

@@ -1,134 +1,138 @@
-"""A move under way: asked when the ramp says that it is over, and often enough for the module's heartbeat meanwhile."""
+"""A move in progress: polled when its ramp ends, and often enough for the module's heartbeat until then."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from goniotwin.drivers.errors import DeviceError
+from goniotwin.drivers.motion.reference import Reference
+from goniotwin.drivers.motion.registers import Registers
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import Axis as Parameter
 from goniotwin.protocols.tmcl import Command, MoveType
 from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag
 
-if TYPE_CHECKING:
-    from goniotwin.drivers.motion.axis import Axis
-
 POLL_S = 0.02
-STANDS_S = 0.1
+STANDSTILL_S = 0.1
 ARRIVED_AFTER_S = 0.002
 OVERDUE_S = 5.0
 
 
-@dataclass(frozen=True)
-class Switches:
-    """Limit switches at the ends of positive (right) and negative microsteps, and the home switch: True is active."""
-
-    right: bool
-    left: bool
-    home: bool
-
-
 class Move:
-    """From one angle to another, in one leg or (against backlash) in two. `arrival` is when it should be there, s.
+    """A move to an angle, in one leg or (against backlash) in two. `arrival` is the estimated end of the move, s.
 
-    A question each poll: has it arrived; if so, has the module its settings still, or where does the next leg go; if not
-    and it should have, does it still turn. What stands short of its target for 0.1 s has been stopped, and why is asked.
+    Each poll makes one exchange. It asks whether the target is reached. If it is, the next leg starts, or the canary is
+    read. If it is not and the ramp is over, it asks whether the motor still turns. A motor at rest short of its target for
+    0.1 s has been stopped: the cause is read from the module. `on_arrival` is called at the end.
     """
 
-    def __init__(self, axis: "Axis", clock: Clock, doing: str, legs: tuple[float, ...], here: int, stops: int) -> None:
-        self._axis = axis
+    def __init__(
+        self,
+        registers: Registers,
+        reference: Reference,
+        clock: Clock,
+        doing: str,
+        legs: tuple[float, ...],
+        here: int,
+        stop_count: int,
+        on_arrival: Callable[[], None],
+    ) -> None:
+        self._registers = registers
+        self._reference = reference
         self._clock = clock
         self._doing = doing
         self._legs = list(legs)
         self._here = here
-        self._stops = stops
-        self._there = False
-        self._stands_since: float | None = None
-        self._late_at = self.arrival = self.due = clock.now()
+        self._stop_count = stop_count
+        self._on_arrival = on_arrival
+        self._reached = False
+        self._standstill_since: float | None = None
+        self._overdue_at = self.arrival = self.due = clock.now()
 
     def begin(self, relative: int | None = None) -> None:
-        """Sends the next leg. Raises DeviceError; Interrupted where there has been a stop since the move was asked for."""
-        settings, axis = self._axis.settings, self._axis
+        """Send the next leg. Raises DeviceError; Interrupted if a stop was requested since the move was."""
+        settings = self._registers.settings
         target = settings.microsteps(self._legs.pop(0))
-        if relative is None:
-            axis.command(axis.move_request(MoveType.ABSOLUTE, target), self._stops)
-        else:
-            axis.command(axis.move_request(MoveType.RELATIVE, relative), self._stops)
+        kind, value = (MoveType.ABSOLUTE, target) if relative is None else (MoveType.RELATIVE, relative)
+        self._reference.send_motion_command(self._registers.request(Command.MVP, kind, value), self._stop_count)
         ramp = settings.seconds((target - self._here) / settings.microsteps_per_deg)
         now = self._clock.now()
         self._leg_arrival = now + ramp + ARRIVED_AFTER_S
-        self._late_at = self._leg_arrival + ramp + OVERDUE_S
+        self._overdue_at = self._leg_arrival + ramp + OVERDUE_S
         place, rest = target, 0.0
         for leg in self._legs:
             rest += settings.seconds((settings.microsteps(leg) - place) / settings.microsteps_per_deg) + ARRIVED_AFTER_S
             place = settings.microsteps(leg)
         self._here = target
         self.arrival = self._leg_arrival + rest
-        self._stands_since = None
-        self._when_next()
+        self._standstill_since = None
+        self._schedule_poll()
 
     def poll(self) -> bool:
-        """Asks, in one exchange; True when it is where it was to go. Raises DeviceError where it never will be."""
-        axis = self._axis
-        if self._there:
+        """Ask the module, in one exchange; True when the last target is reached. Raises DeviceError for a failed move."""
+        registers = self._registers
+        if self._reached:
             if self._legs:
-                self._there = False
+                self._reached = False
                 self.begin()
                 return False
-            axis.check_canary()
-            axis.arrived()
+            registers.check_canary()
+            self._on_arrival()
             return True
-        if self._stands_since is None or self._clock.now() < self._leg_arrival:
-            if axis.ask(Command.GAP, Parameter.POSITION_REACHED):
-                self._there, self.due = True, self._clock.now()
+        if self._standstill_since is None or self._clock.now() < self._leg_arrival:
+            if registers.read(Parameter.POSITION_REACHED):
+                self._reached, self.due = True, self._clock.now()
             elif self._clock.now() >= self._leg_arrival:
-                self._stands_since, self.due = float("inf"), self._clock.now() + POLL_S
+                self._standstill_since, self.due = float("inf"), self._clock.now() + POLL_S
             else:
-                self._when_next()
+                self._schedule_poll()
             return False
-        self._look_whether_it_turns()
+        self._check_standstill()
         return False
 
-    def _when_next(self) -> None:
-        """When the ramp is over, or earlier where the module would stop an axis whose host is silent."""
-        self.due = min(self._leg_arrival, self._clock.now() + self._axis.alive_s)
+    def _schedule_poll(self) -> None:
+        """Next poll at the end of the ramp, or earlier, before the module stops an axis because its host is silent."""
+        self.due = min(self._leg_arrival, self._clock.now() + self._registers.keep_alive_s)
 
-    def _look_whether_it_turns(self) -> None:
-        axis = self._axis
-        turning = axis.ask(Command.GAP, Parameter.ACTUAL_VELOCITY) != 0
+    def _check_standstill(self) -> None:
+        """Ask an overdue axis whether it moves, and raise DeviceError if it has been stopped or never arrives."""
+        registers = self._registers
+        moving = registers.read(Parameter.ACTUAL_VELOCITY) != 0
         now = self._clock.now()
-        assert self._stands_since is not None
-        if turning:
-            if now > self._late_at:
-                raise DeviceError(axis.name, self._doing, "it still turns long after it should be there", "stop it")
-            self._stands_since = None
-        elif axis.ask(Command.GAP, Parameter.POSITION_REACHED):
-            self._there, self.due = True, now
+        assert self._standstill_since is not None
+        if moving:
+            if now > self._overdue_at:
+                raise DeviceError(registers.name, self._doing, "it still turns long after its estimated arrival", "stop it")
+            self._standstill_since = None
+        elif registers.read(Parameter.POSITION_REACHED):
+            self._reached, self.due = True, now
             return
         else:
-            self._stands_since = min(self._stands_since, now)
-            if now - self._stands_since > STANDS_S:
-                raise stopped_short(axis, self._doing)
+            self._standstill_since = min(self._standstill_since, now)
+            if now - self._standstill_since > STANDSTILL_S:
+                raise self._stopped_short()
         self.due = now + POLL_S
 
+    def _stopped_short(self) -> DeviceError:
+        """The error of an axis at rest short of its target, with the cause by the module's flags and switches.
 
-def stopped_short(axis: "Axis", doing: str) -> DeviceError:
-    """Asks why an axis stands where it should not, and leaves it unreferenced where that puts its position in doubt."""
-    axis.check_canary()
-    errors = axis.read_errors()
-    switches = axis.switches()
-    driver = axis.driver_flags() & ~(DriverFlag.STANDSTILL | DriverFlag.OVERTEMPERATURE_WARNING)
-    reasons = []
-    if errors & ErrorFlag.STALL:
-        reasons.append("the motor has stalled")
-    if errors & ErrorFlag.DEVIATION:
-        reasons.append("the encoder is somewhere else than the counter")
-    if axis.settings.switches and (switches.right or switches.left):
-        side = "right" if switches.right else "left"
-        reasons.append(f"the {side} limit switch has stopped it")
-        axis.put_in_doubt(f"the {side} limit switch has stopped it")
-    if driver:
-        names = " and ".join((flag.name or "").lower().replace("_", " ") for flag in driver)
-        reasons.append(f"the motor's driver reports {names}")
-    reason = ", ".join(reasons) or "somebody's stop, or the module's heartbeat after a silence of its host"
-    remedy = "remove the cause, then home the axis" if not axis.referenced else "start again"
-    return DeviceError(axis.name, doing, f"the axis stands at {axis.position_deg():.3f} deg: {reason}", remedy)
+        The axis becomes unreferenced if the cause affects its position.
+        """
+        registers, reference = self._registers, self._reference
+        registers.check_canary()
+        errors = reference.read_errors()
+        switches = registers.switches()
+        driver = registers.driver_flags() & ~(DriverFlag.STANDSTILL | DriverFlag.OVERTEMPERATURE_WARNING)
+        reasons = []
+        if errors & ErrorFlag.STALL:
+            reasons.append("the motor has stalled")
+        if errors & ErrorFlag.DEVIATION:
+            reasons.append("the encoder deviates from the counter")
+        if registers.settings.switches and (switches.right or switches.left):
+            side = "right" if switches.right else "left"
+            reasons.append(f"the {side} limit switch has stopped it")
+            reference.mark_unreferenced(f"the {side} limit switch has stopped it")
+        if driver:
+            names = " and ".join((flag.name or "").lower().replace("_", " ") for flag in driver)
+            reasons.append(f"the motor driver reports {names}")
+        reason = ", ".join(reasons) or "a stop from elsewhere, or the module's heartbeat because its host was silent"
+        remedy = "remove the cause, then home the axis" if reference.unreferenced_reason else "start again"
+        return DeviceError(registers.name, self._doing, f"stopped at {registers.position_deg():.3f} deg: {reason}", remedy)

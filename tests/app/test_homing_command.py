@@ -66,7 +66,7 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
 def test_here_is_what_somebody_says(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     stated: list[float | None] = []
-    assume = Axis.assume_referenced
+    assume = Axis.set_position
 
     def assumed(axis: Axis, angle_deg: float | None = None) -> None:
         stated.append(angle_deg)

@@ -158,8 +158,8 @@ class BusyRig:
             try:
                 for axis in self.rig.axes.values():
                     axis.position_deg()
-                    if axis.doubt:
-                        axis.assume_referenced()
+                    if axis.unreferenced_reason:
+                        axis.set_position()
                 self.rig.monochromator.wavelength_nm()
                 self.rig.photodiodes.reconnect()
                 self.rig.monitor.check()

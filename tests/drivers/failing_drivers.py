@@ -104,10 +104,10 @@ class Axes(Bench):
     def mend(self) -> None:
         self.rig.reconnect_axes()
         for name, axis in self.rig.axes.items():
-            axis.assume_referenced(self._truth(name))
+            axis.set_position(self._truth(name))
 
     def noticed(self) -> bool:
-        return any("reset" in axis.doubt for axis in self.rig.axes.values())
+        return any("reset" in axis.unreferenced_reason for axis in self.rig.axes.values())
 
     def _truth(self, name: str) -> float:
         return self.virtual.plant.angle_deg(name, self.clock.now())

@@ -76,7 +76,7 @@ def test_somebody_elses_stop_is_a_fault_of_the_move(opened: RigOpener) -> None:
     move = rig.axes["beta"].start(180.0)
     rig.clock.sleep_until(rig.clock.now() + 1.0)
     rig.axes["beta"].stop()
-    with pytest.raises(DeviceError, match="stands at"):
+    with pytest.raises(DeviceError, match="stopped at"):
         wait(rig.clock, [move])
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from goniotwin.drivers import wait
 from goniotwin.drivers.errors import Forgotten
-from goniotwin.protocols.tmcl import Command, Request
+from goniotwin.protocols.tmcl import Axis, Command, Request
 from goniotwin.twin.devices import TmclLine
 from tests.conftest import RigOpener
 
@@ -60,7 +60,7 @@ def test_one_modules_reset_is_its_axis_own(opened: RigOpener) -> None:
     assert [name for name, axis in axes.items() if not axis.referenced] == ["sigma"]
     rig.rig.reconnect_axes()
     assert [name for name, axis in axes.items() if not axis.referenced] == ["sigma"]
-    axes["sigma"].assume_referenced()
+    axes["sigma"].set_position()
     assert axes["sigma"].position_deg() == 0.0
 
 
@@ -71,7 +71,7 @@ def test_the_heartbeat_is_minded_by_each_module_for_itself(opened: RigOpener) ->
     rig.axes["beta"].start(150.0)
     for _ in range(100):
         rig.clock.sleep_until(rig.clock.now() + 0.2)
-        rig.axes["beta"].ask(Command.GAP, 8)
+        rig.axes["beta"].read_parameter(Axis.POSITION_REACHED)
     assert rig.axes["beta"].position_deg() == pytest.approx(150.0)
     assert rig.axes["sigma"].position_deg() == pytest.approx(10.0 * 2.0, abs=1.0)  # 2 s at 10 deg/s less the ramps
 

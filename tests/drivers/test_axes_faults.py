@@ -68,7 +68,7 @@ class Broken(DriverBench):
         self.connect()
         self.axis.stop()
         self.clock.sleep_until(self.clock.now() + 5.0)
-        self.axis.assume_referenced(self.angle())
+        self.axis.set_position(self.angle())
 
 
 @pytest.mark.parametrize("fault", REPEATED_AT_ONCE)
@@ -93,7 +93,7 @@ def test_a_move_arrives_after_any_single_fault_of_its_command(fault: Fault) -> N
 def test_a_relative_move_is_heard_once_at_most(fault: Fault) -> None:
     bench = Broken(Script(()))
     bench.faulty.misfortune = Script([Fault.NONE, Fault.NONE, fault])
-    outcome = bench.timed(bench.axis.start_by, 1.0)
+    outcome = bench.timed(bench.axis.start_relative, 1.0)
     moves = [each for each in bench.watched.heard if each.command == Command.MVP and each.type == MoveType.RELATIVE]
     assert len(moves) <= 1
     if isinstance(outcome, DeviceError):
@@ -108,9 +108,9 @@ def test_a_lost_reply_to_an_absolute_move_that_stays_lost_leaves_the_axis_unrefe
     bench.faulty.misfortune = Script([Fault.NONE, Fault.NONE, *[Fault.HANG] * 20])
     with pytest.raises(DeviceError, match="MVP"):
         bench.axis.start(12.5)
-    assert "heard" in bench.axis.doubt
+    assert "received" in bench.axis.unreferenced_reason
     bench.faulty.misfortune = Script(())
-    bench.axis.assume_referenced()
+    bench.axis.set_position()
     bench.move(12.5)
 
 
@@ -140,7 +140,7 @@ def test_a_port_that_is_gone_is_an_error_at_once_and_opened_again_when_it_is_bac
     bench.clock.sleep_until(bench.clock.now() + 0.5)
     assert bench.axis.position_deg() == pytest.approx(12.5)
     assert bench.axis.referenced
-    assert list(bench.module.said)[-2:] == ["the port has been opened again", "the line is in step again"]
+    assert list(bench.module.events)[-2:] == ["port reopened", "line resynchronised"]
     assert not any(port.is_open for port in bench.ports[opened - 1 : -1])
 
 
@@ -174,7 +174,7 @@ def test_error_flags_are_read_once_and_their_loss_is_said() -> None:
     bench.faulty.misfortune = Script([Fault.LOST])
     with pytest.raises(DeviceError):
         bench.axis.read_errors()
-    assert "error flags" in bench.axis.doubt
+    assert "error flags" in bench.axis.unreferenced_reason
 
 
 def test_of_two_wrong_bytes_the_checksum_passes_one_in_255() -> None:
@@ -222,10 +222,10 @@ def storm(seed: int, steps: int = 30, share: float = 0.15) -> dict[str, int]:
             value = bench.timed(ask)
             if isinstance(value, DeviceError):
                 happened["errors"] += 1
-            elif not bench.axis.doubt:
+            elif not bench.axis.unreferenced_reason:
                 happened["values"] += 1
                 assert value == pytest.approx(bench.angle(), abs=3.0 / PER_DEG)
-        if bench.axis.doubt:  # the engine or a person: connect again, look, go on
+        if bench.axis.unreferenced_reason:  # the engine or a person: connect again, look, go on
             for _ in range(20):
                 bench.clock.sleep_until(bench.clock.now() + 0.5)
                 with contextlib.suppress(DeviceError):

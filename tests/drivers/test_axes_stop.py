@@ -210,7 +210,7 @@ def test_after_a_stop_the_axes_go_on_where_they_are_sent() -> None:
     moves = starting(bench)
     bench.clock.sleep_until(bench.clock.now() + 1.0)
     assert bench.stop() == []
-    with pytest.raises(DeviceError, match="somebody's stop"):
+    with pytest.raises(DeviceError, match="a stop from elsewhere"):
         wait(bench.clock, moves)
     axis: Axis = bench.axis
     assert axis.referenced

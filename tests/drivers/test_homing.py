@@ -4,7 +4,7 @@ import pytest
 
 from goniotwin.drivers import DeviceError, Homing, wait
 from goniotwin.drivers.errors import Forgotten, Interrupted, LimitError, Unreferenced
-from goniotwin.protocols.tmcl import Command, Request
+from goniotwin.protocols.tmcl import Axis, Command, Request
 from goniotwin.protocols.tmcl_parameters import ErrorFlag, SearchMode
 from tests.drivers.axis_bench import DriverBench
 
@@ -81,7 +81,7 @@ def test_a_search_that_finds_nothing_is_ended() -> None:
         wait(bench.clock, [bench.axis.start_homing()])
     bench.clock.sleep_until(bench.clock.now() + 2.0)
     assert bench.axis.position_deg() == bench.axis.position_deg()
-    assert bench.axis.doubt
+    assert bench.axis.unreferenced_reason
 
 
 def test_a_search_that_jams_is_no_reference() -> None:
@@ -101,7 +101,7 @@ def test_without_a_homing_in_the_file_there_is_none() -> None:
 
 def test_an_operator_may_say_where_it_is() -> None:
     bench = homed()
-    bench.axis.assume_referenced(30.0)
+    bench.axis.set_position(30.0)
     assert bench.axis.position_deg() == pytest.approx(30.0)
     assert bench.axis.encoder_deg() == pytest.approx(30.0, abs=2.0 / PER_DEG)
     bench.move(31.0)
@@ -111,7 +111,7 @@ def test_an_operator_may_say_where_it_is() -> None:
 @pytest.mark.parametrize("angle", [float("nan"), float("inf"), 1e9])
 def test_but_not_nonsense(angle: float) -> None:
     with pytest.raises(LimitError):
-        homed().axis.assume_referenced(angle)
+        homed().axis.set_position(angle)
 
 
 def test_nor_while_it_turns() -> None:
@@ -119,7 +119,7 @@ def test_nor_while_it_turns() -> None:
     move = bench.axis.start(30.0)
     bench.keep(move, 1.0)
     with pytest.raises(DeviceError, match="moving"):
-        bench.axis.assume_referenced(1.0)
+        bench.axis.set_position(1.0)
 
 
 def test_a_reset_is_noticed_and_leaves_the_axis_unreferenced_until_somebody_says_where_it_is() -> None:
@@ -136,7 +136,7 @@ def test_a_reset_is_noticed_and_leaves_the_axis_unreferenced_until_somebody_says
     assert bench.axis.position_deg() == 0.0
     with pytest.raises(Unreferenced, match="reset"):
         bench.axis.start(20.0)
-    bench.axis.assume_referenced(10.0)
+    bench.axis.set_position(10.0)
     bench.move(20.0)
     assert bench.angle() == pytest.approx(20.0, abs=1.0 / PER_DEG)
 
@@ -164,7 +164,7 @@ def test_a_reset_while_the_port_was_closed_is_noticed_at_the_next_connection() -
     bench.module.close()
     bench.line.reset(bench.clock.now())
     bench.connect()
-    assert bench.axis.doubt == "its module has reset, and its counter with it"
+    assert bench.axis.unreferenced_reason == "its module has reset, and its counter with it"
 
 
 def test_connecting_again_to_a_module_that_has_not_reset_leaves_all_as_it_was() -> None:
@@ -180,7 +180,7 @@ def stalls(**settings: object) -> DriverBench:
     move = bench.axis.start(30.0)
     bench.keep(move, 1.5)
     bench.plant.shafts["sigma"].jam(bench.clock.now())
-    with pytest.raises(DeviceError, match=r"stands at .* deg: ") as caught:
+    with pytest.raises(DeviceError, match=r"stopped at .* deg: ") as caught:
         wait(bench.clock, [move])
     assert not bench.axis.referenced
     bench.reason = str(caught.value)  # type: ignore[attr-defined]
@@ -214,7 +214,7 @@ def test_a_stop_leaves_the_axis_referenced() -> None:
     move = bench.axis.start(30.0)
     bench.keep(move, 1.0)
     bench.axis.stop()
-    with pytest.raises(DeviceError, match="somebody's stop"):
+    with pytest.raises(DeviceError, match="a stop from elsewhere"):
         wait(bench.clock, [move])
     assert bench.axis.referenced
     bench.move(30.0)
@@ -258,7 +258,7 @@ def test_without_it_they_arrive_where_they_come_from() -> None:
 
 def test_a_target_that_leaves_no_room_for_the_approach_is_refused() -> None:
     bench = DriverBench({"backlash_deg": 0.5, "lower_deg": 0.0}).connect()
-    with pytest.raises(LimitError, match="arrives from below"):
+    with pytest.raises(LimitError, match="approaches from below"):
         bench.axis.start(0.5)
 
 
@@ -266,7 +266,7 @@ def test_a_stop_between_the_two_legs_ends_the_move() -> None:
     bench = DriverBench({"backlash_deg": 0.5}, {"backlash_deg": 0.4}).connect()
     bench.move(30.0)
     move = bench.axis.start(10.0)
-    while bench.axis.ask(Command.GAP, 8) == 0:
+    while bench.axis.read_parameter(Axis.POSITION_REACHED) == 0:
         bench.clock.sleep_until(bench.clock.now() + 0.01)
     bench.axis.stop()
     with pytest.raises(Interrupted):
@@ -286,7 +286,7 @@ def test_the_foretold_time_of_two_legs_is_theirs() -> None:
 
 def test_a_turn_by_an_angle_needs_no_reference() -> None:
     bench = homed()
-    wait(bench.clock, [bench.axis.start_by(3.0)])
+    wait(bench.clock, [bench.axis.start_relative(3.0)])
     assert bench.angle() == pytest.approx(3.0, abs=1.0 / PER_DEG)
     assert not bench.axis.referenced
 

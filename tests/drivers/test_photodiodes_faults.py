@@ -70,7 +70,7 @@ def reconnect(array: PhotodiodeArray, clock: Clock) -> None:
 UNDETECTED_OVER_TCP = (Fault.CORRUPTED, Fault.NOISE)
 
 
-def campaign_of(rig: OpenRig, serial: bool, seed: int) -> Calls:
+def campaign_summary(rig: OpenRig, serial: bool, seed: int) -> Calls:
     """A late reply comes after the timeout of 1 s: when the line is drained, a marker is asked, or all seems well again."""
     late_s = 0.98 + 0.005 * (seed % 60)
     kinds = ON_MODBUS_RTU if serial else tuple(each for each in ON_MODBUS if each not in UNDETECTED_OVER_TCP)
@@ -80,7 +80,7 @@ def campaign_of(rig: OpenRig, serial: bool, seed: int) -> Calls:
 @pytest.mark.parametrize("serial", [False, True])
 @pytest.mark.parametrize("seed", range(50))
 def test_no_wrong_value_comes_over_a_failing_wire(bench: Bench, serial: bool, seed: int) -> None:
-    calls = campaign_of(bench(serial), serial, seed)
+    calls = campaign_summary(bench(serial), serial, seed)
     assert calls.good + len(calls.errors) >= 3
 
 
@@ -90,7 +90,7 @@ def test_no_wrong_value_comes_over_a_failing_wire(bench: Bench, serial: bool, se
 def test_no_wrong_value_comes_in_a_thousand_campaigns(bench: Bench, serial: bool, hundred: int) -> None:
     good = failed = 0
     for seed in range(1000 + 100 * hundred, 1100 + 100 * hundred):
-        calls = campaign_of(bench(serial), serial, seed)
+        calls = campaign_summary(bench(serial), serial, seed)
         good, failed = good + calls.good, failed + len(calls.errors)
     assert good > 300
     assert failed > 20

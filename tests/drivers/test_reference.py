@@ -19,8 +19,8 @@ def test_an_axis_that_may_be_anywhere_goes_nowhere_after_a_power_up_until_somebo
     with pytest.raises(Unreferenced, match=r"powered up or has reset.*goniotwin home, goniotwin here"):
         bench.axis.start(10.0)
     bench.next_process()
-    assert "powered up" in bench.axis.doubt or "in doubt" in bench.axis.doubt
-    bench.axis.assume_referenced(0.0)
+    assert "powered up" in bench.axis.unreferenced_reason or "left it unreferenced" in bench.axis.unreferenced_reason
+    bench.axis.set_position(0.0)
     bench.move(10.0)
     bench.next_process()
     assert bench.axis.referenced
@@ -32,7 +32,7 @@ def test_a_reset_that_a_run_has_met_is_known_to_the_next_process(settings: dict[
     """Its counter says 0 at 10 deg, wherever the file says that it is parked."""
     bench = DriverBench(settings, axes=2).connect()
     for axis in bench.axes.values():
-        axis.assume_referenced()
+        axis.set_position()
     bench.move(10.0)
     bench.line.reset(bench.clock.now())
     with pytest.raises(Forgotten):
@@ -42,7 +42,7 @@ def test_a_reset_that_a_run_has_met_is_known_to_the_next_process(settings: dict[
         for axis in bench.axes.values():
             with pytest.raises(Unreferenced):
                 axis.start(20.0)
-    bench.axis.assume_referenced(10.0)
+    bench.axis.set_position(10.0)
     bench.next_process()
     bench.move(20.0)
     assert bench.angle() == pytest.approx(20.0, abs=1e-3)
@@ -51,7 +51,7 @@ def test_a_reset_that_a_run_has_met_is_known_to_the_next_process(settings: dict[
 
 def test_a_reset_between_two_processes_is_noticed() -> None:
     bench = DriverBench(ANYWHERE).connect()
-    bench.axis.assume_referenced(0.0)
+    bench.axis.set_position(0.0)
     bench.move(10.0)
     bench.module.close()
     bench.line.reset(bench.clock.now())
@@ -65,13 +65,13 @@ def test_a_process_that_ends_between_canary_and_settings_does_not_make_it_good()
     bench = DriverBench(ANYWHERE)
     bench.module.connect()  # the axes are not connected any more
     bench.next_process()
-    assert "powered up" in bench.axis.doubt
+    assert "powered up" in bench.axis.unreferenced_reason
 
 
 def test_what_was_homed_is_believed_by_the_next_process_though_homing_is_required() -> None:
     required = {"homing": HOMING, "homing_required": True, "power_up_at_reference": False}
     bench = DriverBench(required, HOME).connect()
-    assert "homed" in bench.axis.doubt
+    assert "homed" in bench.axis.unreferenced_reason
     wait(bench.clock, [bench.axis.start_homing()])
     bench.next_process()
     bench.move(10.0)
@@ -84,7 +84,7 @@ def test_a_search_that_never_ended_leaves_it_in_doubt_for_the_next_process() -> 
     bench.keep(search, 0.2)
     bench.clock.sleep_until(bench.clock.now() + 10.0)  # nobody speaks to it: its heartbeat stops it
     bench.next_process()
-    assert bench.axis.doubt == "an earlier run has left it in doubt where it is"
+    assert bench.axis.unreferenced_reason == "an earlier run has left it unreferenced"
 
 
 def test_a_stall_that_nobody_asked_for_any_more_is_met_by_the_next_process() -> None:
@@ -94,7 +94,7 @@ def test_a_stall_that_nobody_asked_for_any_more_is_met_by_the_next_process() -> 
     bench.plant.shafts["sigma"].jam(bench.clock.now())
     bench.clock.sleep_until(bench.clock.now() + 10.0)
     bench.next_process()
-    assert bench.axis.doubt == "stall has stopped it before it was connected"
+    assert bench.axis.unreferenced_reason == "stall has stopped it before it was connected"
 
 
 def slipped(**settings: object) -> DriverBench:
@@ -114,7 +114,7 @@ def test_an_encoder_that_disagrees_is_told_with_both_angles_and_stays_told() -> 
         with pytest.raises(Unreferenced):
             bench.axis.start(20.0)
         bench.next_process()
-    bench.axis.assume_referenced(0.0)
+    bench.axis.set_position(0.0)
     bench.move(10.0)
     assert bench.axis.read_back()[0] == pytest.approx(10.0)
 
@@ -122,7 +122,7 @@ def test_an_encoder_that_disagrees_is_told_with_both_angles_and_stays_told() -> 
 def test_an_encoder_that_disagrees_is_noticed_when_connecting() -> None:
     bench = slipped()
     bench.next_process()
-    assert "its encoder 0.000 deg" in bench.axis.doubt
+    assert "its encoder at 0.000 deg" in bench.axis.unreferenced_reason
 
 
 @pytest.mark.parametrize("settings", [{"encoder_tolerance_deg": 0.0}, {"encoder_tolerance_deg": 10.5}, {"encoder": False}])

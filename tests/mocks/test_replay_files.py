@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.drivers import Transcript
-from goniotwin.drivers.motion.tmcl import module as tmcl
+from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
 from goniotwin.drivers.usb import usbtmc

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
@@ -58,7 +58,7 @@ class Bench:
         assert process.errors.splitlines()[-1] == f"go on with: goniotwin run --resume {path}"
         assert self._at_rest()
         check_told(path, process.told)
-        assert campaign_of(path).rows == len(process.told)
+        assert campaign_summary(path).rows == len(process.told)
         make_room()
         for _ in range(MOST_TRIES):
             resumed = Killable(self.folder, "run", "--resume", path)
@@ -170,5 +170,5 @@ def test_on_a_disk_that_may_only_be_read_a_killed_campaign_says_what_it_has(
     Path(f"{path}-shm").unlink()
     small_disk(MOST_KB * 10, "ro")
     check_told(path, killed.told)
-    campaign = campaign_of(path)
+    campaign = campaign_summary(path)
     assert (campaign.state, campaign.rows) == ("killed", 4)

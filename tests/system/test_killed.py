@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journal
@@ -63,9 +63,9 @@ class Bench:
             process.killed_at(float(self.lots.uniform(0.0, START_S + self.plan.seconds / SPEED)))
             told |= process.told
             check_told(path, told)
-            if path.exists() and campaign_of(path).state == "done":  # the moment was after its end
+            if path.exists() and campaign_summary(path).state == "done":  # the moment was after its end
                 break
-            assert not path.exists() or campaign_of(path).state in ("killed", "empty") or self._gave_up(process)
+            assert not path.exists() or campaign_summary(path).state in ("killed", "empty") or self._gave_up(process)
         else:
             self._finish(path, told)
         with Journal.open(path) as journal:
@@ -192,7 +192,7 @@ def test_what_a_killed_program_has_left_is_never_taken_for_that_of_another_journ
     assert again.ended() == 2
     assert again.complaints[0].startswith(f"goniotwin: {path}-wal: is left of another journal of that name; put it beside that")
     Path(f"{path}-wal").rename(tmp_path / "b.journal-wal")
-    assert campaign_of(tmp_path / "b.journal").rows == 4
+    assert campaign_summary(tmp_path / "b.journal").rows == 4
 
 
 @pytest.mark.parametrize("times", [pytest.param(4, id="4"), pytest.param(40, id="40", marks=pytest.mark.long)])
@@ -212,7 +212,7 @@ def test_killed_while_its_journal_is_made_it_leaves_none_or_one_to_go_on_with(
         check_told(path, killed.told)
         outcomes.append(path.exists())
         if path.exists():
-            assert campaign_of(path).state in ("empty", "killed")
+            assert campaign_summary(path).state in ("empty", "killed")
             assert resume_campaign(path).state is State.DONE
         else:
             again = Killable(tmp_path, *command)
@@ -231,11 +231,11 @@ def test_killed_while_a_journal_of_an_older_schema_is_brought_up_to_date_it_has_
     for k, part in enumerate(np.random.default_rng(times).uniform(size=times)):
         path = tmp_path / f"{k}.journal"
         stopped_at(plan, path, 0.6 * plan.seconds)
-        done = campaign_of(path).rows
+        done = campaign_summary(path).rows
         as_of_schema_1(path)
         fate = Fate(steps=1 + int((k + part) / times * STEPS_OF_AN_OLDER_ONE))
         assert Killable(tmp_path, "run", "--resume", path, "--rig", plan.rig.name, fate=fate).ended() < 0
-        assert campaign_of(path).rows >= done
+        assert campaign_summary(path).rows >= done
         assert resume_campaign(path, plan.rig).state is State.DONE
         assert values(path) == values(tmp_path / "undisturbed.journal")
 
@@ -266,4 +266,4 @@ def test_of_two_processes_on_one_journal_the_second_is_told_who_has_it(
     assert listed.ended() == 0, listed.errors
     assert json.loads(listed.output)["campaigns"][0]["state"] == "running"
     first.killed()
-    assert campaign_of(path).state == "killed"
+    assert campaign_summary(path).state == "killed"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -103,7 +103,7 @@ def check_stopped(window: WindowProcess) -> Path:
     assert window.errors.count("goniotwin: stopping") == 1
     journal = window.journal
     assert not Path(f"{journal}-wal").exists()
-    campaign = campaign_of(journal)
+    campaign = campaign_summary(journal)
     assert (campaign.state, campaign.sessions, campaign.faults) == ("stopped", 1, [])
     assert 0 < campaign.rows < campaign.planned
     database = sqlite3.connect(journal)
@@ -154,4 +154,4 @@ def test_three_thousand_rows_with_the_plot_in_sight(start_window: Starter) -> No
     print(f"\n{ROWS} rows, the plot was painted {paints} times")
     assert paints > FATAL_PAINTS
     window.process.send_signal(signal.SIGTERM)
-    assert campaign_of(check_stopped(window)).rows >= ROWS
+    assert campaign_summary(check_stopped(window)).rows >= ROWS

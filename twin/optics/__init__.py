@@ -6,16 +6,14 @@ and is the reference that holds the fast one. `IlluminationUnit` is what stands 
 app/formats' business.
 """
 
-from goniotwin.twin.optics.bsdf.analytic import gaussian, lambertian, regular
-from goniotwin.twin.optics.bsdf.combination import sided, spectral, summed
+from goniotwin.twin.optics.bsdf.analytic_samples import gaussian, lambertian, regular
 from goniotwin.twin.optics.bsdf.lobes import Lobe
-from goniotwin.twin.optics.bsdf.scattered_points import scattered
-from goniotwin.twin.optics.bsdf.scatterer import Scatterer, albedo, draw, evaluate, lobe_shares
-from goniotwin.twin.optics.bsdf.tabulated import spectral_table, tabulated
+from goniotwin.twin.optics.bsdf.point_samples import scattered
+from goniotwin.twin.optics.bsdf.scatterer import Scatterer, albedo, draw, evaluate, lobe_shares, sided, spectral, summed
+from goniotwin.twin.optics.bsdf.table_samples import spectral_table, tabulated
 from goniotwin.twin.optics.fast.estimator import luminance_factor, luminance_factors, spectral_throughput, throughput
 from goniotwin.twin.optics.fast.lobe_sums import Pose
-from goniotwin.twin.optics.fast.obstruction import visible_fraction
-from goniotwin.twin.optics.fast.shadow_map import ShadowMap, shadow_map
+from goniotwin.twin.optics.fast.obstruction import ShadowMap, shadow_map, visible_fraction
 from goniotwin.twin.optics.forward.estimator import Estimate, forward
 from goniotwin.twin.optics.forward.stray_light import StrayMap, stray, stray_throughput
 from goniotwin.twin.optics.geometry.coordinates import (
@@ -25,20 +23,16 @@ from goniotwin.twin.optics.geometry.coordinates import (
     specular_direction,
     to_specular,
 )
-from goniotwin.twin.optics.geometry.correction_unit import CorrectionUnit
 from goniotwin.twin.optics.geometry.deviation import Deviation
-from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.instrument import Instrument, Reflectance, SampleFrames
 from goniotwin.twin.optics.geometry.mirrors import pupil_image
-from goniotwin.twin.optics.geometry.reflectance import Reflectance
-from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
 from goniotwin.twin.optics.geometry.sensor import RealSensor
-from goniotwin.twin.optics.illumination.adjoint import adjoint_illumination
+from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure, adjoint_illumination, illumination_figure
 from goniotwin.twin.optics.illumination.beam import Illumination
-from goniotwin.twin.optics.illumination.figure8 import IlluminationFigure, illumination_figure
 from goniotwin.twin.optics.illumination.forward import forward_illumination
 from goniotwin.twin.optics.illumination.rayset import Rayset, RaySource, record, replay
 from goniotwin.twin.optics.illumination.spectrum import Spectrum, luminous, xenon
-from goniotwin.twin.optics.illumination.unit import IlluminationUnit
+from goniotwin.twin.optics.illumination.unit import CorrectionUnit, IlluminationUnit
 
 __all__ = [
     "CorrectionUnit",

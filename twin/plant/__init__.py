@@ -8,10 +8,11 @@ from goniotwin.twin.plant.model import (
     Mechanics,
     Monitor,
     MonochromatorDrive,
+    OrderSorting,
     Photodiodes,
     TwinModel,
+    WheelFilter,
 )
-from goniotwin.twin.plant.order_sorting import OrderSorting, WheelFilter
 from goniotwin.twin.plant.plant import Plant
 
 __all__ = [

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.reflectance import nominal
+from goniotwin.twin.optics.geometry.instrument import nominal
 from goniotwin.twin.plant.converter import conversions, converted
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel

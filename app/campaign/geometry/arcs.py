@@ -6,15 +6,22 @@ plane, and so are the two sides: about its own normal everything looks as it doe
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from goniotwin.app.campaign.geometry.shadow import may_be_shadowed, shadowed
+from goniotwin.app.campaign.geometry.symmetry import turned
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Flags, Floats, Ints
 
 Side = Literal["front", "back"]
 Arc = Literal["upper", "lower"]
 HALF_TURN_DEG = 180.0
+AWAY_FROM_THE_LIGHT_DEG = 180.0
 
 
 def lit_sides(file: ScheduleFile) -> tuple[Side, ...]:
@@ -66,3 +73,93 @@ def etalon_sigmas_deg(file: ScheduleFile, there_deg: float) -> tuple[float, ...]
     The etalon only reflects. So it is lit on the side of each arc that looks: for transmitted light from the other side.
     """
     return tuple(lighting_deg(there_deg, arc) for arc in looking_arcs(file, there_deg))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one arc sees at one sigma: the distinct directions (n, 2), zenith from the arc's own pole and azimuth in degrees;
+    how many of them two photodiodes see; which are hidden (n,) at the sample, and which at the etalon that scales them;
+    whether the specular direction is among them, or, on the far side, the one straight through.
+    """
+
+    sigma_deg: float
+    arc: Arc
+    angles_deg: Floats
+    shared: int
+    at_sample: Flags
+    at_etalon: Flags
+    hides_specular: bool
+
+    @property
+    def directions(self) -> int:
+        """How many there are."""
+        return len(self.angles_deg)
+
+    @property
+    def hidden_deg(self) -> Floats:
+        """Those that the sample's pose hides or the etalon's."""
+        return self.angles_deg[self.at_sample | self.at_etalon]
+
+    @property
+    def only_etalon(self) -> int:
+        """How many of them the sample's pose leaves free."""
+        return int((self.at_etalon & ~self.at_sample).sum())
+
+    @property
+    def transmitted(self) -> bool:
+        """Whether the arc is on the far side of the light."""
+        return lighting_deg(self.sigma_deg, self.arc) != self.sigma_deg
+
+
+def directions_seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> list[Seen]:
+    """Of the arcs that the schedule is about, sigma by sigma; poses (n, 4)."""
+    return list(_seen(file, rig, poses))
+
+
+def _seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> Iterator[Seen]:
+    for sigma in np.unique(poses[:, 1]).tolist():
+        at = poses[poses[:, 1] == sigma]
+        for arc in looking_arcs(file, sigma):
+            zenith, azimuth, seen_by = _distinct(at[:, 2], at[:, 3], np.array(polar_deg(rig, arc)))
+            angles = np.stack([zenith, azimuth], axis=1)
+            straight = np.array([incidence_deg(sigma)]), np.array([AWAY_FROM_THE_LIGHT_DEG])
+            there = lighting_deg(sigma, arc)
+            at_sample = at_etalon = _hidden(rig, sigma, arc, zenith, azimuth)
+            hides = bool(_hidden(rig, sigma, arc, *straight)[0])
+            if there != sigma:
+                at_etalon = _hidden(rig, there, arc, zenith, azimuth)
+                hides |= bool(_hidden(rig, there, arc, *straight)[0])
+            yield Seen(sigma, arc, angles, int((seen_by > 1).sum()), at_sample, at_etalon, hides)
+
+
+def _hidden(rig: RigFile, sigma_deg: float, arc: Arc, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
+    from_the_front = zenith_deg if arc == "upper" else HALF_TURN_DEG - zenith_deg
+    hidden = may_be_shadowed(rig, sigma_deg, from_the_front, azimuth_deg)
+    hidden[hidden] = shadowed(rig, sigma_deg, from_the_front[hidden], azimuth_deg[hidden])
+    return hidden
+
+
+def _distinct(beta_deg: Floats, shift_deg: Floats, polar_deg: Floats) -> tuple[Floats, Floats, Ints]:
+    """Zenith and azimuth of the distinct directions, and how many photodiodes see each.
+
+    The arc beyond its pole looks at the other side, and at the pole itself all azimuths are one. Every pair of a zenith
+    and an azimuth is a place in a table, which each photodiode ticks off: sorting would take far longer.
+    """
+    betas, which_beta = np.unique(np.round(beta_deg, DECIMALS), return_inverse=True)
+    shifts, which_shift = np.unique(np.round(shift_deg, DECIMALS), return_inverse=True)
+    pairs = np.unique(which_beta.ravel() * len(shifts) + which_shift.ravel())
+    signed = np.round(polar_deg[:, None] + shifts, DECIMALS)
+    zeniths, where_zenith = np.unique(np.abs(signed), return_inverse=True)
+    where_zenith = where_zenith.reshape(signed.shape)
+    azimuths, where_azimuth = np.unique(np.stack([turned(betas), turned(betas + 180.0)]), return_inverse=True)
+    where_azimuth = where_azimuth.reshape(2, len(betas))
+    seen_by = np.zeros((len(zeniths), len(azimuths)), dtype=np.int64)
+    beta, shift = np.divmod(pairs, len(shifts))
+    for k in range(len(polar_deg)):
+        azimuth = where_azimuth[(signed[k, shift] < 0.0).astype(int), beta]
+        azimuth = np.where(signed[k, shift] == 0.0, 0, azimuth)
+        mine = np.zeros_like(seen_by, dtype=bool)
+        mine[where_zenith[k, shift], azimuth] = True
+        seen_by += mine
+    zenith, azimuth = np.nonzero(seen_by)
+    return zeniths[zenith], azimuths[azimuth], seen_by[zenith, azimuth]

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.campaign.journal.record import Committed, Reading, RowData
-from goniotwin.app.campaign.row import MIRRORED, SKIPPED, Kind, Row
+from goniotwin.app.campaign.journal.record import CommittedRow, Reading, RowData
+from goniotwin.app.campaign.row import MIRRORED_MARK, SKIPPED, Row, RowKind
 from goniotwin.app.errors import UserError
 
-LISTED = np.dtype(
+ROW_INDEX = np.dtype(
     [
         ("number", np.int64),
         ("sample", np.int32),
@@ -36,7 +36,7 @@ LISTED = np.dtype(
 
 
 def measured_rows(db: sqlite3.Connection) -> tuple[npt.NDArray[np.void], list[str]]:
-    """Committed rows of measurements that have readings, by their last attempt, in order of time; and the samples' names.
+    """CommittedRow rows of measurements that have readings, by their last attempt, in order of time; and the samples' names.
 
     Raises sqlite3.Error and ValueError for a damaged journal.
     """
@@ -47,15 +47,15 @@ def measured_rows(db: sqlite3.Connection) -> tuple[npt.NDArray[np.void], list[st
         " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
         " AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt)"
         " ORDER BY started_s, p.number",
-        (MIRRORED,),
+        (MIRRORED_MARK,),
     )
     rows = ((number, names.setdefault(sample, len(names)), *rest) for number, sample, *rest in found)
-    return np.fromiter(rows, dtype=LISTED), list(names)
+    return np.fromiter(rows, dtype=ROW_INDEX), list(names)
 
 
-ROW = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
-LAST = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
-DETAILS = ("gains", "readings", "automatic", "target", "longest_s")
+ROW_COLUMNS = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
+LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
+DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """What the column `detail` has of a row."""
 
 
@@ -74,7 +74,7 @@ class Session:
     versions: dict[str, str]
 
 
-class Recorded:
+class JournalReader:
     """The contents of a journal. Everything raises UserError where it is damaged."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
@@ -121,7 +121,7 @@ class Recorded:
         with self._reading():
             return tuple(
                 _row(*entries)
-                for entries in self._db.execute(f"SELECT {ROW} FROM plan p WHERE session IS NULL ORDER BY number")
+                for entries in self._db.execute(f"SELECT {ROW_COLUMNS} FROM plan p WHERE session IS NULL ORDER BY number")
             )
 
     def committed(self) -> set[int]:
@@ -158,17 +158,17 @@ class Recorded:
         with self._reading():
             return int(self._db.execute("SELECT MAX(number) FROM plan").fetchone()[0])
 
-    def rows(self, *kinds: Kind) -> Iterator[Committed]:
+    def rows(self, *kinds: RowKind) -> Iterator[CommittedRow]:
         """The committed rows, or those of some kinds, in the order in which they were begun, each by its last attempt."""
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
-            yield from self._rows(f"{LAST} {chosen} ORDER BY started_s, p.number", kinds)
+            yield from self._rows(f"{LAST_ATTEMPT} {chosen} ORDER BY started_s, p.number", kinds)
 
-    def rows_of(self, numbers: Iterable[int]) -> Iterator[Committed]:
-        """Committed rows by their numbers, in that order, each by its last attempt."""
+    def rows_of(self, numbers: Iterable[int]) -> Iterator[CommittedRow]:
+        """CommittedRow rows by their numbers, in that order, each by its last attempt."""
         with self._reading():
             for number in numbers:
-                yield from self._rows(f"{LAST} AND p.number = ?", (number,))
+                yield from self._rows(f"{LAST_ATTEMPT} AND p.number = ?", (number,))
 
     def measured_rows(self) -> tuple[npt.NDArray[np.void], list[str]]:
         """Which measurements have readings, and where they were made: see `LISTED`; and the names of the samples."""
@@ -177,19 +177,20 @@ class Recorded:
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
-        with damage_told(self.path):
+        with report_damage(self.path):
             yield
 
-    def _rows(self, which: str, values: Sequence[Any]) -> Iterator[Committed]:
+    def _rows(self, which: str, values: Sequence[Any]) -> Iterator[CommittedRow]:
         found = self._db.execute(
-            f"SELECT {ROW}, attempt, started_s, ended_s, positions, flags FROM plan p JOIN attempt a USING (number) {which}",
+            f"SELECT {ROW_COLUMNS}, attempt, started_s, ended_s, positions, flags"
+            f" FROM plan p JOIN attempt a USING (number) {which}",
             values,
         )
         for *planned, attempt, started, ended, positions, flags in found:
             row = _row(*planned)
             readings = tuple(self._readings(row.number, attempt))
             where = None if positions is None else json.loads(positions)
-            yield Committed(row, RowData(started, ended, where, readings, tuple(json.loads(flags))))
+            yield CommittedRow(row, RowData(started, ended, where, readings, tuple(json.loads(flags))))
 
     def _readings(self, number: int, attempt: int) -> Iterator[Reading]:
         for gain, first, period, monitor, readings, channels, counts in self._db.execute(
@@ -201,7 +202,7 @@ class Recorded:
             yield Reading(gain, first, period, monitor, raw)
 
 
-def opened_for_reading(path: Path) -> sqlite3.Connection:
+def open_read_only(path: Path) -> sqlite3.Connection:
     """A database that stays as it is. Raises sqlite3.Error, OSError.
 
     Where its program was killed or the power went, SQLite may have to put it in order before it can be read, or needs a file
@@ -235,7 +236,7 @@ def _copy_in_order(path: Path) -> sqlite3.Connection:
 
 
 @contextlib.contextmanager
-def damage_told(path: Path) -> Iterator[None]:
+def report_damage(path: Path) -> Iterator[None]:
     """Says of what goes wrong inside that the journal is damaged. Raises UserError."""
     try:
         yield
@@ -246,7 +247,7 @@ def damage_told(path: Path) -> Iterator[None]:
 
 def _row(*columns: Any) -> Row:
     number, identity, kind, sample, wavelength, gamma, sigma, beta, shift, seconds, detail = columns
-    told = {key: value for key, value in json.loads(detail).items() if key in DETAILS}
+    told = {key: value for key, value in json.loads(detail).items() if key in DETAIL_KEYS}
     told["gains"] = tuple(told["gains"])
     pose = None if sigma is None else (gamma, sigma, beta, shift)
     return Row(number, identity, kind, sample, seconds, wavelength, pose, **told)

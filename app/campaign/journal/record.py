@@ -32,7 +32,7 @@ class RowData:
 
 
 @dataclass(frozen=True)
-class Committed:
+class CommittedRow:
     """A row of a journal with what it came to."""
 
     row: Row

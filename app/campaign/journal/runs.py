@@ -11,7 +11,7 @@ SUFFIX = ".journal"
 
 
 @dataclass(frozen=True)
-class Campaign:
+class CampaignSummary:
     """A journal in short. `state` is done, stopped, failed or killed (its program ended without a word), running where a
     program has it, empty where nothing was begun. `rows` are done; `skipped` were left out for faults and not done since.
     `seconds_left` is the rig's time foretold for the rows that are left, skipped ones too.
@@ -36,7 +36,7 @@ class Campaign:
         return asdict(self)
 
 
-def campaign_of(path: Path) -> Campaign:
+def campaign_summary(path: Path) -> CampaignSummary:
     """Of one journal. Raises UserError for a file that is none, or is damaged."""
     held = holder_of(str(path.absolute()))
     with Journal.open(path) as journal:
@@ -45,7 +45,7 @@ def campaign_of(path: Path) -> Campaign:
         planned = journal.planned()
         left = [row for row in planned if row.number not in done]
         last = sessions[-1] if sessions else None
-        return Campaign(
+        return CampaignSummary(
             journal=str(path),
             name=journal.value("name"),
             state="running" if held else "empty" if last is None else last.outcome or "killed",
@@ -62,14 +62,14 @@ def campaign_of(path: Path) -> Campaign:
         )
 
 
-def campaigns_in(folder: Path) -> tuple[list[Campaign], list[str]]:
+def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
     """All of a folder's `.journal` files, by name, and why others cannot be read. Raises UserError where there is no folder."""
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder; name the one that the journals are in")
     found, refused = [], []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:
-            found.append(campaign_of(path))
+            found.append(campaign_summary(path))
         except UserError as error:
             refused.append(str(error))
     return found, refused

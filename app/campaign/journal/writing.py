@@ -6,12 +6,14 @@ The schema is described in docs/journal.md.
 
 import contextlib
 import json
+import platform
 import sqlite3
 from collections.abc import Iterator, Sequence
+from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 
-from goniotwin.app.campaign.journal.reading import DETAILS, Recorded, damage_told, opened_for_reading
+from goniotwin.app.campaign.journal.reading import DETAIL_KEYS, JournalReader, open_read_only, report_damage
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
 from goniotwin.app.campaign.planning.plan import Plan
@@ -19,12 +21,19 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.errors import UserError
 from goniotwin.protocols.clock import calendar_stamp
 
+PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of Python and of the packages that the measured values depend on."""
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
+
 
 class JournalError(Exception):
     """The journal cannot be written any more; what it acknowledged before is safe."""
 
 
-class Journal(Recorded):
+class Journal(JournalReader):
     """An open journal. What `commit` has returned from is on the disk."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
@@ -70,11 +79,11 @@ class Journal(Recorded):
         Raises UserError for a file that is none.
         """
         version = _known_version(path)
-        db = opened_for_reading(path)
+        db = open_read_only(path)
         if version == SCHEMA_VERSION:
             return cls(db, path)
         copy = sqlite3.connect(":memory:", check_same_thread=False)
-        with contextlib.closing(db), damage_told(path):
+        with contextlib.closing(db), report_damage(path):
             db.backup(copy)
             migrate(copy)
         return cls(copy, path)
@@ -92,7 +101,7 @@ class Journal(Recorded):
             raise UserError(
                 f"{path}: cannot be written: {error}; check its rights, and whether another program has it"
             ) from None
-        with damage_told(path):
+        with report_damage(path):
             migrate(db)
         return cls(db, path)
 
@@ -219,7 +228,7 @@ def _known_version(path: Path) -> int:
         what = "is a folder, and no journal" if path.is_dir() else "there is no such journal"
         raise UserError(f"{path}: {what}; check the name")
     try:
-        with contextlib.closing(opened_for_reading(path)) as db:
+        with contextlib.closing(open_read_only(path)) as db:
             found = db.execute("PRAGMA application_id").fetchone()[0]
             version = int(db.execute("PRAGMA user_version").fetchone()[0])
     except (sqlite3.Error, OSError) as error:
@@ -240,5 +249,5 @@ INSERT_ROW = (
 
 def _planned(row: Row) -> tuple[object, ...]:
     pose = row.pose if row.pose is not None else (None, None, None, None)
-    detail = json.dumps({key: getattr(row, key) for key in DETAILS})
+    detail = json.dumps({key: getattr(row, key) for key in DETAIL_KEYS})
     return (row.number, row.identity, row.kind, row.sample, row.wavelength_nm, *pose, row.seconds, detail)

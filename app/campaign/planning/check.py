@@ -7,19 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import lit_arc
-from goniotwin.app.campaign.planning.coverage import directions_seen
+from goniotwin.app.campaign.geometry.arcs import directions_seen, lit_arc
 from goniotwin.app.campaign.planning.durations import Moves
 from goniotwin.app.campaign.planning.loop_order import Nest
 from goniotwin.app.campaign.planning.plan import Made, Plan
-from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
 from goniotwin.app.campaign.planning.scan_order import Order
 from goniotwin.app.campaign.planning.timeline import PlannedRows, Run
 from goniotwin.app.campaign.planning.warnings import doubts, duration_range
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import NESTED
-from goniotwin.app.campaign.wording import clock_time
+from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.rig import AXES
 
 LOOPS = (*NESTED, "filter")
@@ -50,8 +48,8 @@ def why(plan: Plan, made: Made) -> str:
             for words in _called(nest, order.nest):
                 seconds.setdefault(words, whole)
     count, wheel_s = filter_changes(plan)
-    filters = f"; filter changes: {count}, {clock_time(wheel_s)}" if count else ""
-    told = "; ".join(f"{words}: {clock_time(whole)}" for words, whole in seconds.items())
+    filters = f"; filter changes: {count}, {duration_text(wheel_s)}" if count else ""
+    told = "; ".join(f"{words}: {duration_text(whole)}" for words, whole in seconds.items())
     if plan.schedule.file.order != "fastest":
         return f"as the schedule says. {told}{filters}"
     return f"{told if len(seconds) > 1 else 'there is one loop only'}{filters}"
@@ -80,7 +78,7 @@ def _called(nest: Nest, taken: Nest) -> list[str]:
 
 
 MOST_TOLD = 6
-__all__ = ["checked_plan", "clock_time", "in_words"]
+__all__ = ["checked_plan", "in_words"]
 
 
 def checked_plan(plan: Plan) -> dict[str, Any]:
@@ -97,7 +95,7 @@ def checked_plan(plan: Plan) -> dict[str, Any]:
         "rows": len(rows),
         "duration_s": plan.seconds,
         "duration_range_s": list(duration_range(plan)),
-        "least_s": least_seconds(plan),
+        "least_s": plan.lower_bound_s,
         "order": loops(sample_order(made)[1]),
         "why": why(plan, made),
         "kinds": rows.kinds,
@@ -134,8 +132,8 @@ def in_words(plan: Plan, result: dict[str, Any]) -> str:
     lines = [
         f"{file.name} on {plan.rig.file.name}{' (SIMULATED)' if plan.rig.simulated else ''}",
         f"  rows        {result['rows']} ({kinds})",
-        f"  duration    {clock_time(result['duration_s'])}, and the time to mount: {', '.join(result['mountings'])}",
-        f"              (no order could take less than {clock_time(result['least_s'])})",
+        f"  duration    {duration_text(result['duration_s'])}, and the time to mount: {', '.join(result['mountings'])}",
+        f"              (no order could take less than {duration_text(result['least_s'])})",
         f"  order       from the inside: {', '.join(result['order']) or 'one pose, one wavelength'}",
         f"              {result['why']}",
         f"  axes        {ranges} deg",

@@ -11,15 +11,19 @@ from collections.abc import Callable
 import numpy as np
 
 from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH
-from goniotwin.app.campaign.readout import LEAST_READINGS as LEAST_AVERAGED
-from goniotwin.app.campaign.readout import LEAST_STEADY, WARM_UP_EVERY_S, in_order
+from goniotwin.app.campaign.readout import (
+    MIN_AVERAGED_READINGS,
+    MIN_SLOPE_READINGS,
+    MONITOR_MEAN_S,
+    WARM_UP_PERIOD_S,
+    gain_order,
+)
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.running.rows import MONITORED_S
 from goniotwin.app.rig import AXES, RigFile, axis_settings, monochromator_settings, photodiode_settings
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers.monitor.monitor import ANSWER_MARGIN_S
 from goniotwin.drivers.monochromator.monochromator import STATUS_MARGIN_S
-from goniotwin.drivers.motion.axis import ARRIVED_AFTER_S
+from goniotwin.drivers.motion.move import ARRIVED_AFTER_S
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.protocols.cornerstone import Statement, encode_nm
 from goniotwin.protocols.tmcl import FRAME_BYTES
@@ -143,8 +147,8 @@ Lots = tuple[int, tuple[int, ...]]
 
 def least_warm_up_seconds(longest_s: float) -> float:
     """A warm-up ends no sooner than the monitor has been looked at so often, or its time is up; when it does is the lamp's."""
-    looks = min(LEAST_STEADY, 1 + math.ceil(max(0.0, longest_s - MONITORED_S) / WARM_UP_EVERY_S))
-    return (looks - 1) * WARM_UP_EVERY_S + MONITORED_S
+    looks = min(MIN_SLOPE_READINGS, 1 + math.ceil(max(0.0, longest_s - MONITOR_MEAN_S) / WARM_UP_PERIOD_S))
+    return (looks - 1) * WARM_UP_PERIOD_S + MONITOR_MEAN_S
 
 
 class Timing:
@@ -211,7 +215,7 @@ class Timing:
 
     def readings_range(self, row: Row) -> tuple[float, float]:
         """The least and the most that `usual_readings` could turn out to be: with automatic gains one may do."""
-        gains = in_order(row, max(row.gains))
+        gains = gain_order(row, max(row.gains))
         least = gains[:1] if row.automatic else gains
         return self._reading(least, _least_readings(row), gains[0]), self._reading(gains, self._most_readings(row), gains[-1])
 
@@ -230,7 +234,7 @@ class Timing:
         return seconds
 
     def _likely(self, row: Row, before: int | None) -> tuple[int, ...]:
-        gains = in_order(row, before)
+        gains = gain_order(row, before)
         return gains[:LIKELY_GAINS] if row.automatic else gains
 
     def _likely_readings(self, row: Row) -> int:
@@ -268,7 +272,7 @@ class Timing:
 
 def _least_readings(row: Row) -> int:
     """At each gain; where their scatter decides, there have to be some to scatter."""
-    return row.readings if row.target is None else max(row.readings, LEAST_AVERAGED)
+    return row.readings if row.target is None else max(row.readings, MIN_AVERAGED_READINGS)
 
 
 def fewest_stretches(rows: int, reading_s: float, every_s: float) -> int:

@@ -13,8 +13,8 @@ import numpy as np
 from goniotwin.app.campaign.planning.durations import Lots, Timing
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import Lattice
-from goniotwin.app.campaign.readout import LEAST_READINGS, Gains, clipped, readings_needed
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.readout import MIN_AVERAGED_READINGS, GainSequence, readings_needed, saturation
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.rig import RigDescription, monochromator_settings, photodiode_settings
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.arrays import Counts, Flags, Floats, Ints
@@ -66,16 +66,16 @@ class Light:
     def lots(self, row: Row, point: Floats, number: int) -> Iterator[Lots]:
         """Gain by gain, how many readings are taken one lot after the other, of a row at a point (5,)."""
         gamma, sigma, beta, shift, wavelength = point.tolist()
-        sample = None if row.sample == NOTHING else row.sample
+        sample = None if row.sample == NO_SAMPLE else row.sample
         sorting = self._wheel.at(wavelength)
         aspect = Aspect(sample, 0.0, wavelength, sigma, gamma, beta, shift)
         signal = self._plant.steady_photocurrents_a(aspect, 1 if sorting is None else sorting.position)
-        gains = Gains(row, self._settings.count, max(row.gains))
+        gains = GainSequence(row, self._settings.count, max(row.gains))
         for gain in gains:
             drawn = _normals(len(signal) + 1)[np.mod(np.arange(MOST_DRAWN) + number * APART, MOST_DRAWN)]
             counts = self._counts(signal, gain, drawn)
-            lots = self._read(row, gain, counts, gains.waiting)
-            gains.read(counts[: max(LEAST_READINGS, min(sum(lots), MOST_DRAWN))])
+            lots = self._read(row, gain, counts, gains.saturated)
+            gains.add(counts[: max(MIN_AVERAGED_READINGS, min(sum(lots), MOST_DRAWN))])
             yield gain, lots
 
     def _read(self, row: Row, gain: int, counts: Counts, waiting: Flags) -> tuple[int, ...]:
@@ -84,10 +84,10 @@ class Light:
             return (row.readings,)
         dark = self._counts(np.zeros(counts.shape[1]), gain, np.zeros((1, counts.shape[1] + 1)))[0].astype(float)
         most = max(row.readings, int(row.longest_s / self._settings.period_s))
-        lots = [max(row.readings, LEAST_READINGS)]
+        lots = [max(row.readings, MIN_AVERAGED_READINGS)]
         while sum(lots) <= MOST_DRAWN:
             taken = counts[: sum(lots)]
-            needed = readings_needed(taken, dark, waiting & ~clipped(taken), row.target, most)
+            needed = readings_needed(taken, dark, waiting & ~saturation(taken), row.target, most)
             if needed <= sum(lots):
                 break
             lots.append(needed - sum(lots))

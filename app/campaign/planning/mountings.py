@@ -7,7 +7,7 @@ import numpy as np
 
 from goniotwin.app.campaign.planning.poses import Poses, etalon_poses, open_beam_poses, sample_poses
 from goniotwin.app.campaign.planning.scan_grid import Lattice
-from goniotwin.app.campaign.row import MIRRORED, NOTHING
+from goniotwin.app.campaign.row import MIRRORED_MARK, NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile, monochromator_settings
@@ -30,7 +30,7 @@ class Pass:
             f"{self.sample}{self.purpose}/sigma {sigma:.9g}/gamma {gamma:.9g}/beta {beta:.9g}/shift {shift:.9g}/"
             for gamma, sigma, beta, shift in self.poses.angles.tolist()
         ]
-        endings = [f" nm{MIRRORED if mirrored else ''}{self.ending}" for mirrored in self.poses.mirrored.tolist()]
+        endings = [f" nm{MIRRORED_MARK if mirrored else ''}{self.ending}" for mirrored in self.poses.mirrored.tolist()]
         return poses, [f"{wavelength:.9g}" for wavelength in self.lattice.wavelengths_nm.tolist()], endings
 
     def identities(self, points: Ints) -> list[str]:
@@ -52,11 +52,11 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     found = [[Pass(file.etalon, of_etalon, etalon_lattice, ending=ending) for ending in endings]]
     found += [[Pass(sample, of_samples, lattice, ending=ending) for ending in endings] for sample in file.samples]
     # The poses of the etalon hold those at which reflected light is measured; in transmitted light the beam itself is seen.
-    empty = [Pass(NOTHING, of_etalon, etalon_lattice, ending=ending) for ending in endings] if file.signature else []
+    empty = [Pass(NO_SAMPLE, of_etalon, etalon_lattice, ending=ending) for ending in endings] if file.signature else []
     if file.open_beam:
         beam = open_beam_poses(file, rig)
         poses = Poses(beam, np.zeros(len(beam), dtype=bool), 0)
-        empty.append(Pass(NOTHING, poses, Lattice(beam, wavelengths, filters), purpose="/open beam"))
+        empty.append(Pass(NO_SAMPLE, poses, Lattice(beam, wavelengths, filters), purpose="/open beam"))
     return [*found, empty] if empty else found
 
 

@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.collision import swept_ways
 from goniotwin.app.campaign.planning.durations import AFTER_A_MOVE, BEFORE_A_MOVE, Moves
-from goniotwin.app.campaign.planning.loop_order import Loop, looped, moving_seconds, swept_ways
+from goniotwin.app.campaign.planning.loop_order import Loop, looped, moving_seconds
 from goniotwin.app.campaign.planning.lower_bound import least_moving_seconds
 from goniotwin.app.campaign.planning.scan_grid import Lattice
 from goniotwin.arrays import Floats, Ints

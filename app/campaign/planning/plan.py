@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.coverage import refuse_uncertified
+from goniotwin.app.campaign.geometry.collision import swept
 from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.exposure import reading_seconds, twin_of
-from goniotwin.app.campaign.planning.loop_order import swept
+from goniotwin.app.campaign.planning.lower_bound import least_seconds
 from goniotwin.app.campaign.planning.mountings import Pass, mountings
-from goniotwin.app.campaign.planning.pass_order import Chain
 from goniotwin.app.campaign.planning.scan_grid import Lattice
-from goniotwin.app.campaign.planning.scan_order import Order, fastest_order
+from goniotwin.app.campaign.planning.scan_order import Chain, Order, fastest_order
 from goniotwin.app.campaign.planning.timeline import Measuring, PlannedRows, Run, Timeline
 from goniotwin.app.campaign.planning.validation import (
     fewest_rows,
@@ -26,6 +25,7 @@ from goniotwin.app.campaign.planning.validation import (
     refuse_too_many,
     refuse_too_many_beside,
     refuse_too_many_poses,
+    refuse_uncertified,
     refuse_unknown_samples,
 )
 from goniotwin.app.campaign.row import Row
@@ -111,6 +111,12 @@ class Plan:
     def seconds(self) -> float:
         """The whole duration foretold, without the time that a person takes to mount samples."""
         return self.rows.seconds if isinstance(self.rows, PlannedRows) else sum(row.seconds for row in self.rows)
+
+    @property
+    def lower_bound_s(self) -> float:
+        """The lower bound of the machine time, s: no order of the rows takes less. Only of a plan that was just made."""
+        assert self.made is not None
+        return least_seconds(self.rig.file, self.made.measuring, self.made.mountings)
 
 
 def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:

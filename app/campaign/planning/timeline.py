@@ -13,10 +13,10 @@ from typing import overload
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.collision import swept_ways
 from goniotwin.app.campaign.planning.durations import Timing
-from goniotwin.app.campaign.planning.loop_order import swept_ways
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import ArcClearance
@@ -74,7 +74,7 @@ class Timeline:
         if table is not None:
             target = 0.01 * table.percent_per_10min
             self._add(
-                Row(0, "warm-up", "warm-up", NOTHING, wavelength_nm=wavelength_nm, target=target, longest_s=table.longest_s)
+                Row(0, "warm-up", "warm-up", NO_SAMPLE, wavelength_nm=wavelength_nm, target=target, longest_s=table.longest_s)
             )
 
     def mount(self, sample: str) -> None:
@@ -139,7 +139,7 @@ class Timeline:
     def _free_for_a_check(self, sample: str, points: Floats) -> Flags:
         """Before which of the points (n,) the arc keeps clear of the beam on its way to the pose of the checks and back."""
         there = drift_point(self.file)
-        if there is None or sample == NOTHING:
+        if there is None or sample == NO_SAMPLE:
             return np.ones(len(points), dtype=bool)
         drift = np.broadcast_to(there, points.shape)
         back = ~swept_ways(self.clearance, drift, points)
@@ -147,7 +147,7 @@ class Timeline:
         return back
 
     def _until_drift(self, sample: str) -> float:
-        return float("inf") if self.file.drift is None or sample == NOTHING else self.file.drift.every_s - self._since_drift
+        return float("inf") if self.file.drift is None or sample == NO_SAMPLE else self.file.drift.every_s - self._since_drift
 
     def _dark(self, sample: str) -> None:
         self._darks += 1
@@ -157,7 +157,7 @@ class Timeline:
 
     def _drift(self, sample: str) -> None:
         table = self.file.drift
-        if table is None or sample == NOTHING:  # which sends no light anywhere that could change
+        if table is None or sample == NO_SAMPLE:  # which sends no light anywhere that could change
             return
         pose = (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg)
         like = self.measuring.row(sample)

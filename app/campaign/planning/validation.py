@@ -9,18 +9,20 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import lit_sides, rig_sigma_deg
+from goniotwin.app.campaign.geometry.arcs import Seen, directions_seen, incidence_deg, lit_sides, rig_sigma_deg
 from goniotwin.app.campaign.geometry.symmetry import one_of_each
 from goniotwin.app.campaign.planning.durations import Timing, fewest_stretches
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.timeline import Measuring
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
+from goniotwin.app.campaign.schedule.certificate import Certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import AXES, RigDescription, axis_settings
+from goniotwin.app.rig import AXES, RigDescription, RigFile, axis_settings
+from goniotwin.arrays import Floats
 from goniotwin.drivers import LimitError
-from goniotwin.drivers.motion.axis import Axis, AxisSettings
+from goniotwin.drivers.motion import Axis, AxisSettings
 
 MOST_ROWS = 1_000_000
 
@@ -87,7 +89,7 @@ def fewest_rows(mounted: list[list[Pass]], measuring: Measuring, timing: Timing)
         reading = timing.readings_range(row)[0] + timing.readback_s
         rows = sum(len(each.lattice) for each in passes)
         checks = 0
-        if file.drift is not None and passes[0].sample != NOTHING:
+        if file.drift is not None and passes[0].sample != NO_SAMPLE:
             checks = 1 + fewest_stretches(rows, reading, file.drift.every_s)
         kinds["measure"] += rows
         kinds["drift"] += checks
@@ -170,3 +172,31 @@ def refuse_unknown_samples(schedule: ScheduleDescription, rig: RigDescription) -
         if sample not in known:
             has = ", ".join(sorted(known)) or "none"
             raise UserError(f"{schedule.name}: there is no sample {sample!r} in {rig.name}: it has {has}; take one")
+
+
+def refuse_uncertified(schedule: ScheduleDescription, rig: RigFile, poses: Floats) -> None:
+    """Raises UserError where the certificate says nothing of any direction, or wavelength; `poses` (n, 4) of the samples."""
+    file = schedule.file
+    if schedule.certificate is None or file.certificate is None:
+        return
+    certificate = parse_certificate(schedule.certificate, file.certificate.file)
+    within = certificate.covers("wavelength_nm", np.array(grid_values(file.wavelength_nm)))
+    what = "wavelengths"
+    if within.any():
+        what = "directions"
+        if covered_directions(certificate, directions_seen(file, rig, poses)):
+            return
+    raise UserError(
+        f"{schedule.name}: certificate.file: {file.certificate.file} says nothing of any of the schedule's {what}, so that "
+        f"nothing would have a value: it holds for {certificate}; name one that holds for what is measured"
+    )
+
+
+def covered_directions(certificate: Certificate, seen: list[Seen]) -> int:
+    """How many directions it says something of, at the wavelengths that it has."""
+    count = 0
+    for each in seen:
+        if certificate.covers("incidence_deg", np.array([incidence_deg(each.sigma_deg)])).all():
+            zenith, azimuth = each.angles_deg.T
+            count += int((certificate.covers("zenith_deg", zenith) & certificate.covers("azimuth_deg", azimuth)).sum())
+    return count

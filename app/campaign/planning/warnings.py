@@ -12,17 +12,27 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import HALF_TURN_DEG, Arc, far_arc, incidence_deg, lighting_deg, lit_arc, polar_deg
+from goniotwin.app.campaign.geometry.arcs import (
+    HALF_TURN_DEG,
+    Arc,
+    Seen,
+    far_arc,
+    incidence_deg,
+    lighting_deg,
+    lit_arc,
+    polar_deg,
+)
 from goniotwin.app.campaign.geometry.shadow import shadowed
-from goniotwin.app.campaign.planning.coverage import Seen, uncovered
 from goniotwin.app.campaign.planning.durations import Timing, least_warm_up_seconds
 from goniotwin.app.campaign.planning.exposure import LOOKED_AT
 from goniotwin.app.campaign.planning.plan import Made, Plan
 from goniotwin.app.campaign.planning.poses import overlapping_step_deg
 from goniotwin.app.campaign.planning.timeline import PlannedRows, Run
+from goniotwin.app.campaign.planning.validation import covered_directions
+from goniotwin.app.campaign.schedule.certificate import parse_certificate
+from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.campaign.schedule.measuring import DriftTable
-from goniotwin.app.campaign.wording import clock_time, numbers
+from goniotwin.app.campaign.wording import duration_text, number_list
 from goniotwin.app.rig import RigFile, monochromator_settings
 from goniotwin.arrays import Ints
 from goniotwin.twin.optics import Scatterer
@@ -83,12 +93,12 @@ def unwatched(plan: Plan, seen: list[Seen]) -> Iterator[str]:
         )
         yield (
             f"the drift checks at sigma {table.sigma_deg:g} deg do not light the side of the etalon that photodiodes "
-            f"{numbers(_channels(rig, dark))} look at: a fault of theirs while the etalon is measured would pass; {other}"
+            f"{number_list(_channels(rig, dark))} look at: a fault of theirs while the etalon is measured would pass; {other}"
         )
     hidden = np.concatenate([_hidden_photodiodes(rig, table, arc) for arc in sorted(arcs)])
     if hidden.size:
         yield (
-            f"at the pose of the drift checks the mirror unit hides photodiodes {numbers(hidden)}: a fault of theirs would "
+            f"at the pose of the drift checks the mirror unit hides photodiodes {number_list(hidden)}: a fault of theirs would "
             "pass; take a [drift] pose that is free"
         )
 
@@ -103,6 +113,26 @@ def _hidden_photodiodes(rig: RigFile, table: DriftTable, arc: Arc) -> Ints:
     azimuth = table.beta_deg + np.where(signed < 0.0, HALF_TURN_DEG, 0.0)
     zenith = np.abs(signed) if arc == "upper" else HALF_TURN_DEG - np.abs(signed)
     return _channels(rig, arc)[shadowed(rig, table.sigma_deg, zenith, azimuth, table.gamma_deg)]
+
+
+def uncovered(schedule: ScheduleDescription, seen: list[Seen]) -> Iterator[str]:
+    """A warning where some of the directions, at some of the wavelengths, will have no value for want of a certificate."""
+    file = schedule.file
+    if schedule.certificate is None or file.certificate is None:
+        return
+    certificate = parse_certificate(schedule.certificate, file.certificate.file)
+    wavelengths = np.array(grid_values(file.wavelength_nm))
+    within = certificate.covers("wavelength_nm", wavelengths)
+    directions, total = covered_directions(certificate, seen), sum(each.directions for each in seen)
+    outside = [
+        *([f"{(~within).sum()} of {within.size} wavelengths"] if not within.all() else []),
+        *([f"{total - directions} of {total} directions"] if directions < total else []),
+    ]
+    if outside:
+        yield (
+            f"the etalon's certificate {file.certificate.file} says nothing of {' and '.join(outside)}, which will have no "
+            f"value (uncertified): it holds for {certificate}; take one that holds for all, or measure less"
+        )
 
 
 SECOND_ORDER_NM = 710.0
@@ -212,7 +242,7 @@ def _guessed(plan: Plan) -> Iterator[str]:
         least, most = duration_range(plan)
         yield (
             f"the duration is a guess, for {' and '.join(unknown)} is known afterwards: it may be from about "
-            f"{clock_time(least)} to {clock_time(most)}; {_stands_on(plan)}a rehearsal knows better"
+            f"{duration_text(least)} to {duration_text(most)}; {_stands_on(plan)}a rehearsal knows better"
         )
 
 

@@ -14,11 +14,11 @@ from functools import partial
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import Committed, RowData
+from goniotwin.app.campaign.journal.record import CommittedRow, RowData
 from goniotwin.app.campaign.reduction.signals import Signal, dark_readings_by_gain, signal
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.measuring import DriftTable
-from goniotwin.app.campaign.wording import numbers
+from goniotwin.app.campaign.schedule.file import DriftTable
+from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile, photodiode_settings
 from goniotwin.arrays import Flags
 
@@ -133,12 +133,12 @@ class DriftWatch:
     def __init__(self, table: DriftTable | None, rig: RigFile) -> None:
         self._reference = DriftReference(rig, None if table is None else table.limit)
         self._settings = photodiode_settings(rig)
-        self._dark_rows: list[Committed] = []
+        self._dark_rows: list[CommittedRow] = []
 
     def add(self, row: Row, data: RowData) -> DriftCheck | None:
         """Take a committed row; give the comparison for a drift row that has a reference. Raises UserError."""
         if row.kind == "dark":
-            self._dark_rows.append(Committed(row, data))
+            self._dark_rows.append(CommittedRow(row, data))
         if row.kind == "mount" or data.readings:
             return self._reference.check(row, lambda: self._signal(data))
         return None
@@ -169,7 +169,7 @@ class DriftInterval:
 
 
 def drift_intervals(
-    rows: Iterable[Committed], signal_of: Callable[[Committed], Signal], rig: RigFile, limit: float | None
+    rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal], rig: RigFile, limit: float | None
 ) -> list[DriftInterval]:
     """All drift intervals of a campaign.
 
@@ -202,7 +202,7 @@ def drift_intervals(
     return intervals
 
 
-def insensitive_photodiodes(rows: Iterable[Committed], signal_of: Callable[[Committed], Signal]) -> dict[str, Flags]:
+def insensitive_photodiodes(rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal]) -> dict[str, Flags]:
     """By the mounted sample, the photodiodes (n,) for which a drift check could not detect a loss of a tenth of the light.
 
     `rows` are in order of time; only drift checks count. Empty for a campaign without drift checks.
@@ -239,6 +239,6 @@ def unchecked_photodiodes(
 def unchecked_note(name: str, photodiodes: tuple[int, ...]) -> str:
     """The note on the unchecked photodiodes of one mounted sample."""
     return (
-        f"drift checks of {name} cannot detect a loss of a tenth of the light on photodiodes {numbers(photodiodes)}: they get "
-        "no light at the pose of the drift checks, or too little; a fault of theirs would not be noticed"
+        f"drift checks of {name} cannot detect a loss of a tenth of the light on photodiodes {number_list(photodiodes)}: "
+        "they get no light at the pose of the drift checks, or too little; a fault of theirs would not be noticed"
     )

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import Pose
-from goniotwin.app.campaign.journal.record import Committed
+from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.drift_checks import drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.signals import (
@@ -97,7 +97,7 @@ class Measurements:
         except UserError as error:
             raise UserError(f"{self._journal.path}: {error}") from None
 
-    def _signal(self, row: Committed) -> Signal:
+    def _signal(self, row: CommittedRow) -> Signal:
         with self._path_in_errors():
             return add_tracing_error(signal(row.data, self._dark, self._settings), self._rig.file)
 

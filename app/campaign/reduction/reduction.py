@@ -20,7 +20,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
 from goniotwin.app.campaign.geometry.directions import arc_views
-from goniotwin.app.campaign.journal.reading import Recorded
+from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
@@ -40,7 +40,7 @@ from goniotwin.app.campaign.reduction.readings import (
 from goniotwin.app.campaign.reduction.row_points import row_points
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.certificate import Certificate, constant, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.errors import UserError
@@ -97,7 +97,7 @@ class Reduction:
         self._etalon = ReferenceMeasurements(self._measurements, self.schedule.etalon)
         if not len(self._etalon):
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
-        self._signature = ReferenceMeasurements(self._measurements, NOTHING)
+        self._signature = ReferenceMeasurements(self._measurements, NO_SAMPLE)
         self.tallies: dict[str, Tally] = {}
         self._without_etalon: dict[str, int] = {}
 
@@ -240,7 +240,7 @@ def check_journal(path: Path) -> CheckResults | None:
         return CheckResults({}, {}, str(error).removeprefix(f"{path}: "))
 
 
-def missing_notes(journal: Recorded, without_etalon: Mapping[str, int]) -> Iterator[str]:
+def missing_notes(journal: JournalReader, without_etalon: Mapping[str, int]) -> Iterator[str]:
     """Notes on what is missing: rows not yet measured, skipped rows, encoder deviations, and values without a scale.
 
     `without_etalon` is by sample the number of rows at whose poses the etalon was not measured.

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import Committed, Reading, RowData
-from goniotwin.app.campaign.readout import clipped
+from goniotwin.app.campaign.journal.record import CommittedRow, Reading, RowData
+from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, RigFile
 from goniotwin.arrays import Flags, Floats, Ints
@@ -86,7 +86,7 @@ class DarkReadings:
         return counts, float(monitor), float(divisor)
 
 
-def dark_readings_by_gain(rows: list[Committed], settings: PhotodiodeSettings) -> dict[float, DarkReadings]:
+def dark_readings_by_gain(rows: list[CommittedRow], settings: PhotodiodeSettings) -> dict[float, DarkReadings]:
     """The dark readings of all rows, by gain in V/A."""
     by_gain: dict[float, list[Reading]] = defaultdict(list)
     for each in rows:
@@ -120,7 +120,7 @@ def signal(data: RowData, dark: dict[float, DarkReadings], settings: PhotodiodeS
         monitor = reading.monitor_a - dark_monitor
         if not monitor > 0.0:
             raise UserError("the monitor has no light in a row measured with the shutter open; check its fibre")
-        usable = ~clipped(reading.counts)
+        usable = ~saturation(reading.counts)
         better = usable & (gain > np.where(used >= 0, np.array(settings.gains_v_per_a)[used], 0.0))
         ratio[better] = (current / monitor)[better]
         scatter = (noise + shot) / independent_conversions(reading) + noise / dark_divisor
@@ -139,7 +139,7 @@ def mean_signal(signals: list[Signal]) -> Signal:
     return first if n == 1 else Signal(ratio, variance, np.where(clipped_once, -1, first.gain))
 
 
-def dark_current_loss_s(rows: list[Committed], settings: PhotodiodeSettings) -> Floats:
+def dark_current_loss_s(rows: list[CommittedRow], settings: PhotodiodeSettings) -> Floats:
     """Time at which each photodiode (n,) lost its dark current, s on the rig's clock; inf for those that did not.
 
     A photodiode without its dark current gives no signal at all. The time is that of the last dark reading that still had the

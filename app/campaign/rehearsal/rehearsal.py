@@ -12,8 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from goniotwin.app.campaign.journal.provenance import versions
-from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.rehearsal.forecast import forecast
@@ -21,8 +20,8 @@ from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, relevant_photodiodes, value_warnings
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
-from goniotwin.app.campaign.running.operator import BackDoor
-from goniotwin.app.campaign.running.resume import Rest, rest_of
+from goniotwin.app.campaign.running.operator import VirtualOperator
+from goniotwin.app.campaign.running.resume import RemainingWork, remaining_work
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, photodiode_settings
@@ -139,8 +138,8 @@ def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: li
     `rehearse`.
     """
     faults: list[str] = []
-    with Journal.create(path, plan, versions(), durable=False) as journal:
-        rest: Rest | None = None
+    with Journal.create(path, plan, software_versions(), durable=False) as journal:
+        rest: RemainingWork | None = None
         done = -1
         while True:
             with open_rig(plan.rig, VirtualClock(rest.start_s if rest else 0.0)) as opened:
@@ -148,7 +147,7 @@ def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: li
                 assumed = _assume_referenced(opened)
                 assert opened.virtual is not None
                 work = rest.work if rest else None
-                engine = Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [statistics, *listeners], work=work)
+                engine = Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), [statistics, *listeners], work=work)
                 state = engine.run()
             faults += engine.faults
             if state is State.IDLE and not engine.ended_by_schedule:
@@ -159,14 +158,14 @@ def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: li
                 return RehearsalRun(
                     state, engine.ended_by_schedule, done, sessions, journal.seconds, tuple(faults), tuple(assumed)
                 )
-            rest = rest_of(journal, plan.rig)
+            rest = remaining_work(journal, plan.rig)
 
 
 def _assume_referenced(opened: OpenRig) -> list[str]:
     """Reference the axes that are unreferenced after power-up, at the twin's positions; give the assumptions."""
-    unreferenced = [name for name, axis in opened.rig.axes.items() if axis.doubt]
+    unreferenced = [name for name, axis in opened.rig.axes.items() if axis.unreferenced_reason]
     for name in unreferenced:
-        opened.rig.axes[name].assume_referenced()
+        opened.rig.axes[name].set_position()
     return [
         f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in unreferenced
     ]  # fmt: skip

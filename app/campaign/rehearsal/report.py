@@ -3,7 +3,7 @@
 from typing import Any
 
 from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal
-from goniotwin.app.campaign.wording import clock_time
+from goniotwin.app.campaign.wording import duration_text
 
 UNITS = ("bytes", "kB", "MB", "GB")
 
@@ -14,8 +14,8 @@ def report_text(rehearsal: Rehearsal) -> str:
     plan = rehearsal.plan
     lines = [
         f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}: {result['rows']} of {result['planned']} rows",
-        f"  duration    {clock_time(result['duration_s'])}, and the time to mount",
-        *(f"    {block['name']:14}{clock_time(block['duration_s'])}, {block['rows']} rows" for block in result["blocks"]),
+        f"  duration    {duration_text(result['duration_s'])}, and the time to mount",
+        *(f"    {block['name']:14}{duration_text(block['duration_s'])}, {block['rows']} rows" for block in result["blocks"]),
         f"  axes        {_ranges(result['axes_deg'])}",
         f"  counts      {_counts(result)}",
         *(f"  uncertainty {name}: {_spread(spread)}" for name, spread in result["relative_uncertainty"].items()),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.readout import clipped
+from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.rig import AXES
@@ -74,7 +74,7 @@ class RowStatistics:
             self.largest[gain] = max(self.largest.get(gain, 0), int(highest.max()))
             steps = np.abs(reading.counts.mean(axis=0) - self._zero)
             self.steps[row.sample, gain] = np.maximum(self.steps.get((row.sample, gain), steps), steps)
-        saturated = np.all([clipped(reading.counts) for reading in data.readings], axis=0)
+        saturated = np.all([saturation(reading.counts) for reading in data.readings], axis=0)
         self.saturated += int((saturated & self._relevant(row)).sum())
 
     @property

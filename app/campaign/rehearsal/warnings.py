@@ -15,7 +15,7 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note
 from goniotwin.app.campaign.reduction.points import FIRST, Tally
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.arrays import Flags, Floats
@@ -195,7 +195,7 @@ def relevant_photodiodes(plan: Plan, row: Row) -> Flags:
     Without a sample the beam goes straight on. The arc that it meets may be saturated, unless the campaign measures there.
     """
     upper, lower = (np.full(len(polar_deg(plan.rig.file, arc)), True) for arc in ("upper", "lower"))
-    if row.sample == NOTHING and row.pose is not None and not row.identity.startswith(f"{NOTHING}/open beam/"):
+    if row.sample == NO_SAMPLE and row.pose is not None and not row.identity.startswith(f"{NO_SAMPLE}/open beam/"):
         arcs = tuple(looking_arcs(plan.schedule.file, row.pose[1]))
         upper &= "upper" in arcs
         lower &= "lower" in arcs

@@ -10,17 +10,16 @@ from functools import partial
 from itertools import accumulate
 from typing import TypeVar
 
-from goniotwin.app.campaign.journal.provenance import versions
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.journal.writing import Journal, JournalError
+from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED, Row
 from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.campaign.running.halt import Halt, Stopped
 from goniotwin.app.campaign.running.operator import Operator
-from goniotwin.app.campaign.running.recovery import DONE_ABOUT_IT, Policies, Recovery
-from goniotwin.app.campaign.running.rows import Performer
-from goniotwin.app.campaign.running.stop_conditions import Endings
+from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
+from goniotwin.app.campaign.running.rows import RowExecutor
+from goniotwin.app.campaign.running.stop_conditions import StopConditions
+from goniotwin.app.campaign.running.stop_request import Stopped, StopRequest
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import DeviceError, Rig, Until
@@ -28,7 +27,7 @@ from goniotwin.drivers import DeviceError, Rig, Until
 T = TypeVar("T")
 
 
-class Ended(Exception):
+class EndedBySchedule(Exception):
     """The run ends here as the schedule says, in good order."""
 
 
@@ -62,10 +61,10 @@ class Engine:
         self._state = State.IDLE
         self._changed = threading.Condition()
         self._pause = False
-        self._halt = Halt(rig)
-        self._performer = Performer(rig, operator, self._halt, self._between, self._note)
+        self._halt = StopRequest(rig)
+        self._performer = RowExecutor(rig, operator, self._halt, self._between, self._note)
         self._recovery = Recovery(rig, self._halt, self._performer.wait)
-        self._endings = Endings(plan.schedule.file, plan.rig.file)
+        self._endings = StopConditions(plan.schedule.file, plan.rig.file)
         self._work = plan.rows if work is None else work
         left = list(accumulate((row.seconds for row in reversed(self._work)), initial=0.0))
         self._seconds_left = left[::-1]
@@ -84,13 +83,13 @@ class Engine:
         self._recall()
         self._enter(State.RUNNING)
         try:
-            session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, versions())
+            session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, software_versions())
             self._reference()
             self._do_rows()
             self._under_policies("the end", self._close_shutter)
         except (Stopped, KeyboardInterrupt):
             outcome, reason = State.IDLE, "stopped"
-        except Ended as ended:
+        except EndedBySchedule as ended:
             outcome, reason = State.IDLE, str(ended)
             self.ended_by_schedule = reason
         except (JournalError, UserError) as error:
@@ -146,7 +145,7 @@ class Engine:
         """Where a campaign is gone on with, axes that have lost themselves meanwhile look for their reference first."""
         lost = [] if self._work is self._plan.rows else self._recovery.lost_axes
         for axis in lost:
-            self._note("home", f"{axis.name}: {axis.doubt}")
+            self._note("home", f"{axis.name}: {axis.unreferenced_reason}")
             self._under_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
 
     def _do_rows(self) -> None:
@@ -167,7 +166,7 @@ class Engine:
                 self._note(*said)
                 if said[0] == "stop" and k < len(self._work):
                     self._under_policies("the end", self._close_shutter)
-                    raise Ended(said[1])
+                    raise EndedBySchedule(said[1])
 
     def _done(self, row: Row) -> RowData:
         """The row, or what is committed in its place where it is skipped. Raises DeviceError where the run is to stop."""
@@ -191,7 +190,7 @@ class Engine:
 
         Raises DeviceError where the run is to stop, or what is not `skippable` would be left out.
         """
-        policies = Policies(self._plan.schedule.file.faults)
+        policies = FaultPolicies(self._plan.schedule.file.faults)
         while True:
             try:
                 return action()
@@ -200,7 +199,7 @@ class Engine:
                 policy = policies.about(error)
                 if policy == "stop" or (policy == "skip" and not skippable):
                     raise
-                self._note("fault", f"{error} (at {what}: {DONE_ABOUT_IT[policy]})")
+                self._note("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})")
                 self._enter_unless_pausing(State.RECOVERING, str(error))
                 self._performer.forget()
                 if policy == "ask" and not self._mended(f"{what}: {error}"):

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from goniotwin.app.campaign.row import NOTHING
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.errors import UserError
 from goniotwin.mocks.control import Control, Refused
 from goniotwin.twin import VirtualRig
@@ -13,13 +13,13 @@ class Operator(Protocol):
     """Whoever is at the rig."""
 
     def mount(self, sample: str) -> None:
-        """Returns when `sample` is in the sample unit, or, for NOTHING, when it is empty."""
+        """Returns when `sample` is in the sample unit, or, for NO_SAMPLE, when it is empty."""
 
     def mend(self, fault: str, /) -> bool:
         """Asks for a fault to be mended; returns whether somebody has, and the row is to be done again."""
 
 
-class BackDoor:
+class VirtualOperator:
     """Mounts on a virtual rig, at once."""
 
     def __init__(self, rig: VirtualRig) -> None:
@@ -27,14 +27,14 @@ class BackDoor:
 
     def mount(self, sample: str) -> None:
         """Raises KeyError for a sample that the virtual rig does not have."""
-        self._rig.mount(None if sample == NOTHING else sample)
+        self._rig.mount(None if sample == NO_SAMPLE else sample)
 
     def mend(self, _fault: str, /) -> bool:
         """There is nobody at a virtual rig."""
         return False
 
 
-class ServedBackDoor:
+class ServedOperator:
     """Mounts on a virtual rig that another process serves, through its control port."""
 
     def __init__(self, port: int) -> None:
@@ -45,7 +45,7 @@ class ServedBackDoor:
         try:
             control = Control(self._port)
             try:
-                control.do("mount", sample=None if sample == NOTHING else sample)
+                control.do("mount", sample=None if sample == NO_SAMPLE else sample)
             finally:
                 control.close()
         except (OSError, Refused) as error:
@@ -56,7 +56,7 @@ class ServedBackDoor:
         return False
 
 
-class Person:
+class HumanOperator:
     """Asks a person and waits; `ask` shows a text and returns when it is done."""
 
     def __init__(self, ask: Callable[[str], None]) -> None:
@@ -65,7 +65,7 @@ class Person:
     def mount(self, sample: str) -> None:
         """The shutter is closed while the person works."""
         empty = "Take the sample out, so that the sample unit is empty"
-        what = empty if sample == NOTHING else f"Mount {sample!r} in the sample unit"
+        what = empty if sample == NO_SAMPLE else f"Mount {sample!r} in the sample unit"
         self._ask(f"{what}, then confirm.")
 
     def mend(self, fault: str, /) -> bool:

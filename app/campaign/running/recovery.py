@@ -7,12 +7,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal
 
-from goniotwin.app.campaign.running.halt import Halt
-from goniotwin.app.campaign.schedule.measuring import FaultsTable, Policy
+from goniotwin.app.campaign.running.stop_request import StopRequest
+from goniotwin.app.campaign.schedule.file import FaultsTable, Policy
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Poll, Refused, Rig
 from goniotwin.drivers.errors import Interrupted, Unreferenced
-from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion import Axis
 
 LOOK_S = 0.1
 LONGEST_REST_S = 60.0
@@ -23,7 +23,7 @@ Wait = Callable[..., None]
 class Recovery:
     """On one rig. What it cannot mend it reports, as DeviceErrors; a row begins with what is left to connect (`again`)."""
 
-    def __init__(self, rig: Rig, halt: Halt, wait: Wait) -> None:
+    def __init__(self, rig: Rig, halt: StopRequest, wait: Wait) -> None:
         self._rig = rig
         self._halt = halt
         self._wait = wait
@@ -61,7 +61,7 @@ class Recovery:
         axis = self._rig.axes[name]
 
         def rests() -> bool:
-            turns = axis.turns()
+            turns = axis.is_moving()
             if turns and clock.now() > latest:
                 raise DeviceError(name, "wait for it", f"it still turns after {LONGEST_REST_S:g} s", "stop it")
             return not turns
@@ -71,7 +71,7 @@ class Recovery:
     @property
     def lost_axes(self) -> list[Axis]:
         """Those in doubt that can look for their reference."""
-        return [axis for axis in self._rig.axes.values() if axis.doubt and axis.settings.homing is not None]
+        return [axis for axis in self._rig.axes.values() if axis.unreferenced_reason and axis.settings.homing is not None]
 
     def home(self, axis: Axis) -> None:
         """Has it look for its reference. Raises DeviceError."""
@@ -89,8 +89,8 @@ class Recovery:
         return []
 
 
-Kind = Literal["wire", "reset", "refused", "axis"]
-DONE_ABOUT_IT: dict[Policy, str] = {
+FaultKind = Literal["wire", "reset", "refused", "axis"]
+POLICY_TEXT: dict[Policy, str] = {
     "retry": "the row is done again",
     "reconnect": "the devices are connected again, and the row is done again",
     "skip": "the row is left out",
@@ -99,7 +99,7 @@ DONE_ABOUT_IT: dict[Policy, str] = {
 }
 
 
-def kind_of(error: DeviceError) -> Kind:
+def fault_kind(error: DeviceError) -> FaultKind:
     """Of the four that `[faults]` names."""
     match error:
         case Unreferenced():
@@ -113,7 +113,7 @@ def kind_of(error: DeviceError) -> Kind:
     return "axis" if error.device in AXES else "refused"  # it has stalled, was stopped, or does not come to rest
 
 
-class Policies:
+class FaultPolicies:
     """What is done about the faults of one row; without a table all of them stop the run."""
 
     def __init__(self, table: FaultsTable | None) -> None:
@@ -125,7 +125,7 @@ class Policies:
         table = self._table
         if table is None or isinstance(error, Interrupted):  # whoever has stopped an axis wants it to stand
             return "stop"
-        policy: Policy = getattr(table, kind_of(error))
+        policy: Policy = getattr(table, fault_kind(error))
         if policy in ("retry", "reconnect"):
             if self._begun >= table.attempts:
                 policy = table.then

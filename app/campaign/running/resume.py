@@ -6,17 +6,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from goniotwin.app.campaign.journal.reading import Recorded
+from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.row import NOTHING, RESUMED, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, RESUME_PREFIX, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.protocols.clock import calendar_stamp
 
-PORTS = (
+PORT_KEYS = (
     ("axes", "port"),
     ("monochromator", "port"),
     ("photodiodes", "units"),
@@ -28,7 +28,7 @@ PORTS = (
 
 
 @dataclass(frozen=True)
-class Rest:
+class RemainingWork:
     """What is left of a campaign, rows that were skipped too. In `work` are also rows that nobody has planned: a sample that
     was mounted is mounted again, its dark taken, and the light compared with what it was. `start_s` is when it goes on, on
     the rig's clock.
@@ -44,13 +44,13 @@ class Rest:
         return tuple(row for row in self.work if row.added)
 
 
-def rest_of(journal: Journal, rig: RigDescription | None) -> Rest:
+def remaining_work(journal: Journal, rig: RigDescription | None) -> RemainingWork:
     """What is left of a journal's campaign, on the rig of its file or on `rig`, the same at other ports.
 
     Raises UserError for a campaign that is done, and for a rig that is not the same.
     """
     recorded = recorded_rig(journal)
-    refuse_another_rig(journal, recorded, rig or recorded)
+    check_same_rig(journal, recorded, rig or recorded)
     schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)")
     plan = Plan(schedule, rig or recorded, journal.planned())
     done = journal.committed()
@@ -58,15 +58,15 @@ def rest_of(journal: Journal, rig: RigDescription | None) -> Rest:
     if not left:
         raise UserError(f"{journal.path}: all of its {len(plan.rows)} rows are measured; there is nothing to go on with")
     work = _work(journal, plan, done, left) if done else left
-    return Rest(plan, tuple(work), _start(journal, plan.rig))
+    return RemainingWork(plan, tuple(work), _start(journal, plan.rig))
 
 
-def recorded_rig(journal: Recorded) -> RigDescription:
+def recorded_rig(journal: JournalReader) -> RigDescription:
     """The rig as it was when the campaign began; its files are looked for where they were."""
     return parse_rig(journal.value("rig"), Path(journal.value("rig_folder")), f"{journal.path} (rig)")
 
 
-def refuse_another_rig(journal: Recorded, recorded: RigDescription, rig: RigDescription) -> None:
+def check_same_rig(journal: JournalReader, recorded: RigDescription, rig: RigDescription) -> None:
     """Raises UserError, naming the keys, where anything but ports has changed."""
     changed = sorted(_differences(_without_ports(recorded), _without_ports(rig)))
     if recorded.seed != rig.seed or recorded.simulated != rig.simulated:
@@ -102,7 +102,7 @@ def _same_model(stated: str, recorded: RigDescription, rig: RigDescription) -> b
 
 def _without_ports(rig: RigDescription) -> dict[str, Any]:
     content = rig.file.model_dump(exclude={"twin", "simulated"})
-    for table, key in PORTS:
+    for table, key in PORT_KEYS:
         if table in content:
             del content[table][key]
     return content
@@ -119,9 +119,9 @@ def _differences(old: dict[str, Any], new: dict[str, Any], place: str = "") -> l
     return found
 
 
-def _work(journal: Recorded, plan: Plan, done: set[int], left: list[Row]) -> list[Row]:
+def _work(journal: JournalReader, plan: Plan, done: set[int], left: list[Row]) -> list[Row]:
     """The rows that are left, and before those of a sample that has been mounted already what has to be done again."""
-    beginning = f"{RESUMED}{len(journal.sessions()) + 1}"
+    beginning = f"{RESUME_PREFIX}{len(journal.sessions()) + 1}"
     number, timing = journal.last_number() + 1, Timing(plan.rig.file)
     mounted: str | None = None
     work: list[Row] = []
@@ -161,7 +161,7 @@ def _compared_with(plan: Plan, done: set[int], first: Row) -> Row | None:
     """The row that is done again to see whether the light has changed: the last drift check since the sample was mounted, or
     where there are none the last measurement. None where there is neither, or it comes next anyway.
     """
-    if first.sample == NOTHING or first.kind == "drift":
+    if first.sample == NO_SAMPLE or first.kind == "drift":
         return None
     latest: Row | None = None
     for row in plan.rows[: first.number]:
@@ -174,7 +174,7 @@ def _compared_with(plan: Plan, done: set[int], first: Row) -> Row | None:
     return latest
 
 
-def _start(journal: Recorded, rig: RigDescription) -> float:
+def _start(journal: JournalReader, rig: RigDescription) -> float:
     """A virtual rig in this process goes on when it was left; any other has lived on meanwhile."""
     sessions = journal.sessions()
     if not sessions:

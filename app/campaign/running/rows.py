@@ -10,22 +10,24 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.record import Reading, RowData
 from goniotwin.app.campaign.readout import (
-    LEAST_READINGS,
+    MIN_AVERAGED_READINGS,
+    MONITOR_MEAN_S,
+    NOT_WARM,
     UNDER_RANGE,
-    WARM_UP_EVERY_S,
-    Gains,
+    WARM_UP_PERIOD_S,
+    GainSequence,
     WarmUpTrace,
-    clipped,
     readings_needed,
+    saturation,
     shows_light,
 )
-from goniotwin.app.campaign.row import NOTHING, Row
-from goniotwin.app.campaign.running.halt import Halt
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.campaign.running.stop_request import StopRequest
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers import AxisSettings, DeviceError, Pending, Rig, Until, wait
-from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion import Axis
 from goniotwin.drivers.motion.settings import ENCODER_TOLERANCE_DEG
 from goniotwin.protocols.clock import Clock
 
@@ -35,7 +37,7 @@ BETWEEN_S = 0.03
 LONGEST_S = 5.0
 
 
-class Standstill:
+class AxisSettling:
     """Done at `settled` where the encoders stand by then, as soon as they do else. One axis is asked a poll."""
 
     def __init__(self, clock: Clock, axes: Sequence[Axis], settled: float) -> None:
@@ -69,20 +71,17 @@ class Standstill:
         self.due = max(self._settled, self._clock.now()) if self._stands else self._clock.now() + BETWEEN_S
 
 
-NOT_WARM = "not warm"
-"""The flag of a warm-up that was ended by its time."""
-MONITORED_S = 1.0
 Note = Callable[[str, str], None]
 """Takes a kind and a text for the journal."""
 
 
-class Performer:
+class RowExecutor:
     """Carries rows out on a rig, and knows what it has told the devices, so that nothing is told twice.
 
     `between` is called before each question while it waits, `note` with what belongs into the journal beside the row.
     """
 
-    def __init__(self, rig: Rig, operator: Operator, halt: Halt, between: Callable[[], None], note: Note) -> None:
+    def __init__(self, rig: Rig, operator: Operator, halt: StopRequest, between: Callable[[], None], note: Note) -> None:
         self._rig = rig
         self._clock = rig.clock
         self._operator = operator
@@ -196,22 +195,22 @@ class Performer:
         self.wait(*moves)
         self.shutter(opened=True)
         if moved:
-            self.wait(Standstill(self._clock, moved, self._clock.now() + settling))
+            self.wait(AxisSettling(self._clock, moved, self._clock.now() + settling))
 
     def _read(self, row: Row) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
         """All photodiodes at each gain that is needed, and the flags of the row."""
-        gains = Gains(row, self._rig.photodiodes.settings.count, self._gain)
+        gains = GainSequence(row, self._rig.photodiodes.settings.count, self._gain)
         taken = {}
         for gain in gains:
-            reading = self._averaged(row, gain, gains.waiting)
+            reading = self._averaged(row, gain, gains.saturated)
             taken[gain] = reading
-            gains.read(reading.counts)
+            gains.add(reading.counts)
         readings = tuple(taken[gain] for gain in sorted(taken))
         return readings, (*gains.flags, *self._under_range(row, readings))
 
     def _under_range(self, row: Row, readings: tuple[Reading, ...]) -> tuple[str, ...]:
         """Its flag, where the row should show light and does not. Without a dark nothing is said."""
-        if row.kind == "dark" or row.sample == NOTHING or not readings:
+        if row.kind == "dark" or row.sample == NO_SAMPLE or not readings:
             return ()
         dark = self._darks.get(readings[-1].gain_v_per_a)
         return () if dark is None or shows_light(readings[-1].counts, dark) else (UNDER_RANGE,)
@@ -220,12 +219,12 @@ class Performer:
         """At one gain: as many readings as the row says, or as its target needs."""
         if row.target is None:
             return self._reading(gain, row.readings)
-        reading = self._reading(gain, max(row.readings, LEAST_READINGS))
+        reading = self._reading(gain, max(row.readings, MIN_AVERAGED_READINGS))
         settings = self._rig.photodiodes.settings
         nothing = np.full(settings.count, -settings.range.low_v / settings.range.lsb_v)
         dark = self._darks.get(settings.gains_v_per_a[gain], nothing)
         most = max(row.readings, int(row.longest_s / settings.period_s))
-        while (needed := readings_needed(reading.counts, dark, wanted & ~clipped(reading.counts), row.target, most)) > len(
+        while (needed := readings_needed(reading.counts, dark, wanted & ~saturation(reading.counts), row.target, most)) > len(
             reading.counts
         ):
             reading = _joined(reading, self._reading(gain, needed - len(reading.counts)))
@@ -251,11 +250,11 @@ class Performer:
         begun = told = self._clock.now()
         trace = WarmUpTrace()
         while True:
-            mean = self._rig.monitor.start_mean(MONITORED_S)
+            mean = self._rig.monitor.start_mean(MONITOR_MEAN_S)
             self.wait(mean)
             now = self._clock.now()
             trace.add(now, mean.current_a)
-            steady, over = trace.steady(row.target), now - begun >= row.longest_s
+            steady, over = trace.is_steady(row.target), now - begun >= row.longest_s
             slope = trace.slope()
             if slope is not None and (steady or over or now - told >= 60.0):
                 told = now
@@ -263,7 +262,7 @@ class Performer:
                 self._note("warm-up", f"monitor {mean.current_a:.6g} A, {change:+.3f} % in 10 min (u {spread:.3f} %)")
             if steady or over:
                 return () if steady else (NOT_WARM,)
-            self.wait(Until(self._clock, now + WARM_UP_EVERY_S - MONITORED_S))
+            self.wait(Until(self._clock, now + WARM_UP_PERIOD_S - MONITOR_MEAN_S))
 
 
 def _joined(first: Reading, second: Reading) -> Reading:

@@ -3,12 +3,11 @@
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.reduction.drift_checks import DriftWatch
 from goniotwin.app.campaign.row import SKIPPED, Row
-from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.measuring import StopTable
+from goniotwin.app.campaign.schedule.file import ScheduleFile, StopTable
 from goniotwin.app.rig import RigFile
 
 
-class Endings:
+class StopConditions:
     """Looks at each row that has been committed. It is told of those of earlier sessions, too, by `recall`."""
 
     def __init__(self, schedule: ScheduleFile, rig: RigFile) -> None:

@@ -11,18 +11,30 @@ import csv
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from goniotwin.app.campaign.schedule.measuring import CertificateTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import refuse_percentage
+from goniotwin.app.toml_file import Table
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
 
 AXES = ("wavelength_nm", "incidence_deg", "zenith_deg", "azimuth_deg")
 VALUES = ("radiance_factor", "relative_uncertainty")
 SAME = 1e-6
+
+
+class CertificateTable(Table):
+    """The etalon's certificate, in place of the rig file's `[etalon]`: a CSV `file` beside the schedule, which holds until
+    the end of the day `expires`. `accept_expired_by` is the name of who answers for using it after that.
+    """
+
+    file: Annotated[str, Field(min_length=1)]
+    expires: date
+    accept_expired_by: Annotated[str, Field(min_length=1)] | None = None
 
 
 @dataclass(frozen=True)

@@ -4,19 +4,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, ValidationInfo, field_validator, model_validator
-
-from goniotwin.app.campaign.row import NOTHING
-from goniotwin.app.campaign.schedule.certificate import read_certificate
-from goniotwin.app.campaign.schedule.grids import Grid, grid_values, without_twins
-from goniotwin.app.campaign.schedule.measuring import (
-    AveragingTable,
-    CertificateTable,
-    DriftTable,
-    FaultsTable,
-    StopTable,
-    WarmUpTable,
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
 )
+
+from goniotwin.app.campaign.row import NO_SAMPLE
+from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
+from goniotwin.app.campaign.schedule.grids import Grid, grid_values, without_twins
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
 from goniotwin.app.toml_file import Table, checked, parse_toml, read_toml
 
@@ -36,8 +38,74 @@ Nesting = Annotated[
     Discriminator(lambda value: "fastest" if isinstance(value, str) else "list"),
 ]
 
+Share = Annotated[float, Field(gt=0.0, lt=1.0)]
+Policy = Literal["retry", "reconnect", "skip", "ask", "stop"]
+
 WORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_per_a": ("automatic", "gains")}
 """What may stand in place of a list."""
+
+
+class AveragingTable(Table):
+    """Each row is read on, at each of its gains, until every photodiode that has light knows it to `relative_uncertainty`
+    (standard, of noise alone), or for `longest_s`. The schedule's `readings` are then the fewest.
+    """
+
+    relative_uncertainty: Share
+    longest_s: PositiveFloat = 10.0
+
+
+class WarmUpTable(Table):
+    """The campaign begins with a wait for the lamp, with open shutter: until the monitor changes by no more than
+    `percent_per_10min`, or for `longest_s`.
+    """
+
+    percent_per_10min: PositiveFloat
+    longest_s: PositiveFloat = 3600.0
+
+
+class DriftTable(Table):
+    """Every `every_s` the light at one pose is measured again. Where it, over the monitor's, is another than it was at first
+    by more than `limit` (a share), the rows between the checks are flagged, or the run stops as well.
+    """
+
+    every_s: PositiveFloat
+    sigma_deg: float
+    beta_deg: float
+    shift_deg: float = 0.0
+    gamma_deg: float = 0.0
+    wavelength_nm: PositiveFloat
+    limit: Share = 0.005
+    on_excess: Literal["flag", "stop"] = "flag"
+
+
+class StopTable(Table):
+    """What ends a run before its last row, in good order: it can be gone on with.
+
+    `longest_s` is of the rig's time in one session; `skipped_rows` how many rows of a session may be skipped for faults;
+    `lamp_below` the share to which the monitor's current may fall of what it was at first at that wavelength.
+    """
+
+    longest_s: PositiveFloat | None = None
+    skipped_rows: PositiveInt | None = None
+    lamp_below: Share | None = None
+
+
+class FaultsTable(Table):
+    """What is done where a device fails in a row, by the kind of fault; without this table the run stops safely.
+
+    `wire`: no answer, or a wrong one. `reset`: a device has lost its settings. `refused`: it will not, or cannot. `axis`: it is
+    in doubt where an axis is, or it did not arrive. The policies: `retry`: the row again, after `wait_s`. `reconnect`: the
+    devices are connected again, axes in doubt are homed, and the row is done again. `skip`: the row is left out and flagged.
+    `ask`: somebody is asked to mend it. `stop`. A row is begun `attempts` times at most; `then` is what follows.
+    """
+
+    wire: Policy = "reconnect"
+    reset: Policy = "reconnect"
+    refused: Policy = "retry"
+    axis: Policy = "stop"
+    attempts: Annotated[int, Field(ge=1, le=100)] = 3
+    wait_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 1.0
+    then: Literal["skip", "ask", "stop"] = "stop"
 
 
 class ScheduleFile(Table):
@@ -88,8 +156,8 @@ class ScheduleFile(Table):
     def _etalon_is_no_sample(self) -> "ScheduleFile":
         if self.etalon in self.samples:
             raise ValueError(f"the etalon {self.etalon!r} stands among the samples; it is measured anyway, so remove it")
-        if NOTHING in (self.etalon, *self.samples):
-            raise ValueError(f"{NOTHING!r} is what an empty sample unit is called; give the sample another name")
+        if NO_SAMPLE in (self.etalon, *self.samples):
+            raise ValueError(f"{NO_SAMPLE!r} is what an empty sample unit is called; give the sample another name")
         return self
 
     @field_validator("order", "gains_v_per_a", mode="before")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from goniotwin.app.campaign.geometry.shadow import shadowed
-from goniotwin.app.campaign.journal.record import Committed
+from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.row_points import live_points
@@ -58,7 +58,7 @@ class LiveCut:
     _row: Row | None = None
     _cuts: dict[Key, list[Points]] = field(default_factory=dict)
     _spans: tuple[tuple[float, float], ...] = ()
-    _darks: deque[Committed] = field(default_factory=lambda: deque(maxlen=DARKS_KEPT))
+    _darks: deque[CommittedRow] = field(default_factory=lambda: deque(maxlen=DARKS_KEPT))
     _etalon: dict[tuple[object, ...], Signal] = field(default_factory=dict)
 
     def heed(self, event: RowStarted | RowCommitted) -> None:
@@ -72,7 +72,7 @@ class LiveCut:
             if len(self._cuts) > CUTS_KEPT:
                 del self._cuts[next(iter(self._cuts))]
         if isinstance(event, RowCommitted):
-            committed = Committed(row, event.data)
+            committed = CommittedRow(row, event.data)
             if row.kind == "dark":
                 self._darks.append(committed)
             elif row.kind == "measure" and event.data.readings and self._has_etalon(row):
@@ -103,7 +103,7 @@ class LiveCut:
             points=_sorted(self._cuts[_key(row)]),
         )
 
-    def _reduced(self, committed: Committed) -> Points:
+    def _reduced(self, committed: CommittedRow) -> Points:
         row, rig = committed.row, self.plan.rig
         assert row.pose is not None
         settings = photodiode_settings(rig.file)

@@ -14,8 +14,7 @@ from itertools import count
 from pathlib import Path
 
 from goniotwin.app.campaign.campaign import operator_for
-from goniotwin.app.campaign.journal.provenance import versions
-from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, Positions, State, StateChanged
@@ -215,7 +214,7 @@ class RigThread:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             path = next_journal(folder, plan.schedule.file.name)
-            journal = Journal.create(path, plan, versions())
+            journal = Journal.create(path, plan, software_versions())
         except (UserError, OSError) as error:
             self._tell(RunRefused(f"the journal cannot be made: {error}"))
             return

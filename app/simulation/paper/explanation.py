@@ -20,7 +20,7 @@ from goniotwin.app.simulation.paper.gaussian_cut import (
 )
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, gaussian, lambertian, throughput
-from goniotwin.twin.optics.bsdf.analytic import Form
+from goniotwin.twin.optics.bsdf.analytic_samples import Form
 
 SIGMAS_DEG = (0.0, 30.0, 60.0)
 WIDTHS_DEG = (2.0, 5.0, 15.0, 30.0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
-from goniotwin.twin.optics.bsdf.analytic import Form
+from goniotwin.twin.optics.bsdf.analytic_samples import Form
 
 STEP_DEG = 0.5
 WIDTHS = 2.0

@@ -1,6 +1,7 @@
-"""The bytes of a TMCL line: frames out, frames in, never waiting longer than told, and never deaf for longer than a slice.
+"""Serial port of a TMCL line: frames out and in, with a deadline for every wait.
 
-A port that has failed (its plug was pulled) is given back at once, and opened again when next something is to be sent.
+A read lasts one slice at most, so that a stop gets the line soon. A port that failed (its plug was pulled) is closed at
+once, and opened again for the next frame.
 """
 
 import contextlib
@@ -22,58 +23,59 @@ Targets = Sequence[tuple[str, Request]]
 
 
 class TmclPort:
-    """A port whose reads last a slice, so that whoever has to go first need not wait for a timeout.
+    """A port that is opened at once and reads in slices. Raises SerialException, OSError or ValueError.
 
-    It is opened at once. Raises SerialException, OSError or ValueError where that cannot be. That it has been opened again
-    is added to `said`.
+    A reopening of the port is appended to `events`.
     """
 
-    def __init__(self, open_port: Callable[[], Serial], clock: Clock, tap: Tap, timeout_s: float, said: deque[str]) -> None:
+    def __init__(self, open_port: Callable[[], Serial], clock: Clock, tap: Tap, timeout_s: float, events: deque[str]) -> None:
         self._open_port = open_port
         self._clock = clock
         self._tap = tap
         self._rest = b""
         self._timeout_s = timeout_s
-        self._said = said
+        self._events = events
         self._port: Serial | None = self._open_port()
         self._port.write_timeout = timeout_s
-        self._forget_stale()
+        self._discard_received()
 
     def close(self) -> None:
-        """Gives it back."""
+        """Close the port."""
         port, self._port = self._port, None
         if port is not None:
             with contextlib.suppress(*PORT_FAULTS):
                 port.close()
 
     def send(self, frame: bytes) -> None:
-        """Throws away what has come unasked, and writes. Raises SerialException or OSError."""
-        self._forget_stale()
+        """Discard what was received unrequested, and write a frame. Raises SerialException or OSError."""
+        self._discard_received()
         self._write(frame)
 
     def frame(self, deadline: float, give_up: GiveUp) -> bytes | None:
-        """The next nine bytes; None where they have not come by the deadline, or somebody has to go first."""
+        """The next nine bytes; None if they do not come by the deadline, or if `give_up` is true."""
         while True:
             frames, rest = split(self._rest)
             if frames:
                 self._rest = b"".join(frames[1:]) + rest
                 return frames[0]
-            if not self._hear(FRAME_BYTES - len(rest), deadline, give_up):
+            if not self._receive(FRAME_BYTES - len(rest), deadline, give_up):
                 return None
 
     def await_bytes(self, expected: bytes, deadline: float, give_up: GiveUp) -> bool:
-        """Whether certain bytes come by the deadline, wherever in the stream; all before them and with them is forgotten."""
+        """True if certain bytes come by the deadline, anywhere in the stream; all that was received is then discarded."""
         while expected not in self._rest:
             self._rest = self._rest[-MOST_STALE:]
-            if not self._hear(FRAME_BYTES, deadline, give_up):
+            if not self._receive(FRAME_BYTES, deadline, give_up):
                 return False
         self._rest = b""
         return True
 
-    def tell_all(self, targets: Targets, patience_s: float, timeout_s: float) -> list[tuple[str, Request]]:
-        """Sends requests one after the other, waiting a little for each reply, and at the end longer for those that are
-        missing. Returns those to which there is none. Raises SerialException or OSError."""
-        self._forget_stale()
+    def send_all(self, targets: Targets, patience_s: float, timeout_s: float) -> list[tuple[str, Request]]:
+        """Send requests one after the other; return those without reply. Raises SerialException or OSError.
+
+        It waits `patience_s` for each reply, and at the end `timeout_s` for all missing replies together.
+        """
+        self._discard_received()
         missing: list[tuple[str, Request]] = []
         for name, request in targets:
             self._write(request.encode())
@@ -82,24 +84,24 @@ class TmclPort:
         deadline = self._clock.now() + timeout_s
         return [(name, request) for name, request in missing if not self._await_reply(request, deadline)]
 
-    def how_little(self, started: float) -> str:
-        """For an error: what has come instead of an answer."""
+    def describe_missing(self, started: float) -> str:
+        """What was received instead of a reply, for an error message."""
         waited = self._clock.now() - started
         return f"{len(self._rest)} of {FRAME_BYTES} bytes within {waited:.3f} s"
 
     def _await_reply(self, request: Request, deadline: float) -> bool:
-        """Looks for a reply at every place of the stream: what comes before it may be anything."""
+        """True if the reply to a request comes by the deadline, at any place of the stream: anything may come before it."""
         while True:
             for place in range(len(self._rest) - FRAME_BYTES + 1):
-                if _answers(self._rest[place : place + FRAME_BYTES], request):
+                if _confirms(self._rest[place : place + FRAME_BYTES], request):
                     self._rest = self._rest[place + FRAME_BYTES :]
                     return True
             self._rest = self._rest[-MOST_STALE:]
-            if not self._hear(FRAME_BYTES, deadline, lambda: False):
+            if not self._receive(FRAME_BYTES, deadline, lambda: False):
                 return False
 
-    def _hear(self, size: int, deadline: float, give_up: GiveUp) -> bool:
-        """Puts what comes within a slice to the rest; False where it is time to give up."""
+    def _receive(self, size: int, deadline: float, give_up: GiveUp) -> bool:
+        """Append what comes within a slice to `_rest`; False if it is time to give up."""
         if self._clock.now() >= deadline - 1e-9 or give_up():
             return False
         data = self._read(size)
@@ -110,7 +112,7 @@ class TmclPort:
             self._rest += data
         return True
 
-    def _forget_stale(self) -> None:
+    def _discard_received(self) -> None:
         self._rest = b""
         try:
             port = self._ready()
@@ -142,11 +144,11 @@ class TmclPort:
         if self._port is None:
             self._port = self._open_port()
             self._port.write_timeout = self._timeout_s
-            self._said.append("the port has been opened again")
+            self._events.append("port reopened")
         return self._port
 
 
-def _answers(frame: bytes, request: Request) -> bool:
+def _confirms(frame: bytes, request: Request) -> bool:
     try:
         reply = Reply.decode(frame)
     except FrameError:

@@ -1,7 +1,7 @@
-"""What may be said twice on a TMCL line, what sets a motor in motion, which reply is believed, and frames in words.
+"""Rules of a TMCL line: which requests may be repeated, which start a motion, which reply is accepted; frames as text.
 
-The user variables of which the driver makes use are lost with the power: the canary, the marker, and for each motor a mark
-whether somebody knows where its axis is.
+The driver uses user variables that are lost with the power: the canary, the marker, and for each motor a mark of whether
+its axis is referenced.
 """
 
 from collections.abc import Callable
@@ -17,23 +17,23 @@ REPEATABLE = frozenset({Command.GAP, Command.GGP, Command.SAP, Command.SGP, Comm
 FIRST_MARK_VARIABLE, CANARY_VARIABLE, MARKER_VARIABLE = 248, 254, 255
 MOTORS = 6
 CANARY, FIRST_MARKER = 0x676F_6E69, 0x4D41_0000
-KNOWN, DOUBTED = 0x6B6E_6F77, 0x646F_7562
-"""What a mark may be; after a power-up it is neither."""
+REFERENCED, UNREFERENCED = 0x6B6E_6F77, 0x646F_7562
+"""The two values of a mark; after a power-up it has neither."""
 
 
 def mark(address: int, motor: int, value: int | None = None) -> Request:
-    """Asks for the mark of a motor, or sets it."""
+    """The request that reads the mark of a motor, or sets it to `value`."""
     command = Command.GGP if value is None else Command.SGP
     return Request(address, command, FIRST_MARK_VARIABLE + motor, USER_BANK, value or 0)
 
 
-def doubts(address: int) -> list[Request]:
-    """Sets the marks of all motors of a module to in doubt."""
-    return [mark(address, motor, DOUBTED) for motor in range(MOTORS)]
+def unreferenced_marks(address: int) -> list[Request]:
+    """The requests that mark all motors of a module as unreferenced."""
+    return [mark(address, motor, UNREFERENCED) for motor in range(MOTORS)]
 
 
-def repeatable(request: Request) -> bool:
-    """Whether a request may happen twice. Reading the error flags clears them, so that they are read once."""
+def is_repeatable(request: Request) -> bool:
+    """True if a request may be carried out twice. Reading the error flags clears them, so they are read once."""
     match request.command:
         case Command.MVP:
             return request.type == MoveType.ABSOLUTE
@@ -44,8 +44,8 @@ def repeatable(request: Request) -> bool:
     return request.command in REPEATABLE
 
 
-def moves(request: Request) -> bool:
-    """Whether a request sets a motor in motion."""
+def starts_motion(request: Request) -> bool:
+    """True if a request sets a motor in motion."""
     match request.command:
         case Command.MVP | Command.ROR | Command.ROL:
             return True
@@ -56,26 +56,29 @@ def moves(request: Request) -> bool:
     return False
 
 
-def believed(request: Request, frame: bytes, words: Callable[[Request], str]) -> Reply | None:
-    """The reply to a request, or None for one that belongs to another. Raises BadAnswer and Refused, in its `words`."""
+def check_reply(request: Request, frame: bytes, describe: Callable[[Request], str]) -> Reply | None:
+    """The reply to a request; None for a reply to another one. Raises BadAnswer and Refused.
+
+    `describe` gives the request as text for the error.
+    """
     try:
         reply = Reply.decode(frame)
     except FrameError as error:
-        raise BadAnswer("axes", words(request), str(error)) from None
+        raise BadAnswer("axes", describe(request), str(error)) from None
     if reply.host != HOST_ADDRESS or reply.address != request.address:
         return None
     if reply.status == Status.WRONG_CHECKSUM:
-        raise BadAnswer("axes", words(request), "the request was garbled on its way")
+        raise BadAnswer("axes", describe(request), "the request was corrupted in transmission")
     if reply.command != request.command or reply.status == Status.TARGET_REACHED:
         return None
     if reply.status != Status.OK:
-        raise Refused("axes", words(request), f"the module answers: {reply}")
+        raise Refused("axes", describe(request), f"the module replies: {reply}")
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
 
 
 def explain(direction: str, data: bytes) -> str:
-    """A frame in words, for transcripts."""
+    """A frame as text, for transcripts."""
     try:
         return str(Request.decode(data) if direction == TO_DEVICE else Reply.decode(data))
     except FrameError as error:

@@ -1,15 +1,15 @@
-"""Whose turn it is on a wire: one exchange at a time, and a stop before all others."""
+"""Lock of a serial line: one exchange at a time, in FIFO order, with a count of stop requests."""
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 
-class Turnstile:
-    """Turns for any number of threads, in the order in which they come; and a count of stops.
+class StopLock:
+    """FIFO lock of a line for any number of threads, and a count of stop requests.
 
-    Within its turn a thread may take another: an event of the virtual clock, in the middle of a wait. `asked` stops have
-    been called for, `done` of them have had their turn.
+    A thread that has the line may acquire it again: an event of the virtual clock, in the middle of a wait. `requested` is
+    the number of stops requested, `acquired` the number of those that have got the line.
     """
 
     def __init__(self) -> None:
@@ -17,12 +17,12 @@ class Turnstile:
         self._line = threading.Lock()
         self._counting = threading.Lock()
         self._owner: int | None = None
-        self.asked = 0
-        self.done = 0
+        self.requested = 0
+        self.acquired = 0
 
     @contextmanager
-    def turn(self) -> Iterator[None]:
-        """The wire is mine. Who waits for it holds the gate, so that nobody who comes later overtakes it."""
+    def hold(self) -> Iterator[None]:
+        """Acquire the line in FIFO order; waiters queue on `_gate`."""
         me = threading.get_ident()
         if self._owner == me:
             yield
@@ -37,16 +37,16 @@ class Turnstile:
             self._line.release()
 
     @contextmanager
-    def stop(self) -> Iterator[None]:
-        """The turn of a stop: from the moment at which it is asked for, whoever has the wire can see that it waits."""
+    def hold_for_stop(self) -> Iterator[None]:
+        """Acquire the line for a stop. From the request on, the exchange in progress sees `stop_waiting`."""
         with self._counting:
-            self.asked += 1
-        with self.turn():
+            self.requested += 1
+        with self.hold():
             with self._counting:
-                self.done += 1
+                self.acquired += 1
             yield
 
     @property
-    def stop_waits(self) -> bool:
-        """Whether a stop has been asked for that has not had its turn."""
-        return self.asked > self.done
+    def stop_waiting(self) -> bool:
+        """True if a requested stop has not got the line yet."""
+        return self.requested > self.acquired

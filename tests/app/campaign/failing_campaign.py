@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import Committed
+from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.engine import Engine
@@ -151,7 +151,7 @@ def run_with(
     return carried_out(plan, path, prepare, listeners=listeners, made=made), found[0]
 
 
-def wrong(found: Committed, right: Committed, *, homed: bool) -> str:
+def wrong(found: CommittedRow, right: CommittedRow, *, homed: bool) -> str:
     """What of a committed row is not as in an undisturbed run, to the last digit; empty where all is. A skipped row has nothing
     that could be.
 

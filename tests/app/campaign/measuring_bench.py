@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from goniotwin.app.campaign.campaign import operator_for
-from goniotwin.app.campaign.journal.record import Committed
+from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
@@ -34,12 +34,12 @@ class Run:
     """What a run came to."""
 
     state: State
-    rows: list[Committed]
+    rows: list[CommittedRow]
     events: list[tuple[str, str]]
     faults: list[str]
     seconds: float
 
-    def of(self, kind: str, sample: str = "") -> list[Committed]:
+    def of(self, kind: str, sample: str = "") -> list[CommittedRow]:
         """The rows of a kind."""
         return [each for each in self.rows if each.row.kind == kind and sample in ("", each.row.sample)]
 

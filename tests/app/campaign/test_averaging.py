@@ -9,10 +9,9 @@ import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.readout import LEAST_READINGS, WarmUpTrace, clipped, readings_needed
+from goniotwin.app.campaign.readout import MIN_AVERAGED_READINGS, NOT_WARM, WarmUpTrace, readings_needed, saturation
 from goniotwin.app.campaign.reduction.signals import middle_s
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.running.rows import NOT_WARM
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, photodiode_settings, read_rig
 from tests.app.campaign.measuring_bench import QUIET, Run, carried_out, with_rows
@@ -64,7 +63,7 @@ def test_a_row_is_averaged_until_its_photodiodes_are_known_well_enough(
     settings = photodiode_settings(plan.rig.file)
     for each, found in zip(run.of("measure", "etalon"), uncertainties(run, plan), strict=True):
         taken = len(each.data.readings[0].counts)
-        assert LEAST_READINGS < taken < 20.0 / settings.period_s
+        assert MIN_AVERAGED_READINGS < taken < 20.0 / settings.period_s
         assert (found <= 0.0101).sum() >= 16
 
 
@@ -78,14 +77,17 @@ def test_the_time_ends_it_where_the_uncertainty_does_not(write_rig: Writer, writ
 def test_bright_photodiodes_take_the_fewest_readings(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.01, 20.0, 2000.0)
     run = carried_out(plan, tmp_path / "a.journal")
-    assert [len(each.data.readings[0].counts) for each in run.of("measure", "etalon")] == [LEAST_READINGS, LEAST_READINGS]
+    assert [len(each.data.readings[0].counts) for each in run.of("measure", "etalon")] == [
+        MIN_AVERAGED_READINGS,
+        MIN_AVERAGED_READINGS,
+    ]
 
 
 def test_a_clipped_photodiode_and_a_dark_one_keep_nobody_waiting() -> None:
     rng = np.random.default_rng(1)
     counts = np.round(rng.normal([40_000.0, 33_000.0, 65_600.0], [10.0, 10.0, 0.0], (8, 3))).clip(0, 65_535).astype(np.uint16)
     dark = np.full(3, 33_000.0)
-    wanted = ~clipped(counts)
+    wanted = ~saturation(counts)
     assert readings_needed(counts, dark, wanted, 0.01, 1000) == 8
     assert 8 < readings_needed(counts, dark, wanted, 0.0002, 1000) <= 1000
 
@@ -154,4 +156,4 @@ def test_noise_alone_does_not_pass_for_a_slope_nor_hide_one() -> None:
         for k in range(60):
             t = 10.0 * k
             trace.add(t, 1e-7 * (1.0 + drift * t / 600.0 + 1e-3 * rng.normal()))
-        assert trace.steady(0.005) is expected
+        assert trace.is_steady(0.005) is expected

@@ -9,7 +9,7 @@ import pytest
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.readout import SATURATED, UNDER_RANGE, Gains, clipped, in_order
+from goniotwin.app.campaign.readout import SATURATED, UNDER_RANGE, GainSequence, gain_order, saturation
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -47,8 +47,8 @@ def test_the_etalon_needs_the_highest_gain_alone_and_a_lobe_the_lower_ones_too(p
 def test_every_gain_but_the_last_left_some_photodiode_clipped_and_the_last_none(plan: Plan, tmp_path: Path) -> None:
     for each in carried_out(plan, tmp_path / "a.journal").of("measure"):
         lowest, *higher = each.data.readings
-        assert not clipped(lowest.counts).any()
-        assert all(clipped(reading.counts).any() for reading in higher)
+        assert not saturation(lowest.counts).any()
+        assert all(saturation(reading.counts).any() for reading in higher)
 
 
 def test_the_bsdf_is_that_of_all_gains(plan: Plan, tmp_path: Path) -> None:
@@ -98,19 +98,19 @@ def test_with_700_times_the_light_a_lobe_is_read_at_all_gains_and_unclipped(
     ("now", "expected"), [(None, [0, 2, 3]), (0, [0, 2, 3]), (2, [0, 2, 3]), (3, [3, 2, 0]), (1, [0, 2, 3])]
 )
 def test_without_automatic_gains_all_are_read_beginning_with_the_one_that_is_set(now: int | None, expected: list[int]) -> None:
-    gains = Gains(Row(0, "a", "measure", "a", gains=(0, 2, 3), readings=1), 3, now)
+    gains = GainSequence(Row(0, "a", "measure", "a", gains=(0, 2, 3), readings=1), 3, now)
     order = []
     for gain in gains:
         order.append(gain)
-        gains.read(np.array([[100, 200, adam.FULL_SCALE if gain else 300]], dtype=np.uint16))
+        gains.add(np.array([[100, 200, adam.FULL_SCALE if gain else 300]], dtype=np.uint16))
     assert order == expected
     assert gains.flags == ()
 
 
 @pytest.mark.parametrize("now", [None, 0, 2])
 def test_automatic_gains_and_averaging_go_downwards_whatever_is_set(now: int | None) -> None:
-    assert in_order(Row(0, "a", "measure", "a", gains=(0, 2), readings=1, automatic=True), now) == (2, 0)
-    assert in_order(Row(0, "a", "measure", "a", gains=(0, 2), readings=1, target=0.01), now) == (2, 0)
+    assert gain_order(Row(0, "a", "measure", "a", gains=(0, 2), readings=1, automatic=True), now) == (2, 0)
+    assert gain_order(Row(0, "a", "measure", "a", gains=(0, 2), readings=1, target=0.01), now) == (2, 0)
 
 
 def test_from_row_to_row_the_amplifiers_are_switched_once(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

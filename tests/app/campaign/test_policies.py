@@ -11,7 +11,7 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.campaign.running.recovery import Policies, kind_of
+from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
@@ -209,9 +209,9 @@ def test_after_a_break_the_lamp_is_compared_with_what_it_was_at_first(
     ],
 )
 def test_the_kinds_of_faults(error: DeviceError, kind: str) -> None:
-    assert kind_of(error) == kind
+    assert fault_kind(error) == kind
 
 
 def test_somebodys_stop_is_never_overridden(make: MakePlan) -> None:
     table = make('\n[faults]\nrefused = "retry"\n').schedule.file.faults
-    assert Policies(table).about(Interrupted("beta", "go", "a stop has come first")) == "stop"
+    assert FaultPolicies(table).about(Interrupted("beta", "go", "a stop has come first")) == "stop"

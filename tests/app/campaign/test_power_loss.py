@@ -13,7 +13,7 @@ from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
-from goniotwin.app.campaign.running.resume import rest_of
+from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
@@ -108,12 +108,12 @@ def check_whole(path: Path, plan: Plan) -> None:
         done = journal.committed()
         left = [row for row in plan.rows if row.number not in done]
         if left:
-            rest = rest_of(journal, None)
+            rest = remaining_work(journal, None)
             assert rest.plan.rows == plan.rows
             assert [row for row in rest.work if row not in rest.added] == left
         else:
             with pytest.raises(UserError, match="nothing to go on with"):
-                rest_of(journal, None)
+                remaining_work(journal, None)
     database = sqlite3.connect(path)
     assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
     database.close()

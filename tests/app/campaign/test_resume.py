@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.campaign import clock_for, operator_for, resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
-from goniotwin.app.campaign.running.resume import recorded_rig, refuse_another_rig
+from goniotwin.app.campaign.running.resume import check_same_rig, recorded_rig
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, parse_rig, read_rig
@@ -43,7 +43,7 @@ def values(journal: Path) -> list[tuple[Any, ...]]:
 
 def stopped_at(plan: Plan, path: Path, t: float) -> None:
     """A run that somebody stops at a time of the rig's clock."""
-    with open_rig(plan.rig, clock_of(plan.rig.file)) as opened:
+    with open_rig(plan.rig, clock_for(plan.rig.file)) as opened:
         opened.connect()
         with Journal.create(path, plan, {}) as journal:
             engine = Engine(opened.rig, plan, journal, operator_for(opened, plan.rig.file, None))
@@ -68,12 +68,12 @@ def test_wherever_it_was_stopped_the_planned_rows_are_those_of_an_undisturbed_ru
     for k, share in enumerate((0.02, 0.3, 0.45, 0.5, 0.8, 0.98)):
         path = tmp_path / f"{k}.journal"
         stopped_at(steady, path, share * steady.seconds)
-        assert campaign_of(path).state == "stopped"
+        assert campaign_summary(path).state == "stopped"
         assert len(values(path)) < len(whole)
         outcome = resume_campaign(path)
         assert (outcome.state, outcome.rows, outcome.of) == (State.DONE, len(steady.rows), len(steady.rows))
         assert values(path) == whole
-        assert campaign_of(path).state == "done"
+        assert campaign_summary(path).state == "done"
 
 
 def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) -> None:
@@ -102,11 +102,11 @@ def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) 
 
 
 def _resumed_and_stopped(path: Path, t: float) -> None:
-    from goniotwin.app.campaign.running.resume import rest_of
+    from goniotwin.app.campaign.running.resume import remaining_work
 
     with Journal.reopen(path) as journal:
-        rest = rest_of(journal, None)
-        with open_rig(rest.plan.rig, clock_of(rest.plan.rig.file, rest.start_s)) as opened:
+        rest = remaining_work(journal, None)
+        with open_rig(rest.plan.rig, clock_for(rest.plan.rig.file, rest.start_s)) as opened:
             opened.connect()
             operator = operator_for(opened, rest.plan.rig.file, None)
             engine = Engine(opened.rig, rest.plan, journal, operator, work=rest.work)
@@ -172,7 +172,7 @@ def test_a_journal_that_another_program_works_on_is_refused_with_who_has_it(plan
     stopped_at(plan, path, 10.0)
     held = RigLock([str(path.absolute())], "measuring paint")
     try:
-        assert campaign_of(path).state == "running"
+        assert campaign_summary(path).state == "running"
         with pytest.raises(UserError, match=r"a\.journal: is in use by process \d+ .*measuring paint"):
             resume_campaign(path)
     finally:
@@ -270,10 +270,10 @@ def test_a_served_rig_is_known_by_either_version_of_its_models_hash(journals: tu
         new, old = map(str, recorded.model_hashes())
         assert journal.value("model") == f'"{old}"'
         for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{new}"', f'model = "{old}"'):
-            refuse_another_rig(journal, recorded, stating(recorded, stated))
+            check_same_rig(journal, recorded, stating(recorded, stated))
         for stated in ("", 'model = "0123456789abcdef"', f'model = "{old[::-1]}"\nold_model = "2:{old}"'):
             with pytest.raises(UserError, match="the model's hash differs"):
-                refuse_another_rig(journal, recorded, stating(recorded, stated))
+                check_same_rig(journal, recorded, stating(recorded, stated))
 
 
 def test_a_campaign_of_a_served_rig_is_resumed_where_the_hash_that_it_has_is_stated(journals: tuple[Path, Path]) -> None:
@@ -282,6 +282,6 @@ def test_a_campaign_of_a_served_rig_is_resumed_where_the_hash_that_it_has_is_sta
         new, old = recorded_rig(journal).model_hashes()
         recorded = stating(recorded_rig(journal), f'model = "{old}"')
         for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{old}"'):
-            refuse_another_rig(journal, recorded, stating(recorded_rig(journal), stated))
+            check_same_rig(journal, recorded, stating(recorded_rig(journal), stated))
         with pytest.raises(UserError, match="the model's hash differs"):
-            refuse_another_rig(journal, recorded, stating(recorded_rig(journal), f'model = "{new}"'))
+            check_same_rig(journal, recorded, stating(recorded_rig(journal), f'model = "{new}"'))

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.campaign import clock_of, operator_for, resume_campaign, run_campaign
+from goniotwin.app.campaign.campaign import clock_for, operator_for, resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
-from goniotwin.app.campaign.running.resume import rest_of
-from goniotwin.app.campaign.running.rows import Performer
+from goniotwin.app.campaign.running.resume import remaining_work
+from goniotwin.app.campaign.running.rows import RowExecutor
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
@@ -50,8 +50,8 @@ DataBegin
 def gone_on(path: Path, meanwhile: Callable[[OpenRig], None]) -> tuple[State, list[tuple[str, str]]]:
     """As `resume_campaign`, after something has happened to the rig; how it ended, and the session's events."""
     with Journal.reopen(path) as journal:
-        rest = rest_of(journal, None)
-        with open_rig(rest.plan.rig, clock_of(rest.plan.rig.file, rest.start_s)) as opened:
+        rest = remaining_work(journal, None)
+        with open_rig(rest.plan.rig, clock_for(rest.plan.rig.file, rest.start_s)) as opened:
             opened.connect()
             meanwhile(opened)
             operator = operator_for(opened, rest.plan.rig.file, None)
@@ -129,7 +129,7 @@ def test_an_axis_that_is_lost_is_homed_before_it_goes_on(write_rig: Writer, writ
     path = tmp_path / "a.journal"
     with pytest.raises(UserError, match="sigma"):
         run_campaign(plan, path)  # a campaign that begins asks first
-    with open_rig(plan.rig, clock_of(plan.rig.file)) as opened, Journal.create(path, plan, {}) as journal:
+    with open_rig(plan.rig, clock_for(plan.rig.file)) as opened, Journal.create(path, plan, {}) as journal:
         opened.connect()
         wait(opened.rig.clock, [opened.rig.axes["sigma"].start_homing()])
         engine = Engine(opened.rig, plan, journal, operator_for(opened, plan.rig.file, None))
@@ -150,18 +150,18 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
     plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*STEADY)))
     run_campaign(plan, tmp_path / "whole.journal")
     failing = [row.number for row in plan.rows if row.kind == "measure" and row.pose is not None and row.pose[3] in (1.0, 3.0)]
-    perform = Performer.perform
+    perform = RowExecutor.perform
 
-    def fails(performer: Performer, row: Row) -> RowData:
+    def fails(performer: RowExecutor, row: Row) -> RowData:
         if row.number in failing:
             raise NoAnswer("photodiodes", "read", "no answer")
         return perform(performer, row)
 
     path = tmp_path / "a.journal"
-    monkeypatch.setattr(Performer, "perform", fails)
+    monkeypatch.setattr(RowExecutor, "perform", fails)
     outcome = run_campaign(plan, path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows) - 4, 4)
-    found = campaign_of(path)
+    found = campaign_summary(path)
     assert (found.state, found.rows, found.skipped, found.seconds_left > 0.0) == ("done", len(plan.rows) - 4, 4, True)
     with Journal.open(path) as journal:
         notes = reduce_journal(journal).notes
@@ -169,7 +169,7 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
         note.startswith("rows skipped after faults, without values: 2 of etalon, 2 of gaussian-5; goniotwin run")
         for note in notes
     )
-    monkeypatch.setattr(Performer, "perform", perform)
+    monkeypatch.setattr(RowExecutor, "perform", perform)
     outcome = resume_campaign(path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows), 0)
     with Journal.open(path) as journal:
@@ -188,14 +188,14 @@ def test_values_that_lack_their_etalon_are_told(
     plan = make_plan(
         read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*STEADY))
     )
-    perform = Performer.perform
+    perform = RowExecutor.perform
 
-    def fails(performer: Performer, row: Row) -> RowData:
+    def fails(performer: RowExecutor, row: Row) -> RowData:
         if row.sample == "etalon" and row.pose is not None and row.pose[3] == 1.0:
             raise NoAnswer("photodiodes", "read", "no answer")
         return perform(performer, row)
 
-    monkeypatch.setattr(Performer, "perform", fails)
+    monkeypatch.setattr(RowExecutor, "perform", fails)
     run_campaign(plan, tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as journal:
         found = reduce_journal(journal)

@@ -11,7 +11,7 @@ from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journ
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.campaign.wording import numbers
+from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.measuring_bench import carried_out
 from tests.conftest import RIG
@@ -65,7 +65,7 @@ def test_a_photodiode_that_they_do_not_see_is_told_of(tmp_path: Path) -> None:
     assert peak.good.all()  # and wrong
     assert 12 in found.unchecked["gaussian-5"]
     (note,) = [each for each in found.notes if each.startswith("drift checks of gaussian-5 cannot detect")]
-    assert numbers(found.unchecked["gaussian-5"]) in note
+    assert number_list(found.unchecked["gaussian-5"]) in note
     assert "a fault of theirs would not be noticed" in note
     assert "white-tile" not in found.unchecked
 
@@ -97,7 +97,7 @@ def test_check_warns_of_those_that_no_light_can_reach_at_the_checks_pose() -> No
 
 
 def test_numbers_are_told_in_runs() -> None:
-    assert numbers([]) == ""
-    assert numbers([5]) == "5"
-    assert numbers(np.array([9, 3, 1, 2, 7, 8]).tolist()) == "1 to 3, 7 to 9"
-    assert numbers([1, 2, 4]) == "1, 2, 4"
+    assert number_list([]) == ""
+    assert number_list([5]) == "5"
+    assert number_list(np.array([9, 3, 1, 2, 7, 8]).tolist()) == "1 to 3, 7 to 9"
+    assert number_list([1, 2, 4]) == "1, 2, 4"

@@ -11,7 +11,7 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
-from goniotwin.app.campaign.running.operator import BackDoor
+from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.live_cut import Cut, LiveCut, Points
 from goniotwin.app.desktop.run.cut_plot import CutPlot
@@ -35,7 +35,7 @@ def test_live_values_are_those_of_the_finished_journal(tmp_path: Path, write_rig
     with open_rig(rig, VirtualClock()) as opened, Journal.create(tmp_path / "a.journal", plan, {}) as journal:
         opened.connect()
         assert opened.virtual is not None
-        assert Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [heed]).run() is State.DONE
+        assert Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), [heed]).run() is State.DONE
         assert journal.faults() == []
         expected = reduce_journal(journal).samples["gaussian-5"]
     cut = live.cut()
@@ -64,7 +64,7 @@ def test_a_cut_to_which_the_plan_comes_back_is_shown_whole(tmp_path: Path, write
             if isinstance(event, RowStarted | RowCommitted):
                 live.heed(event)
 
-        assert Engine(opened.rig, plan, journal, BackDoor(opened.virtual), [heed]).run() is State.DONE
+        assert Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), [heed]).run() is State.DONE
         found = reduce_journal(journal).samples["gaussian-5"]
     cut = live.cut()
     assert cut is not None

@@ -12,10 +12,10 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QApplication, QFileDialog, QPushButton
 from pytestqt.qtbot import QtBot
 
-from goniotwin.app.campaign.journal.runs import campaign_of
+from goniotwin.app.campaign.journal.runs import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
-from goniotwin.app.campaign.running.operator import BackDoor
+from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.model import rig_thread as rigthread
 from goniotwin.app.desktop.model.live_cut import Cut, LiveCut
@@ -352,7 +352,7 @@ def test_a_request_to_end_stops_the_run_and_asks_nothing(qtbot: QtBot, open_wind
     assert not asked.isVisible()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert window.session.journal is not None
-    assert campaign_of(window.session.journal).state == "stopped"
+    assert campaign_summary(window.session.journal).state == "stopped"
 
 
 def test_a_request_to_end_closes_the_window_where_the_run_cannot_begin(
@@ -378,7 +378,7 @@ class Helped:
 
     def __init__(self, opened: OpenRig, _rig: RigFile, ask: rigthread.Ask) -> None:
         assert opened.virtual is not None
-        self._door = BackDoor(opened.virtual)
+        self._door = VirtualOperator(opened.virtual)
         self._ask = ask
 
     def mount(self, sample: str) -> None:

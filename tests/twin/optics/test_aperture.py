@@ -7,9 +7,22 @@ import pytest
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, arc_direction, forward, gaussian, lambertian, luminance_factor, throughput
-from goniotwin.twin.optics.fast.aperture import aperture_sizes, apertures, cone_nodes, detector_frames, side_nodes
-from goniotwin.twin.optics.fast.detector_block import BLOCK, DX, MOMENTS, PX, ROWS, M
-from goniotwin.twin.optics.fast.wide_aperture import common_disc, hole_nodes, wide_apertures
+from goniotwin.twin.optics.fast.aperture import (
+    BLOCK,
+    DX,
+    MOMENTS,
+    PX,
+    ROWS,
+    M,
+    aperture_sizes,
+    apertures,
+    common_disc,
+    cone_nodes,
+    detector_frames,
+    hole_nodes,
+    side_nodes,
+    wide_apertures,
+)
 from goniotwin.twin.optics.geometry.scene import scene_at
 
 ZENITHS_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])

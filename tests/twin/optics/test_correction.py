@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from goniotwin.twin.optics.geometry.correction_unit import CorrectionUnit
+from goniotwin.twin.optics.illumination.unit import CorrectionUnit
 
 
 def test_the_monitor_gets_its_share_and_the_rest_goes_on_less_what_is_absorbed() -> None:

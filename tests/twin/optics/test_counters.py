@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from goniotwin.twin.optics.montecarlo.counters import high_16, low_16, scrambled, uniform, upper_24, word, word_key
-from goniotwin.twin.optics.montecarlo.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
+from goniotwin.twin.optics.forward.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
+from goniotwin.twin.optics.montecarlo import high_16, low_16, scrambled, uniform, upper_24, word, word_key
 
 COUNT = 1 << 20
 

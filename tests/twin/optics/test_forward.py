@@ -25,7 +25,7 @@ from goniotwin.twin.optics import (
     summed,
 )
 from goniotwin.twin.optics.forward.paths import BLOCK
-from goniotwin.twin.optics.montecarlo.chunks import CHUNK
+from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.twin.optics.models import MODELS, named
 
 REFLECTED = 0.95**3

@@ -18,8 +18,8 @@ from goniotwin.twin.optics import (
     replay,
     spectral,
 )
+from goniotwin.twin.optics.geometry.instrument import SampleFrames
 from goniotwin.twin.optics.geometry.mirrors import pupil
-from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
 from goniotwin.twin.optics.illumination.rayset import RaySource
 from tests.twin.optics.agreement import agree
 

@@ -19,7 +19,7 @@ from goniotwin.twin.optics import (
     throughput,
 )
 from goniotwin.twin.optics.forward.stray_light import PATHS, stray, stray_throughput
-from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
+from goniotwin.twin.optics.geometry.instrument import SampleFrames
 
 OPEN = Instrument(obstruction=False)
 # One detector that takes all that leaves upwards.

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from goniotwin.twin.optics.geometry.deviation import Deviation
-from goniotwin.twin.optics.illumination.adjoint import adjoint_illumination
+from goniotwin.twin.optics.illumination.adjoint import adjoint_illumination, illumination_figure
 from goniotwin.twin.optics.illumination.beam import Illumination
-from goniotwin.twin.optics.illumination.figure8 import illumination_figure
 from goniotwin.twin.optics.illumination.forward import forward_illumination
 from goniotwin.twin.optics.illumination.spectrum import luminous, xenon
 from goniotwin.twin.optics.illumination.unit import ELEMENTS, IlluminationUnit
-from goniotwin.twin.optics.montecarlo.chunks import CHUNK
+from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.twin.optics.agreement import agree
 
 UNIT = IlluminationUnit()

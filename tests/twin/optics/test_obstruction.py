@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from goniotwin.twin.optics import Instrument, forward, from_specular, light_direction, throughput, visible_fraction
-from goniotwin.twin.optics.bsdf.analytic import lambertian
+from goniotwin.twin.optics.bsdf.analytic_samples import lambertian
 from goniotwin.twin.optics.forward.bounces import on_mount
 from goniotwin.twin.optics.forward.setting import set_up
+from goniotwin.twin.optics.geometry.instrument import SampleFrames
 from goniotwin.twin.optics.geometry.mirrors import ALONG_Y
-from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
 from tests.twin.optics.agreement import agree
 
 SIGMA = 30.0

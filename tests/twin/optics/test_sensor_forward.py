@@ -26,7 +26,7 @@ from goniotwin.twin.optics import (
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
 from goniotwin.twin.optics.forward.scoring import HITS, Room, find_cells, score, score_segment, sensor_targets
 from goniotwin.twin.optics.forward.setting import set_up
-from goniotwin.twin.optics.montecarlo.chunks import CHUNK
+from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.twin.optics.agreement import agree
 from tests.twin.optics.models import named
 

@@ -9,7 +9,7 @@ from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe
 from goniotwin.twin.optics.bsdf.models import canonical, from_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo.counters import uniform
+from goniotwin.twin.optics.montecarlo import uniform
 
 KIND, ABOVE, TRANSMITS, FIRST = range(4)
 """Columns of `Lobes.heads`; from FIRST on the sizes of sigma, phi, theta, psi, table's first axis and cells' three."""

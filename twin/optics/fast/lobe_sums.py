@@ -1,6 +1,6 @@
 """The sums of the fast estimator: lobes over the rays of detectors.
 
-Geometry comes first, and is the same for every sample: the rays of each detector, few or many (twin.optics.fast.fill). Then
+Geometry comes first, and is the same for every sample: the rays of each detector, few or many (twin.optics.fast.rays). Then
 each lobe is summed over them.
 
 A Gaussian lobe's values over many rays: `analytic` of twin.optics.bsdf.models as one plain loop, of which LLVM makes vectors.
@@ -21,15 +21,12 @@ import numpy.typing as npt
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.lobes import Lobe
 from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, bsdf, regular_share
-from goniotwin.twin.optics.fast.aperture import aperture_sizes, cone_nodes, side_nodes
-from goniotwin.twin.optics.fast.fill import fill_nodes, fill_rays
-from goniotwin.twin.optics.fast.nodes import HEXAGON, NODES
+from goniotwin.twin.optics.fast.aperture import WIDE, aperture_sizes, cone_nodes, hole_nodes, side_nodes
 from goniotwin.twin.optics.fast.obstruction import FREE, PARTLY, visible
 from goniotwin.twin.optics.fast.ray_bundle import cone, ray_bundle
+from goniotwin.twin.optics.fast.rays import HEXAGON, NODES, fill_nodes, fill_rays
 from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
-from goniotwin.twin.optics.fast.wide_aperture import WIDE, hole_nodes
-from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.reflectance import Reflectance
+from goniotwin.twin.optics.geometry.instrument import Instrument, Reflectance
 from goniotwin.twin.optics.geometry.scene import Scene, scene_at
 from goniotwin.twin.optics.kernel import kernel
 

@@ -10,7 +10,8 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes
 from goniotwin.twin.optics.forward.bounces import Stage, bounce, by_cosine
-from goniotwin.twin.optics.forward.outgoing import (
+from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, arrive
+from goniotwin.twin.optics.forward.scattering import (
     leave_by_cosine,
     leave_by_lobe,
     leave_by_model,
@@ -20,11 +21,10 @@ from goniotwin.twin.optics.forward.outgoing import (
     path_key,
     weigh_lobe,
 )
-from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, arrive
 from goniotwin.twin.optics.forward.scoring import HITS, Room, Targets, find_cells, score
 from goniotwin.twin.optics.forward.spread import BINS, Spread
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo.counters import scrambled, uniform, word_key
+from goniotwin.twin.optics.montecarlo import scrambled, uniform, word_key
 
 U64 = np.uint64
 COSINE, SHAPE, REST, MODEL, FRAME = range(5)

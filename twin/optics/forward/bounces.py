@@ -16,7 +16,7 @@ from goniotwin.twin.optics.forward.scoring import Targets, score_segment
 from goniotwin.twin.optics.forward.spread import Spread, spread_segment
 from goniotwin.twin.optics.geometry.mirrors import distance_to
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo.counters import uniform
+from goniotwin.twin.optics.montecarlo import uniform
 
 UPPER, SHEET, LOWER, NOTHING = range(3, 7)
 """Surfaces beside mirrors 0 to 2."""

@@ -17,11 +17,9 @@ from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.forward.blocks import trace
 from goniotwin.twin.optics.forward.paths import BLOCK
 from goniotwin.twin.optics.forward.setting import Setting, set_up
-from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
+from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames
 from goniotwin.twin.optics.illumination.rayset import RaySource
-from goniotwin.twin.optics.montecarlo.chunks import CHUNK, check_seed, summed, until
-from goniotwin.twin.optics.montecarlo.counters import U64
+from goniotwin.twin.optics.montecarlo import CHUNK, U64, check_seed, summed, until
 
 FIRST_PATHS = 1 << 18
 DARK_PATHS = 1 << 22

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.forward.elementary import turned_by
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo.counters import high_16, low_16, word
-from goniotwin.twin.optics.montecarlo.elementary import turned_by
+from goniotwin.twin.optics.montecarlo import high_16, low_16, word
 
 BLOCK = 2048
 F32 = np.float32

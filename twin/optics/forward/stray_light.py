@@ -15,11 +15,10 @@ from goniotwin.twin.optics.fast.obstruction import visible_fraction
 from goniotwin.twin.optics.forward.estimator import run_sums
 from goniotwin.twin.optics.forward.setting import set_up
 from goniotwin.twin.optics.forward.spread import AZIMUTH_BINS, AZIMUTH_STEP_DEG, POLAR_BINS, POLAR_STEP_DEG, bin_cosines
-from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.sample_frames import SampleFrames
+from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames
 from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.illumination.rayset import RaySource
-from goniotwin.twin.optics.montecarlo.chunks import check_seed
+from goniotwin.twin.optics.montecarlo import check_seed
 
 PATHS = 1 << 20
 

@@ -1,13 +1,82 @@
-"""The instrument's dimensions: from the exit pupil over the mirror unit and the sample's frame to a detector."""
+"""The instrument's dimensions: from the exit pupil over the mirror unit and the sample's frame to a detector.
+
+What a mirror reflects: a share, or a table over wavelength and angle of incidence.
+
+The frames that hold the sample: two sheets with square holes, which say how much of it is lit, and scatter a little.
+"""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.deviation import NONE, Deviation, by_name
-from goniotwin.twin.optics.geometry.reflectance import Reflectance
 from goniotwin.twin.optics.geometry.sensor import RealSensor
+
+NOMINAL_DEG = 45.0
+"""The beam's axis meets each of the three mirrors at this angle."""
+NOMINAL_NM = 555.0
+
+
+@dataclass(frozen=True, eq=False)
+class Reflectance:
+    """Values (w, a) between 0 and 1 over wavelengths (w,) in nm and angles of incidence (a,) in deg, both ascending.
+
+    Linear between them; the first and last of each list hold outside. A list of one is no dependence. Raises ValueError,
+    naming the argument, for lists that do not ascend, a wrong shape, or values that no mirror has.
+    """
+
+    wavelength_nm: Floats
+    angle_deg: Floats
+    values: Floats
+
+    def __post_init__(self) -> None:
+        lists = {}
+        for name in ("wavelength_nm", "angle_deg", "values"):
+            lists[name] = np.array(getattr(self, name), dtype=np.float64)
+            lists[name].flags.writeable = False
+            object.__setattr__(self, name, lists[name])
+        for name, last in (("wavelength_nm", np.inf), ("angle_deg", 90.0)):
+            axis = lists[name]
+            if axis.ndim != 1 or not axis.size or not np.all(np.isfinite(axis)) or np.any(np.diff(axis) <= 0.0):
+                raise ValueError(f"{name} is {axis.tolist()}: give an ascending list of finite numbers")
+            if axis[0] < 0.0 or axis[-1] > last:
+                raise ValueError(f"{name} runs from {axis[0]:g} to {axis[-1]:g}: keep it within 0 and {last:g}")
+        shape = (lists["wavelength_nm"].size, lists["angle_deg"].size)
+        if self.values.shape != shape:
+            raise ValueError(f"values has the shape {self.values.shape}: wavelengths and angles make it {shape}")
+        if not np.all((self.values > 0.0) & (self.values <= 1.0)):
+            raise ValueError("values has one that is not above 0 and at most 1: a mirror reflects a share of the light")
+
+    def at(self, wavelength_nm: float | None, angle_deg: npt.ArrayLike) -> Floats:
+        """Shares (...) at one wavelength and angles (...). Raises ValueError without the wavelength, where it matters."""
+        if self.wavelength_nm.size == 1:
+            row = self.values[0]
+        elif wavelength_nm is None:
+            raise ValueError("wavelength_nm is missing: the mirrors' reflectance depends on it; say at which it is asked")
+        else:
+            row = np.array([np.interp(wavelength_nm, self.wavelength_nm, column) for column in self.values.T])
+        return np.asarray(np.interp(np.asarray(angle_deg, dtype=np.float64), self.angle_deg, row))
+
+
+def share_reflected(reflectance: "float | Reflectance", wavelength_nm: float | None, angle_deg: npt.ArrayLike) -> Floats:
+    """Share (...) of unpolarised light that a mirror reflects at angles (...) of incidence, whatever tells it.
+
+    Raises ValueError where a table over the wavelength is not told it.
+    """
+    if isinstance(reflectance, Reflectance):
+        return reflectance.at(wavelength_nm, angle_deg)
+    return np.full(np.shape(angle_deg), float(reflectance))
+
+
+def nominal(reflectance: "float | Reflectance") -> float:
+    """At 45 deg and 555 nm."""
+    return float(share_reflected(reflectance, NOMINAL_NM, NOMINAL_DEG))
+
 
 ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
 
@@ -105,3 +174,37 @@ class Instrument:
     def grey(self) -> bool:
         """Whether its mirrors reflect all wavelengths alike."""
         return not isinstance(self.mirror_reflectance, Reflectance) or self.mirror_reflectance.wavelength_nm.size == 1
+
+
+LEAST_GAP_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class SampleFrames:
+    """A frame above and one below the sample's sheet (paper, section 3.1, which gives no numbers: these are assumed).
+
+    Each is a square sheet of `side_mm`, without thickness, `gap_mm` from the sample, whose hole is the instrument's
+    `spot_side_mm`. With no gap the hole is the illuminated spot at every incidence, as the fast estimator has it; a gap makes
+    the spot wander with sigma, and light is caught between sample and frame. They scatter `reflectance` of the light by
+    Lambert's law from either side and absorb the rest (black anodised metal). The uniform exit pupil lights a square `lit`
+    times as wide as the hole; a rayset lights what it lights. Raises ValueError, naming the field, for what no frame can have.
+    """
+
+    gap_mm: float = 0.0
+    side_mm: float = 60.0
+    reflectance: float = 0.05
+    lit: float = 1.1
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not math.isfinite(value):
+                raise ValueError(f"{entry.name} is {value!r}: give a finite number")
+        if self.gap_mm != 0.0 and self.gap_mm < LEAST_GAP_MM:
+            raise ValueError(f"gap_mm is {self.gap_mm!r}: give 0, or at least {LEAST_GAP_MM:g} mm")
+        if self.side_mm <= 0.0:
+            raise ValueError(f"side_mm is {self.side_mm!r}: give a positive number")
+        if not 0.0 <= self.reflectance <= 1.0:
+            raise ValueError(f"reflectance is {self.reflectance!r}: give a share from 0 to 1")
+        if self.lit < 1.0:
+            raise ValueError(f"lit is {self.lit!r}: the beam lights the whole hole, so give at least 1")

@@ -13,8 +13,7 @@ from goniotwin.twin.optics.illumination.beam import Illumination, checked_square
 from goniotwin.twin.optics.illumination.elements import bend, reflected, to_plane
 from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo.chunks import check_seed, until
-from goniotwin.twin.optics.montecarlo.counters import scrambled, uniform
+from goniotwin.twin.optics.montecarlo import check_seed, scrambled, uniform, until
 
 U64 = np.uint64
 FIRST_RAYS = 1 << 18

@@ -10,8 +10,7 @@ from goniotwin.twin.optics.illumination.adjoint import emission_per_mm3_sr, lit_
 from goniotwin.twin.optics.illumination.elements import bend, to_plane
 from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo.chunks import check_seed
-from goniotwin.twin.optics.montecarlo.counters import scrambled, uniform
+from goniotwin.twin.optics.montecarlo import check_seed, scrambled, uniform
 
 U64 = np.uint64
 COLUMNS = {"positions_mm": 3, "directions": 3, "wavelength_nm": 0, "flux": 0}

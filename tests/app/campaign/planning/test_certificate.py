@@ -11,9 +11,8 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
-from goniotwin.app.campaign.schedule.certificate import constant, parse_certificate, refuse_expired
+from goniotwin.app.campaign.schedule.certificate import CertificateTable, constant, parse_certificate, refuse_expired
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_schedule
-from goniotwin.app.campaign.schedule.measuring import CertificateTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import calendar_stamp

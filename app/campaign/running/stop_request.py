@@ -13,7 +13,7 @@ class Stopped(Exception):
     """Somebody has said stop."""
 
 
-class Halt:
+class StopRequest:
     """For one run on a rig. `said` is whether there has been a stop."""
 
     def __init__(self, rig: Rig) -> None:

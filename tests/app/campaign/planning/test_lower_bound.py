@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig, read_rig
@@ -74,7 +73,7 @@ def test_no_plan_beats_the_least(text: str, rig: RigDescription) -> None:
     except UserError as error:
         assert "the arc would meet the incoming beam" in str(error)  # noqa: PT017
         return
-    assert least_seconds(plan) <= plan.seconds
+    assert plan.lower_bound_s <= plan.seconds
     previous = None
     for row in plan.rows:
         assert row.kind not in ("dark", "drift") or (row.kind, row.sample) != previous, "two in a row"
@@ -91,7 +90,7 @@ def test_no_plan_beats_the_least(text: str, rig: RigDescription) -> None:
 )
 def test_a_row_longer_than_a_dark_may_be_old_has_one_dark(text: str) -> None:
     plan = planned(text)
-    assert plan.seconds / 1.5 <= least_seconds(plan) <= plan.seconds
+    assert plan.seconds / 1.5 <= plan.lower_bound_s <= plan.seconds
 
 
 @pytest.mark.parametrize(
@@ -108,7 +107,7 @@ def test_a_row_longer_than_a_dark_may_be_old_has_one_dark(text: str) -> None:
 )
 def test_no_run_beats_the_least(text: str, tmp_path: Path) -> None:
     plan = planned(text)
-    assert least_seconds(plan) <= run_campaign(plan, tmp_path / "run.journal").seconds
+    assert plan.lower_bound_s <= run_campaign(plan, tmp_path / "run.journal").seconds
 
 
 def ages(plan: Plan) -> dict[str, float]:

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goniotwin.app.campaign.geometry.collision import swept
 from goniotwin.app.campaign.planning.durations import Moves
-from goniotwin.app.campaign.planning.loop_order import Nest, moving_seconds, swept, visited
+from goniotwin.app.campaign.planning.loop_order import Nest, moving_seconds, visited
 from goniotwin.app.campaign.planning.lower_bound import least_moving_seconds
 from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
 from goniotwin.app.campaign.planning.scan_order import fastest_order

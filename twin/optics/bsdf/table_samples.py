@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.analytic import Side, axis, sides_of
+from goniotwin.twin.optics.bsdf.analytic_samples import Side, axis, sides_of
 from goniotwin.twin.optics.bsdf.lobes import Lobe, frozen, parameters
 from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, TABLE
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer, SpectralWeights

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats, Ints
-from goniotwin.twin.optics.bsdf.analytic import Side
+from goniotwin.twin.optics.bsdf.analytic_samples import Side
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
-from goniotwin.twin.optics.bsdf.tabulated import Symmetry, tabulated
+from goniotwin.twin.optics.bsdf.table_samples import Symmetry, tabulated
 from goniotwin.twin.optics.geometry.coordinates import from_specular, to_specular
 from goniotwin.twin.optics.kernel import kernel
 

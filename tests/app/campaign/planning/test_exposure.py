@@ -9,7 +9,7 @@ from goniotwin.app.campaign.planning.check import checked_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigDescription, parse_rig, read_rig
-from tests.app.campaign.planner_bench import GREAT, HEAD, RUN, checking
+from tests.app.campaign.planning.planner_bench import GREAT, HEAD, RUN, checking
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)

@@ -13,10 +13,10 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes, lobe_arrays
 from goniotwin.twin.optics.bsdf.sampling import scatter
+from goniotwin.twin.optics.forward.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
 from goniotwin.twin.optics.forward.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo.counters import scrambled, uniform, upper_24, word
-from goniotwin.twin.optics.montecarlo.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
+from goniotwin.twin.optics.montecarlo import scrambled, uniform, upper_24, word
 
 F32 = np.float32
 U64 = np.uint64

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goniotwin.app.campaign.geometry.arcs import directions_seen
 from goniotwin.app.campaign.geometry.shadow import certainly_clear, shadowed
 from goniotwin.app.campaign.planning.check import checked_plan, in_words
-from goniotwin.app.campaign.planning.coverage import directions_seen
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import believed_instrument, read_rig
 from goniotwin.twin.optics import arc_direction, visible_fraction
-from tests.app.campaign.planner_bench import GREAT, HEAD, checking
+from tests.app.campaign.planning.planner_bench import GREAT, HEAD, checking
 from tests.conftest import RIG, SCHEDULE
 
 VIRTUAL = read_rig(RIG)
@@ -124,7 +124,7 @@ def test_what_is_called_clear_at_a_glance_no_ray_finds_hidden(
 
 
 def test_a_hundred_thousand_rows_are_checked_within_seconds() -> None:
-    """Within one on an idle machine: see `tests/app/campaign/planner_bench.py`. Here others may be busy."""
+    """Within one on an idle machine: see `tests/app/campaign/planning/planner_bench.py`. Here others may be busy."""
     (found,) = [each for each in checking(VIRTUAL, {"100,000 rows": GREAT["100,000 rows"]}) if each["rows"] > 100_000]
     assert found["check_s"] < 10.0
 

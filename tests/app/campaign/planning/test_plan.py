@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.planning.plan_lower_bound import least_seconds
-from goniotwin.app.campaign.row import NOTHING, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import arc_direction, specular_direction
-from tests.app.campaign.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
+from tests.app.campaign.planning.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)
@@ -72,7 +71,7 @@ def test_the_rows_are_the_same_in_whatever_order(order: str | list[str], both: b
     names = {row.identity for row in plan.rows if row.kind == "measure"}
     assert names == {row.identity for row in usual.rows if row.kind == "measure"}
     assert len(names) == plan.rows.kinds["measure"]  # type: ignore[attr-defined]
-    assert least_seconds(plan) <= min(plan.seconds, usual.seconds) <= plan.seconds
+    assert plan.lower_bound_s <= min(plan.seconds, usual.seconds) <= plan.seconds
 
 
 @pytest.mark.parametrize(
@@ -96,7 +95,7 @@ def test_a_rows_duration_is_the_timings(text: str) -> None:
 def test_the_named_schedules_are_within_five_percent_of_the_bound_and_never_slower_than_the_paper(name: str) -> None:
     schedule = read_schedule(EXAMPLES / "schedules" / f"{name}.toml")
     plan = make_plan(schedule, VIRTUAL)
-    least = least_seconds(plan)
+    least = plan.lower_bound_s
     assert least <= plan.seconds <= 1.05 * least
     for both in (False, True):
         paper = make_plan(nested_like_the_paper(schedule, back_and_forth=both), VIRTUAL)
@@ -193,26 +192,26 @@ def test_overlapping_poses_put_photodiodes_where_their_neighbours_look() -> None
 
 def test_the_open_beam_meets_a_photodiode_of_the_far_arc() -> None:
     plan = planned('open_beam = true\nside = "both"\n', "sigma_deg = [0, 32]\nbeta_deg = [0]\nwavelength_nm = [500, 600]\n")
-    rows = [row for row in plan.rows if row.kind == "measure" and row.sample == NOTHING]
+    rows = [row for row in plan.rows if row.kind == "measure" and row.sample == NO_SAMPLE]
     assert all(row.identity.startswith("nothing/open beam/") for row in rows)
     assert Counter(row.pose for row in rows) == {
         (0.0, 0.0, 180.0, 0.0): 2, (0.0, 32.0, 180.0, 2.0): 2, (0.0, 180.0, 180.0, 0.0): 2, (0.0, 148.0, 180.0, 2.0): 2,
     }  # fmt: skip
-    assert [row.sample for row in plan.rows if row.kind == "mount"] == ["etalon", "gaussian-5", NOTHING]
+    assert [row.sample for row in plan.rows if row.kind == "mount"] == ["etalon", "gaussian-5", NO_SAMPLE]
 
 
 @pytest.mark.parametrize("light", ["reflected", "transmitted", "both"])
 def test_the_signature_is_taken_wherever_the_etalon_is(light: str) -> None:
     plan = planned(f'signature = true\nlight = "{light}"\n')
-    assert poses(plan, NOTHING) == poses(plan, "etalon")
+    assert poses(plan, NO_SAMPLE) == poses(plan, "etalon")
     if light != "transmitted":
-        assert poses(plan, NOTHING) >= poses(plan)
+        assert poses(plan, NO_SAMPLE) >= poses(plan)
 
 
 def test_the_signature_is_every_pose_with_nothing_mounted_and_repeats_are_whole_passes() -> None:
     plan = planned("signature = true\nrepeats = 2\n")
-    assert poses(plan, NOTHING) == poses(plan)
-    rows = measured(plan, NOTHING)
+    assert poses(plan, NO_SAMPLE) == poses(plan)
+    rows = measured(plan, NO_SAMPLE)
     again = [row for row in rows if row.identity.endswith("/repeat 2")]
     assert len(again) == len(rows) / 2
     assert rows[len(again) :] == again
@@ -239,19 +238,19 @@ def test_drift_checks_come_in_time_at_the_beginning_and_at_the_end_of_each_sampl
     since = 0.0
     for row in plan.rows:
         since = 0.0 if row.kind in ("drift", "mount") else since + row.seconds
-        assert since <= 20.0 + 4.0 * (row.kind == "dark") or row.sample == NOTHING
+        assert since <= 20.0 + 4.0 * (row.kind == "dark") or row.sample == NO_SAMPLE
     for sample in ("etalon", "gaussian-5"):
         kinds = [row.kind for row in plan.rows if row.sample == sample]
         assert kinds[:3] == ["mount", "dark", "drift"]
         assert kinds[-2:] == ["drift", "dark"]
     drifts = [row for row in plan.rows if row.kind == "drift"]
     assert {row.pose for row in drifts} == {(0.0, 45.0, 90.0, 0.0)}
-    assert NOTHING not in {row.sample for row in drifts}
+    assert NO_SAMPLE not in {row.sample for row in drifts}
 
 
 def test_the_lamp_warms_up_first() -> None:
     first = planned("[warm_up]\npercent_per_10min = 0.5\nlongest_s = 900\n").rows[0]
-    assert (first.kind, first.sample, first.target, first.longest_s) == ("warm-up", NOTHING, 0.005, 900.0)
+    assert (first.kind, first.sample, first.target, first.longest_s) == ("warm-up", NO_SAMPLE, 0.005, 900.0)
 
 
 def test_automatic_gains_are_all_that_the_rig_has() -> None:

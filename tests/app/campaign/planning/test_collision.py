@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from goniotwin.app.campaign.geometry.collision import swept
 from goniotwin.app.campaign.planning.check import checked_plan
-from goniotwin.app.campaign.planning.loop_order import swept
 from goniotwin.app.campaign.planning.plan import Plan, first_sweep, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError

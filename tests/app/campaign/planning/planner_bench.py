@@ -10,7 +10,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_sche
 from goniotwin.app.rig import RigDescription
 from goniotwin.protocols.clock import RealClock
 
-EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
 NAMED = ("dense-lobe-spectral", "diffuse-spectral", "anisotropic", "transmission")
 HEAD = 'name = "x"\nsamples = ["gaussian-5"]\netalon = "etalon"\n'
 RUN = {
