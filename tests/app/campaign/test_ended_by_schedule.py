@@ -46,7 +46,7 @@ def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write
     assert found.done
     assert found.result["rows"] == found.result["planned"]
     assert found.result["sessions"] >= 3
-    assert any("ends it" in each and "--resume" in each for each in found.result["warnings"])
+    assert any("[stop] ends the run" in each and "--resume" in each for each in found.result["warnings"])
     assert found.result["relative_uncertainty"]["gaussian-5"]["trusted"] > 0
 
 

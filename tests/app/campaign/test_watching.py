@@ -77,7 +77,7 @@ def test_a_rehearsal_warns_of_them_and_says_what_to_do() -> None:
 
     (warning,) = told(TEXT)
     assert "drift checks of gaussian-5" in warning
-    assert "take a [drift] pose at which more of them have light" in warning
+    assert "choose a [drift] pose at which more of them have light" in warning
     assert told(TEXT.replace("gaussian-5", "opal")) == []
     assert told(TEXT.partition("[drift]")[0]) == []
 
