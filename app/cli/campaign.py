@@ -1,90 +1,132 @@
-"""The commands that measure: `goniotwin run`, `rehearse`, `check` and `runs`; and what all commands answer with."""
+"""Commands on campaigns: `goniotwin check`, `rehearse`, `run` and `runs`."""
 
-import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
-from goniotwin.app.cli.instrument import RigOption, errors
-from goniotwin.app.cli.progress import RowProgress
+from goniotwin.app.cli.output import Json, RigOption, RowProgress, TranscriptOption, answer, errors, print_error
 from goniotwin.app.errors import UserError
 
-__all__ = ["Json", "RigOption", "TranscriptOption", "add_campaign_commands", "answer", "errors"]
+if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
+    from goniotwin.app.campaign.journal.runs import CampaignSummary
+    from goniotwin.app.campaign.planning.plan import Plan
 
-Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="What is to be measured.", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
-TranscriptOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--transcript", metavar="DIR", help="Write every byte on every wire there, with its time.", show_default=False
-    ),
-]
+Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
+STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
+
+app = typer.Typer()
 
 
-def add_campaign_commands(app: typer.Typer) -> None:
-    """Registers them."""
-    for command in (run, rehearse, check, runs):
-        app.command()(command)
+@app.command()
+def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
+    """Check a schedule against a rig: rows, duration, warnings.
+
+    Also: how far each axis moves, and which directions are blocked by the mirror unit. No device is opened and nothing moves.
+
+    Exit status: 2 if the rig cannot do the schedule.
+    """
+    from goniotwin.app.campaign.planning.check import checked_plan, in_words
+
+    plan = _make_plan(schedule, rig)
+    plan.rig.model()  # reads the files of the samples, so that an error in them shows now
+    result = checked_plan(plan)
+    answer(as_json, result, lambda: print(in_words(plan, result)))
 
 
-def answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> None:
-    """What a command found: one JSON object for programs, or as `show` prints it."""
-    if as_json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-    else:
-        show()
-
-
-def run(
-    schedule: Annotated[
-        Path | None, typer.Argument(metavar="[SCHEDULE.toml]", help="What is to be measured.", show_default=False)
-    ] = None,
-    rig: Annotated[
-        Path | None, typer.Option("--rig", metavar="RIG.toml", help="Where the devices are.", show_default=False)
+@app.command()
+def rehearse(
+    schedule: Schedule,
+    rig: RigOption,
+    sample: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sample",
+            metavar="NAME=MODEL",
+            help="Model of a sample of the schedule, such as paper=lambertian:reflectance=0.8; may be repeated.",
+            show_default=False,
+        ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="JOURNAL", help="The journal, a new file.", show_default=False)
+        Path | None, typer.Option("--out", metavar="JOURNAL", help="Keep the rehearsal's data file.", show_default=False)
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option("--points", metavar="FILE.csv", help="Write the predicted uncertainty of each point.", show_default=False),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Run a whole campaign on the digital twin, in simulated time.
+
+    Gives the duration, the predicted uncertainty and warnings. Drivers, bytes and plan are those of the campaign. For the
+    file of a real rig, the twin is built from that file; no device is opened. An error in the rig file (a direction of
+    rotation, a gear ratio) is in the twin too, so a rehearsal cannot show it.
+
+    Exit status: 0 if all rows are done, 1 after a fault, 3 if the schedule's [stop] ended it.
+    """
+    from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
+    from goniotwin.app.campaign.rehearsal.report import report_text
+    from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.rig import read_rig
+
+    _check_writable(points, out)
+    plan, assumed = plan_rehearsal(read_schedule(schedule), read_rig(rig), _sample_models(sample or []))
+    with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
+        rehearsal = rehearse(plan, assumed, out=out, points=points, listeners=[progress])
+    answer(as_json, rehearsal.result, lambda: print(report_text(rehearsal)))
+    for fault in rehearsal.result["faults"]:
+        print_error(fault)
+    if not rehearsal.done:
+        raise typer.Exit(3 if rehearsal.result["state"] == "stopped" else 1)
+
+
+@app.command()
+def run(
+    schedule: Annotated[Path | None, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)] = None,
+    rig: Annotated[Path | None, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default=False)] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="JOURNAL", help="Data file (journal) to create.", show_default=False)
     ] = None,
     resume: Annotated[
         Path | None,
-        typer.Option("--resume", metavar="JOURNAL", help="Go on with this campaign where it ended.", show_default=False),
+        typer.Option("--resume", metavar="JOURNAL", help="Resume the campaign of this data file.", show_default=False),
     ] = None,
     transcript: TranscriptOption = None,
     as_json: Json = False,
 ) -> None:
-    """Measure a campaign, or go on with one.
+    """Measure a campaign, or resume one.
 
-    Checks schedule and rig first and refuses what cannot work (status 2, no journal). A row is on the disk before the next
-    begins. Ends with status 0 when all rows are done, 1 after a fault or when rows were skipped for faults, 3 where the
-    schedule has ended it ([stop], or a drift beyond its limit), 130 after Ctrl-C: the journal has what was measured until
-    then, and --resume goes on.
+    Schedule and rig are checked first. Each row is on the disk before the next one starts.
 
-    With --resume the journal says what is to be measured and on which rig; --rig is only needed where the devices are reached
-    at other ports than before, and anything else that differs is refused. It goes on with the rows that are not in the
-    journal, or were skipped, after the sample has been mounted again, a dark taken and the light compared with what it was.
+    With --resume, the schedule and the rig come from the journal. Give --rig only if the devices have other ports now; a rig
+    that differs in anything else is refused. Missing and skipped rows are measured, after the sample is mounted again, a
+    dark reading and a drift check.
+
+    Exit status: 0 if all rows are done; 1 after a fault, or if rows were skipped after faults; 2 if schedule or rig are
+    refused (no journal is created); 3 if the schedule ended the campaign ([stop], or a drift beyond its limit); 130 after
+    Ctrl-C. After 1, 3 and 130 the journal has all measured rows, and --resume continues.
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
     from goniotwin.app.campaign.reduction.reduction import check_journal
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.rig import read_rig
 
-    _check_what_is_given(schedule, rig, out, resume)
+    _check_arguments(schedule, rig, out, resume)
     if resume is not None:
         journal, title = resume, str(resume)
+        rig_now = read_rig(rig) if rig is not None else None
         with RowProgress(errors, title, None) as progress:
-            outcome = resume_campaign(
-                resume, read_rig(rig) if rig is not None else None, listeners=[progress], transcript=transcript, ask=_ask_person
-            )
+            outcome = resume_campaign(resume, rig_now, listeners=[progress], transcript=transcript, ask=_ask_operator)
     else:
         assert schedule is not None
         assert rig is not None
         assert out is not None
-        plan, journal = _plan(schedule, rig), out
+        plan, journal = _make_plan(schedule, rig), out
         with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress:
-            outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_person)
+            outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_operator)
     result = {
         "journal": str(journal),
         "state": "stopped" if outcome.state is State.IDLE else str(outcome.state),
@@ -99,117 +141,80 @@ def run(
     if (checks := check_journal(journal)) is not None:
         result["checks"] = checks.as_dict()
     for fault in outcome.faults:
-        errors.print(f"goniotwin: {fault}", style="red", markup=False)
+        print_error(fault)
     mark = "SIMULATED, " if outcome.simulated else ""
     skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
-    rows = f"{outcome.rows} of {outcome.of} rows{skipped} in {outcome.seconds:.1f} s of the rig's time"
+    rows = f"{outcome.rows} of {outcome.of} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
     answer(as_json, result, lambda: print("\n".join([text, *(checks.lines if checks is not None else [])])))
     if outcome.ended_by_schedule:
-        errors.print(f"goniotwin: the schedule has ended it: {outcome.ended_by_schedule}", style="yellow", markup=False)
+        errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
     if outcome.rows < outcome.of:
-        errors.print(f"go on with: goniotwin run --resume {journal}", markup=False)
+        errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
     if outcome.state is not State.DONE or outcome.skipped:
         raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
 
 
-def rehearse(
-    schedule: Schedule,
-    rig: RigOption,
-    sample: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--sample",
-            metavar="NAME=MODEL",
-            help="What a sample of the schedule is, such as paper=lambertian:reflectance=0.8; may be given several times.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="JOURNAL", help="Keep the rehearsal's journal.", show_default=False)
-    ] = None,
-    points: Annotated[
-        Path | None,
-        typer.Option("--points", metavar="FILE.csv", help="The uncertainty foretold for each direction.", show_default=False),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Run a whole campaign against the twin, on its own fast clock: how long it takes, how good it will be, what is wrong.
-
-    The same drivers, bytes and plan as in the campaign itself. For a real rig's file the twin is built that the file
-    describes; nothing of the rig is opened. What the operator believes wrongly of the rig (a sense, a gear) is wrong in that
-    twin too, so it cannot show. Ends with status 0 when all rows are done, 1 after a fault, 3 where the schedule's own [stop]
-    lets it come no further.
-    """
-    from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
-    from goniotwin.app.campaign.rehearsal.report import report_text
-    from goniotwin.app.campaign.schedule.file import read_schedule
-    from goniotwin.app.rig import read_rig
-
-    _refuse_unwritable(points, out)
-    plan, assumed = plan_rehearsal(read_schedule(schedule), read_rig(rig), _models(sample or []))
-    with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
-        found = rehearse(plan, assumed, out=out, points=points, listeners=[progress])
-    answer(as_json, found.result, lambda: print(report_text(found)))
-    for fault in found.result["faults"]:
-        errors.print(f"goniotwin: {fault}", style="red", markup=False)
-    if not found.done:
-        raise typer.Exit(3 if found.result["state"] == "stopped" else 1)
-
-
-def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
-    """Tell what a campaign would be: its rows, how long it takes, how far each axis goes, what the mirror unit hides.
-
-    Nothing is opened and nothing moves. What the rig cannot do is refused with status 2.
-    """
-    from goniotwin.app.campaign.planning.check import checked_plan, in_words
-
-    plan = _plan(schedule, rig)
-    plan.rig.model()  # samples' files that cannot be read are found now, not at the start
-    result = checked_plan(plan)
-    answer(as_json, result, lambda: print(in_words(plan, result)))
-
-
+@app.command()
 def runs(
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where the journals are.")] = Path(),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of data files (journals).")] = Path(),
     as_json: Json = False,
 ) -> None:
-    """List the campaigns of a folder: how each ended, what is left of it, and how long that takes."""
-    from rich.console import Console
-
+    """List the campaigns of a folder: state, rows, time left."""
     from goniotwin.app.campaign.journal.runs import campaign_summaries
-    from goniotwin.app.cli.run_list import show
 
     found, refused = campaign_summaries(folder)
     answer(
         as_json,
         {"campaigns": [each.as_dict() for each in found], "unreadable": refused},
-        lambda: show(Console(highlight=False), folder, found),
+        lambda: _print_campaigns(Console(highlight=False), folder, found),
     )
     for reason in refused:
-        errors.print(f"goniotwin: {reason}", style="red", markup=False)
+        print_error(reason)
 
 
-def _models(given: list[str]) -> dict[str, str]:
-    """By name what samples are. Raises UserError."""
+def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSummary]") -> None:
+    """Print one line for each campaign."""
+    from goniotwin.app.campaign.wording import duration_text
+
+    if not campaigns:
+        console.print(f"{folder}: no journals (*.journal)", markup=False)
+        return
+    table = Table(box=None, pad_edge=False)
+    for name in ("journal", "campaign", "state", "rows", "left", "started"):
+        table.add_column(name, justify="right" if name in ("rows", "left") else "left", overflow="fold")
+    for each in campaigns:
+        table.add_row(
+            Path(each.journal).name,
+            f"{each.name}{' (SIMULATED)' if each.simulated else ''}",
+            f"[{STATE_STYLES[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
+            f"{each.rows}/{each.planned}",
+            duration_text(each.seconds_left) if each.rows < each.planned else "",
+            each.begun or "",
+        )
+    console.print(table)
+
+
+def _sample_models(texts: list[str]) -> dict[str, str]:
+    """The models of samples by name. Raises UserError."""
     models: dict[str, str] = {}
-    for each in given:
+    for each in texts:
         name, equals, model = each.partition("=")
         if not name.strip() or not equals or not model.strip():
             raise UserError(f"--sample {each!r}: write NAME=MODEL, such as paper=lambertian:reflectance=0.8")
         if name.strip() in models:
-            raise UserError(f"--sample {name.strip()}: is given twice; leave one of them")
+            raise UserError(f"--sample {name.strip()}: is given twice; leave one of them out")
         models[name.strip()] = model.strip()
     return models
 
 
-def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
-    """Raises UserError for files that could not be written when the rehearsal is over."""
+def _check_writable(points: Path | None, out: Path | None) -> None:
+    """Check, before a long rehearsal, that its files can be written after it. Raises UserError."""
     from goniotwin.app.formats import FormatError
     from goniotwin.app.formats.whole_file import refuse_unwritable
 
     if out is not None and out.exists():
-        raise UserError(f"--out {out}: is there already, and no journal is ever overwritten; choose another name")
+        raise UserError(f"--out {out}: exists, and a journal is never overwritten; choose another name")
     if points is not None and out is not None and points.resolve() == out.resolve():
         raise UserError(f"--points {points}: is the journal of --out; choose another name for one of them")
     for option, path in (("--points", points), ("--out", out)):
@@ -220,21 +225,22 @@ def _refuse_unwritable(points: Path | None, out: Path | None) -> None:
                 raise UserError(f"{option} {error}") from None
 
 
-def _check_what_is_given(schedule: Path | None, rig: Path | None, out: Path | None, resume: Path | None) -> None:
+def _check_arguments(schedule: Path | None, rig: Path | None, out: Path | None, resume: Path | None) -> None:
+    """Check that `run` has what a new campaign needs, or --resume alone. Raises UserError."""
     if resume is not None:
-        for name, given in (("SCHEDULE.toml", schedule), ("--out", out)):
-            if given is not None:
-                raise UserError(f"run --resume: takes no {name}, for the journal has the schedule in it; leave {given} out")
+        for name, value in (("SCHEDULE.toml", schedule), ("--out", out)):
+            if value is not None:
+                raise UserError(f"run --resume: takes no {name}, because the journal has the schedule; leave {value} out")
         return
-    for name, given in (("SCHEDULE.toml", schedule), ("--rig", rig), ("--out", out)):
-        if given is None:
+    for name, value in (("SCHEDULE.toml", schedule), ("--rig", rig), ("--out", out)):
+        if value is None:
             raise UserError(
                 f"run: {name} is missing; write goniotwin run SCHEDULE.toml --rig RIG.toml --out JOURNAL, "
                 "or goniotwin run --resume JOURNAL"
             )
 
 
-def _plan(schedule: Path, rig: Path) -> Any:
+def _make_plan(schedule: Path, rig: Path) -> "Plan":
     from goniotwin.app.campaign.planning.plan import make_plan
     from goniotwin.app.campaign.schedule.file import read_schedule
     from goniotwin.app.rig import read_rig
@@ -242,7 +248,8 @@ def _plan(schedule: Path, rig: Path) -> Any:
     return make_plan(read_schedule(schedule), read_rig(rig))
 
 
-def _ask_person(text: str) -> None:
+def _ask_operator(text: str) -> None:
+    """Print what the operator has to do and wait for Enter. Raises UserError without a terminal."""
     errors.print(f"{text}  (Enter)", style="bold", markup=False)
     if not sys.stdin.readline():
-        raise UserError("nobody is at the terminal to mount samples; run it where somebody is")
+        raise UserError("samples are mounted by hand, and standard input is closed; run it in a terminal")

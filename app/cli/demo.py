@@ -1,4 +1,4 @@
-"""The demonstration: a campaign on the virtual rig, and how good what it measures is."""
+"""The demonstration: a campaign on the virtual rig, and the deviation of its BSDF from theory."""
 
 import tempfile
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.cli.progress import RowProgress
+from goniotwin.app.cli.output import RowProgress
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.protocols.clock import RealClock
@@ -28,7 +28,7 @@ SAMPLE = "gaussian-5"
 def run_demo(
     rig_path: Path, schedule_path: Path, out: Path, transcript: Path | None, console: Console
 ) -> tuple[dict[str, Any], Callable[[Console], None]]:
-    """Runs it; returns the result for programs, and what shows it to a person. Raises UserError."""
+    """Run the demonstration. Returns the result for JSON, and a function that prints it. Raises UserError."""
     clock = RealClock()
     rig = read_rig(rig_path)
     schedule = read_schedule(schedule_path)
@@ -40,32 +40,32 @@ def run_demo(
     except OSError as error:
         raise UserError(f"{out}: cannot be written: {error.strerror}; choose another folder with --out") from None
     plan = make_plan(schedule, rig)
-    reduced, seconds = _measured(plan, files["journal"], transcript, console, "with noise")
+    reduced, seconds = _measure(plan, files["journal"], transcript, console, "with noise")
     with tempfile.TemporaryDirectory() as folder:
-        silent = make_plan(schedule, _without_noise(rig))
-        ideal, _ = _measured(silent, Path(folder) / "silent.journal", None, console, "noise-free")
-    found = compare(rig, SAMPLE, reduced.samples[SAMPLE])
+        quiet_plan = make_plan(schedule, _without_noise(rig))
+        ideal, _ = _measure(quiet_plan, Path(folder) / "noise-free.journal", None, console, "noise-free")
+    measured = compare(rig, SAMPLE, reduced.samples[SAMPLE])
     noise_free = compare(rig, SAMPLE, ideal.samples[SAMPLE])
     export_ddr(reduced, SAMPLE, files["ddr"])
     export_csv(reduced, SAMPLE, files["csv"])
-    cut_figure(reduced, SAMPLE, found, files["png"])
+    cut_figure(reduced, SAMPLE, measured, files["png"])
     result = {
         "rows": len(plan.rows),
         "duration_s": seconds,
         "foretold_s": plan.seconds,
         "wall_s": clock.now(),
-        "relative_rms_percent": _by_sigma(found),
+        "relative_rms_percent": _by_sigma(measured),
         "noise_free_percent": _by_sigma(noise_free),
-        "directions": {f"{each.sigma_deg:g}": each.count for each in found},
-        "hidden_theta_deg": {f"{each.sigma_deg:g}": list(each.hidden_deg) for each in found},
+        "directions": {f"{each.sigma_deg:g}": each.count for each in measured},
+        "hidden_theta_deg": {f"{each.sigma_deg:g}": list(each.hidden_deg) for each in measured},
         "simulated": rig.simulated,
         "seed": rig.seed,
         "files": {name: str(file) for name, file in files.items()},
     }
-    return result, lambda terminal: _show(terminal, result, found, noise_free)
+    return result, lambda terminal: _print_result(terminal, result, measured, noise_free)
 
 
-def _measured(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[BsdfDataset, float]:
+def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[BsdfDataset, float]:
     with RowProgress(console, f"{plan.schedule.file.name}, {title}", len(plan.rows)) as progress:
         outcome = run_campaign(plan, journal, listeners=[progress], transcript=transcript)
     if outcome.state is State.IDLE:
@@ -77,7 +77,7 @@ def _measured(plan: Plan, journal: Path, transcript: Path | None, console: Conso
 
 
 def _without_noise(rig: RigDescription) -> RigDescription:
-    """The same virtual rig with every random process silent."""
+    """The same virtual rig without random processes."""
     assert rig.file.twin is not None
     return replace(rig, file=rig.file.model_copy(update={"twin": rig.file.twin.model_copy(update={"noise": False})}))
 
@@ -86,18 +86,18 @@ def _by_sigma(comparisons: list[Comparison]) -> dict[str, float]:
     return {f"{each.sigma_deg:g}": each.relative_rms_percent for each in comparisons}
 
 
-def _show(console: Console, result: dict[str, Any], found: list[Comparison], noise_free: list[Comparison]) -> None:
+def _print_result(console: Console, result: dict[str, Any], measured: list[Comparison], noise_free: list[Comparison]) -> None:
     table = Table(title="Relative RMS against theory (formula 5), Gaussian of 5 deg", title_justify="left")
-    for column in ("sigma", "measured", "noise-free", "directions", "hidden by the mirror unit"):
-        table.add_column(column, justify="right" if column != "hidden by the mirror unit" else "left")
-    for noisy, ideal in zip(found, noise_free, strict=True):
-        hidden = f"theta {noisy.hidden_deg[0]:g} to {noisy.hidden_deg[-1]:g} deg, left open" if noisy.hidden_deg else ""
+    for column in ("sigma", "measured", "noise-free", "directions", "blocked by the mirror unit"):
+        table.add_column(column, justify="right" if column != "blocked by the mirror unit" else "left")
+    for noisy, ideal in zip(measured, noise_free, strict=True):
+        blocked = f"theta {noisy.hidden_deg[0]:g} to {noisy.hidden_deg[-1]:g} deg: no value" if noisy.hidden_deg else ""
         table.add_row(
             f"{noisy.sigma_deg:g} deg",
             f"{noisy.relative_rms_percent:.2f} %",
             f"{ideal.relative_rms_percent:.2f} %",
             str(noisy.count),
-            hidden,
+            blocked,
         )
     console.print()
     console.print(table)
@@ -105,8 +105,8 @@ def _show(console: Console, result: dict[str, Any], found: list[Comparison], noi
         "Plane of incidence, steps of 0.5 deg, theta <= 2 widths, zenith <= 85 deg; both sides of the specular direction.",
     )
     console.print(
-        f"SIMULATED (seed {result['seed']}): {result['rows']} rows, {result['duration_s']:.0f} s of the rig's time "
-        f"({result['foretold_s']:.0f} s foretold), {result['wall_s']:.1f} s here."
+        f"SIMULATED (seed {result['seed']}): {result['rows']} rows, {result['duration_s']:.0f} s of simulated time "
+        f"(estimated {result['foretold_s']:.0f} s), in {result['wall_s']:.1f} s."
     )
     for name, file in result["files"].items():
         console.print(f"  {name:8}{file}", markup=False, soft_wrap=True)

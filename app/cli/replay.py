@@ -1,4 +1,4 @@
-"""JournalReader wires told to the twin's devices: where do these answer otherwise?"""
+"""Replay of recorded transcripts on the devices of the twin, and the differences in their answers."""
 
 import re
 from collections.abc import Sequence
@@ -27,18 +27,18 @@ TWIN = "twin://"
 
 
 @dataclass(frozen=True)
-class Replayed:
-    """What came of it: which device each file is of, how much it was told, the differences with the words for their bytes."""
+class ReplayResult:
+    """The device of each file, the number of requests, and the differences, each with the function that explains its bytes."""
 
     devices: dict[str, str]
-    told: int
+    requests: int
     differences: list[tuple[Difference, Explain]]
 
     def as_dict(self) -> dict[str, Any]:
-        """For programs; bytes in hexadecimal."""
+        """For JSON; bytes in hexadecimal."""
         return {
             "transcripts": self.devices,
-            "told": self.told,
+            "told": self.requests,
             "differences": [
                 {
                     "file": each.file,
@@ -52,38 +52,38 @@ class Replayed:
             ],
         }
 
-    def in_words(self) -> str:
-        """For people: each difference byte by byte, with what was asked, recorded and said now."""
+    def text(self) -> str:
+        """Each difference byte by byte: the request, the recorded answer, the answer now."""
         lines = []
-        for each, words in self.differences:
+        for each, explain_bytes in self.differences:
             lines.append(str(each))
-            lines.append(_line("asked", each.asked, words, ">"))
-            lines.append(_line("recorded", each.recorded, words, "<"))
-            lines.append(_line("now", each.replayed, words, "<"))
+            lines.append(_line("request", each.asked, explain_bytes, ">"))
+            lines.append(_line("recorded", each.recorded, explain_bytes, "<"))
+            lines.append(_line("now", each.replayed, explain_bytes, "<"))
         count = len(self.differences)
-        how_many = {0: "no difference", 1: "1 difference"}.get(count, f"{count} differences")
-        return "\n".join([*lines, f"{how_many}; told {self.told} times: {', '.join(self.devices)}"])
+        differences = {0: "no difference", 1: "1 difference"}.get(count, f"{count} differences")
+        return "\n".join([*lines, f"{differences} in {self.requests} requests: {', '.join(self.devices)}"])
 
 
-def replay_transcripts(paths: Sequence[Path], rig: RigDescription, device: str | None, mount: str | None) -> Replayed:
-    """Tells the devices of a rig's [twin] what was recorded, all wires together in the order of the times.
+def replay_transcripts(paths: Sequence[Path], rig: RigDescription, device: str | None, mount: str | None) -> ReplayResult:
+    """Replay transcripts on the devices of a rig's [twin], all wires together in the order of the times.
 
-    `device` names the device of a single file, which else its name tells; `mount` a sample that is in before it begins.
-    Raises UserError for what is no transcript, for a device or sample that the rig does not have.
+    `device` is the device of a single file; without it the file name is. `mount` is the sample that is mounted at the start.
+    Raises UserError for a file that is not a transcript, and for a device or sample that the rig does not have.
     """
     model = rig.model()
     if model is None:
-        raise UserError(f"{rig.name}: has no [twin] table, so there is no twin to tell it to; name another rig file")
+        raise UserError(f"{rig.name}: has no [twin] table, so there is no twin to replay on; name another rig file")
     if device is not None and len(paths) > 1:
-        raise UserError(f"--device names the device of one transcript, and there are {len(paths)}; leave it out")
+        raise UserError(f"--device is for one transcript, and there are {len(paths)}; leave it out")
     virtual = VirtualRig.build(model, VirtualClock())
     transcripts: dict[str, list[Passed]] = {}
     for path in paths:
         name = device if device is not None else path.stem
-        _checked(name, rig, virtual, path, told_by_name=device is None)
+        _check_device(name, rig, virtual, path, from_file_name=device is None)
         if name in transcripts:
-            raise UserError(f"{path}: another transcript is of {name} already; name each device once")
-        transcripts[name] = _read(path)
+            raise UserError(f"{path}: there is another transcript of {name}; give each device once")
+        transcripts[name] = _read_transcript(path)
     if mount is not None:
         try:
             virtual.plant.mount(mount, min(each[0].t for each in transcripts.values()) - 1.0)
@@ -91,10 +91,10 @@ def replay_transcripts(paths: Sequence[Path], rig: RigDescription, device: str |
             raise UserError(f"{rig.name}: {error.args[0]}") from None
     wires = _wires(rig, virtual, transcripts)
     replay_all([replay for replay, _ in wires])
-    return Replayed(
+    return ReplayResult(
         {path.name: name for path, name in zip(paths, transcripts, strict=True)},
         sum(passed.direction == TO_DEVICE for each in transcripts.values() for passed in each),
-        [(difference, words) for replay, words in wires for difference in replay.differences()],
+        [(difference, explain_bytes) for replay, explain_bytes in wires for difference in replay.differences()],
     )
 
 
@@ -115,21 +115,21 @@ def _wires(rig: RigDescription, virtual: VirtualRig, transcripts: dict[str, list
             else:
                 wires.append((LineReplay(TcpStation(module), transcript, 0.5 * module.latency_s), explain))
     if on_line:
-        # What passed on one line is in a file for each unit.
+        # One serial line has a file for each of its units.
         wires.append((LineReplay(virtual.serial[CONVERTER_LINE], merged(on_line)), explain_rtu))
         _address_units(rig, virtual)
     return wires
 
 
 def _address_units(rig: RigDescription, virtual: VirtualRig) -> None:
-    """The twin's modules answer to the unit numbers that those of a real line have in the rig file."""
+    """Give the twin's modules the unit numbers that the rig file has for a real line."""
     for index, address in enumerate(rig.file.photodiodes.units):
         if address.startswith(RTU) and CONVERTER.format(index) in virtual.modbus:
             virtual.modbus[CONVERTER.format(index)].unit = rtu_address(address)[1]
 
 
 def _converter(name: str, rig: RigDescription) -> str:
-    """The twin's module that has the place of `photodiodes-K` in the rig file; an empty string for another name."""
+    """The twin's module of `photodiodes-K` in the rig file; an empty string for another name."""
     match = _PHOTODIODES.fullmatch(name)
     units = rig.file.photodiodes.units
     if match is None or int(match[1]) >= len(units):
@@ -138,25 +138,26 @@ def _converter(name: str, rig: RigDescription) -> str:
     return address.rsplit("/", 1)[1] if address.startswith(TWIN) else CONVERTER.format(int(match[1]))
 
 
-def _checked(name: str, rig: RigDescription, virtual: VirtualRig, path: Path, *, told_by_name: bool) -> None:
+def _check_device(name: str, rig: RigDescription, virtual: VirtualRig, path: Path, *, from_file_name: bool) -> None:
+    """Check that the rig has a device. Raises UserError."""
     if name in ("axes", "monochromator", "monitor") or _converter(name, rig) in virtual.modbus:
         return
     converters = [f"photodiodes-{k}" for k in range(len(rig.file.photodiodes.units))]
     known = ", ".join(["axes", "monochromator", *converters, "monitor"])
-    if told_by_name:
-        raise UserError(f"{path}: its name tells no device of {rig.name}; name it with --device: {known}")
+    if from_file_name:
+        raise UserError(f"{path}: the file name is not a device of {rig.name}; give it with --device: {known}")
     raise UserError(f"{rig.name}: has no device {name!r}; it has {known}")
 
 
-def _read(path: Path) -> list[Passed]:
+def _read_transcript(path: Path) -> list[Passed]:
     try:
         transcript = read_transcript(path)
     except TranscriptError as error:
         raise UserError(str(error)) from None
     if not transcript:
-        raise UserError(f"{path}: nothing passed in it; name a transcript that --transcript has written")
+        raise UserError(f"{path}: has no bytes; name a transcript that --transcript wrote")
     return transcript
 
 
-def _line(what: str, data: bytes, words: Explain, direction: str) -> str:
-    return f"    {what:9} {f'{data.hex(chr(32))}  | {words(direction, data)}' if data else 'nothing'}"
+def _line(name: str, data: bytes, explain_bytes: Explain, direction: str) -> str:
+    return f"    {name:9} {f'{data.hex(chr(32))}  | {explain_bytes(direction, data)}' if data else 'nothing'}"

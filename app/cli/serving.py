@@ -1,4 +1,4 @@
-"""A virtual rig for other programs: on real endpoints, and as USB devices of a program that runs here."""
+"""Commands on a virtual rig for other programs: `goniotwin serve`, `usb` and `replay`."""
 
 import getpass
 import json
@@ -7,53 +7,131 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from goniotwin.app.cli.output import Json, RigOption, answer
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import RigDescription
-from goniotwin.app.rig.served_file import check_served_rig, served_rig, write_served_rig
-from goniotwin.mocks import installed
-from goniotwin.mocks.served import ServedRig
-from goniotwin.protocols.clock import RealClock
-from goniotwin.twin import TwinModel, VirtualRig
-from goniotwin.twin.doors import TwinUsbBackend
+
+if TYPE_CHECKING:  # the twin is compiled code, which a command's help does not need
+    from goniotwin.app.rig import RigDescription
+    from goniotwin.twin import TwinModel
+
+app = typer.Typer()
 
 
-def serve_until_interrupted(
-    rig: RigDescription, speed: float, ptys: Path | None, write_rig: Path | None = None, *, control: bool = True
+@app.command()
+def serve(
+    rig: RigOption,
+    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Simulation speed.")] = 1.0,
+    write_rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-rig", metavar="FILE", help="Write a rig file for programs that measure on this rig.", show_default=False
+        ),
+    ] = None,
+    control: Annotated[
+        bool, typer.Option("--control/--no-control", help="Open the simulation control port (JSON commands).")
+    ] = True,
+    ptys: Annotated[
+        Path | None,
+        typer.Option("--ptys", metavar="DIR", help="Folder for links to the pseudo-terminals.", show_default=False),
+    ] = None,
 ) -> None:
-    """Prints where the devices are, and serves until SIGINT or SIGTERM. Raises UserError."""
-    folder = ptys if ptys is not None else Path(tempfile.gettempdir()) / f"goniotwin-{getpass.getuser()}" / rig.file.name
+    """Serve a virtual rig on ports of this computer.
+
+    Prints one JSON line for each port: `device`, `kind`, and `path` of a pseudo-terminal or `host` and `port`; `unit` for
+    Modbus; `bus_id` for USB/IP. All ports belong to one instrument. `control` is the simulation control port. Ctrl-C or
+    SIGTERM ends it.
+
+    Programs that use USB but not USB/IP reach the monitor with `goniotwin usb`.
+    """
+    from goniotwin.app.rig import read_rig
+    from goniotwin.app.rig.served_file import check_served_rig, served_rig, write_served_rig
+    from goniotwin.mocks.served import ServedRig
+
+    description = read_rig(rig)
+    folder = (
+        ptys if ptys is not None else Path(tempfile.gettempdir()) / f"goniotwin-{getpass.getuser()}" / description.file.name
+    )
     if write_rig is not None:
         check_served_rig(write_rig)
-    served = ServedRig(_model(rig), speed, folder.absolute(), control=control)
+    served = ServedRig(_twin_model(description), speed, folder.absolute(), control=control)
     try:
         served.start()
         if write_rig is not None:
-            write_served_rig(write_rig, served_rig(rig, served.endpoints, speed))
+            write_served_rig(write_rig, served_rig(description, served.endpoints, speed))
         for endpoint in served.endpoints:
             print(json.dumps(endpoint.as_dict()), flush=True)
         threading.Event().wait()
     except OSError as error:
-        advice = "; see that the names and ports are free" if error.errno is not None else ""
-        raise UserError(f"{rig.name}: cannot be served: {error}{advice}") from None
+        advice = "; check that the names and ports are free" if error.errno is not None else ""
+        raise UserError(f"{description.name}: cannot be served: {error}{advice}") from None
     except KeyboardInterrupt:
-        print("goniotwin: no longer served", file=sys.stderr)
+        print("goniotwin: serving ended", file=sys.stderr)
     finally:
         served.stop()
 
 
-def run_with_usb(rig: RigDescription, program: Path, arguments: list[str]) -> None:
-    """Runs a Python program in this process, in which pyusb finds the twin's devices. Raises UserError."""
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "allow_interspersed_args": False})
+def usb(
+    context: typer.Context,
+    program: Annotated[
+        Path,
+        typer.Argument(metavar="PROGRAM.py", help="Program that uses pyusb; its own arguments follow.", show_default=False),
+    ],
+    rig: RigOption,
+) -> None:
+    """Run a pyusb program with the USB devices of a virtual rig.
+
+    The program is not modified."""
+    from goniotwin.app.rig import read_rig
+    from goniotwin.mocks import installed
+    from goniotwin.protocols.clock import RealClock
+    from goniotwin.twin import VirtualRig
+    from goniotwin.twin.doors import TwinUsbBackend
+
+    description = read_rig(rig)
     if not program.is_file():
-        raise UserError(f"{program}: there is no such program; check the name")
-    virtual = VirtualRig.build(_model(rig), RealClock())
-    sys.argv = [str(program), *arguments]
+        raise UserError(f"{program}: no such program; check the name")
+    virtual = VirtualRig.build(_twin_model(description), RealClock())
+    sys.argv = [str(program), *context.args]
     with installed(TwinUsbBackend(virtual)):
         runpy.run_path(str(program), run_name="__main__")
 
 
-def _model(rig: RigDescription) -> TwinModel:
+@app.command()
+def replay(
+    transcripts: Annotated[list[Path], typer.Argument(metavar="TRANSCRIPT.txt", help="Files that --transcript wrote.")],
+    rig: RigOption,
+    device: Annotated[
+        str | None, typer.Option("--device", help="Device of the file, if the file name does not have it.")
+    ] = None,
+    mount: Annotated[str | None, typer.Option("--mount", metavar="SAMPLE", help="Sample that is mounted at the start.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Replay transcripts on the twin and list the differences.
+
+    Each difference is shown byte by byte. No real device is opened.
+
+    The file name is the device: axes, monochromator, photodiodes-0 and so on, monitor. Give all files of one recording
+    together: they are replayed in the order of their times, so that shutter and axes are where they were.
+
+    Values that depend on time and noise differ: counts, encoder positions, measured currents. Serial numbers do too.
+
+    Exit status: 1 if anything differs, else 0.
+    """
+    from goniotwin.app.cli.replay import replay_transcripts
+    from goniotwin.app.rig import read_rig
+
+    result = replay_transcripts(transcripts, read_rig(rig), device, mount)
+    answer(as_json, result.as_dict(), lambda: print(result.text()))
+    raise typer.Exit(1 if result.differences else 0)
+
+
+def _twin_model(rig: "RigDescription") -> "TwinModel":
     model = rig.model()
     if model is None:
-        raise UserError(f"{rig.name}: has no [twin] table, so there is no virtual rig to serve; name another rig file")
+        raise UserError(f"{rig.name}: has no [twin] table, so there is no virtual rig; name another rig file")
     return model

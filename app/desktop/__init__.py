@@ -9,7 +9,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 
-from goniotwin.app.desktop.interrupt import interrupts
+from goniotwin.app.desktop.event_loop import interrupts
 from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.window import MainWindow
 
@@ -40,4 +40,4 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
             status = application.exec()
         finally:
             window.shut_down()
-    return STOPPED if requests.came else status
+    return STOPPED if requests.received else status

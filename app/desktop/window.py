@@ -7,11 +7,11 @@ from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QFileDialog, QMainWindow
 
 from goniotwin.app.desktop.collector import GuiCollector
-from goniotwin.app.desktop.layout import Parts
 from goniotwin.app.desktop.model.rig_thread import RigThread
+from goniotwin.app.desktop.presenter import Session
 from goniotwin.app.desktop.questions import Question, ask_to_close, ask_to_mount
-from goniotwin.app.desktop.session import Session
 from goniotwin.app.desktop.theme import Theme
+from goniotwin.app.desktop.view import Parts
 
 
 class MainWindow(QMainWindow):

@@ -17,7 +17,7 @@ from goniotwin.app.rig.addresses import RTU, rtu_address
 from goniotwin.app.rig.file import AXES, AxisTable, RigFile
 from goniotwin.app.rig.opening import TWIN, RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
-from goniotwin.twin.plant import Electronics, Monitor, MonochromatorDrive, WheelFilter
+from goniotwin.twin.plant import Electronics, MonitorPhotodiode, MonochromatorDrive, WheelFilter
 from goniotwin.twin.plant.converter import SETTLED
 
 NAME = "described"
@@ -146,10 +146,10 @@ def _within_the_twins_means(document: tomlkit.TOMLDocument, file: RigFile, assum
     if file.monitor.dialect != "pm100d":
         _table(document, "monitor")["dialect"] = "pm100d"
         assumed.append("the monitor is a PM100D, as the twin's")
-    least = RANGE_TO_SPARE * Monitor.current_a
+    least = RANGE_TO_SPARE * MonitorPhotodiode.current_a
     if file.monitor.range_a < least:
         _table(document, "monitor")["range_a"] = least
-        assumed.append(f"the monitor's range is {least:g} A, for the twin's monitor gives {Monitor.current_a:g} A")
+        assumed.append(f"the monitor's range is {least:g} A, for the twin's monitor gives {MonitorPhotodiode.current_a:g} A")
     for name in AXES:
         axis = getattr(file.axes, name)
         if axis.switches and (axis.right_polarity or axis.left_polarity):

@@ -23,7 +23,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, bsdf, read_ddr
 from goniotwin.app.formats.zemax import ZemaxBsdf, read_zemax
 from goniotwin.app.toml_file import Table, checked
-from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, spectral_table, summed, tabulated
+from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, spectral_table, sum_samples, table_sample
 
 Side = Literal["front", "back", "both"]
 
@@ -114,7 +114,7 @@ SampleTable = Annotated[LambertianTable | GaussianTable | RegularTable | Measure
 def scatterer(sample: SampleTable, folder: Path, place: str) -> Scatterer:
     """The model; files are looked for from `folder`. Raises UserError that begins with `place`, the sample's in its file."""
     if isinstance(sample, SumTable):
-        return summed(*[scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
+        return sum_samples(*[scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
     if not isinstance(sample, MeasuredTable):
         return sample.scatterer()
     try:
@@ -129,7 +129,7 @@ def _from_zemax(table: ZemaxBsdf, side: Side) -> Scatterer:
         raise ValueError(f"it has {len(table.sample_rotation_deg)} sample rotations; a sample here needs exactly one")
     transmits = table.scatter_type.upper() == "BTDF"
     axes = (table.incidence_deg, table.azimuth_deg, table.radial_deg)
-    return tabulated(*axes, table.values[0], side=side, transmits=transmits)
+    return table_sample(*axes, table.values[0], side=side, transmits=transmits)
 
 
 FORMULAS: dict[str, type[GaussianTable] | type[LambertianTable] | type[RegularTable]] = {
@@ -160,7 +160,7 @@ def parse_sample(text: str) -> Scatterer:
     """
     parts = [part.strip() for part in PLUS.split(text)]
     models = [_model(part) for part in parts]
-    sample = summed(*models, name=text.strip())
+    sample = sum_samples(*models, name=text.strip())
     _check_light(sample, MEASURED_LIGHT if any(part.startswith("table") for part in parts) else ALL_OF_THE_LIGHT)
     return sample
 
@@ -245,7 +245,7 @@ def _from_ddr(table: DdrTable, path: Path, side: Side) -> Scatterer:
     transmits = path.suffix.lower() == ".ddt"
     axes = (table.sigma_deg, table.phi_deg, table.theta_deg)
     if table.channels == (None,):
-        return tabulated(*axes, values[0], path.name, psi, side=side, transmits=transmits)
+        return table_sample(*axes, values[0], path.name, psi, side=side, transmits=transmits)
     wavelengths = [nm or 0.0 for nm in table.channels]
     return spectral_table(wavelengths, *axes, values, path.name, psi, side=side, transmits=transmits)
 

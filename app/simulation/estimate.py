@@ -20,15 +20,15 @@ from goniotwin.twin.optics import (
     RaySource,
     SampleFrames,
     Scatterer,
-    forward,
+    forward_throughput,
     lambertian,
     spectral_throughput,
-    stray,
+    stray_map,
     stray_throughput,
     throughput,
 )
 from goniotwin.twin.optics.bsdf.analytic_samples import Side
-from goniotwin.twin.optics.fast.lobe_sums import FINE, TABULATED
+from goniotwin.twin.optics.fast.lobe_sums import FINE_RULE, TABLE_KINDS
 from goniotwin.twin.optics.geometry.scene import scene_at
 
 Kind = Literal["fast", "forward"]
@@ -71,7 +71,7 @@ class Effort:
 
 Told = Callable[[float], None]
 """Told the share of the work that is done."""
-NODES, BUNDLE = 7, FINE[-1]
+NODES, BUNDLE = 7, FINE_RULE[-1]
 """Rays that the fast estimator takes of its own accord: of smooth lobes, and of tables and beams that miss a mirror."""
 CHECK_RAYS = 4096
 """More than the estimator takes of its own accord, so that it is not held against itself."""
@@ -88,7 +88,7 @@ class Stand:
     """How the light comes, and who looks: `sigma_deg` of the mirror unit (beyond 90 the light is on the back), detectors in
     `directions` (n, 3) of the rig, `wavelengths_nm` (w,) or None for a grey table (w = 1).
 
-    `stray` is whether light of the frames, and light that met something else on its way, counts. A `source` of rays takes
+    `stray_map` is whether light of the frames, and light that met something else on its way, counts. A `source` of rays takes
     the place of the uniform exit pupil, for the forward estimator alone.
     """
 
@@ -217,7 +217,7 @@ def _throughputs(stand: Stand, scatterer: Scatterer, rays: int | None, paths: in
     # A grey sample in a grey instrument has one map for all wavelengths.
     grey = wavelengths is None or (scatterer.spectrum is None and instrument.grey)
     maps = [
-        stray(instrument, sigma, scatterer, paths, seed, wavelength_nm=each, sample_frames=stand.frames)
+        stray_map(instrument, sigma, scatterer, paths, seed, wavelength_nm=each, sample_frames=stand.frames)
         for each in ([None] if grey or wavelengths is None else wavelengths.tolist())
     ]
     added: Floats = flux + np.array([stray_throughput(each, directions, instrument) for each in maps])
@@ -228,7 +228,7 @@ def _own_rays(stand: Stand, sample: Scatterer) -> int:
     """Of each detector, where nothing else is wanted: see `throughput`; not counted are those that a mirror cuts."""
     scene = scene_at(stand.instrument, stand.sigma_deg)
     acting = (lobe for lobe in sample.lobes if lobe.incident == scene.incident and lobe.transmits == stand.transmitted)
-    return BUNDLE if scene.clipped or any(lobe.kind in TABULATED for lobe in acting) else NODES
+    return BUNDLE if scene.clipped or any(lobe.kind in TABLE_KINDS for lobe in acting) else NODES
 
 
 def _over(sample: Floats, white: Floats) -> Floats:
@@ -252,7 +252,7 @@ def _forward(stand: Stand, pair: tuple[Scatterer, Scatterer], wavelength_nm: flo
         for k, (each, tally) in enumerate(zip(pair, tallies, strict=True)):
             seed = effort.seed * 2**20 + 2 * batch + k
             try:
-                done = forward(
+                done = forward_throughput(
                     stand.instrument, stand.sigma_deg, stand.directions, each, size, seed % 2**64,
                     wavelength_nm=wavelength_nm, source=stand.source, sample_frames=stand.frames,
                 )  # fmt: skip

@@ -18,20 +18,25 @@ pytestmark = pytest.mark.endpoint
 
 
 @pytest.fixture
-def served(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[OpenRig, Control]]:
-    """The drivers of a rig, connected over its endpoints, and its back door."""
+def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, Control]]:
+    """A rig that is served: the file with which others reach it, and its back door."""
     description = read_rig(write_rig(("noise = true", "noise = false")))
     model = description.model()
     assert model is not None
     server = ServedRig(model, 1.0, tmp_path / "ptys")
     server.start()
-    text = served_rig(description, server.endpoints, 1.0)
     control = Control(server.endpoints[-1].port or 0)
-    with open_rig(parse_rig(text, tmp_path, "served.toml"), RealClock()) as opened:
-        opened.connect()
-        yield opened, control
+    yield served_rig(description, server.endpoints, 1.0), control
     control.close()
     server.stop()
+
+
+@pytest.fixture
+def served(server: tuple[str, Control], tmp_path: Path) -> Iterator[tuple[OpenRig, Control]]:
+    """The drivers of a rig, connected over its endpoints, and its back door."""
+    with open_rig(parse_rig(server[0], tmp_path, "served.toml"), RealClock()) as opened:
+        opened.connect()
+        yield opened, server[1]
 
 
 def read(opened: OpenRig) -> None:
@@ -91,8 +96,6 @@ def test_a_plug_that_is_pulled_ends_in_an_error_that_names_the_device(served: tu
         ({"device": "axes", "share": 2}, "0 to 1"),
     ],
 )
-def test_faults_that_cannot_be_are_refused_in_words(
-    served: tuple[OpenRig, Control], order: dict[str, object], said: str
-) -> None:
+def test_faults_that_cannot_be_are_refused_in_words(server: tuple[str, Control], order: dict[str, object], said: str) -> None:
     with pytest.raises(Refused, match=said):
-        served[1].do("faults", **order)
+        server[1].do("faults", **order)

@@ -59,7 +59,7 @@ def open_descriptors() -> int:
 
 @pytest.fixture
 def rig(opened: RigOpener) -> OpenRig:
-    return opened(QUIET, ("drift_per_hour = 0.02", "drift_per_hour = 0.0"), clock=RealClock())
+    return opened(QUIET, ("drift_per_hour = 0.02", "drift_per_hour = 0.0"), clock=RealClock(speed=10.0))
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ def end(rig: VirtualRig, index: int) -> tuple[SerialDevice, float]:
 
 
 def put_in_place(rig: VirtualRig, recorded: list[list[Passed]]) -> list[RecordedDevice]:
-    """JournalReader devices instead of the twin's modules."""
+    """Recorded devices instead of the twin's modules."""
     line = rig.serial.get("adcs")
     if line is not None:
         gap_s = GAP_CHARACTERS * BITS_A_BYTE / line.baudrate  # after which an answer is known to be over

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from goniotwin.protocols.clock import RealClock
+
 MAIN = [sys.executable, "-m", "goniotwin"]
 Served = tuple[subprocess.Popen[str], list[dict[str, Any]]]
 Serve = Callable[..., Served]
@@ -35,6 +37,13 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
     for process in processes:
         process.kill()
         process.communicate()
+
+
+def until(happened: Callable[[], bool], a_look_s: float = 0.01) -> None:
+    """Waits for what another process does, and leaves it the processor meanwhile."""
+    clock = RealClock()
+    while not happened():
+        clock.sleep_until(clock.now() + a_look_s)
 
 
 def at(lines: list[dict[str, Any]], device: str, key: str) -> dict[str, Any]:

@@ -133,7 +133,7 @@ def _forks() -> Any:
 def _command(files: list[str], arguments: list[str], fate: Fate) -> None:
     """In the new process."""
     from goniotwin.app.cli.main import main
-    from goniotwin.app.cli.progress import RowProgress
+    from goniotwin.app.cli.output import RowProgress
 
     told, out, err = (os.open(file, os.O_WRONLY | os.O_APPEND) for file in files)
     os.dup2(out, 1)

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from goniotwin.app.cli.main import main
-from goniotwin.app.ending import REQUESTS
+from goniotwin.app.end_signals import END_SIGNALS
 from tests.conftest import RIG, SCHEDULE, Change, Writer
 
 Call = Callable[..., subprocess.CompletedProcess[str]]
@@ -37,7 +37,7 @@ def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedPro
 def invoked(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Runs it in this process: a hundred times cheaper, for what starts nothing (help, refusals) and for short work."""
     given = [str(each) for each in arguments]
-    handlers = {number: signal.getsignal(number) for number in REQUESTS}
+    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
     with (
         pytest.MonkeyPatch.context() as patch,
         contextlib.redirect_stdout(io.StringIO()) as out,

@@ -9,12 +9,12 @@ import pytest
 
 from goniotwin.mocks.control import Control
 from tests.conftest import Writer
-from tests.system.conftest import MAIN, Serve, at
+from tests.system.conftest import MAIN, Serve, at, until
 
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 
 
-@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("second", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
 def test_a_second_request_does_not_break_off_the_stop(
     write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path, second: int
 ) -> None:
@@ -26,8 +26,8 @@ def test_a_second_request_does_not_break_off_the_stop(
         [*MAIN, "run", str(write_schedule()), "--rig", str(there), "--out", str(journal), "--transcript", tmp_path / "wires"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    while control.do("state")["angles_deg"]["beta"] < 20.0:
-        assert run.poll() is None
+    until(lambda: run.poll() is not None or control.do("state")["angles_deg"]["beta"] >= 20.0)
+    assert run.poll() is None
     for number in (signal.SIGINT, second, second, signal.SIGINT):
         run.send_signal(number)
     said = run.communicate(timeout=60.0)[1]

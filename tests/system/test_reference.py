@@ -8,7 +8,9 @@ from goniotwin.app.rig import AXES
 from goniotwin.mocks.control import Control
 from tests.conftest import RIG, Writer
 from tests.system.conftest import Serve, at
-from tests.system.test_command import goniotwin
+from tests.system.killable import FORKED, Killable
+
+pytestmark = FORKED
 
 
 def test_after_a_reset_between_two_runs_nothing_is_measured_until_somebody_has_looked(
@@ -21,17 +23,20 @@ def test_after_a_reset_between_two_runs_nothing_is_measured_until_somebody_has_l
     _, told = serve(anywhere, "--speed", 20, "--write-rig", rig)
     control = Control(at(told, "control", "port")["port"])
 
+    def status(*arguments: object) -> int:
+        return Killable(tmp_path, *arguments).ended()
+
     def refused(name: str) -> None:
-        done = goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name)
-        assert done.returncode == 2
-        assert len(done.stderr.strip().splitlines()) == 1
-        assert f"goniotwin here --rig {rig}" in done.stderr
+        done = Killable(tmp_path, "run", schedule, "--rig", rig, "--out", tmp_path / name)
+        assert done.ended() == 2
+        assert len(done.errors.strip().splitlines()) == 1
+        assert f"goniotwin here --rig {rig}" in done.errors
         assert not (tmp_path / name).exists()
 
     refused("0.journal")
     for axis in AXES:
-        assert goniotwin("here", "--rig", rig, axis, 0).returncode == 0
-    assert goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "1.journal").returncode == 0
+        assert status("here", "--rig", rig, axis, 0) == 0
+    assert status("run", schedule, "--rig", rig, "--out", tmp_path / "1.journal") == 0
     angle = control.do("state")["angles_deg"]["sigma"]
     assert angle == pytest.approx(30.0, abs=0.01)
     control.do("unplug", device="axes")
@@ -39,7 +44,7 @@ def test_after_a_reset_between_two_runs_nothing_is_measured_until_somebody_has_l
     refused("2.journal")
     refused("3.journal")
     for axis, angle in control.do("state")["angles_deg"].items():
-        assert goniotwin("here", "--rig", rig, axis, angle).returncode == 0
-    assert goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "4.journal").returncode == 0
+        assert status("here", "--rig", rig, axis, angle) == 0
+    assert status("run", schedule, "--rig", rig, "--out", tmp_path / "4.journal") == 0
     assert control.do("state")["angles_deg"]["sigma"] == pytest.approx(30.0, abs=0.01)
     control.close()

@@ -52,7 +52,7 @@ def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[s
         (["--points", "absent/x.csv"], "--points absent/x.csv: there is no folder"),
         (["--points", "."], "--points .: is a folder"),
         (["--out", "absent/x.journal"], "--out absent/x.journal: there is no folder"),
-        (["--out", "rig.toml"], "--out rig.toml: is there already"),
+        (["--out", "rig.toml"], "--out rig.toml: exists"),
         (["--points", "same", "--out", "./same"], "--points same: is the journal of --out"),
     ],
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pymodbus.framer import FramerRTU
 
-from goniotwin.app.cli.replay import Replayed, replay_transcripts
+from goniotwin.app.cli.replay import ReplayResult, replay_transcripts
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.mocks.transcript import read_transcript
@@ -31,7 +31,9 @@ def recorded(rig_of: RigMaker, tmp_path: Path) -> Path:
     return tmp_path / "wires"
 
 
-def replayed(write_rig: Writer, folder: Path, *changes: Change, stem: str = "*", mount: str | None = "gaussian-5") -> Replayed:
+def replayed(
+    write_rig: Writer, folder: Path, *changes: Change, stem: str = "*", mount: str | None = "gaussian-5"
+) -> ReplayResult:
     return replay_transcripts(sorted(folder.glob(f"{stem}.txt")), read_rig(write_rig(*changes)), None, mount)
 
 
@@ -41,7 +43,7 @@ def test_a_twin_of_the_same_rig_has_no_difference(recorded: Path, write_rig: Wri
     done = call("replay", *sorted(recorded.iterdir()), "--rig", rig, "--mount", "gaussian-5")
     assert (done.returncode, done.stderr) == (0, "")
     (line,) = done.stdout.splitlines()
-    assert line.startswith("no difference; told ")
+    assert re.match(r"no difference in \d+ requests: ", line)
     assert line.endswith(": axes.txt, monitor.txt, monochromator.txt, " + ", ".join(f"photodiodes-{k}.txt" for k in range(5)))
 
 
@@ -49,13 +51,13 @@ def test_a_twin_of_the_same_rig_has_no_difference(recorded: Path, write_rig: Wri
 def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, write_rig: Writer, call: Call) -> None:
     done = call("replay", recorded / "monitor.txt", "--rig", write_rig(*TCP))  # it has seen light, and now it is dark
     assert (done.returncode, done.stderr) == (1, "")
-    first, asked, was, now, last = done.stdout.splitlines()
+    first, request, was, now, last = done.stdout.splitlines()
     byte = r"byte \d+: [0-9a-f]{2} recorded, [0-9a-f]{2} now"
     assert re.fullmatch(rf"monitor.txt, line \d+, from the device: {byte}(; {byte})*", first)
-    assert re.fullmatch(r" +asked +02 .* 00  \| transfer \d+: up to 4096 bytes, please", asked)
+    assert re.fullmatch(r" +request +02 .* 00  \| transfer \d+: up to 4096 bytes, please", request)
     assert re.fullmatch(r" +recorded +02 .*  \| transfer \d+: '1\.\d{8}E-07\\n'", was)
     assert re.fullmatch(r" +now +02 .*  \| transfer \d+: '1\.\d{8}E-11\\n'", now)
-    assert re.fullmatch(r"1 difference; told \d+ times: monitor.txt", last)
+    assert re.fullmatch(r"1 difference in \d+ requests: monitor.txt", last)
 
 
 @pytest.mark.parametrize("call", CALLS)
@@ -110,14 +112,14 @@ def readdress(path: Path, more: int) -> None:
     ("name", "text", "device", "why"),
     [
         ("axes.txt", "no transcript", None, "axes.txt, line 1: "),
-        ("axes.txt", "# nothing\n", None, "axes.txt: nothing passed in it"),
+        ("axes.txt", "# nothing\n", None, "axes.txt: has no bytes"),
         (
             "notes.txt",
             " 1.0 > 01  | \n",
             None,
-            "notes.txt: its name tells no device of .*: axes, monochromator, photodiodes-0, ",
+            "notes.txt: the file name is not a device of .*: axes, monochromator, photodiodes-0, ",
         ),
-        ("photodiodes-5.txt", " 1.0 > 01  | \n", None, "photodiodes-5.txt: its name tells no device"),
+        ("photodiodes-5.txt", " 1.0 > 01  | \n", None, "photodiodes-5.txt: the file name is not a device"),
         ("axes.txt", " 1.0 > 01  | \n", "arm", "has no device 'arm'; it has axes, "),
     ],
 )
@@ -134,9 +136,9 @@ def test_other_bad_input_is_told(recorded: Path, write_rig: Writer) -> None:
     rig, axes = read_rig(write_rig()), recorded / "axes.txt"
     with pytest.raises(UserError, match="no sample 'gold'; it has: etalon, gaussian-5"):
         replay_transcripts([axes], rig, None, "gold")
-    with pytest.raises(UserError, match="another transcript is of axes already"):
+    with pytest.raises(UserError, match="there is another transcript of axes"):
         replay_transcripts([axes, axes], rig, None, None)
-    with pytest.raises(UserError, match="--device names the device of one transcript, and there are 2"):
+    with pytest.raises(UserError, match="--device is for one transcript, and there are 2"):
         replay_transcripts([axes, recorded / "monitor.txt"], rig, "axes", None)
     with pytest.raises(UserError, match="cannot be read"):
         replay_transcripts([recorded / "none" / "axes.txt"], rig, None, None)

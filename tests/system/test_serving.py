@@ -13,7 +13,7 @@ from pymodbus.client import ModbusTcpClient
 from goniotwin.mocks.control import Control, Refused
 from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
 from tests.conftest import RIG
-from tests.system.conftest import Serve, Served, at
+from tests.system.conftest import Serve, Served, at, until
 from tests.system.test_command import CALLS, Call, goniotwin
 
 
@@ -42,11 +42,9 @@ def test_all_devices_share_one_plant(served: Served) -> None:
         axes.read(9)
         axes.write(Request(1, Command.MVP, 0, 4, round(angle_deg * 5120)).encode())
         assert Reply.decode(axes.read(9)).status == 100
-        while control.do("state")["angles_deg"]["sigma"] != pytest.approx(angle_deg, abs=1e-3):
-            pass
+        until(lambda: bool(control.do("state")["angles_deg"]["sigma"] == pytest.approx(angle_deg, abs=1e-3)))
         start = control.do("state")["t_s"]
-        while control.do("state")["t_s"] < start + 1.0:  # until the amplifiers have settled
-            pass
+        until(lambda: bool(control.do("state")["t_s"] >= start + 1.0))  # the amplifiers have settled
         return int(modbus.read_holding_registers(1, count=1).registers[0])
 
     assert seen(30.0) > 1.2 * (seen(75.0) - 32768) + 32768
@@ -67,7 +65,7 @@ def test_the_back_door_refuses_in_words(served: Served) -> None:
     control.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_it_ends_cleanly_and_frees_ports_and_names(served: Served, number: int) -> None:
     process, lines = served
     os.kill(process.pid, number)

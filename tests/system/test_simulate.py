@@ -6,44 +6,56 @@ import pytest
 
 from goniotwin.app.formats import read_ddr
 from tests.conftest import RIG
-from tests.system.test_command import CALLS, Call, answer, goniotwin
+from tests.system.test_command import CALLS, Call, answer, goniotwin, invoked
 
 
-def test_simulate_says_what_it_wrote_and_how_good_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("call", "given", "sigmas", "least"),
+    [
+        pytest.param(invoked, ["--sigma", "0"], [0.0], 1300, id="one sigma"),
+        pytest.param(goniotwin, [], [0.0, 30.0, 60.0], 8000, id="all of them", marks=pytest.mark.long),
+    ],
+)
+def test_simulate_says_what_it_wrote_and_how_good_it_is(
+    call: Call, given: list[str], sigmas: list[float], least: int, tmp_path: Path
+) -> None:
     out = tmp_path / "a.ddr"
-    done = goniotwin("simulate", "--sample", "gaussian:width_deg=5", "--sigma", "0,30,60", "--out", out, "--json")
+    all_given = ["--sigma", ",".join(map(str, sigmas))]
+    done = call("simulate", "--sample", "gaussian:width_deg=5", *all_given, "--out", out, "--json")
     result = answer(done)
     assert result["file"] == str(out)
-    assert result["sigma"] == [0.0, 30.0, 60.0]
+    assert result["sigma"] == sigmas
     assert (result["estimator"], result["rays"]) == ("fast", 7)
-    assert result["values"] > 8000
+    assert result["values"] > least
     assert 0.0 < result["median_relative_standard_error_percent"] <= result["largest_relative_standard_error_percent"] < 0.5
     assert result["hidden_directions"]["0"] > 0
     assert result["simulated"] is True
     assert len(result["assumptions"]) >= 8
     assert "simulating" in done.stderr  # progress
     assert read_ddr(out).values.max() > 1.0
-    again = goniotwin("simulate", "--sample", "gaussian:width_deg=5", "--out", out, "--json", NUMBA_NUM_THREADS="1")
+    again = goniotwin("simulate", "--sample", "gaussian:width_deg=5", *given, "--out", out, "--json", NUMBA_NUM_THREADS="1")
     assert again.stdout == done.stdout
 
 
-def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "a.csv"
     grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--rig", RIG, "--no-obstruction"]
     paths = ["--estimator", "forward", "--paths", 200_000, "--seed", 4]
-    result = answer(goniotwin("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json"))
+    result = answer(call("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json"))
     assert (result["estimator"], result["seed"]) == ("forward", 4)
     assert 200_000 <= result["paths"] < 210_000  # whole blocks of them
     assert result["obstruction"] is False
     assert result["hidden_directions"] == {"30": 0}
     assert result["detectors"] == {"30": 20}
-    text = goniotwin("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths)
+    text = call("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths)
     assert text.stdout.startswith("SIMULATED")
     assert "obstruction is off" in text.stdout
 
 
-def test_table3_is_the_papers_beside_ours(tmp_path: Path) -> None:
-    result = answer(goniotwin("simulate", "table3", "--out", tmp_path, "--json"))
+@pytest.mark.parametrize("call", CALLS)
+def test_table3_is_the_papers_beside_ours(call: Call, tmp_path: Path) -> None:
+    result = answer(call("simulate", "table3", "--out", tmp_path, "--json"))
     for name in ("paper", "noise_free", "tilted", "worst"):
         assert set(result[name]) == {"0", "30", "60"}
         assert all(len(row) == 4 for row in result[name].values())
@@ -51,16 +63,21 @@ def test_table3_is_the_papers_beside_ours(tmp_path: Path) -> None:
     assert result["noise_free"]["0"] == pytest.approx([4.32, 0.66, 0.07, 0.02], abs=0.1)
     for file in result["files"].values():
         assert Path(file).stat().st_size > 20_000
+
+
+@pytest.mark.long
+def test_table3_is_shown_to_a_person() -> None:
     text = goniotwin("simulate", "table3")
     assert text.returncode == 0
     assert "SIMULATED" in text.stdout
     assert "what explains the paper's numbers" in text.stdout
 
 
-def test_the_light_is_drawn_its_rays_are_recorded_and_are_a_source(tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_the_light_is_drawn_its_rays_are_recorded_and_are_a_source(call: Call, tmp_path: Path) -> None:
     beam, monochromator = tmp_path / "beam.h5", ["--wavelength", 600, "--interval", 10, "--bandwidth", 10]
     recorded = ["--rayset", beam, "--rays", 20_000, "--error", 3]
-    done = goniotwin("simulate", "illumination", "--out", tmp_path / "a.png", *monochromator, *recorded)
+    done = call("simulate", "illumination", "--out", tmp_path / "a.png", *monochromator, *recorded)
     assert done.stdout.startswith("SIMULATED")
     for told in ("forward (", "adjoint (", f"rayset: {beam}, 20000 rays"):
         assert told in done.stdout
@@ -68,21 +85,22 @@ def test_the_light_is_drawn_its_rays_are_recorded_and_are_a_source(tmp_path: Pat
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--sigma", 30, "--out", tmp_path / "a.csv"]
     replayed = ["--sample", "lambertian:reflectance=0.5", "--source", beam, "--estimator", "forward", "--paths", 50_000, *grid]
-    result = answer(goniotwin("simulate", *replayed, *monochromator, "--json"))
+    result = answer(call("simulate", *replayed, *monochromator, "--json"))
     assert (result["source"]["file"], result["source"]["rays"]) == (str(beam), 20_000)
-    refused = goniotwin("simulate", *replayed)
+    refused = call("simulate", *replayed)
     assert refused.returncode == 2
     assert "another geometry" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
 
 
-def test_the_back_stray_light_and_the_regular_component_are_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("call", CALLS)
+def test_the_back_stray_light_and_the_regular_component_are_said(call: Call, tmp_path: Path) -> None:
     sample = "lambertian:reflectance=0.5,side=both+regular:reflectance=0.04,side=back"
     grid = ["--polar", "20:40:1", "--azimuth", "150:180:2", "--sigma", 30, "--out", tmp_path / "a.ddr"]
-    text = goniotwin("simulate", "--sample", sample, "--side", "back", "--stray", *grid).stdout
+    text = call("simulate", "--sample", sample, "--side", "back", "--stray", *grid).stdout
     assert "reflected light, the back lit, with stray light" in text
     assert "regular component at sigma 30: 0.04 of the light" in text
-    plain = answer(goniotwin("simulate", "--sample", sample, *grid, "--json"))
+    plain = answer(call("simulate", "--sample", sample, *grid, "--json"))
     assert (plain["side"], plain["stray"], plain["regular"]) == ("front", False, [])
 
 

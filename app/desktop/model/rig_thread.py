@@ -33,7 +33,7 @@ from goniotwin.app.desktop.model.messages import (
     RunRefused,
     StopFailed,
 )
-from goniotwin.app.desktop.model.pace import PacedClock
+from goniotwin.app.desktop.model.scaled_clock import PacedClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.drivers import DeviceError

@@ -4,8 +4,8 @@ from PySide6.QtCore import QObject, QTimer, Signal, Slot
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
-from goniotwin.app.desktop.model.live_cut import LiveCut
-from goniotwin.app.desktop.run.cut_plot import CutPlot
+from goniotwin.app.desktop.model.live_scan import LiveCut
+from goniotwin.app.desktop.run.scan_plot import CutPlot
 
 REDRAW_MS = 100
 """Not more often, however fast the rows come: drawing is for eyes."""

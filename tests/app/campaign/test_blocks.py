@@ -17,13 +17,15 @@ from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.rig import read_rig
-from tests.conftest import SMALL, Writer
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.rig import parse_rig, read_rig
+from tests.conftest import RIG, SMALL, Writer, changed
 
 WHITE = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')
 GLASS = '[twin.samples.glass]\nmodel = "lambertian"\nreflectance = 0.4\ntransmittance = 0.3\nside = "both"\n\n'
-SIZES = (1, 7, 40, 10**9)
+SIZES = pytest.mark.parametrize(
+    "sizes", [pytest.param((7, 10**9), id="two sizes"), pytest.param((1, 7, 40, 10**9), id="all", marks=pytest.mark.long)]
+)
 EVERYTHING = (
     SMALL + 'side = "both"\nlight = "both"\nsignature = true\nrepeats = 2\n'
     "[drift]\nevery_s = 60\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
@@ -31,16 +33,19 @@ EVERYTHING = (
 )  # fmt: skip
 
 
-@pytest.fixture
-def journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Path:
-    """Both sides and both lights of two samples, with everything beside that the reduction heeds."""
+@pytest.fixture(scope="module")
+def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both sides and both lights of two samples, with everything beside that the reduction heeds; it is only read."""
+    folder = tmp_path_factory.mktemp("blocks")
     changes = (
         ('["gaussian-5"]', '["glass", "gaussian-5"]'), ("beta_deg = [180]", "beta_deg = [0, 45, 180]"), ("[30]", "[30, 45]"),
         ("[550]", "[500, 550]"),
     )  # fmt: skip
-    rig = write_rig(WHITE, ("[twin.samples.etalon]", f"{GLASS}[twin.samples.etalon]"))
-    run_campaign(make_plan(read_schedule(write_schedule(*changes, text=EVERYTHING)), read_rig(rig)), tmp_path / "a.journal")
-    return tmp_path / "a.journal"
+    sheets = (WHITE, ("[twin.samples.etalon]", f"{GLASS}[twin.samples.etalon]"))
+    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), sheets), RIG.parent, "rig.toml")
+    schedule = parse_schedule(changed(EVERYTHING, changes), "schedule.toml")
+    run_campaign(make_plan(schedule, rig), folder / "a.journal")
+    return folder / "a.journal"
 
 
 def plan_rows(journal: Journal, sample: str) -> list[Row]:
@@ -51,12 +56,13 @@ def bits(points: BsdfPoints) -> list[bytes]:
     return [getattr(points, field.name).tobytes() for field in fields(points)]
 
 
-def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path) -> None:
+@SIZES
+def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
     with Journal.open(journal) as opened:
         reduction, whole = Reduction(opened), reduce_journal(opened)
         for sample in ("glass", "gaussian-5"):
             found = {}
-            for size in SIZES:
+            for size in sizes:
                 blocks = list(reduction.blocks(sample, size))
                 seen = reduction.overlaps(sample, size)
                 points = join_points([reduction.finish(block.points, seen) for block in blocks])
@@ -65,16 +71,17 @@ def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path) -> 
                 assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
                 listed = [(row.wavelength_nm, row.pose[:2]) for row in plan_rows(opened, sample) if row.pose is not None]
                 assert max(np.unique(block.rank).size for block in blocks) < size + max(Counter(listed).values())
-            assert all(each == found[1] for each in found.values())
+            assert all(each == found[sizes[0]] for each in found.values())
     assert whole.samples["glass"].transmitted.any()
     assert whole.samples["glass"].back.any()
 
 
-def test_a_forecast_is_the_same_whatever_the_size_of_a_block(journal: Path, tmp_path: Path) -> None:
-    found = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in SIZES]
+@SIZES
+def test_a_forecast_is_the_same_whatever_the_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
+    found = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
     assert all(each.spread == found[0].spread for each in found)
     assert all(each.check_results.as_dict() == found[0].check_results.as_dict() for each in found)
-    assert len({(tmp_path / f"{size}.csv").read_bytes() for size in SIZES}) == 1
+    assert len({(tmp_path / f"{size}.csv").read_bytes() for size in sizes}) == 1
     with Journal.open(journal) as opened:
         whole = reduce_journal(opened)
     for name, points in whole.samples.items():
@@ -88,11 +95,12 @@ def test_a_forecast_is_the_same_whatever_the_size_of_a_block(journal: Path, tmp_
     assert whole.overlaps["glass"].pairs > 0
 
 
+@pytest.mark.parametrize("steps", [(10.0, 2.5), pytest.param((4.0, 1.0), marks=pytest.mark.long)], ids=["few", "many"])
 def test_what_a_forecast_holds_grows_by_much_less_than_a_kilobyte_a_row(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
 ) -> None:
     rig, held, rows = read_rig(write_rig()), [], []
-    for step in (4.0, 1.0):
+    for step in steps:
         many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")
         plan, _ = plan_rehearsal(
             read_schedule(write_schedule(many, ("[1e8, 1e10]", "[1e8]"), ("[180]", "[0, 90, 180]"))), rig, {}

@@ -34,8 +34,8 @@ def test_a_session_that_the_schedule_ends_says_why_and_has_its_own_status(
     journal = tmp_path / "a.journal"
     done = call("run", write_schedule(text=SHORT), "--rig", write_rig(*STEADY), "--out", journal)
     assert done.returncode == 3
-    assert "the schedule has ended it: the session has lasted" in " ".join(done.stderr.split())
-    assert "go on with: goniotwin run --resume" in done.stderr
+    assert "ended by the schedule: the session has lasted" in " ".join(done.stderr.split())
+    assert "to continue: goniotwin run --resume" in done.stderr
     again = call("run", "--resume", journal, "--json")
     assert again.returncode in (0, 3)
     assert answer(call("runs", tmp_path, "--json"))["campaigns"][0]["sessions"] == 2

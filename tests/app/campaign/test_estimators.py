@@ -30,8 +30,11 @@ def measured(rig: Path, schedule: Path, journal: Path) -> BsdfPoints:
 
 @pytest.mark.parametrize(
     ("error", "angles"),
-    [(0.05, "sigma_deg = [30]"), pytest.param(0.015, "sigma_deg = [0, 30, 60]", marks=pytest.mark.long)],
-    ids=["5 percent", "1.5 percent"],
+    [
+        pytest.param(0.1, "sigma_deg = [30]", id="10 percent"),
+        pytest.param(0.05, "sigma_deg = [30]", id="5 percent", marks=pytest.mark.long),
+        pytest.param(0.015, "sigma_deg = [0, 30, 60]", id="1.5 percent", marks=pytest.mark.long),
+    ],
 )
 def test_a_campaign_with_the_forward_estimator_gives_the_fast_ones_bsdf(
     error: float, angles: str, write_rig: Writer, write_schedule: Writer, tmp_path: Path

@@ -18,7 +18,7 @@ from goniotwin.app.rig import OpenRig
 from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices import Cornerstone260
-from goniotwin.twin.optics import lambertian, spectral
+from goniotwin.twin.optics import apply_spectrum, lambertian
 from tests.app.campaign.failing_campaign import POLICIES, Wires, run_with, wrong
 from tests.app.campaign.filter_bench import BELIEVED, THERE, plan_with, rig_with, second_order
 from tests.app.campaign.measuring_bench import Run, carried_out
@@ -233,7 +233,7 @@ def _bsdf_at_760(tmp_path: Path, *changes: tuple[str, str]) -> float:
 
     def coloured(opened: OpenRig) -> None:
         assert opened.virtual is not None
-        opened.virtual.plant.model.samples["gaussian-5"] = spectral([380.0, 760.0], [AT_380, AT_760], lambertian(1.0))
+        opened.virtual.plant.model.samples["gaussian-5"] = apply_spectrum([380.0, 760.0], [AT_380, AT_760], lambertian(1.0))
 
     path = tmp_path / "a.journal"
     path.unlink(missing_ok=True)

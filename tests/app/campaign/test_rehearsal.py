@@ -198,6 +198,7 @@ def test_it_does_not_warn_of_the_beam_itself_on_the_arc_that_does_not_matter(wri
     assert warned(transmitted, "saturated at every gain")
 
 
+@pytest.mark.long
 def test_what_it_holds_does_not_grow_with_the_rows(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.drivers import NoAnswer, wait
 from tests.app.campaign.test_resume import STEADY, stopped_at, values
-from tests.app.test_homing_command import HOMES
+from tests.app.test_referencing import HOMES
 from tests.conftest import SMALL, Writer
 
 MORE = SMALL.replace("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3]")

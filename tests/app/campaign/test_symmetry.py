@@ -22,7 +22,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import app
 from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import RigDescription, read_rig
-from goniotwin.twin.optics import Scatterer, tabulated
+from goniotwin.twin.optics import Scatterer, table_sample
 from tests.app.campaign.test_export import points_of
 from tests.conftest import SMALL, Change, Writer
 
@@ -47,7 +47,7 @@ def brushed(share: float) -> Scatterer:
     """White where the light comes from the sample's azimuth 90, greyer by so much on either side where from -90."""
     psi, phi, theta = np.arange(0.0, 360.0, 15.0), np.array([0.0, 180.0]), np.array([0.0, 180.0])
     values = 0.5 / np.pi * (1.0 + share * np.sin(np.radians(psi)))
-    return tabulated([30.0], phi, theta, np.broadcast_to(values[:, None, None, None], (psi.size, 1, 2, 2)), psi_deg=psi)
+    return table_sample([30.0], phi, theta, np.broadcast_to(values[:, None, None, None], (psi.size, 1, 2, 2)), psi_deg=psi)
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.desktop.model.pace import PacedClock
 from goniotwin.app.desktop.model.rig_thread import next_journal
+from goniotwin.app.desktop.model.scaled_clock import PacedClock
 from goniotwin.app.desktop.run.panel import in_words
 from goniotwin.app.desktop.theme import DARK, LIGHT, Colours
 

@@ -15,8 +15,8 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import Positions
 from goniotwin.app.desktop import MainWindow
-from goniotwin.app.desktop.model.live_cut import Cut, Points
-from goniotwin.app.desktop.run.cut_plot import CutPlot
+from goniotwin.app.desktop.model.live_scan import Cut, Points
+from goniotwin.app.desktop.run.scan_plot import CutPlot
 from goniotwin.app.desktop.theme import LIGHT
 
 REPAINTS = 2000

@@ -18,9 +18,9 @@ from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.model import rig_thread as rigthread
-from goniotwin.app.desktop.model.live_cut import Cut, LiveCut
+from goniotwin.app.desktop.model.live_scan import Cut, LiveCut
 from goniotwin.app.desktop.model.permissions import BUSY
-from goniotwin.app.ending import REQUESTS
+from goniotwin.app.end_signals import END_SIGNALS
 from goniotwin.app.rig import OpenRig, RigFile
 from goniotwin.drivers import Axis, DeviceError, Rig
 from goniotwin.drivers.errors import NoAnswer
@@ -205,7 +205,7 @@ def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path) ->
 @pytest.fixture
 def handlers(qapp: QApplication) -> Iterator[None]:
     """A request to end leaves its handlers in place; they are restored. A desktop that does not end is ended, with status 1."""
-    before = {number: signal.getsignal(number) for number in REQUESTS}
+    before = {number: signal.getsignal(number) for number in END_SIGNALS}
     patience = QTimer(interval=READY_MS, singleShot=True)
     patience.timeout.connect(lambda: qapp.exit(1))
     patience.start()
@@ -215,7 +215,7 @@ def handlers(qapp: QApplication) -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("number", REQUESTS)
+@pytest.mark.parametrize("number", END_SIGNALS)
 @pytest.mark.usefixtures("handlers")
 def test_a_signal_ends_the_desktop(qapp: QApplication, tmp_path: Path, number: int) -> None:
     QTimer.singleShot(0, lambda: signal.raise_signal(number))

@@ -26,28 +26,37 @@ MODELS = (
     "gaussian:width_deg=12,reflectance=0.5,transmits=true,refraction=1.3,side=back",
 )
 SHEET = "+".join(MODELS)
+SIGMAS = pytest.mark.parametrize(
+    "sigmas", [pytest.param((20.0,), id="20"), pytest.param((20.0, 50.0), id="20 and 50", marks=pytest.mark.long)]
+)
 
 
-def found(sample: str, back: bool = False, transmitted: bool = False, **settings: Any) -> Simulation:
+def found(
+    sample: str, back: bool = False, transmitted: bool = False, sigmas: tuple[float, ...] = (20.0, 50.0), **settings: Any
+) -> Simulation:
     few = {"polar_deg": np.arange(0.0, 86.0, 5.0), "azimuth_deg": np.arange(0.0, 181.0, 10.0)}
     settings = {"instrument": OPEN, **few, **settings}
-    return simulate(Task(parse_sample(sample), np.array([20.0, 50.0]), back=back, transmitted=transmitted, **settings))
+    return simulate(Task(parse_sample(sample), np.array(sigmas), back=back, transmitted=transmitted, **settings))
 
 
+@SIGMAS
 @pytest.mark.parametrize(("back", "transmitted"), WAYS)
-def test_each_way_of_the_light_gives_the_values_of_its_own_model(back: bool, transmitted: bool) -> None:
-    sheet = found(SHEET, back, transmitted)
+def test_each_way_of_the_light_gives_the_values_of_its_own_model(
+    back: bool, transmitted: bool, sigmas: tuple[float, ...]
+) -> None:
+    sheet = found(SHEET, back, transmitted, sigmas)
     # The same model alone on the front: what is on the other sides does not matter.
-    alone = found(MODELS[2 * back + transmitted].replace(",side=back", ""), False, transmitted)
+    alone = found(MODELS[2 * back + transmitted].replace(",side=back", ""), False, transmitted, sigmas)
     assert np.array_equal(sheet.known, alone.known)
     np.testing.assert_allclose(sheet.table, alone.table, rtol=1e-6, atol=1e-12)
 
 
+@SIGMAS
 @pytest.mark.parametrize("transmitted", [False, True])
-def test_front_and_back_agree_for_a_symmetric_sheet(transmitted: bool) -> None:
+def test_front_and_back_agree_for_a_symmetric_sheet(transmitted: bool, sigmas: tuple[float, ...]) -> None:
     sheet = "lambertian:reflectance=0.2,transmittance=0.2,side=both+gaussian:width_deg=10,reflectance=0.3,side=both"
     sheet += "+gaussian:width_deg=6,reflectance=0.2,transmits=true,side=both"
-    front, back = (found(sheet, side, transmitted, instrument=Instrument()) for side in (False, True))
+    front, back = (found(sheet, side, transmitted, sigmas, instrument=Instrument()) for side in (False, True))
     np.testing.assert_allclose(back.table, front.table, rtol=1e-6)
     assert np.array_equal(back.known, front.known)
     for here, there in zip(front.at, back.at, strict=True):
@@ -55,8 +64,11 @@ def test_front_and_back_agree_for_a_symmetric_sheet(transmitted: bool) -> None:
         assert here.hidden.any() == (not transmitted)  # mirror 3 stands on the side of the light
 
 
+@SIGMAS
 @pytest.mark.parametrize(("back", "transmitted"), WAYS)
-def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(back: bool, transmitted: bool, tmp_path: Path) -> None:
+def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(
+    back: bool, transmitted: bool, sigmas: tuple[float, ...], tmp_path: Path
+) -> None:
     # An isotropic table without a mirror image: phi has its sense too.
     phi, turn = np.array([0.0, 90.0, 180.0, 270.0, 360.0]), np.array([1.0, 2.0, 1.0, 0.5, 1.0])
     values = np.ones((1, 1, 2, 5, 3)) * turn[:, None] * np.array([0.5, 0.3, 0.1])
@@ -67,10 +79,10 @@ def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(back: bool, tran
     sheet = f"table:{path},side={'back' if back else 'front'}"
     out = tmp_path / "a.csv"
     grid = {"polar_deg": np.arange(5.0, 80.0, 15.0), "azimuth_deg": np.arange(0.0, 361.0, 45.0)}
-    write(found(sheet, back, transmitted, **grid), out)
+    write(found(sheet, back, transmitted, sigmas, **grid), out)
     columns = read_points_csv(out).columns
     directions = arc_direction(columns["polar_deg"], columns["azimuth_deg"], back != transmitted)
-    for sigma in (20.0, 50.0):
+    for sigma in sigmas:
         here = columns["sigma_deg"] == sigma
         light = light_direction(180.0 - sigma if back else sigma)
         expected = np.pi * evaluate(parse_sample(sheet), light, directions[here])
@@ -82,13 +94,15 @@ def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(back: bool, tran
     # And on the output grid, in the sample's own specular coordinates: half way from 0.5 to 0.3 times 2 and 0.5.
     nodes = {"theta_deg": np.array([30.0]), "phi_deg": np.array([90.0, 270.0])}
     grid = {"polar_deg": np.arange(0.0, 81.0, 5.0), "azimuth_deg": np.arange(0.0, 361.0, 10.0)}
-    table = found(sheet, back, transmitted, **grid, **nodes).table[0, 0, 1:3, 1]
+    table = found(sheet, back, transmitted, sigmas, **grid, **nodes).table[0, 0, 1:3, 1]
     assert table == pytest.approx([0.55, 0.325], rel=0.02)
 
 
 @pytest.mark.parametrize(("back", "transmitted"), WAYS[2:])
 def test_the_forward_estimator_meets_the_same_back(back: bool, transmitted: bool) -> None:
-    grid = {"polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE}
+    grid: dict[str, Any] = {
+        "polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE,
+    }  # fmt: skip
     fast = found(SHEET, back, transmitted, **grid).at[0].ratio
     forward = found(SHEET, back, transmitted, **grid, effort=Effort("forward", paths=1_500_000, seed=3)).at[0].ratio
     many = (forward.standard_error < 0.15 * forward.factor)[0] & np.isfinite(fast.factor[0])

@@ -19,6 +19,10 @@ from tests.twin.optics.agreement import agree
 # Wider detectors than the instrument's, so that few paths make many hits.
 WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)
 OPEN = Instrument(obstruction=False)
+FEW = {"polar_deg": np.arange(0.0, 86.0, 5.0), "azimuth_deg": np.arange(0.0, 181.0, 10.0)}
+NEAR = {"polar_deg": np.arange(24.0, 36.5, 0.5), "azimuth_deg": np.arange(164.0, 181.0, 1.0)}
+"""Detectors about the specular direction of 30 deg, as close as they are of their own accord."""
+ALL_LONG = pytest.param({}, id="all detectors", marks=pytest.mark.long)
 BROAD = "gaussian:width_deg=25,reflectance=0.4+lambertian:reflectance=0.3"
 
 
@@ -32,35 +36,42 @@ def small(sample: str, **settings: Any) -> Task:
     return task(sample, **{**grid, "instrument": WIDE, **settings})
 
 
-@pytest.fixture(scope="module")
-def three() -> Simulation:
-    return simulate(task(sigmas=(0.0, 30.0, 60.0)))
+TWO_OR_THREE = [
+    pytest.param((0.0, 30.0), id="two sigmas"),
+    pytest.param((0.0, 30.0, 60.0), id="three sigmas", marks=pytest.mark.long),
+]
 
 
-def test_the_table_is_what_detectors_at_its_nodes_would_see(three: Simulation) -> None:
-    for k, sigma in enumerate((0.0, 30.0, 60.0)):
-        nodes = from_specular(sigma, three.theta_deg[None, :], three.phi_deg[:, None])
-        near = three.known[0, k] & (three.theta_deg[None, :] <= 10.0)
+@pytest.fixture(scope="module", params=TWO_OR_THREE)
+def some(request: pytest.FixtureRequest) -> Simulation:
+    return simulate(task(sigmas=request.param))
+
+
+def test_the_table_is_what_detectors_at_its_nodes_would_see(some: Simulation) -> None:
+    for k, sigma in enumerate(some.task.sigma_deg.tolist()):
+        nodes = from_specular(sigma, some.theta_deg[None, :], some.phi_deg[:, None])
+        near = some.known[0, k] & (some.theta_deg[None, :] <= 10.0)
         assert near.sum() > 220
-        expected = luminance_factor(OPEN, sigma, nodes[near], three.task.sample, rays=1024)
+        expected = luminance_factor(OPEN, sigma, nodes[near], some.task.sample, rays=1024)
         # The regridding; a linear one would be off by 0.8 % rms for steps of 0.5 deg.
-        relative = three.table[0, k][near] / expected - 1.0
+        relative = some.table[0, k][near] / expected - 1.0
         assert np.sqrt(np.mean(relative**2)) < 0.002
         assert np.max(np.abs(relative)) < 0.01
 
 
-def test_hidden_directions_have_no_value_and_are_told(three: Simulation) -> None:
-    result = summary(three, [Path("a.ddr")])
+@pytest.mark.parametrize("grid", [pytest.param(FEW, id="few detectors"), ALL_LONG])
+def test_hidden_directions_have_no_value_and_are_told(some: Simulation, grid: dict[str, Any]) -> None:
+    result = summary(some, [Path("a.ddr")])
     assert result["hidden_directions"]["0"] > 200  # mirror 3 stands in the specular direction
     assert result["obstruction"] is True
-    at = three.at[0]
+    at = some.at[0]
     assert np.all(np.isnan(at.ratio.factor[0, at.hidden]))
-    assert not three.known[0, 0, :, 0].any()
-    assert three.known[0, 1, :, 0].all()
-    text = "\n".join(ddr_table(three).comments)
+    assert not some.known[0, 0, :, 0].any()
+    assert some.known[0, 1, :, 0].all()
+    text = "\n".join(ddr_table(some).comments)
     assert "SIMULATED" in text
     assert "sigma 0, phi 0: theta 0 to 3.5" in text  # the zone of mirror 3 (its 20 mm seen at 200 mm, and the aperture)
-    free = simulate(task(sigmas=(0.0,), instrument=OPEN))
+    free = simulate(task(sigmas=(0.0,), instrument=OPEN, **grid))
     assert free.known[0, 0, :, 0].all()
     told = summary(free, [Path("a.ddr")])
     assert told["hidden_directions"] == {"0": 0}
@@ -68,31 +79,33 @@ def test_hidden_directions_have_no_value_and_are_told(three: Simulation) -> None
     assert any(words.startswith("obstruction: off") for words in told["assumptions"])
 
 
-def test_a_ddr_can_be_read_back_and_holds_the_values(three: Simulation, tmp_path: Path) -> None:
+@pytest.mark.parametrize("grid", [pytest.param(NEAR, id="detectors near the lobe"), ALL_LONG])
+def test_a_ddr_can_be_read_back_and_holds_the_values(some: Simulation, grid: dict[str, Any], tmp_path: Path) -> None:
     path = tmp_path / "a.ddr"
-    write(three, path)
+    write(some, path)
     table = read_ddr(path)
     assert table.source == "Generated"
     assert table.symmetry == "PlaneSymmetrical"
-    assert table.sigma_deg.tolist() == [0.0, 30.0, 60.0, 90.0]
+    sigmas = some.task.sigma_deg.tolist()
+    assert table.sigma_deg.tolist() == [*sigmas, 90.0]
     assert (table.phi_deg[0], table.phi_deg[-1], table.theta_deg[0], table.theta_deg[-1]) == (0.0, 180.0, 0.0, 180.0)
     assert table.channels == (None,)
-    np.testing.assert_allclose(table.values[0, 0, :3], three.table[0], rtol=1e-8, atol=1e-300)
-    np.testing.assert_array_equal(table.values[0, 0, 3], table.values[0, 0, 2])
+    np.testing.assert_allclose(table.values[0, 0, :-1], some.table[0], rtol=1e-8, atol=1e-300)
+    np.testing.assert_array_equal(table.values[0, 0, -1], table.values[0, 0, -2])
     # And it can be simulated in turn.
-    again = simulate(task(f"table:{path}"))
-    assert again.table[0, 0, 0, 0] == pytest.approx(three.table[0, 1, 0, 0], rel=0.03)
+    again = simulate(task(f"table:{path}", **grid))
+    assert again.table[0, 0, 0, 0] == pytest.approx(some.table[0, 1, 0, 0], rel=0.03)
 
 
-def test_the_csv_has_every_detector_with_its_error(three: Simulation, tmp_path: Path) -> None:
+def test_the_csv_has_every_detector_with_its_error(some: Simulation, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    write(three, path)
+    write(some, path)
     points = read_points_csv(path)
     columns = points.columns
     assert any("SIMULATED" in line for line in points.comments)
-    assert columns["sigma_deg"].size == sum(at.hidden.size for at in three.at)
+    assert columns["sigma_deg"].size == sum(at.hidden.size for at in some.at)
     seen = np.isfinite(columns["luminance_factor"])
-    assert seen.sum() == summary(three, [path])["values"]
+    assert seen.sum() == summary(some, [path])["values"]
     ratio = columns["sample_m2sr"][seen] / columns["etalon_m2sr"][seen]
     np.testing.assert_allclose(ratio, columns["luminance_factor"][seen], rtol=1e-7)
     assert np.all(columns["flags"][~seen] == "hidden")
@@ -100,13 +113,14 @@ def test_the_csv_has_every_detector_with_its_error(three: Simulation, tmp_path: 
     assert np.all(columns["standard_error"][bright] < 2e-3 * columns["luminance_factor"][bright])
 
 
-def test_all_wavelengths_come_from_one_set_of_rays(tmp_path: Path) -> None:
-    found = simulate(task("lambertian:reflectance=0.5", wavelengths_nm=np.array([450.0, 650.0])))
+@pytest.mark.parametrize("grid", [pytest.param(FEW, id="few detectors"), ALL_LONG])
+def test_all_wavelengths_come_from_one_set_of_rays(grid: dict[str, Any], tmp_path: Path) -> None:
+    found = simulate(task("lambertian:reflectance=0.5", wavelengths_nm=np.array([450.0, 650.0]), **grid))
     np.testing.assert_allclose(found.table[:, 0][:, found.known[0, 0]], 0.5, rtol=1e-9)
     write(found, tmp_path / "colour.ddr")
     assert read_ddr(tmp_path / "colour.ddr").channels == (450.0, 650.0)
     # A sample with a spectrum brings its own list.
-    spectral = simulate(task(f"table:{tmp_path / 'colour.ddr'}"))
+    spectral = simulate(task(f"table:{tmp_path / 'colour.ddr'}", **grid))
     assert spectral.wavelengths_nm is not None
     assert spectral.wavelengths_nm.tolist() == [450.0, 650.0]
 
@@ -123,10 +137,11 @@ def test_forward_goes_wavelength_by_wavelength_where_the_sample_does(tmp_path: P
         agree(value, error, np.full(value.shape, expected), 0.0)
 
 
-def test_transmitted_light_has_a_table_of_its_own(tmp_path: Path) -> None:
-    found = simulate(task("gaussian:width_deg=5,transmits=true", (0.0, 30.0), transmitted=True, instrument=OPEN))
+@pytest.mark.parametrize("grid", [pytest.param(NEAR, id="detectors near the lobe"), ALL_LONG])
+def test_transmitted_light_has_a_table_of_its_own(grid: dict[str, Any], tmp_path: Path) -> None:
+    found = simulate(task("gaussian:width_deg=5,transmits=true", (0.0, 30.0), transmitted=True, instrument=OPEN, **grid))
     # The lobe goes straight through: theta = 0, as in reflection.
-    mirrored = simulate(task("gaussian:width_deg=5", (0.0, 30.0), instrument=OPEN))
+    mirrored = simulate(task("gaussian:width_deg=5", (0.0, 30.0), instrument=OPEN, **grid))
     near = found.theta_deg <= 10.0
     np.testing.assert_allclose(found.table[..., near], mirrored.table[..., near], rtol=1e-6)
     write(found, tmp_path / "a.ddt")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from goniotwin.twin.optics import Instrument, arc_direction, from_specular, gaussian, lambertian, luminance_factor, throughput
+from tests.sizes import parted
 
 REFLECTED = 0.95**3
 PUPIL_SINE2 = math.sin(math.atan(5.0 / 800.0)) ** 2
@@ -42,11 +43,12 @@ def cut(sigma_deg: float, theta_max: float) -> Any:
     return directions[directions[:, 2] > math.cos(math.radians(85.0))]
 
 
+@parted(4)
 @pytest.mark.parametrize("sigma_deg", [0.0, 20.0, 30.0, 60.0, 80.0])
-def test_seven_rays_give_the_ratio_of_a_gaussian_of_5_deg_to_one_in_a_thousand(sigma_deg: float) -> None:
+def test_seven_rays_give_the_ratio_of_a_gaussian_of_5_deg_to_one_in_a_thousand(sigma_deg: float, part: int) -> None:
     instrument, directions = Instrument(obstruction=False), cut(sigma_deg, 10.0)
     few = luminance_factor(instrument, sigma_deg, directions, gaussian(5.0))
-    many = luminance_factor(instrument, sigma_deg, directions, gaussian(5.0), rays=1 << 18)
+    many = luminance_factor(instrument, sigma_deg, directions, gaussian(5.0), rays=(1 << 18) // part)
     assert np.max(np.abs(few / many - 1.0)) < 1e-3
 
 
@@ -57,10 +59,11 @@ def test_what_a_detector_gets_changes_smoothly_with_its_direction() -> None:
     assert np.max(np.abs(np.diff(signal) / signal[1:])) < 2e-4
 
 
-def test_seven_rays_give_the_flux_itself_to_a_few_in_a_thousand() -> None:
+@parted(4)
+def test_seven_rays_give_the_flux_itself_to_a_few_in_a_thousand(part: int) -> None:
     directions = cut(30.0, 10.0)
     few = throughput(Instrument(obstruction=False), 30.0, directions, lambertian())
-    many = throughput(Instrument(obstruction=False), 30.0, directions, lambertian(), rays=1 << 18)
+    many = throughput(Instrument(obstruction=False), 30.0, directions, lambertian(), rays=(1 << 18) // part)
     assert np.max(np.abs(few / many - 1.0)) < 4e-3
 
 

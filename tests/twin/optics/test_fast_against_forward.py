@@ -1,5 +1,6 @@
 """The two estimators of one integral, which share no ray, hold each other: what is scattered once, by the sample."""
 
+import functools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +13,14 @@ from goniotwin.twin.optics import (
     Deviation,
     Instrument,
     Scatterer,
-    forward,
+    forward_throughput,
     from_specular,
     gaussian,
     lambertian,
     regular,
     throughput,
 )
+from tests.sizes import parted
 from tests.twin.optics.agreement import agree
 from tests.twin.optics.models import ANISOTROPIC, TABLE
 
@@ -51,12 +53,16 @@ def hold_each_other(
     sum_error: float = 5e-3,
     rays: int = RAYS,
     seven: bool = False,
+    part: int = 1,
 ) -> None:
     """Chi-square and largest difference, and the sums within `sum_error`, of all that get `least` of the brightest's light.
 
-    With `seven` so for the few rays too that the fast estimator takes of its own accord, as campaigns have them.
+    With `seven` so for the few rays too that the fast estimator takes of its own accord, as campaigns have them. With
+    `part` of the paths: of those that have as many hits as `least` has of all paths, and the sums to as many standard errors.
     """
-    estimate = forward(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
+    if part > 1:
+        paths, least, sum_error, rays = paths // part, least * part, sum_error * math.sqrt(part), FEW_RAYS
+    estimate = forward_throughput(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
     sample = scatterer or regular(transmits=True, side="both")
     expected = throughput(instrument, sigma_deg, directions, sample, rays=rays, gamma_deg=gamma_deg)
     # Slivers of a detector and the lobe's far tail have too few hits for an error that is known.
@@ -80,46 +86,58 @@ def lobe_detectors(width_deg: float) -> tuple[Instrument, float]:
     return replace(WIDE, field_deg=field_deg, detector_diameter_mm=max(10.0, 5.0 * field_deg)), 1.08 * field_deg
 
 
+@parted(16)
 @pytest.mark.parametrize("sigma_deg", SIGMA)
 @pytest.mark.parametrize("transmits", [False, True], ids=["reflected", "transmitted"])
-def test_they_agree_for_a_lambertian_sample(sigma_deg: float, transmits: bool) -> None:
+def test_they_agree_for_a_lambertian_sample(sigma_deg: float, transmits: bool, part: int) -> None:
     sample = lambertian(0.0 if transmits else 0.9, 0.9 if transmits else 0.0, side="both")
-    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 9, transmits), sample, 40_000_000, sum_error=1e-3, seven=True)
+    hold_each_other(
+        WIDE, sigma_deg, rings(sigma_deg, 6.5, 9, transmits), sample, 40_000_000, sum_error=1e-3, seven=True, part=part
+    )
 
 
+@parted(16)
 @pytest.mark.parametrize("sigma_deg", SIGMA)
 @pytest.mark.parametrize("width_deg", [2.0, 5.0, 15.0, 30.0])
-def test_they_agree_for_a_gaussian_lobe(sigma_deg: float, width_deg: float) -> None:
+def test_they_agree_for_a_gaussian_lobe(sigma_deg: float, width_deg: float, part: int) -> None:
     instrument, step_deg = lobe_detectors(width_deg)
     sample = gaussian(width_deg, side="both")
-    hold_each_other(instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, 20_000_000, sum_error=1e-3, seven=True)
+    hold_each_other(
+        instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, 20_000_000, sum_error=1e-3, seven=True, part=part
+    )
 
 
+@parted(16)
 @pytest.mark.parametrize("sigma_deg", [0.0, 60.0, 150.0])
 @pytest.mark.parametrize("refraction", [1.0, 1.5])
-def test_they_agree_for_a_transmitted_lobe(sigma_deg: float, refraction: float) -> None:
+def test_they_agree_for_a_transmitted_lobe(sigma_deg: float, refraction: float, part: int) -> None:
     sample = gaussian(10.0, "half_width", "intensity", reflectance=0.7, transmits=True, refraction=refraction, side="both")
     instrument, step_deg = lobe_detectors(10.0)
-    hold_each_other(instrument, sigma_deg, rings(sigma_deg, step_deg, 8, True), sample, 20_000_000, sum_error=1e-3, seven=True)
+    hold_each_other(
+        instrument, sigma_deg, rings(sigma_deg, step_deg, 8, True), sample, 20_000_000, sum_error=1e-3, seven=True, part=part
+    )
 
 
+@parted(4)
 @pytest.mark.parametrize("sigma_deg", [0.0, 60.0, 80.0])
-def test_they_agree_for_a_table(sigma_deg: float) -> None:
-    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), TABLE, 2_000_000, rays=FEW_RAYS)
+def test_they_agree_for_a_table(sigma_deg: float, part: int) -> None:
+    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), TABLE, 2_000_000, rays=FEW_RAYS, part=part)
 
 
+@parted(4)
 @pytest.mark.parametrize("gamma_deg", [0.0, 110.0])
-def test_they_agree_for_an_anisotropic_sample_and_a_turned_hole(gamma_deg: float) -> None:
-    hold_each_other(WIDE, 50.0, rings(50.0, 6.5, 6), ANISOTROPIC, 1_000_000, gamma_deg, rays=FEW_RAYS)
+def test_they_agree_for_an_anisotropic_sample_and_a_turned_hole(gamma_deg: float, part: int) -> None:
+    hold_each_other(WIDE, 50.0, rings(50.0, 6.5, 6), ANISOTROPIC, 1_000_000, gamma_deg, rays=FEW_RAYS, part=part)
 
 
-def test_they_agree_for_the_instruments_own_detectors_and_what_the_mirrors_hide() -> None:
+@parted(16)
+def test_they_agree_for_the_instruments_own_detectors_and_what_the_mirrors_hide(part: int) -> None:
     narrow = Instrument()
     theta = np.arange(-10.0, 10.1, 0.6)
     in_plane = from_specular(30.0, np.abs(theta), np.where(theta < 0.0, 180.0, 0.0))
-    hold_each_other(narrow, 30.0, in_plane, gaussian(5.0), 40_000_000, sum_error=1e-2)
+    hold_each_other(narrow, 30.0, in_plane, gaussian(5.0), 40_000_000, sum_error=1e-2, part=part)
     # At normal incidence mirror 3 hides the peak, and some detectors in part.
-    hold_each_other(narrow, 0.0, rings(0.0, 0.7, 8), gaussian(5.0), 40_000_000, sum_error=1e-2)
+    hold_each_other(narrow, 0.0, rings(0.0, 0.7, 8), gaussian(5.0), 40_000_000, sum_error=1e-2, part=part)
 
 
 AWRY = {
@@ -134,37 +152,41 @@ AWRY = {
 }
 
 
+@parted(16)
 @pytest.mark.parametrize("sigma_deg", [30.0, 140.0])
 @pytest.mark.parametrize("element", [*AWRY, "all"])
-def test_they_agree_with_deviations(element: str, sigma_deg: float) -> None:
+def test_they_agree_with_deviations(element: str, sigma_deg: float, part: int) -> None:
     instrument, step_deg = lobe_detectors(5.0)
     awry = replace(instrument, deviations=AWRY if element == "all" else {element: AWRY[element]})
     directions, sample = rings(sigma_deg, step_deg, 6), gaussian(5.0, side="both")
-    hold_each_other(awry, sigma_deg, directions, sample, 8_000_000, gamma_deg=20.0, sum_error=2e-3)
+    hold_each_other(awry, sigma_deg, directions, sample, 8_000_000, gamma_deg=20.0, sum_error=2e-3, part=part)
     straight = throughput(instrument, sigma_deg, directions, sample, rays=1 << 12, gamma_deg=20.0)
     shifted = throughput(awry, sigma_deg, directions, sample, rays=1 << 12, gamma_deg=20.0)
     assert np.max(np.abs(shifted / straight - 1.0)) > 5e-3
 
 
-def test_they_agree_where_the_mirrors_are_too_small_for_the_beam() -> None:
+@parted(16)
+def test_they_agree_where_the_mirrors_are_too_small_for_the_beam(part: int) -> None:
     small = replace(WIDE, mirror_side_mm=7.0)
-    hold_each_other(small, 30.0, rings(30.0, 6.5, 6), lambertian(), 20_000_000, sum_error=2e-3)
+    hold_each_other(small, 30.0, rings(30.0, 6.5, 6), lambertian(), 20_000_000, sum_error=2e-3, part=part)
 
 
+@parted(16)
 @pytest.mark.parametrize(
     ("sigma_deg", "scatterer"), [(30.0, regular(0.4, side="both")), (150.0, regular(0.4, side="both")), (30.0, None)]
 )
-def test_they_agree_for_a_mirror_and_the_open_beam(sigma_deg: float, scatterer: Scatterer | None) -> None:
+def test_they_agree_for_a_mirror_and_the_open_beam(sigma_deg: float, scatterer: Scatterer | None, part: int) -> None:
     narrow = Instrument(obstruction=False)
     directions = rings(sigma_deg, 0.12, 6, transmitted=scatterer is None)
     # These detectors overlap, so their sum's error is not known from theirs.
-    estimate = forward(narrow, sigma_deg, directions, scatterer, 4_000_000, seed=3)
+    estimate = forward_throughput(narrow, sigma_deg, directions, scatterer, 4_000_000 // part, seed=3)
     expected = throughput(narrow, sigma_deg, directions, scatterer or regular(transmits=True, side="both"))
     seen = expected > 0.05 * expected.max()
     assert np.max(np.abs(estimate.single_m2sr - expected)[seen] / estimate.single_error[seen]) < 5.5
-    assert estimate.single_m2sr == pytest.approx(expected, abs=3e-3 * expected.max())
+    assert estimate.single_m2sr == pytest.approx(expected, abs=3e-3 * math.sqrt(part) * expected.max())
 
 
+@functools.cache
 def measured() -> Scatterer:
     """The black paint's table, from either side alike, which is no part of this repository."""
     if not MEASURED.is_file():
@@ -174,10 +196,11 @@ def measured() -> Scatterer:
     return scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
 
 
+@parted(16)
 @pytest.mark.parametrize("sigma_deg", SIGMA)
-def test_they_agree_for_a_measured_paint(sigma_deg: float) -> None:
+def test_they_agree_for_a_measured_paint(sigma_deg: float, part: int) -> None:
     paths, sum_error, rays = (32_000_000, 1e-3, RAYS) if sigma_deg == 150.0 else (6_000_000, 4e-3, FEW_RAYS)
-    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), measured(), paths, sum_error=sum_error, rays=rays)
+    hold_each_other(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), measured(), paths, sum_error=sum_error, rays=rays, part=part)
 
 
 @pytest.mark.long

@@ -8,29 +8,30 @@ import pytest
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Instrument,
+    apply_spectrum,
     gaussian,
     light_direction,
     regular,
-    spectral,
     spectral_throughput,
     specular_direction,
-    summed,
+    sum_samples,
     throughput,
 )
 from goniotwin.twin.optics.geometry.scene import scene_at
+from tests.sizes import parted
 
 OPEN = Instrument(obstruction=False)
 REFLECTED = 0.95**3
 RAYS = 2_000_000
 
 
-def drawn(instrument: Instrument, sigma_deg: float, directions: Floats, transmits: bool) -> tuple[Floats, Floats]:
+def drawn(instrument: Instrument, sigma_deg: float, directions: Floats, transmits: bool, rays: int) -> tuple[Floats, Floats]:
     """Throughputs and their standard errors by rays from the pupil through the hole, each followed to the detectors."""
     scene, random = scene_at(instrument, sigma_deg), np.random.Generator(np.random.Philox(2026))
-    radius, turn = np.sqrt(random.random(RAYS)), 2.0 * np.pi * random.random(RAYS)
+    radius, turn = np.sqrt(random.random(rays)), 2.0 * np.pi * random.random(rays)
     start = scene.pupil[0] + np.outer(radius * np.cos(turn), scene.pupil[1]) + np.outer(radius * np.sin(turn), scene.pupil[2])
     half = 0.5 * instrument.spot_side_mm
-    place = np.column_stack([random.uniform(-half, half, (RAYS, 2)), np.zeros(RAYS)])
+    place = np.column_stack([random.uniform(-half, half, (rays, 2)), np.zeros(rays)])
     light = start - place
     distance = np.linalg.norm(light, axis=1)
     light /= distance[:, None]
@@ -45,16 +46,17 @@ def drawn(instrument: Instrument, sigma_deg: float, directions: Floats, transmit
         found.append(weight * (inside & (reach > 0.0)))
     scale = REFLECTED * math.pi * instrument.pupil_radius_mm**2 * instrument.spot_side_mm**2 * 1e-6 / instrument.spot_side_mm**2
     values = np.array(found) * scale * instrument.spot_side_mm**2
-    return values.mean(axis=1), values.std(axis=1) / math.sqrt(RAYS)
+    return values.mean(axis=1), values.std(axis=1) / math.sqrt(rays)
 
 
+@parted(8)
 @pytest.mark.parametrize(("sigma_deg", "transmits"), [(0.0, False), (30.0, False), (60.0, False), (30.0, True), (150.0, True)])
-def test_the_image_of_the_pupil_against_rays_that_are_followed(sigma_deg: float, transmits: bool) -> None:
+def test_the_image_of_the_pupil_against_rays_that_are_followed(sigma_deg: float, transmits: bool, part: int) -> None:
     centre = -light_direction(sigma_deg) if transmits else specular_direction(sigma_deg)
     directions = centre + np.array([[0, 0, 0], [4e-3, 0, 0], [0, 6e-3, 0], [0, 0, 8e-3], [0, 1.1e-2, 0], [0.05, 0, 0]])
     mirror = regular(1.0, transmits=transmits, side="both")
     exact = throughput(OPEN, sigma_deg, directions, mirror)
-    mean, error = drawn(OPEN, sigma_deg, directions, transmits)
+    mean, error = drawn(OPEN, sigma_deg, directions, transmits, RAYS // part)
     seen = error > 0.0
     deviation = (exact[seen] - mean[seen]) / error[seen]
     assert np.sum(seen) >= 4
@@ -81,7 +83,7 @@ def test_a_mirror_in_front_hides_the_image() -> None:
 def test_a_sum_is_the_sum_and_each_wavelength_is_weighed() -> None:
     directions = specular_direction(30.0)[None]
     lobe, mirror = gaussian(5.0, reflectance=0.4), regular(0.05)
-    both = spectral([400.0, 700.0], [1.0, 0.5], summed(lobe, mirror))
+    both = apply_spectrum([400.0, 700.0], [1.0, 0.5], sum_samples(lobe, mirror))
     parts = throughput(OPEN, 30.0, directions, lobe) + throughput(OPEN, 30.0, directions, mirror)
     assert throughput(OPEN, 30.0, directions, both, wavelength_nm=550.0) == pytest.approx(0.75 * parts)
     at_once = spectral_throughput(OPEN, 30.0, directions, both, [400.0, 550.0, 700.0])

@@ -13,8 +13,8 @@ from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.desktop.model.live_cut import Cut, LiveCut, Points
-from goniotwin.app.desktop.run.cut_plot import CutPlot
+from goniotwin.app.desktop.model.live_scan import Cut, LiveCut, Points
+from goniotwin.app.desktop.run.scan_plot import CutPlot
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.protocols.clock import VirtualClock

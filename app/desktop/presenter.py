@@ -6,7 +6,6 @@ from PySide6.QtCore import QObject, Qt, Signal, Slot
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.desktop.layout import Parts
 from goniotwin.app.desktop.model.messages import (
     DeviceLost,
     DeviceStatus,
@@ -23,6 +22,7 @@ from goniotwin.app.desktop.model.messages import (
 )
 from goniotwin.app.desktop.model.permissions import BUSY, Allowed, allowed
 from goniotwin.app.desktop.run.live_plot import LivePlot
+from goniotwin.app.desktop.view import Parts
 
 SAID = {
     State.RUNNING: "The run goes on.",

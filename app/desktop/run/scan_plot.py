@@ -10,7 +10,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from goniotwin.app.desktop.model.live_cut import Cut, Points
+from goniotwin.app.desktop.model.live_scan import Cut, Points
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.arrays import Flags, Floats
 

@@ -7,8 +7,8 @@ from PySide6.QtCore import Qt, Slot
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.rig.panels import AxesPanel, DevicesPanel
-from goniotwin.app.desktop.run.cut_plot import CutPlot
 from goniotwin.app.desktop.run.panel import RunPanel
+from goniotwin.app.desktop.run.scan_plot import CutPlot
 from goniotwin.app.desktop.setup.panels import RigPanel, SchedulePanel
 from goniotwin.app.desktop.theme import Colours
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.cli.instrument import home_axes, state_place
+from goniotwin.app.cli.instrument import home_axes, set_axis_position
 from goniotwin.app.errors import UserError
 from goniotwin.drivers import Axis, DeviceError, TmclModule
 from goniotwin.protocols.tmcl import Request
@@ -29,7 +29,7 @@ def test_home_homes_what_can_and_says_each(write_rig: Writer, capsys: pytest.Cap
     [
         (["shift"], HOMES, r"axes.shift: has no \[axes.shift.homing\] table; .*goniotwin here --rig .* shift DEG"),
         ([], (), "no axis has a .homing. table"),
-        (["omega"], HOMES, "'omega' is no axis; there are gamma, sigma, beta, shift"),
+        (["omega"], HOMES, "'omega' is not an axis; the axes are gamma, sigma, beta, shift"),
     ],
 )
 def test_what_cannot_be_homed_is_refused_in_words(
@@ -56,7 +56,7 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
         told.extend(name for name, _ in targets)
         return stop(module, targets, then)
 
-    monkeypatch.setattr("goniotwin.app.cli.instrument.wait", interrupt)
+    monkeypatch.setattr("goniotwin.drivers.wait", interrupt)
     monkeypatch.setattr(TmclModule, "stop", heard)
     with pytest.raises(KeyboardInterrupt):
         home_axes(write_rig(*HOMES), [], print)
@@ -72,15 +72,15 @@ def test_here_is_what_somebody_says(write_rig: Writer, monkeypatch: pytest.Monke
         stated.append(angle_deg)
         assume(axis, angle_deg)
 
-    monkeypatch.setattr(Axis, "assume_referenced", assumed)
-    state_place(write_rig(), "sigma", 12.5, said.append)
-    assert (said, stated) == (["sigma: is at 12.500 deg, as you say"], [12.5])
+    monkeypatch.setattr(Axis, "set_position", assumed)
+    set_axis_position(write_rig(), "sigma", 12.5, said.append)
+    assert (said, stated) == (["sigma: position set to 12.500 deg"], [12.5])
 
 
 def test_here_outside_the_limits_or_no_angle_is_refused(write_rig: Writer) -> None:
     for angle in (-10.0, float("nan")):
         with pytest.raises(UserError, match="soft limits of 0 to 180 deg"):
-            state_place(write_rig(), "sigma", angle, print)
+            set_axis_position(write_rig(), "sigma", angle, print)
 
 
 def test_two_ways_to_the_reference_contradict_each_other(write_rig: Writer) -> None:
@@ -88,4 +88,4 @@ def test_two_ways_to_the_reference_contradict_each_other(write_rig: Writer) -> N
         ("power_up_at_reference = true\nencoder = false", "power_up_at_reference = true\nhoming_required = true")
     )
     with pytest.raises(UserError, match="contradict"):
-        state_place(rig, "sigma", 0.0, print)
+        set_axis_position(rig, "sigma", 0.0, print)

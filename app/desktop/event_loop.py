@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from PySide6.QtCore import QObject, QSocketNotifier, Signal, Slot
 
-from goniotwin.app.ending import EndRequests, requests_to_end_call
+from goniotwin.app.end_signals import EndSignalHandlers, call_on_end_signal
 
 MOST_BYTES = 4096
 
@@ -41,7 +41,7 @@ class Interrupt(QObject):
 
 
 @contextlib.contextmanager
-def interrupts() -> Iterator[tuple[Interrupt, EndRequests]]:
+def interrupts() -> Iterator[tuple[Interrupt, EndSignalHandlers]]:
     """While it lasts, requests to end go to an `Interrupt`. For the main thread, around its event loop."""
     reader, writer = socket.socketpair()
     with reader, writer:
@@ -50,7 +50,7 @@ def interrupts() -> Iterator[tuple[Interrupt, EndRequests]]:
         interrupt = Interrupt(reader)
         before = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
         try:
-            with requests_to_end_call(interrupt.requested.emit) as requests:
+            with call_on_end_signal(interrupt.requested.emit) as requests:
                 yield interrupt, requests
         finally:
             signal.set_wakeup_fd(before)

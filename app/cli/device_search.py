@@ -1,0 +1,152 @@
+"""Search for devices: the ports of this computer or of a rig file, and the identity of the device at each.
+
+Only identities are read, so nothing moves.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import serial
+import usb.core
+from serial.tools import list_ports
+
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, open_rig, read_rig
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.drivers import DeviceError, Monochromator, MonochromatorSettings, TmclModule
+from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.protocols.usbtmc import INTERFACE_CLASS
+
+AXES_BAUDRATES = (115200, 9600)
+RIG_BUS = "rig"
+
+
+@dataclass(frozen=True)
+class PortStatus:
+    """A port, the identity of the device there, and without one, what was tried. `bus` is "serial", "usb" or "rig"."""
+
+    bus: str
+    address: str
+    identity: str | None
+    tried: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"bus": self.bus, "address": self.address, "answers": self.identity, "tried": self.tried}
+
+
+def find_devices(rig: Path | None) -> list[PortStatus]:
+    """Find the devices of a rig file, or of this computer without one. Raises UserError."""
+    if rig is None:
+        clock = RealClock()
+        return [*_serial_ports(clock), *_usb_instruments()]
+    description = read_rig(rig)
+    return _rig_devices(description, VirtualClock() if description.file.twin is not None else RealClock())
+
+
+def status_table(ports: list[PortStatus]) -> str:
+    """One line for each port."""
+    if not ports:
+        return "no serial port and no USB instrument; Modbus modules cannot be listed: name a rig file with --rig"
+    return "\n".join(
+        f"{each.bus:7}{each.address or '-':24}{each.identity or f'not responding ({each.tried})'}" for each in ports
+    )
+
+
+def exit_status(ports: list[PortStatus]) -> int:
+    """1 if a device of a rig file does not respond, else 0: a port of this computer may have no device."""
+    return int(any(each.bus == RIG_BUS and each.tried for each in ports))
+
+
+def _rig_devices(rig: RigDescription, clock: Clock) -> list[PortStatus]:
+    """The devices of a rig file. Raises UserError if another program has the rig open."""
+    with open_rig(rig, clock) as opened:
+        outcome = opened.rig.connect()
+        return [
+            PortStatus(RIG_BUS, device, opened.rig.identities.get(device), "" if error is None else str(error))
+            for device, error in outcome.items()
+        ]
+
+
+def _serial_ports(clock: Clock) -> Iterator[PortStatus]:
+    for port in sorted(list_ports.comports()):
+        try:
+            lock = RigLock([port.device], "goniotwin devices")
+        except UserError as error:
+            yield PortStatus("serial", port.device, None, str(error))
+            continue
+        try:
+            yield _probe_port(port.device, clock)
+        finally:
+            lock.release()
+
+
+def _probe_port(device: str, clock: Clock) -> PortStatus:
+    """Ask for the identity with each protocol in turn."""
+    tried = []
+    probes: list[tuple[str, Callable[[], str]]] = [
+        *((f"TMCL at {rate} Bd", _tmcl(device, rate, clock)) for rate in AXES_BAUDRATES),
+        ("Cornerstone at 9600 Bd", _cornerstone(device, clock)),
+    ]
+    for name, probe in probes:
+        try:
+            return PortStatus("serial", device, probe())
+        except DeviceError as error:
+            tried.append(f"{name}: {error.happened}")
+    return PortStatus("serial", device, None, "; ".join(tried))
+
+
+def _opener(device: str) -> Callable[[int, float], serial.Serial]:
+    return lambda baudrate, timeout_s: serial.serial_for_url(device, baudrate=baudrate, timeout=timeout_s)
+
+
+def _tmcl(device: str, baudrate: int, clock: Clock) -> Callable[[], str]:
+    def ask() -> str:
+        module = TmclModule(_opener(device), clock, baudrate)
+        try:
+            return f"TMCM-{module.identify()}"
+        finally:
+            module.close()
+
+    return ask
+
+
+def _cornerstone(device: str, clock: Clock) -> Callable[[], str]:
+    def ask() -> str:
+        monochromator = Monochromator(_opener(device), MonochromatorSettings(), clock)
+        try:
+            return monochromator.connect()
+        finally:
+            monochromator.close()
+
+    return ask
+
+
+def _usb_instruments() -> Iterator[PortStatus]:
+    import libusb_package
+
+    try:
+        backend = libusb_package.get_libusb1_backend()
+        devices = list(usb.core.find(find_all=True, backend=backend, custom_match=_is_instrument))
+    except (usb.core.NoBackendError, usb.core.USBError) as error:
+        yield PortStatus("usb", "", None, str(error))
+        return
+    for device in devices:
+        address = f"{device.idVendor:04x}:{device.idProduct:04x}"
+        try:
+            yield PortStatus("usb", f"{address}:{device.serial_number}", f"{device.manufacturer} {device.product}")
+        except (usb.core.USBError, ValueError) as error:
+            yield PortStatus("usb", address, None, f"{error}; check that its driver gives this program access")
+
+
+def _is_instrument(device: Any) -> bool:
+    try:
+        return any(
+            (each.bInterfaceClass, each.bInterfaceSubClass) == INTERFACE_CLASS
+            for configuration in device
+            for each in configuration
+        )
+    except usb.core.USBError:
+        return False

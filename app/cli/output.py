@@ -1,0 +1,104 @@
+"""What all commands share: answers on standard output, messages and progress bars on standard error, common options."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+if TYPE_CHECKING:  # the events load numpy, which a command's help does not need
+    from goniotwin.app.campaign.running.events import Event
+
+RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
+TranscriptOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--transcript",
+        metavar="DIR",
+        help="Record every byte on every wire in this folder, with its time.",
+        show_default=False,
+    ),
+]
+
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+"""Standard error."""
+
+
+def answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> None:
+    """Print the result of a command: as one JSON object, or as text by `show`."""
+    if as_json:
+        print(json.dumps(result, indent=2, allow_nan=False))
+    else:
+        show()
+
+
+def print_error(text: object) -> None:
+    """Print an error on standard error, in red."""
+    errors.print(f"goniotwin: {text}", style="red", markup=False)
+
+
+class ProgressBar:
+    """A progress bar with the time left. It appears with the first progress: a command that is refused shows none."""
+
+    def __init__(self, console: Console, title: str, total: float | None, *columns: ProgressColumn) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=32),
+            *columns,
+            TimeRemainingColumn(compact=True),
+            TextColumn("left  [dim]{task.fields[now]}"),
+            console=console,
+        )
+        self._task = self._bar.add_task(title, total=total, now="")
+
+    def _update(self, now: str, completed: float | None = None, total: float | None = None) -> None:
+        self._bar.start()
+        self._bar.update(self._task, now=now, completed=completed, total=total)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._bar.live.is_started:
+            self._bar.stop()
+
+
+class RowProgress(ProgressBar):
+    """Progress of a campaign in rows; a listener of the engine. If `rows` is None, the first committed row gives the number."""
+
+    def __init__(self, console: Console, title: str, rows: int | None) -> None:
+        super().__init__(console, title, rows, MofNCompleteColumn(), TextColumn("rows,"))
+
+    def __call__(self, event: "Event") -> None:
+        """Show an event of the engine."""
+        from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
+
+        self._bar.start()
+        if isinstance(event, RowStarted):
+            self._update(event.row.identity)
+        elif isinstance(event, RowCommitted):
+            self._update(f"instrument time left {event.seconds_left:.0f} s", event.done, event.of)
+
+
+class ShareProgress(ProgressBar):
+    """Progress of a simulation as a share of 1, with the current step."""
+
+    def __init__(self, console: Console, title: str) -> None:
+        super().__init__(console, title, 1.0, TaskProgressColumn())
+
+    def __call__(self, share: float, now: str) -> None:
+        """Show the share that is done, and the current step."""
+        self._update(now, share)

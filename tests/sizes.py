@@ -1,0 +1,13 @@
+"""Sizes of statistical tests: a part of the draws in `make test`, all of them in `make test-long`.
+
+What a test asserts does not change with its size. Where it compares with a standard error, that is the one of the draws
+there were; where it needs so many hits, it takes those directions, samples or rows that have as many.
+"""
+
+import pytest
+
+
+def parted(part: int) -> pytest.MarkDecorator:
+    """Gives a test its `part`: it takes one draw of so many, and all of them in the long run."""
+    long = pytest.param(1, id="all", marks=pytest.mark.long)
+    return pytest.mark.parametrize("part", [pytest.param(part, id=f"1 of {part}"), long])

@@ -1,0 +1,90 @@
+"""docs/architecture.md: its picture is that of the imports, and its links lead somewhere."""
+
+import ast
+import re
+from pathlib import Path
+
+from tests.conftest import REPOSITORY
+
+DOCUMENT = REPOSITORY / "docs" / "architecture.md"
+ROOMS = (
+    "app.cli", "app.desktop", "app.scripting", "app.campaign", "app.simulation", "app.rig", "app.formats",
+    "mocks", "twin.doors", "twin.devices", "twin.plant", "twin.optics", "drivers", "protocols",
+)  # fmt: skip
+CAMPAIGN = (
+    "campaign", "rehearsal", "running", "reduction", "journal", "planning", "geometry", "schedule", "readout", "row", "wording",
+)  # fmt: skip
+
+Graph = dict[str, set[str]]
+
+
+def imports(rooms: tuple[str, ...]) -> Graph:
+    """Which rooms each room imports, by the sources; `if TYPE_CHECKING` and imports inside functions count."""
+    graph: Graph = {room: set() for room in rooms}
+    for folder in ("app", "drivers", "mocks", "protocols", "twin"):
+        for path in (REPOSITORY / folder).rglob("*.py"):
+            here = room_of(".".join(path.relative_to(REPOSITORY).with_suffix("").parts), rooms)
+            if here is None:
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ImportFrom) and node.module is not None and node.module.startswith("goniotwin"):
+                    names = [f"{node.module}.{alias.name}".removeprefix("goniotwin.") for alias in node.names]
+                    graph[here] |= {room for name in names if (room := room_of(name, rooms)) is not None}
+    return {room: others - {room} for room, others in graph.items()}
+
+
+def room_of(module: str, rooms: tuple[str, ...]) -> str | None:
+    return next((room for room in rooms if module == room or module.startswith(f"{room}.")), None)
+
+
+def reduced(graph: Graph) -> Graph:
+    """The arrows that no longer way replaces (the transitive reduction of a graph without cycles)."""
+
+    def reached(room: str) -> set[str]:
+        return {room}.union(*(reached(other) for other in graph[room]))
+
+    return {
+        room: {other for other in others if not any(other in reached(way) for way in others - {other})}
+        for room, others in graph.items()
+    }
+
+
+def drawn(name: str) -> Graph:
+    """The arrows of a mermaid picture under a heading of the document."""
+    text = DOCUMENT.read_text(encoding="utf-8")
+    match = re.search(rf"^## {re.escape(name)}$.*?```mermaid\n(.*?)```", text, re.DOTALL | re.MULTILINE)
+    assert match is not None, f"no picture under {name!r}"
+    graph: Graph = {}
+    for line in match[1].splitlines():
+        if arrow := re.fullmatch(r"\s*([\w.]+) --> ([\w. &]+)", line):
+            graph.setdefault(arrow[1], set()).update(other.strip() for other in arrow[2].split("&"))
+    return graph
+
+
+def test_the_picture_of_the_rooms_is_that_of_the_imports() -> None:
+    assert drawn("The house") == {room: others for room, others in reduced(imports(ROOMS)).items() if others}
+
+
+def test_the_picture_of_a_campaign_is_that_of_the_imports() -> None:
+    rooms = tuple(f"app.campaign.{name}" for name in CAMPAIGN)
+    found = {
+        room.removeprefix("app.campaign."): {other.removeprefix("app.campaign.") for other in others}
+        for room, others in reduced(imports(rooms)).items()
+        if others
+    }
+    assert drawn("A campaign") == found
+
+
+def test_every_link_of_the_documents_leads_to_a_file_and_every_name_in_it_is_defined_there() -> None:
+    for document in [REPOSITORY / "README.md", *(REPOSITORY / "docs").rglob("*.md")]:
+        for name, target in re.findall(r"\[([^\]]+)\]\(([^)#:]+)\)", document.read_text(encoding="utf-8")):
+            path = Path(document.parent, target)
+            assert path.exists(), f"{document.name}: {target}"
+            if path.suffix == ".py" and (symbol := re.fullmatch(r"`(\w+)(?:\.(\w+))?`", name)):
+                defined = {
+                    node.name
+                    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+                    if isinstance(node, ast.ClassDef | ast.FunctionDef)
+                }
+                wanted = {part for part in symbol.groups() if part}
+                assert wanted <= defined, f"{document.name}: {name} is not in {target}"
