@@ -105,7 +105,7 @@ class DriftReference:
 
     def check(self, row: Row, signal_of: SignalOf) -> DriftCheck | None:
         """Take a mounting or a row with readings, in order of time; give the comparison for a drift row after the first."""
-        if row.kind == "mount" and not row.added:
+        if row.kind == "mount" and not row.unplanned:
             self._first = self._last = None
         elif row.kind == "measure":
             self._last = (row, signal_of)
@@ -191,7 +191,7 @@ def drift_intervals(
         if not mounted and not (row.kind in ("measure", "drift") and each.data.readings):
             continue
         check = reference.check(row, partial(signal_of, each))
-        if mounted and not row.added:
+        if mounted and not row.unplanned:
             close(now, within)
             before, last = now, within
         elif row.kind == "drift":
@@ -210,7 +210,7 @@ def insensitive_photodiodes(rows: Iterable[CommittedRow], signal_of: Callable[[C
     result: dict[str, Flags] = {}
     for each in rows:
         # The first check after a mounting is the reference of all others.
-        if each.row.kind == "drift" and not each.row.added and each.data.readings and each.row.sample not in result:
+        if each.row.kind == "drift" and not each.row.unplanned and each.data.readings and each.row.sample not in result:
             result[each.row.sample] = ~_sensitive(signal_of(each))
     return result
 

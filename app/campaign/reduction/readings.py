@@ -70,7 +70,7 @@ class Measurements:
             self._dark = dark_readings_by_gain(dark_rows, self._settings)
         self._loss_s = dark_current_loss_s(dark_rows, self._settings)
         del dark_rows
-        self._table, self._names = journal.measured_rows()
+        self._table, self._names = journal.row_index()
         limit = None if schedule.drift is None else schedule.drift.limit
         self.insensitive = insensitive_photodiodes(journal.rows("drift"), self._signal)
         some = next(journal.rows("drift"), None) is not None

@@ -245,15 +245,15 @@ def missing_notes(journal: JournalReader, without_etalon: Mapping[str, int]) -> 
 
     `without_etalon` is by sample the number of rows at whose poses the etalon was not measured.
     """
-    done, of = journal.counted()
-    skipped = journal.skipped()
+    done, of = journal.row_counts()
+    skipped = journal.skipped_numbers()
     if done + len(skipped) < of:
         yield f"the campaign is not finished: {done} of {of} rows are done"
     if skipped:
-        samples = Counter(row.sample for row in journal.planned() if row.number in skipped)
+        samples = Counter(row.sample for row in journal.planned_rows() if row.number in skipped)
         counts = ", ".join(f"{count} of {sample}" for sample, count in samples.items())
         yield f"rows skipped after faults, without values: {counts}; {RESUME}"
-    yield from journal.told("encoder")
+    yield from journal.event_texts("encoder")
     for sample, rows in without_etalon.items():
         yield f"{sample}: rows without all values, because the etalon was not measured at their poses: {rows}"
 

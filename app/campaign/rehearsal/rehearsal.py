@@ -152,7 +152,7 @@ def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: li
             faults += engine.faults
             if state is State.IDLE and not engine.ended_by_schedule:
                 raise KeyboardInterrupt
-            before, (done, _) = done, journal.counted()
+            before, (done, _) = done, journal.row_counts()
             if state is not State.IDLE or done <= before:
                 sessions = len(journal.sessions())
                 return RehearsalRun(

@@ -49,7 +49,7 @@ def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def plan_rows(journal: Journal, sample: str) -> list[Row]:
-    return [row for row in journal.planned() if row.sample == sample and row.kind == "measure"]
+    return [row for row in journal.planned_rows() if row.sample == sample and row.kind == "measure"]
 
 
 def bits(points: BsdfPoints) -> list[bytes]:
