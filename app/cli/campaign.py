@@ -211,7 +211,7 @@ def _sample_models(texts: list[str]) -> dict[str, str]:
 def _check_writable(points: Path | None, out: Path | None) -> None:
     """Check, before a long rehearsal, that its files can be written after it. Raises UserError."""
     from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.whole_file import refuse_unwritable
+    from goniotwin.app.formats.file import check_writable
 
     if out is not None and out.exists():
         raise UserError(f"--out {out}: exists, and a journal is never overwritten; choose another name")
@@ -220,7 +220,7 @@ def _check_writable(points: Path | None, out: Path | None) -> None:
     for option, path in (("--points", points), ("--out", out)):
         if path is not None:
             try:
-                refuse_unwritable(path)
+                check_writable(path)
             except FormatError as error:
                 raise UserError(f"{option} {error}") from None
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 
@@ -126,7 +126,7 @@ def field_variance(instrument: Instrument) -> float:
 
 def add_field_uncertainty(points: BsdfPoints, rig: RigFile) -> BsdfPoints:
     """The points with the field's part, `u_field`, in their uncertainty `u_bsdf`; NaN and not in it where nobody can tell."""
-    u_field = field_uncertainty(points, field_variance(believed_instrument(rig)))
+    u_field = field_uncertainty(points, field_variance(nominal_instrument(rig)))
     return replace(points, u_field=u_field, u_bsdf=np.hypot(points.u_bsdf, np.nan_to_num(u_field)))
 
 

@@ -72,7 +72,7 @@ def plan_rehearsal(
         named = ", ".join((file.etalon, *file.samples))
         raise UserError(f"--sample {unknown[0]}: {schedule.name} has no such sample; it has {named}")
     described = described_twin(rig, file.etalon, file.samples, samples)
-    return make_plan(schedule, described.rig), described.assumed
+    return make_plan(schedule, described.rig), described.assumptions
 
 
 def rehearse(

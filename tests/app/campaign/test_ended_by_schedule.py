@@ -14,7 +14,7 @@ from goniotwin.app.campaign.rehearsal.report import report_text
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from goniotwin.app.rig.lock import Held, RigLock
+from goniotwin.app.rig.lock import RigInUse, RigLock
 from tests.app.campaign.test_resume import STEADY, stopped_at
 from tests.conftest import SMALL, Writer
 from tests.system.test_command import CALLS, Call, answer
@@ -69,7 +69,7 @@ def test_a_journal_is_one_under_all_its_names(write_rig: Writer, write_schedule:
     about = first.stat()
     held = RigLock([f"/goniotwin-journal/{about.st_dev}/{about.st_ino}"], "small (a.journal)")
     try:
-        with pytest.raises(Held, match=r"b\.journal: is in use by process \d+ .*small \(a\.journal\)"):
+        with pytest.raises(RigInUse, match=r"b\.journal: is in use by process \d+ .*small \(a\.journal\)"):
             resume_campaign(second)
     finally:
         held.release()
