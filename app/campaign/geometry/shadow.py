@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction
 from goniotwin.twin.optics.geometry.mirrors import mirrors_at
@@ -81,7 +81,7 @@ def blocked_by_mirrors(
 
     Angles of the directions of observation in degrees, from the front's normal (the lower arc is beyond 90); shape as theirs.
     """
-    instrument = believed_instrument(rig)
+    instrument = nominal_instrument(rig)
     angles, where = np.unique(
         np.round(np.stack([np.ravel(zenith_deg), np.ravel(azimuth_deg)], axis=1), 6), axis=0, return_inverse=True
     )
@@ -94,7 +94,7 @@ def blocked_by_mirrors(
 def may_be_blocked(rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
     """The same at a glance: where this is False nothing is hidden."""
     directions = arc_direction(zenith_deg, azimuth_deg)
-    return ~clear_of_mirrors(believed_instrument(rig), rig.geometry.shadow_margin_deg, sigma_deg, directions)
+    return ~clear_of_mirrors(nominal_instrument(rig), rig.geometry.shadow_margin_deg, sigma_deg, directions)
 
 
 @lru_cache(maxsize=4096)

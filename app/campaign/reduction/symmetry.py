@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses
-from goniotwin.app.campaign.reduction.agreement import plausible
-from goniotwin.app.campaign.reduction.points import BsdfPoints, steepness
+from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
 from goniotwin.app.campaign.schedule.refinement import Symmetry
 from goniotwin.arrays import Floats
 
@@ -27,7 +26,7 @@ OF_PAIR = ("wavelength_nm", "sigma_deg", "shift_deg", "gamma", "beta", "photodio
 
 
 @dataclass(frozen=True)
-class Symmetrical:
+class SymmetryResult:
     """How `pairs` of a value and that of its mirror image differ. `chi_square` is about `pairs` where the symmetry holds;
     `worst` the greatest difference in its standard uncertainties, `beyond` the share of them beyond two. `largest` is a
     relative difference, with its standard uncertainty, at the place `where`: the greatest of those that are known well; where
@@ -99,9 +98,9 @@ class SymmetryCheck:
         columns |= {"zenith": here.zenith_deg, "azimuth": here.azimuth_deg, "mirrored": here.mirrored.astype(float)}
         self._kept.append(columns)
 
-    def verdict(self) -> Symmetrical:
+    def result(self) -> SymmetryResult:
         """Of all points that were added."""
-        nothing = Symmetrical(self._stated, 0, 0.0, 0.0, 0.0, math.nan, math.nan, "")
+        nothing = SymmetryResult(self._stated, 0, 0.0, 0.0, 0.0, math.nan, math.nan, "")
         if not self._kept:
             return nothing
         all_of = {name: np.concatenate([each[name] for each in self._kept]) for name in self._kept[0]}
@@ -126,7 +125,7 @@ class SymmetryCheck:
         along = np.bincount(row, weights=difference * mean / variance)
         length = np.bincount(row, weights=mean**2 / variance)
         chi_square = float(np.sum(plain - common * along**2 / (1.0 + common * length)))
-        found = Symmetrical(
+        found = SymmetryResult(
             self._stated, int(one.size), chi_square, float(worse.max()), float(np.mean(worse > 2.0)), math.nan, math.nan, ""
         )
         safe = np.where(mean == 0.0, np.nan, np.abs(mean))
@@ -140,7 +139,7 @@ class SymmetryCheck:
             f"(photodiode {at['photodiode']:.0f})"
         )
         known = (found.stated, found.pairs, found.chi_square, found.worst, found.beyond)
-        return Symmetrical(*known, float(relative[k]), float(u_relative[k]), where)
+        return SymmetryResult(*known, float(relative[k]), float(u_relative[k]), where)
 
 
 def _means(columns: Columns, which: np.ndarray, size: int, chosen: np.ndarray) -> tuple[Floats, Floats]:

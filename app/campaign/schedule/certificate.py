@@ -18,7 +18,7 @@ from pydantic import Field
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import refuse_percentage
-from goniotwin.app.toml_file import Table
+from goniotwin.app.toml_file import TomlTable
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
 
@@ -27,7 +27,7 @@ VALUE_COLUMNS = ("radiance_factor", "relative_uncertainty")
 TOLERANCE = 1e-6
 
 
-class CertificateTable(Table):
+class CertificateTable(TomlTable):
     """The etalon's certificate, in place of the rig file's `[etalon]`: a CSV `file` beside the schedule, which holds until
     the end of the day `expires`. `accept_expired_by` is the name of who answers for using it after that.
     """

@@ -20,7 +20,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
 from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
-from goniotwin.app.toml_file import Table, checked, parse_toml, read_toml
+from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
 LOOP_NAMES = ("gamma", "sigma", "beta", "shift", "wavelength")
@@ -45,7 +45,7 @@ KEYWORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_
 """What may stand in place of a list."""
 
 
-class AveragingTable(Table):
+class AveragingTable(TomlTable):
     """Each row is read on, at each of its gains, until every photodiode that has light knows it to `relative_uncertainty`
     (standard, of noise alone), or for `longest_s`. The schedule's `readings` are then the fewest.
     """
@@ -54,7 +54,7 @@ class AveragingTable(Table):
     longest_s: PositiveFloat = 10.0
 
 
-class WarmUpTable(Table):
+class WarmUpTable(TomlTable):
     """The campaign begins with a wait for the lamp, with open shutter: until the monitor changes by no more than
     `percent_per_10min`, or for `longest_s`.
     """
@@ -63,7 +63,7 @@ class WarmUpTable(Table):
     longest_s: PositiveFloat = 3600.0
 
 
-class DriftTable(Table):
+class DriftTable(TomlTable):
     """Every `every_s` the light at one pose is measured again. Where it, over the monitor's, is another than it was at first
     by more than `limit` (a share), the rows between the checks are flagged, or the run stops as well.
     """
@@ -78,7 +78,7 @@ class DriftTable(Table):
     on_excess: Literal["flag", "stop"] = "flag"
 
 
-class StopTable(Table):
+class StopTable(TomlTable):
     """What ends a run before its last row, in good order: it can be gone on with.
 
     `longest_s` is of the rig's time in one session; `skipped_rows` how many rows of a session may be skipped for faults;
@@ -90,7 +90,7 @@ class StopTable(Table):
     lamp_below: Fraction | None = None
 
 
-class FaultsTable(Table):
+class FaultsTable(TomlTable):
     """What is done where a device fails in a row, by the kind of fault; without this table the run stops safely.
 
     `wire`: no answer, or a wrong one. `reset`: a device has lost its settings. `refused`: it will not, or cannot. `axis`: it is
@@ -108,7 +108,7 @@ class FaultsTable(Table):
     then: Literal["skip", "ask", "stop"] = "stop"
 
 
-class ScheduleFile(Table):
+class ScheduleFile(TomlTable):
     """The whole file. Angles in degrees, wavelengths in nanometres, times in seconds."""
 
     name: Name
@@ -195,11 +195,11 @@ class ScheduleDescription:
 def read_schedule(path: Path) -> ScheduleDescription:
     """A schedule file. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
-    file = checked(ScheduleFile, content, str(path))
+    file = validate_table(ScheduleFile, content, str(path))
     certificate = None if file.certificate is None else read_certificate(path.parent, file.certificate)
     return ScheduleDescription(text, file, str(path), certificate)
 
 
 def parse_schedule(text: str, name: str) -> ScheduleDescription:
     """A schedule's text, such as a journal holds. Raises UserError."""
-    return ScheduleDescription(text, checked(ScheduleFile, parse_toml(text, name), name), name)
+    return ScheduleDescription(text, validate_table(ScheduleFile, parse_toml(text, name), name), name)

@@ -5,7 +5,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, model_validator
 
-from goniotwin.app.toml_file import Table
+from goniotwin.app.toml_file import TomlTable
 
 MAX_GRID_VALUES = 100_000
 DECIMALS = 6
@@ -13,7 +13,7 @@ DECIMALS = 6
 Item = TypeVar("Item")
 
 
-class GridRange(Table):
+class GridRange(TomlTable):
     """Evenly spaced values, both ends included."""
 
     start: float

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.row_points import live_points
-from goniotwin.app.campaign.reduction.signals import Signal, darks_by_gain, signal
+from goniotwin.app.campaign.reduction.signals import Signal, dark_readings_by_gain, signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.rig import RigDescription, photodiode_settings
@@ -107,7 +107,7 @@ class LiveCut:
         row, rig = committed.row, self.plan.rig
         assert row.pose is not None
         settings = photodiode_settings(rig.file)
-        found = signal(committed.data, darks_by_gain(list(self._darks), settings), settings)
+        found = signal(committed.data, dark_readings_by_gain(list(self._darks), settings), settings)
         place = (row.wavelength_nm, row.pose)
         upper = len(settings.upper_deg)
         if row.sample == self.plan.schedule.file.etalon:

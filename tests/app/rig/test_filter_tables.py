@@ -123,7 +123,7 @@ def test_the_twin_of_a_real_rigs_file_has_the_filters_that_the_file_says_somethi
     assert model.order_sorting == OrderSorting(0.0, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
     assert [each.position for each in monochromator_settings(found.rig.file).wheel.filters] == [1, 4, 2]
     assert found.rig.file.monochromator.baudrate == 9600
-    assert any("filters that have a cut_on_nm let 0.9 of the light through" in each for each in found.assumed)
+    assert any("filters that have a cut_on_nm let 0.9 of the light through" in each for each in found.assumptions)
 
 
 def test_a_served_rigs_file_keeps_what_the_operator_believes_of_the_wheel() -> None:

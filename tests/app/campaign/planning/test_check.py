@@ -12,7 +12,7 @@ from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors, clear_of_
 from goniotwin.app.campaign.planning.check import check_plan, describe_check
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
-from goniotwin.app.rig import believed_instrument, read_rig
+from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.twin.optics import arc_direction, visible_fraction
 from tests.app.campaign.planning.planner_bench import GREAT, HEAD, checking
 from tests.conftest import RIG, SCHEDULE
@@ -115,7 +115,7 @@ def test_the_back_is_as_hidden_as_the_front() -> None:
 def test_what_is_called_clear_at_a_glance_no_ray_finds_hidden(
     sigma: float, gamma: float, angles: list[tuple[float, float]], near: float
 ) -> None:
-    instrument = believed_instrument(VIRTUAL.file)
+    instrument = nominal_instrument(VIRTUAL.file)
     zenith, azimuth = np.array([*angles, (abs(sigma + near), 0.0), (abs(sigma - near), near)]).T
     directions = arc_direction(zenith, azimuth)
     clear = clear_of_mirrors(instrument, VIRTUAL.file.geometry.shadow_margin_deg, sigma, directions)
