@@ -14,7 +14,7 @@ from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
-from goniotwin.app.rig.lock import Held, RigLock
+from goniotwin.app.rig.lock import RigInUse, RigLock
 from goniotwin.mocks.control import Control
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_values
 from tests.conftest import Writer
@@ -154,7 +154,7 @@ def test_on_a_full_disk_a_rig_is_held_without_a_note_of_who_has_it(small_disk: S
         while True:
             file.write(bytes(4096))
     lock = RigLock(["/dev/ttyUSB0"], "measuring paint", folder / "locks")
-    with pytest.raises(Held, match="is in use by another program"):
+    with pytest.raises(RigInUse, match="is in use by another program"):
         RigLock(["/dev/ttyUSB0"], "measuring wood", folder / "locks")
     lock.release()
     RigLock(["/dev/ttyUSB0"], "measuring wood", folder / "locks").release()

@@ -9,7 +9,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
@@ -56,7 +56,7 @@ def test_the_wheel_turns_with_the_wavelength_and_each_row_says_where_it_is(heard
     changes = [there for here, there in zip([1.0, *order], order, strict=False) if here != there]
     assert [line for line in heard if line.startswith("FILTER ")] == [f"FILTER {each:.0f}" for each in changes]
     assert changes
-    assert checked_plan(plan)["filter_changes"] == len(changes)
+    assert check_plan(plan)["filter_changes"] == len(changes)
 
 
 def test_it_is_asked_before_and_after_it_is_turned(heard: list[str], tmp_path: Path) -> None:

@@ -166,7 +166,7 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
     with Journal.open(path) as journal:
         notes = reduce_journal(journal).notes
     assert any(
-        note.startswith("rows that were skipped for faults and have no values: 2 of etalon, 2 of gaussian-5; goniotwin run")
+        note.startswith("rows skipped after faults, without values: 2 of etalon, 2 of gaussian-5; goniotwin run")
         for note in notes
     )
     monkeypatch.setattr(RowExecutor, "execute", execute)
@@ -199,7 +199,7 @@ def test_values_that_lack_their_etalon_are_told(
     run_campaign(plan, tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as journal:
         found = reduce_journal(journal)
-    assert "gaussian-5: no values, or not all, in rows at whose poses the etalon was not measured: 1" in found.notes
+    assert "gaussian-5: rows without all values, because the etalon was not measured at their poses: 1" in found.notes
     assert 1.0 not in found.samples["gaussian-5"].shift_deg
 
 
