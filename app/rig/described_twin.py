@@ -27,14 +27,14 @@ RANGE_TO_SPARE = 2.0
 
 
 @dataclass(frozen=True)
-class Described:
+class DescribedTwin:
     """A virtual rig, and in words what was assumed where the file said nothing. `rig` is a whole rig file, text and all."""
 
     rig: RigDescription
-    assumed: tuple[str, ...]
+    assumptions: tuple[str, ...]
 
 
-def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], models: Mapping[str, str]) -> Described:
+def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], models: Mapping[str, str]) -> DescribedTwin:
     """A virtual rig in this process for any rig's file; one that is such already stays what it is.
 
     `etalon` and `samples` are the schedule's names; `models` says by name what they are, in one line each (see
@@ -57,8 +57,8 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
     for name, model in models.items():
         _samples(document)[name] = sample_table(model)
     if document.unwrap() == tomlkit.parse(real.text).unwrap():
-        return Described(real, ())
-    return Described(parse_rig(tomlkit.dumps(document), real.folder, real.name), tuple(assumed))
+        return DescribedTwin(real, ())
+    return DescribedTwin(parse_rig(tomlkit.dumps(document), real.folder, real.name), tuple(assumed))
 
 
 def _connect_to_the_twin(document: tomlkit.TOMLDocument, file: RigFile) -> None:

@@ -10,18 +10,18 @@ import usb.core
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import USBIP_PORT, ModbusUnits, host_and_port, is_port
-from goniotwin.app.rig.file import RigFile
-from goniotwin.app.rig.lock import RigLock
-from goniotwin.app.rig.model_hash import model_hashes
-from goniotwin.app.rig.settings import (
+from goniotwin.app.rig.file import (
+    RigFile,
     arc_clearance,
     axis_settings,
     monitor_settings,
     monochromator_settings,
     photodiode_settings,
 )
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
-from goniotwin.app.toml_file import checked, parse_toml, read_toml
+from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.motion import tmcl
@@ -79,12 +79,12 @@ class RigDescription:
 def read_rig(path: Path) -> RigDescription:
     """A rig file. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
-    return RigDescription(text, checked(RigFile, content, str(path)), path.parent, str(path))
+    return RigDescription(text, validate_table(RigFile, content, str(path)), path.parent, str(path))
 
 
 def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
     """A rig file's text, such as a journal holds. Raises UserError."""
-    return RigDescription(text, checked(RigFile, parse_toml(text, name), name), folder, name)
+    return RigDescription(text, validate_table(RigFile, parse_toml(text, name), name), folder, name)
 
 
 @dataclass

@@ -22,13 +22,13 @@ from pydantic import Field, model_validator
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, bsdf, read_ddr
 from goniotwin.app.formats.zemax import ZemaxBsdf, read_zemax
-from goniotwin.app.toml_file import Table, checked
+from goniotwin.app.toml_file import TomlTable, validate_table
 from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, spectral_table, sum_samples, table_sample
 
 Side = Literal["front", "back", "both"]
 
 
-class LambertianTable(Table):
+class LambertianTable(TomlTable):
     """A perfect diffuser of some reflectance, and of some transmittance."""
 
     model: Literal["lambertian"]
@@ -46,7 +46,7 @@ class LambertianTable(Table):
         return lambertian(self.reflectance, self.transmittance, self.side)
 
 
-class GaussianTable(Table):
+class GaussianTable(TomlTable):
     """A Gaussian lobe round the specular direction (the paper's formula 6), or round the transmitted one."""
 
     model: Literal["gaussian"]
@@ -71,7 +71,7 @@ class GaussianTable(Table):
         )
 
 
-class RegularTable(Table):
+class RegularTable(TomlTable):
     """A mirror or a clear sheet: a share of the light, or a list of shares over the incidences `sigma_deg`."""
 
     model: Literal["regular"]
@@ -90,7 +90,7 @@ class RegularTable(Table):
         return regular(self.reflectance, self.transmits, self.side, self.sigma_deg)
 
 
-class MeasuredTable(Table):
+class MeasuredTable(TomlTable):
     """A table of a Zemax `.bsdf` file, named from where the rig file is; a BTDF transmits."""
 
     model: Literal["zemax"]
@@ -101,7 +101,7 @@ class MeasuredTable(Table):
 LobeTable = Annotated[LambertianTable | GaussianTable | RegularTable | MeasuredTable, Field(discriminator="model")]
 
 
-class SumTable(Table):
+class SumTable(TomlTable):
     """Several models at once, each scattering its share."""
 
     model: Literal["sum"]
@@ -194,7 +194,7 @@ def _model(part: str) -> Scatterer:
         raise UserError(f"{place}: nothing follows the colon; keys are {_keys(name)}")
     entries = _entries(rest, name, place)
     try:
-        return checked(FORMULAS[name], {"model": name, **entries}, place).scatterer()
+        return validate_table(FORMULAS[name], {"model": name, **entries}, place).scatterer()
     except UserError as error:
         raise UserError(str(error).replace(": the file: ", ": ", 1)) from None
 

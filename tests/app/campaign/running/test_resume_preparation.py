@@ -9,7 +9,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import clock_for, operator_for, resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
@@ -22,7 +22,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.drivers import NoAnswer, wait
-from tests.app.campaign.test_resume import STEADY, stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, planned_values, run_until
 from tests.app.test_referencing import HOMES
 from tests.conftest import SMALL, Writer
 
@@ -82,12 +82,12 @@ def half_done(plan: Plan, path: Path) -> None:
     """Stopped in the middle of the sample, the last that is mounted."""
     seconds = np.cumsum([row.seconds for row in plan.rows])
     last = [k for k, row in enumerate(plan.rows) if row.kind == "measure"][-2]
-    stopped_at(plan, path, float(seconds[last - 1]) + 0.5 * plan.rows[last].seconds)
+    run_until(plan, path, float(seconds[last - 1]) + 0.5 * plan.rows[last].seconds)
 
 
 @pytest.fixture(params=[MORE, CHECKED], ids=["without drift checks", "with drift checks"])
 def plan(request: pytest.FixtureRequest, write_rig: Writer, write_schedule: Writer) -> Plan:
-    return make_plan(read_schedule(write_schedule(text=request.param)), read_rig(write_rig(*STEADY)))
+    return make_plan(read_schedule(write_schedule(text=request.param)), read_rig(write_rig(*QUIET)))
 
 
 def test_light_that_has_changed_meanwhile_is_told_and_what_comes_after_flagged(plan: Plan, tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_an_axis_that_is_lost_is_homed_before_it_goes_on(write_rig: Writer, writ
         "settling_s = 0.2\npower_up_at_reference = true\n\n" + HOMES[0][1],
         "settling_s = 0.2\nhoming_required = true\n\n" + HOMES[0][1],
     )
-    plan = make_plan(read_schedule(write_schedule(text=MORE)), read_rig(write_rig(*STEADY, *HOMES, needs_homing)))
+    plan = make_plan(read_schedule(write_schedule(text=MORE)), read_rig(write_rig(*QUIET, *HOMES, needs_homing)))
     path = tmp_path / "a.journal"
     with pytest.raises(UserError, match="sigma"):
         run_campaign(plan, path)  # a campaign that begins asks first
@@ -147,18 +147,18 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
 ) -> None:
     """Of the etalon and of the sample: each is mounted again for its own."""
     policy = MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n'
-    plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*QUIET)))
     run_campaign(plan, tmp_path / "whole.journal")
     failing = [row.number for row in plan.rows if row.kind == "measure" and row.pose is not None and row.pose[3] in (1.0, 3.0)]
-    perform = RowExecutor.perform
+    execute = RowExecutor.execute
 
-    def fails(performer: RowExecutor, row: Row) -> RowData:
+    def fails(executor: RowExecutor, row: Row) -> RowData:
         if row.number in failing:
             raise NoAnswer("photodiodes", "read", "no answer")
-        return perform(performer, row)
+        return execute(executor, row)
 
     path = tmp_path / "a.journal"
-    monkeypatch.setattr(RowExecutor, "perform", fails)
+    monkeypatch.setattr(RowExecutor, "execute", fails)
     outcome = run_campaign(plan, path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows) - 4, 4)
     found = campaign_summary(path)
@@ -166,19 +166,19 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
     with Journal.open(path) as journal:
         notes = reduce_journal(journal).notes
     assert any(
-        note.startswith("rows that were skipped for faults and have no values: 2 of etalon, 2 of gaussian-5; goniotwin run")
+        note.startswith("rows skipped after faults, without values: 2 of etalon, 2 of gaussian-5; goniotwin run")
         for note in notes
     )
-    monkeypatch.setattr(RowExecutor, "perform", perform)
+    monkeypatch.setattr(RowExecutor, "execute", execute)
     outcome = resume_campaign(path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows), 0)
     with Journal.open(path) as journal:
         assert not [note for note in reduce_journal(journal).notes if "skipped" in note or "etalon was not" in note]
-    assert values(path) == values(tmp_path / "whole.journal")
+    assert planned_values(path) == planned_values(tmp_path / "whole.journal")
     with Journal.open(path) as journal:
-        mounted = [each.row.sample for each in journal.rows() if each.row.kind == "mount" and each.row.added]
+        mounted = [each.row.sample for each in journal.rows() if each.row.kind == "mount" and each.row.unplanned]
     assert mounted == ["etalon", "gaussian-5"]
-    with pytest.raises(UserError, match="there is nothing to go on with"):
+    with pytest.raises(UserError, match="there is nothing to resume"):
         resume_campaign(path)
 
 
@@ -186,30 +186,30 @@ def test_values_that_lack_their_etalon_are_told(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = make_plan(
-        read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*STEADY))
+        read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*QUIET))
     )
-    perform = RowExecutor.perform
+    execute = RowExecutor.execute
 
-    def fails(performer: RowExecutor, row: Row) -> RowData:
+    def fails(executor: RowExecutor, row: Row) -> RowData:
         if row.sample == "etalon" and row.pose is not None and row.pose[3] == 1.0:
             raise NoAnswer("photodiodes", "read", "no answer")
-        return perform(performer, row)
+        return execute(executor, row)
 
-    monkeypatch.setattr(RowExecutor, "perform", fails)
+    monkeypatch.setattr(RowExecutor, "execute", fails)
     run_campaign(plan, tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as journal:
         found = reduce_journal(journal)
-    assert "gaussian-5: no values, or not all, in rows at whose poses the etalon was not measured: 1" in found.notes
+    assert "gaussian-5: rows without all values, because the etalon was not measured at their poses: 1" in found.notes
     assert 1.0 not in found.samples["gaussian-5"].shift_deg
 
 
 def test_a_warm_up_is_done_again(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     text = MORE + "\n[warm_up]\npercent_per_10min = 50\nlongest_s = 600\n"
-    plan = make_plan(read_schedule(write_schedule(text=text)), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule(text=text)), read_rig(write_rig(*QUIET)))
     half_done(plan, tmp_path / "a.journal")
     assert resume_campaign(tmp_path / "a.journal").state is State.DONE
     with Journal.open(tmp_path / "a.journal") as journal:
-        added = [each.row.identity for each in journal.rows() if each.row.added]
+        added = [each.row.identity for each in journal.rows() if each.row.unplanned]
     assert added[0] == "resumed 2/nothing/warm-up"
     assert [identity.split("/")[-1] for identity in added[1:]] == ["mount", "dark", "drift"]
 
@@ -219,7 +219,7 @@ def test_a_virtual_rig_whose_samples_have_changed_is_refused(write_rig: Writer, 
     block = "TIS\t0.628\n" + 3 * "0.2\t0.2\t0.2\n"
     table.write_text(PAPER + 3 * block + "DataEnd\n", encoding="utf-8")
     sample = '[twin.samples.paper]\nmodel = "zemax"\nfile = "paper.bsdf"\n\n[twin.samples.etalon]'
-    rig = write_rig(*STEADY, ("[twin.samples.etalon]", sample))
+    rig = write_rig(*QUIET, ("[twin.samples.etalon]", sample))
     plan = make_plan(read_schedule(write_schedule(("gaussian-5", "paper"), text=MORE)), read_rig(rig))
     half_done(plan, tmp_path / "a.journal")
     table.write_text(table.read_text(encoding="utf-8").replace("0.2", "0.1"), encoding="utf-8")
