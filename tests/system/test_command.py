@@ -1,74 +1,20 @@
 """The command `goniotwin`, as people and programs call it."""
 
-import contextlib
-import io
-import json
-import os
 import re
-import signal
 import sqlite3
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from goniotwin.app.cli.main import main
-from goniotwin.app.end_signals import END_SIGNALS
 from tests.conftest import RIG, SCHEDULE, Change, Writer
-
-Call = Callable[..., subprocess.CompletedProcess[str]]
-
-
-def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Runs it in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "goniotwin", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-        timeout=300,
-        check=False,
-    )
-
-
-def invoked(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Runs it in this process: a hundred times cheaper, for what starts nothing (help, refusals) and for short work."""
-    given = [str(each) for each in arguments]
-    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        contextlib.redirect_stdout(io.StringIO()) as out,
-        contextlib.redirect_stderr(io.StringIO()) as err,
-    ):
-        patch.setattr(sys, "argv", ["goniotwin", *given])
-        try:
-            with pytest.raises(SystemExit) as ended:
-                main()
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-    assert isinstance(ended.value.code, int)
-    return subprocess.CompletedProcess(given, ended.value.code, out.getvalue(), err.getvalue())
-
-
-CALLS = [pytest.param(invoked, id="here"), pytest.param(goniotwin, id="in a process", marks=pytest.mark.long)]
-"""Each way to call it gives the same: in this process always, in one of its own in `make test-long`."""
-
-
-def answer(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
-    """The one JSON object of standard output."""
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+from tests.system.command import CALLS, Call, goniotwin, invoke, json_result
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("demo")
-    return folder, answer(goniotwin("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
+    return folder, json_result(goniotwin("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
 
 
 def test_the_demo_says_how_good_it_is(demo: tuple[Path, dict[str, Any]]) -> None:
@@ -84,7 +30,7 @@ def test_the_demo_says_how_good_it_is(demo: tuple[Path, dict[str, Any]]) -> None
 
 
 def test_check_foretells_the_journals_duration(demo: tuple[Path, dict[str, Any]]) -> None:
-    foretold = answer(invoked("check", SCHEDULE, "--rig", RIG, "--json"))
+    foretold = json_result(invoke("check", SCHEDULE, "--rig", RIG, "--json"))
     assert foretold["rows"] == 130
     assert foretold["duration_s"] == pytest.approx(demo[1]["duration_s"], rel=0.01)
     database = sqlite3.connect(demo[0] / "quick.journal")
@@ -123,24 +69,24 @@ def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
     for name, threads in (("one", "1"), ("two", "2")):
-        answer(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name, "--json", NUMBA_NUM_THREADS=threads))
-    answer(invoked("run", schedule, "--rig", rig, "--out", tmp_path / "again", "--json"))
+        json_result(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name, "--json", NUMBA_NUM_THREADS=threads))
+    json_result(invoke("run", schedule, "--rig", rig, "--out", tmp_path / "again", "--json"))
     assert dump(tmp_path / "one") == dump(tmp_path / "two") == dump(tmp_path / "again")
     other = write_rig(("seed = 1", "seed = 2"), name="other.toml")
-    answer(invoked("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
+    json_result(invoke("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
     assert dump(tmp_path / "other") != dump(tmp_path / "one")
 
 
 @pytest.mark.parametrize("call", CALLS)
 def test_run_and_export_are_one_after_the_other(write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call) -> None:
     journal = tmp_path / "a.journal"
-    result = answer(call("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
+    result = json_result(call("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
     assert result["state"] == "done"
     assert result["rows"] == result["planned"]
     assert sorted(path.name for path in tmp_path.glob("a.journal*")) == ["a.journal"]  # one file, nothing beside it
     before = journal.read_bytes()
     for name in ("ddr", "csv"):
-        exported = answer(call("export", journal, "--format", name, "--out", tmp_path / f"a.{name}", "--json"))
+        exported = json_result(call("export", journal, "--format", name, "--out", tmp_path / f"a.{name}", "--json"))
         assert exported["values"] > 0
         assert exported["simulated"] is True
         assert "SIMULATED" in (tmp_path / f"a.{name}").read_text(encoding="utf-8")
@@ -199,7 +145,7 @@ def test_a_wrong_option_is_status_2(call: Call) -> None:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["run", "--nonsense"], ["check", "nothing.toml", "--rig", RIG]])
 def test_a_process_of_its_own_ends_as_a_call_does(arguments: list[object]) -> None:
-    here, there = invoked(*arguments), goniotwin(*arguments)
+    here, there = invoke(*arguments), goniotwin(*arguments)
     assert (there.returncode, there.stderr) == (here.returncode, here.stderr)
     # Before that is the program's name, which here is pytest's.
     assert there.stdout.partition("[OPTIONS]")[2] == here.stdout.partition("[OPTIONS]")[2]
