@@ -87,7 +87,7 @@ class CheckResults:
             if self.calibrated and factors.values:
                 low, high = min(factors.values), max(factors.values)
                 lines.append(f"overlaps of {name}: values have been multiplied by {low:.4f} to {high:.4f}")
-            if listed := ", ".join(f"photodiode {k} {factors.of(k):.4f}" for k in factors.significant):
+            if listed := ", ".join(f"photodiode {k}: {factors.of(k):.4f}" for k in factors.significant):
                 applied = "applied" if self.calibrated else "NOT applied, because overlap.calibrate is false"
                 lines.append(f"overlaps of {name}: calibration factors beyond 4 u from 1 ({applied}): {listed}")
         return lines
