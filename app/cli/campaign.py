@@ -29,12 +29,12 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
 
     Exit status: 2 if the rig cannot do the schedule.
     """
-    from goniotwin.app.campaign.planning.check import checked_plan, in_words
+    from goniotwin.app.campaign.planning.check import check_plan, describe_check
 
     plan = _make_plan(schedule, rig)
     plan.rig.model()  # reads the files of the samples, so that an error in them shows now
-    result = checked_plan(plan)
-    answer(as_json, result, lambda: print(in_words(plan, result)))
+    result = check_plan(plan)
+    answer(as_json, result, lambda: print(describe_check(plan, result)))
 
 
 @app.command()

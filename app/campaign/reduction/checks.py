@@ -11,7 +11,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import PLACE, RowTable
 from goniotwin.app.campaign.reduction.symmetry import SymmetryCheck, SymmetryResult
 from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.refinement import ANGLE_DEG
+from goniotwin.app.campaign.schedule.refinement import DEFAULT_ANGLE_UNCERTAINTY_DEG
 from goniotwin.app.rig import RigFile
 
 
@@ -23,7 +23,9 @@ class ConsistencyChecks:
 
     def __init__(self, schedule: ScheduleFile, rig: RigFile, table: RowTable, common: float) -> None:
         monitor = math.sqrt(2.0) * rig.monitor.relative_uncertainty
-        self._overlaps = OverlapCheck(common, monitor, ANGLE_DEG if schedule.overlap is None else schedule.overlap.angle_deg)
+        self._overlaps = OverlapCheck(
+            common, monitor, DEFAULT_ANGLE_UNCERTAINTY_DEG if schedule.overlap is None else schedule.overlap.angle_deg
+        )
         self._symmetry: SymmetryCheck | None = None
         if schedule.symmetry_check is not None:
             mirrored = table[table["mirrored"]]

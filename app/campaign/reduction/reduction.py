@@ -41,7 +41,7 @@ from goniotwin.app.campaign.reduction.row_points import row_points
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
-from goniotwin.app.campaign.schedule.certificate import Certificate, constant, parse_certificate
+from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
@@ -280,7 +280,7 @@ def signature_notes(*, reflected: bool, scale: bool, u_signature: float) -> list
 def _certificate(journal: Journal, schedule: ScheduleFile, rig: RigDescription) -> Certificate:
     if schedule.certificate is not None:
         return parse_certificate(journal.value("certificate"), f"{journal.path} (certificate)")
-    return constant(rig.file.etalon.radiance_factor, rig.file.etalon.relative_uncertainty)
+    return constant_certificate(rig.file.etalon.radiance_factor, rig.file.etalon.relative_uncertainty)
 
 
 def _keys(rig: RigDescription, rows: list[RowSignal]) -> tuple[list[PoseKey], list[PoseKey]]:

@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import ArcView, arc_views
-from goniotwin.app.campaign.geometry.shadow import shadowed
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import PoseKey, RowSignal, pose_key
 from goniotwin.app.campaign.reduction.signals import EtalonRatio, Signal, divide_by_etalon
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.certificate import Certificate, constant
+from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate
 from goniotwin.app.rig import RigDescription
 from goniotwin.arrays import Flags
 
@@ -29,7 +29,7 @@ def live_points(rig: RigDescription, row: Row, sample: Signal, etalon: Signal) -
     assert row.pose is not None
     none = np.zeros(len(sample.ratio), dtype=bool)
     table = rig.file.etalon
-    certificate = constant(table.radiance_factor, table.relative_uncertainty)
+    certificate = constant_certificate(table.radiance_factor, table.relative_uncertainty)
     measured, reference = (RowSignal(row, each, none, none) for each in (sample, etalon))
     return _arc_points(rig, measured, arc_views(rig.file, row.pose)[0], reference, (None, None), certificate)
 
@@ -69,12 +69,12 @@ def _arc_points(
     assert etalon.row.pose is not None
     gamma, sigma, beta, shift = row.pose
     incidence = 180.0 - etalon.row.pose[1] if etalon.row.pose[1] > 90.0 else etalon.row.pose[1]
-    factor, u_factor = certificate.at(row.wavelength_nm, incidence, view.polar, view.azimuth)
+    factor, u_factor = certificate.interpolate(row.wavelength_nm, incidence, view.polar, view.azimuth)
     own, at_etalon = (None if each is None else each.signal for each in signature)
     ratio = divide_by_etalon(rig, sample.signal, etalon.signal, own, at_etalon, channels=c)
     # For transmitted light the mirror unit has another position at the etalon, and blocks other directions there.
     sigmas = {sigma, etalon.row.pose[1]}
-    blocked = np.any([shadowed(rig.file, each, view.zenith, view.azimuth, gamma) for each in sigmas], axis=0)
+    blocked = np.any([blocked_by_mirrors(rig.file, each, view.zenith, view.azimuth, gamma) for each in sigmas], axis=0)
     no_etalon = np.isfinite(ratio.etalon) & ~(ratio.etalon > ETALON_SIGNAL * np.sqrt(ratio.var_etalon))
     scale = np.where(no_etalon, np.nan, factor / math.pi)
     bsdf = ratio.value * scale

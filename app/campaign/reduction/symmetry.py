@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.symmetry import canonical
+from goniotwin.app.campaign.geometry.symmetry import canonical_poses
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
 from goniotwin.app.campaign.schedule.refinement import Symmetry
 from goniotwin.arrays import Floats
@@ -78,7 +78,7 @@ class SymmetryCheck:
 
     def __init__(self, stated: Symmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
         self._stated = stated
-        self._poses = {tuple(pose) for pose in np.unique(canonical(mirrored, stated), axis=0).tolist()}
+        self._poses = {tuple(pose) for pose in np.unique(canonical_poses(mirrored, stated), axis=0).tolist()}
         self._angle_deg = angle_deg
         self._common = common
         self._monitor = monitor
@@ -87,7 +87,7 @@ class SymmetryCheck:
     def add(self, points: BsdfPoints) -> None:
         """Take more points."""
         poses = np.stack([points.gamma_deg, points.sigma_deg, points.beta_deg, points.shift_deg], axis=1)
-        same = canonical(poses, self._stated)
+        same = canonical_poses(poses, self._stated)
         rows, which = np.unique(same, axis=0, return_inverse=True)
         checked = np.array([tuple(row) in self._poses for row in rows.tolist()], dtype=bool)[which.ravel()]
         chosen = checked & points.good

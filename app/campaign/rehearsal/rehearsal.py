@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
@@ -92,7 +92,7 @@ def rehearse(
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = run_on_twin(plan, path, statistics, listeners or [])
-        warnings = [*checked_plan(plan)["warnings"], *rehearsal_warnings(plan, statistics)]
+        warnings = [*check_plan(plan)["warnings"], *rehearsal_warnings(plan, statistics)]
         heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
         predicted = forecast(path, points, [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))])
         if predicted.trouble:

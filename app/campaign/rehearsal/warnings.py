@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import looking_arcs, polar_deg
+from goniotwin.app.campaign.geometry.arcs import observing_arcs, polar_deg
 from goniotwin.app.campaign.geometry.directions import arc_views
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note
@@ -196,7 +196,7 @@ def relevant_photodiodes(plan: Plan, row: Row) -> Flags:
     """
     upper, lower = (np.full(len(polar_deg(plan.rig.file, arc)), True) for arc in ("upper", "lower"))
     if row.sample == NO_SAMPLE and row.pose is not None and not row.identity.startswith(f"{NO_SAMPLE}/open beam/"):
-        arcs = tuple(looking_arcs(plan.schedule.file, row.pose[1]))
+        arcs = tuple(observing_arcs(plan.schedule.file, row.pose[1]))
         upper &= "upper" in arcs
         lower &= "lower" in arcs
     return np.concatenate([upper, lower])

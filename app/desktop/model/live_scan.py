@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.shadow import shadowed
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
@@ -157,7 +157,7 @@ def _hidden_spans(rig: RigDescription, row: Row) -> tuple[tuple[float, float], .
     _gamma, sigma, beta, _shift = row.pose
     plane = beta % 180.0
     polar = np.arange(-90.0, 90.0 + GRID_DEG, GRID_DEG)
-    hidden = shadowed(rig.file, sigma, np.abs(polar), _azimuths(polar, plane))
+    hidden = blocked_by_mirrors(rig.file, sigma, np.abs(polar), _azimuths(polar, plane))
     x = _abscissa(sigma, polar, plane)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(np.int8)))
     spans = []

@@ -11,7 +11,7 @@ import pytest
 import serial
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, plan_rehearsal, rehearse
 from goniotwin.app.campaign.rehearsal.report import report_text
@@ -66,7 +66,7 @@ def test_its_duration_is_the_journals_and_the_one_that_check_foretells(
 ) -> None:
     schedule, rig = write_schedule(), write_rig()
     found = rehearsed(schedule, rig, out=tmp_path / "kept.journal")
-    foretold = checked_plan(make_plan(read_schedule(schedule), read_rig(rig)))
+    foretold = check_plan(make_plan(read_schedule(schedule), read_rig(rig)))
     assert found.result["duration_s"] == pytest.approx(foretold["duration_s"], rel=0.05)
     with Journal.open(tmp_path / "kept.journal") as journal:
         assert found.result["duration_s"] == journal.seconds

@@ -8,14 +8,14 @@ import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.comparison import theoretical_bsdf
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import read_rig
-from tests.app.campaign.measuring_bench import QUIET
+from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import REPOSITORY, RIG, Writer
 
 EXAMPLE = REPOSITORY / "examples" / "schedules" / "transmission.toml"
@@ -55,7 +55,7 @@ def test_what_is_hidden_only_at_the_etalon_is_flagged_and_all_else_is_right(
     assert z.max() < 5.0
     assert np.mean(z < 2.0) > 0.95
     assert good.bsdf.size > 2300
-    checked = checked_plan(plan)
+    checked = check_plan(plan)
     foretold = {
         (round(each["sigma"], 3), round(zenith, 3), round(azimuth, 3))
         for each in checked["shadowed_deg"]
@@ -79,13 +79,13 @@ def test_the_example_has_values_nearly_everywhere(tmp_path: Path) -> None:
 
 def test_check_says_of_a_virtual_rig_what_gives_no_light() -> None:
     def told(text: str) -> list[str]:
-        return [each for each in checked_plan(planned(text))["warnings"] if "when its" in each]
+        return [each for each in check_plan(planned(text))["warnings"] if "when its" in each]
 
     assert told(HEAD + COARSE) == []
     bare, opaque = told(HEAD.replace("white-tile", "etalon").replace("opal", "gaussian-5") + COARSE)
     assert "etalon reflects nothing when its back is lit, so that transmitted light has no scale" in bare
     assert "gaussian-5 lets nothing through when its front is lit" in opaque
-    assert checked_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG)))["shadowed_only_for_etalon"] == 135
+    assert check_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG)))["shadowed_only_for_etalon"] == 135
 
 
 def test_a_rehearsal_warns_of_a_sample_without_any_value_and_says_why() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
@@ -13,7 +13,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import OpenRig, read_rig
-from tests.app.campaign.measuring_bench import carried_out
+from tests.app.campaign.campaign_bench import run_plan
 from tests.conftest import RIG
 
 TEXT = """
@@ -46,7 +46,7 @@ def fading(text: str, photodiode: int, path: Path) -> BsdfDataset:
             assert rigs[0].virtual is not None
             rigs[0].virtual.plant.fade(photodiode, 0.8)
 
-    carried_out(planned(text), path, rigs.append, listeners=[fade])
+    run_plan(planned(text), path, rigs.append, listeners=[fade])
     with Journal.open(path) as journal:
         return reduce_journal(journal)
 
@@ -84,7 +84,7 @@ def test_a_rehearsal_warns_of_them_and_says_what_to_do() -> None:
 
 def test_check_warns_of_those_that_no_light_can_reach_at_the_checks_pose() -> None:
     def told(text: str) -> list[str]:
-        return [each for each in checked_plan(planned(text))["warnings"] if "a fault of theirs" in each]
+        return [each for each in check_plan(planned(text))["warnings"] if "a fault of theirs" in each]
 
     assert told(TEXT) == []
     through = 'light = "transmitted"\n' + TEXT.replace("gaussian-5", "opal")

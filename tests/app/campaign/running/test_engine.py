@@ -10,7 +10,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import operator_for, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan, in_words
+from goniotwin.app.campaign.planning.check import check_plan, describe_check
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
@@ -156,9 +156,9 @@ def test_a_rig_with_a_lost_axis_is_refused_and_leaves_no_journal(
     with pytest.raises(UserError, match=rf"sigma: .*beta: .*goniotwin here --rig {rig} sigma DEG"):
         run_campaign(lost, tmp_path / "lost.journal")
     assert not (tmp_path / "lost.journal").exists()
-    result = checked_plan(lost)
+    result = check_plan(lost)
     assert result["unreferenced"] == ["sigma", "beta"]
-    assert "sigma, beta: after each power-up" in in_words(lost, result)
+    assert "sigma, beta: after each power-up" in describe_check(lost, result)
 
 
 def test_a_pause_takes_effect_at_the_next_row_and_repeats_none(bench: MakeBench) -> None:
