@@ -10,13 +10,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from goniotwin.app.errors import UserError
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a file: no key that it does not know, nothing that is not finite, nothing changed afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-Model = TypeVar("Model", bound=Table)
+Model = TypeVar("Model", bound=TomlTable)
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
@@ -38,7 +38,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise UserError(f"{name}: is not TOML: {error}; mend that place") from None
 
 
-def checked(model: type[Model], content: dict[str, Any], name: str) -> Model:
+def validate_table(model: type[Model], content: dict[str, Any], name: str) -> Model:
     """The content as a model. Raises UserError: file, key, reason; and how many more there are."""
     try:
         return model.model_validate(content)
@@ -64,7 +64,7 @@ def _place(content: dict[str, Any], fault: Any) -> list[str]:
     return place
 
 
-def _reason(model: type[Table], fault: Any) -> str:
+def _reason(model: type[TomlTable], fault: Any) -> str:
     if fault["type"] == "extra_forbidden":
         close = difflib.get_close_matches(str(fault["loc"][-1]), _known_keys(model), n=1)
         return "there is no such key" + (f"; did you mean {close[0]!r}?" if close else "; remove it, or mend its name")

@@ -22,7 +22,7 @@ import usb.core
 
 from goniotwin.app.rig import parse_rig
 from goniotwin.app.rig.addresses import ModbusUnits
-from goniotwin.app.rig.settings import axis_settings, monitor_settings, monochromator_settings
+from goniotwin.app.rig.file import axis_settings, monitor_settings, monochromator_settings
 from goniotwin.drivers import Axis, Monitor, Monochromator, TmclModule, wait
 from goniotwin.drivers.photodiodes.adam import AdamModule
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap

@@ -34,9 +34,9 @@ from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.rehearsal.rehearsal import performed, prepared, rehearse
-from goniotwin.app.campaign.rehearsal.row_statistics import Watch
-from goniotwin.app.campaign.rehearsal.warnings import heeded
+from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse, run_on_twin
+from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
+from goniotwin.app.campaign.rehearsal.warnings import relevant_photodiodes
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import photodiode_settings, read_rig
@@ -129,8 +129,11 @@ def once(plan: Plan) -> list[float]:
     """One rehearsal: seconds of its rows."""
     rows = Rows()
     with tempfile.TemporaryDirectory() as folder:
-        performed(
-            plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file), partial(heeded, plan)), [rows]
+        run_on_twin(
+            plan,
+            Path(folder) / "rehearsal.journal",
+            RowStatistics(photodiode_settings(plan.rig.file), partial(relevant_photodiodes, plan)),
+            [rows],
         )
     return rows.seconds
 
@@ -138,18 +141,18 @@ def once(plan: Plan) -> list[float]:
 def modbus_exchanges_a_row(plan: Plan) -> float:
     """Counted where the drivers ask."""
     asked = 0
-    ask = ModbusBus.ask
+    exchange = ModbusBus.exchange
 
     def counted(self: ModbusBus, *arguments: object) -> object:
         nonlocal asked
         asked += 1
-        return ask(self, *arguments)  # type: ignore[arg-type]
+        return exchange(self, *arguments)  # type: ignore[arg-type]
 
-    ModbusBus.ask = counted  # type: ignore[method-assign, assignment]
+    ModbusBus.exchange = counted  # type: ignore[method-assign, assignment]
     try:
         rows = len(once(plan))
     finally:
-        ModbusBus.ask = ask  # type: ignore[method-assign]
+        ModbusBus.exchange = exchange  # type: ignore[method-assign]
     return asked / rows
 
 
@@ -164,7 +167,7 @@ def seconds_each(call: object, calls: int = 2000) -> float:
 
 def measured(rounds: int) -> Figures:
     """The rehearsals interleaved with what they are compared to."""
-    plan, _ = prepared(read_schedule(QUICK), read_rig(RIG), {})
+    plan, _ = plan_rehearsal(read_schedule(QUICK), read_rig(RIG), {})
     exchanges = modbus_exchanges_a_row(plan)
     client = NothingBehind()
     port = serial.serial_for_url("loop://", timeout=1.0)
@@ -199,11 +202,11 @@ def forget_most() -> None:
 def memory(rows: int) -> dict[str, float]:
     """Rehearses a schedule of about so many rows in this process, as the command does it."""
     step = WAVELENGTHS_NM / max(1, round(rows / MEASURED) - 1)
-    plan, _ = prepared(parse_schedule(LONG.format(step=step), "long.toml"), read_rig(RIG), {})
+    plan, _ = plan_rehearsal(parse_schedule(LONG.format(step=step), "long.toml"), read_rig(RIG), {})
     at: dict[int, int] = {}
 
     def weigh(event: Event) -> None:
-        if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.of):
+        if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.total):
             at[event.done] = resident_bytes()
             if event.done == FROM_ROW:
                 forget_most()

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from goniotwin.twin.plant.noise import mixed, process_key
+from goniotwin.twin.plant.noise import mix, process_key
 
 
 class Fault(StrEnum):
@@ -89,7 +89,7 @@ class Misfortune:
 
     def draw(self, number: int, below: int) -> int:
         """A number from 0 to `below` - 1, of the seed and `number`."""
-        return int(mixed(self._key, np.int64(number)) >> np.uint64(16)) % below
+        return int(mix(self._key, np.int64(number)) >> np.uint64(16)) % below
 
     @property
     def exchanges(self) -> int:

@@ -21,17 +21,17 @@ from goniotwin.twin.optics import (
     RealSensor,
     adjoint_illumination,
     albedo,
-    draw,
+    draw_directions,
     evaluate,
-    forward,
     forward_illumination,
+    forward_throughput,
     from_specular,
     light_direction,
     shadow_map,
     throughput,
 )
 from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
-from goniotwin.twin.optics.forward.stray_light import stray, stray_throughput
+from goniotwin.twin.optics.forward.stray_light import stray_map, stray_throughput
 from tests.conftest import RIG, SCHEDULE
 from tests.twin.optics.models import MODELS
 
@@ -55,7 +55,7 @@ def samples() -> None:
     light, uniform = light_direction(SIGMA_DEG), np.random.default_rng(1).random((10, 4))
     for model in MODELS:
         evaluate(model, light, DIRECTIONS)
-        draw(model, light, uniform)
+        draw_directions(model, light, uniform)
         albedo(model, SIGMA_DEG, False)
         throughput(Instrument(), SIGMA_DEG, DIRECTIONS, model)
         throughput(Instrument(field_deg=20.0, detector_diameter_mm=60.0), SIGMA_DEG, DIRECTIONS, model)
@@ -70,9 +70,9 @@ def traced() -> None:
     """The forward estimator with every kind of detector, stray light, and the unit before the exit pupil."""
     for instrument in SENSORS:
         for model in MODELS:
-            forward(instrument, SIGMA_DEG, DIRECTIONS, model, PATHS, seed=1)
-        forward(instrument, SIGMA_DEG, DIRECTIONS, None, PATHS, seed=1)
-    stray_throughput(stray(Instrument(), SIGMA_DEG, MODELS[0], PATHS), DIRECTIONS, Instrument())
+            forward_throughput(instrument, SIGMA_DEG, DIRECTIONS, model, PATHS, seed=1)
+        forward_throughput(instrument, SIGMA_DEG, DIRECTIONS, None, PATHS, seed=1)
+    stray_throughput(stray_map(Instrument(), SIGMA_DEG, MODELS[0], PATHS), DIRECTIONS, Instrument())
     shadow_map(Instrument(), SIGMA_DEG, 10.0)
     forward_illumination(IlluminationUnit(), rays=PATHS)
     adjoint_illumination(IlluminationUnit(), rays=PATHS)

@@ -192,7 +192,7 @@ class Presenter(QObject):
             if self.state is State.RUNNING:
                 self._view.show_status(f"Measuring row {event.row.number + 1}: {event.row.identity}")
         else:
-            self._show_progress(event.done, event.of, event.seconds_left)
+            self._show_progress(event.done, event.total, event.seconds_left)
         self._live_plot.add_row(event)
 
     def _show_progress(self, done: int, of: int, left_s: float | None) -> None:

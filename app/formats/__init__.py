@@ -5,7 +5,7 @@ gets arrays: BSDF in 1/sr, angles in degrees, in specular coordinates (radial = 
 """
 
 from goniotwin.app.formats.ddr import DdrTable, bsdf, read_ddr, write_ddr
-from goniotwin.app.formats.errors import FormatError
+from goniotwin.app.formats.file import FormatError
 from goniotwin.app.formats.points import Points, read_points_csv, write_points_csv
 from goniotwin.app.formats.rayset import read_rayset, write_rayset
 from goniotwin.app.formats.zemax import ZemaxBsdf, read_zemax, write_zemax

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.numerals import NUMBER, angle_row, ascending, digits, finite, row
-from goniotwin.app.formats.text_file import comment_lines, marked, write_text
-from goniotwin.app.formats.text_words import Words
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word
+from goniotwin.app.formats.numerals import NUMBER, ascending_array, finite_array, format_angles, format_number, format_row
+from goniotwin.app.formats.text import Words, comment_lines, mark_comments, write_text
 from goniotwin.arrays import Floats
 
 SOURCES = ("Measured", "Generated", "Edited", "Morphed")
@@ -54,17 +53,17 @@ class DdrTable:
             raise ValueError(f"symmetry is one of {SYMMETRIES}, not {self.symmetry!r}")
         keep = object.__setattr__
         for name, end in END_OF.items():
-            keep(self, f"{name}_deg", ascending(name, getattr(self, f"{name}_deg"), 0.0, end))
+            keep(self, f"{name}_deg", ascending_array(name, getattr(self, f"{name}_deg"), 0.0, end))
         if self.symmetry == "PlaneSymmetrical" and self.phi_deg[-1] > 180:
             raise ValueError(f"phi goes to {self.phi_deg[-1]:g} deg, but PlaneSymmetrical has 0 to 180 only")
         if self.symmetry != "ASymmetrical 4D" and self.psi_deg.tolist() != [0.0]:
             raise ValueError(f"psi is [0] unless the symmetry is ASymmetrical 4D, not {self.psi_deg.tolist()[:5]}")
         keep(self, "channels", tuple(self.channels))
         if self.channels != (None,):
-            ascending("channels", [np.nan if nm is None else nm for nm in self.channels], 1e-3, 1e9)
+            ascending_array("channels", [np.nan if nm is None else nm for nm in self.channels], 1e-3, 1e9)
         lists = (self.psi_deg, self.sigma_deg, self.phi_deg, self.theta_deg)
         shape = (len(self.channels), *(angles.size for angles in lists))
-        keep(self, "values", finite("values", self.values, shape))
+        keep(self, "values", finite_array("values", self.values, shape))
         keep(self, "comments", tuple(self.comments))
 
 
@@ -87,7 +86,7 @@ def write_ddr(path: StrPath, table: DdrTable) -> None:
     """
     black_and_white = table.channels == (None,)
     lines = [
-        *marked(comment_lines(table.comments, ascii_only=True), ";;"),
+        *mark_comments(comment_lines(table.comments, ascii_only=True), ";;"),
         f"Source {table.source}",
         f"TypeSym {table.symmetry}",
         "TypeColorModel BW" if black_and_white else f"TypeColorModel spectral {len(table.channels)}",
@@ -96,11 +95,11 @@ def write_ddr(path: StrPath, table: DdrTable) -> None:
     for name in END_OF:
         if name != "psi" or table.symmetry == "ASymmetrical 4D":
             angles: Floats = getattr(table, f"{name}_deg")
-            lines += [f"{name} {angles.size}", f" {angle_row(path, name, angles)}"]
+            lines += [f"{name} {angles.size}", f" {format_angles(path, name, angles)}"]
     if not black_and_white:
-        angle_row(path, "wl", np.array(table.channels, dtype=np.float64))
+        format_angles(path, "wl", np.array(table.channels, dtype=np.float64))
     for wavelength_nm, channel in zip(table.channels, table.values, strict=True):
-        lines += ["bw" if wavelength_nm is None else f"wl {digits(wavelength_nm)}", *_block(table, channel)]
+        lines += ["bw" if wavelength_nm is None else f"wl {format_number(wavelength_nm)}", *_block(table, channel)]
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -109,10 +108,10 @@ def _block(table: DdrTable, channel: Floats) -> list[str]:
     lines = [" kbdf", *[factors] * table.psi_deg.size, " def"]
     for psi, of_psi in zip(table.psi_deg, channel, strict=True):
         for sigma, of_sigma in zip(table.sigma_deg, of_psi, strict=True):
-            title = f"Sigma = {digits(sigma)}"
+            title = f"Sigma = {format_number(sigma)}"
             if table.symmetry == "ASymmetrical 4D":
-                title = f"Psi = {digits(psi)}, {title}"
-            lines += [f";; {title}", *(f" {row(values)}" for values in of_sigma.tolist())]
+                title = f"Psi = {format_number(psi)}, {title}"
+            lines += [f";; {title}", *(f" {format_row(values)}" for values in of_sigma.tolist())]
     return [*lines, " enddef"]
 
 
@@ -148,7 +147,7 @@ class _Reader:
             values.append(self._values(channels[-1]))
         if self.words.peek() is not None:
             word = self.words.take("the end")
-            wrong = f"{shown(word)} follows the {len(channels)} blocks that TypeColorModel says"
+            wrong = f"{quote_word(word)} follows the {len(channels)} blocks that TypeColorModel says"
             raise self.words.fault(wrong, "remove it, or correct TypeColorModel")
         return DdrTable(
             source=self.source,
@@ -182,7 +181,7 @@ class _Reader:
             remedy = f"is it {near[0]}?" if near else "remove it"
             if NUMBER.fullmatch(word):
                 remedy = "correct the list before it, or its count"
-            raise self.words.fault(f"{shown(word)} is no keyword of a .ddr file", remedy)
+            raise self.words.fault(f"{quote_word(word)} is no keyword of a .ddr file", remedy)
         if name in self.seen:
             raise self.words.fault(f"{name} is given twice", "leave one of them")
         self.seen.add(name)
@@ -205,7 +204,7 @@ class _Reader:
     def _one_of(self, name: str, word: str, known: tuple[str, ...]) -> str:
         spelled = {each.lower(): each for each in known}.get(word.lower())
         if spelled is None:
-            raise self.words.fault(f"{name} {shown(word)} is not read", f"export it as {' or '.join(known)}")
+            raise self.words.fault(f"{name} {quote_word(word)} is not read", f"export it as {' or '.join(known)}")
         return spelled
 
     def _channel(self, before: list[float | None]) -> float | None:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word
 from goniotwin.arrays import Floats
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -35,34 +35,34 @@ def parse_number(word: str) -> float:
         value = float(word)
         if math.isfinite(value):
             return value
-        raise NotANumber(f"{shown(word)} is larger than a 64-bit float", "correct the number")
+        raise NotANumber(f"{quote_word(word)} is larger than a 64-bit float", "correct the number")
     if DECIMAL_COMMA.fullmatch(word):
-        raise NotANumber(f"{shown(word)} has a decimal comma", "write a decimal point")
+        raise NotANumber(f"{quote_word(word)} has a decimal comma", "write a decimal point")
     if NO_VALUE.fullmatch(word):
-        raise NotANumber(f"{shown(word)} is no value", "write a finite number, or leave that angle out of the grid")
-    raise NotANumber(f"{shown(word)} is not a number", "correct it")
+        raise NotANumber(f"{quote_word(word)} is no value", "write a finite number, or leave that angle out of the grid")
+    raise NotANumber(f"{quote_word(word)} is not a number", "correct it")
 
 
-def digits(value: float) -> str:
+def format_number(value: float) -> str:
     """A number to nine significant digits."""
     return f"{value:.9g}"
 
 
-def row(values: Iterable[float], separator: str = " ") -> str:
+def format_row(values: Iterable[float], separator: str = " ") -> str:
     """Numbers in one line."""
     return separator.join(f"{value:.9g}" for value in values)
 
 
-def angle_row(path: StrPath, name: str, angles: Floats, separator: str = " ") -> str:
+def format_angles(path: StrPath, name: str, angles: Floats, separator: str = " ") -> str:
     """A list of angles in one line; raises FormatError if two of them are the same once written."""
-    written = [float(digits(angle)) for angle in angles]
+    written = [float(format_number(angle)) for angle in angles]
     for before, after in itertools.pairwise(written):
         if not before < after:
-            raise FormatError(path, f"{name} has two angles that are both written {digits(after)}", "leave one out")
-    return row(written, separator)
+            raise FormatError(path, f"{name} has two angles that are both written {format_number(after)}", "leave one out")
+    return format_row(written, separator)
 
 
-def ascending(name: str, values: ArrayLike, low: float, high: float) -> Floats:
+def ascending_array(name: str, values: ArrayLike, low: float, high: float) -> Floats:
     """`values` as a copy in float64; raises ValueError unless a list that ascends strictly within low..high."""
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1 or array.size == 0:
@@ -74,7 +74,7 @@ def ascending(name: str, values: ArrayLike, low: float, high: float) -> Floats:
     return array
 
 
-def finite(name: str, values: ArrayLike, shape: Sequence[int]) -> Floats:
+def finite_array(name: str, values: ArrayLike, shape: Sequence[int]) -> Floats:
     """`values` as a copy in float64; raises ValueError unless all finite and of this shape."""
     array = np.array(values, dtype=np.float64)
     if array.shape != tuple(shape):

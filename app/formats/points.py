@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.numerals import NUMBER, NotANumber, digits, parse_number
-from goniotwin.app.formats.text_file import CONTROL, comment_lines, marked, read_text, write_text
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word
+from goniotwin.app.formats.numerals import NUMBER, NotANumber, format_number, parse_number
+from goniotwin.app.formats.text import CONTROL_CHARACTER, comment_lines, mark_comments, read_text, write_text
 
 TO_QUOTE = re.compile(r'[,"\r\n]')
 
@@ -41,7 +41,7 @@ def write_points_csv(
     FormatError for what such a file cannot say.
     """
     parts = [columns] if isinstance(columns, Mapping) else columns
-    heading = marked(comment_lines(header_comments, ascii_only=False), "#")
+    heading = mark_comments(comment_lines(header_comments, ascii_only=False), "#")
     write_text(path, itertools.chain(["".join(f"{line}\n" for line in heading)], _lines(path, parts)))
 
 
@@ -60,7 +60,7 @@ def _rows(path: StrPath, columns: Mapping[str, ArrayLike]) -> Iterator[tuple[str
     fields = {name: _fields(path, name, np.asanyarray(column)) for name, column in columns.items()}
     for name in fields:
         if not name.strip() or name.startswith("#") or _unwritable(name):
-            raise FormatError(path, f"the column name {shown(name)} cannot be written", "give it a plain name")
+            raise FormatError(path, f"the column name {quote_word(name)} cannot be written", "give it a plain name")
     lengths = {name: len(column) for name, column in fields.items()}
     if len(set(lengths.values())) != 1:
         raise FormatError(path, f"the columns have the lengths {lengths}", "give columns, all of the same length")
@@ -76,23 +76,23 @@ def _line(row: tuple[str, ...]) -> str:
 
 def _fields(path: StrPath, name: str, column: NDArray[Any]) -> list[str]:
     if column.ndim != 1 or np.ma.isMaskedArray(column):
-        raise FormatError(path, f"column {shown(name)} is not a plain list", "give one dimension, NaN for no value")
+        raise FormatError(path, f"column {quote_word(name)} is not a plain list", "give one dimension, NaN for no value")
     if column.dtype.kind in "biu":
         return [str(int(value)) for value in column]
     if column.dtype.kind == "f":
         if np.isinf(column).any():
-            raise FormatError(path, f"column {shown(name)} has an infinite value", "write NaN for a missing value")
-        return ["" if value != value else digits(value) for value in column.astype(np.float64).tolist()]
+            raise FormatError(path, f"column {quote_word(name)} has an infinite value", "write NaN for a missing value")
+        return ["" if value != value else format_number(value) for value in column.astype(np.float64).tolist()]
     if column.dtype.kind == "U":
         for value in column:
             if _unwritable(value):
-                raise FormatError(path, f"column {shown(name)} has the text {shown(value)}", "write plain text")
+                raise FormatError(path, f"column {quote_word(name)} has the text {quote_word(value)}", "write plain text")
         return [str(value) for value in column]
-    raise FormatError(path, f"column {shown(name)} is of the type {column.dtype}", "give numbers or strings")
+    raise FormatError(path, f"column {quote_word(name)} is of the type {column.dtype}", "give numbers or strings")
 
 
 def _unwritable(text: str) -> bool:
-    return bool(CONTROL.search(text))
+    return bool(CONTROL_CHARACTER.search(text))
 
 
 def read_points_csv(path: StrPath) -> Points:

@@ -12,8 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.whole_file import read_whole, write_whole
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_file, write_file
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.rayset import Rayset
 
@@ -23,7 +22,7 @@ AGAIN = "record the rayset again, or copy the file again"
 
 
 @dataclass(frozen=True)
-class Column:
+class RaysetColumn:
     """A dataset of the file: the `Rayset`'s field, numbers a ray (0: one, not in a row of its own), unit, meaning."""
 
     field: str
@@ -33,10 +32,12 @@ class Column:
 
 
 COLUMNS = {
-    "position": Column("positions_mm", 3, "mm", "where the ray crosses the reference plane: x across, y along the light, z up"),
-    "direction": Column("directions", 3, "1", "along the light, same axes; length without meaning"),
-    "wavelength": Column("wavelength_nm", 0, "nm", "wavelength of the ray"),
-    "flux": Column("flux", 0, "", "what the ray carries, in the unit of the attribute flux_unit"),
+    "position": RaysetColumn(
+        "positions_mm", 3, "mm", "where the ray crosses the reference plane: x across, y along the light, z up"
+    ),
+    "direction": RaysetColumn("directions", 3, "1", "along the light, same axes; length without meaning"),
+    "wavelength": RaysetColumn("wavelength_nm", 0, "nm", "wavelength of the ray"),
+    "flux": RaysetColumn("flux", 0, "", "what the ray carries, in the unit of the attribute flux_unit"),
 }
 # Attributes of the file, the fields that they are, and their types.
 ATTRIBUTES: dict[str, tuple[str, type]] = {
@@ -68,12 +69,12 @@ def write_rayset(path: StrPath, rayset: Rayset) -> None:
             data.attrs["meaning"] = column.meaning
     body = content.getvalue()[BLOCK:]
     heading = f"{HEADING}{hashlib.sha256(body).hexdigest()}\n".encode()
-    write_whole(path, heading.ljust(BLOCK - 1) + b"\n" + body)
+    write_file(path, heading.ljust(BLOCK - 1) + b"\n" + body)
 
 
 def read_rayset(path: StrPath) -> Rayset:
     """Read a rayset. Raises FormatError for anything that is not one, or is not as it was written."""
-    content = read_whole(path)
+    content = read_file(path)
     stated = STATED.fullmatch(content[:BLOCK])
     if stated is None:
         raise FormatError(path, "is no rayset", "name a rayset that was written by goniotwin")
@@ -93,7 +94,9 @@ def read_rayset(path: StrPath) -> Rayset:
 def _fields(path: StrPath, file: h5py.File) -> dict[str, Any]:
     stated = _attribute(path, file, "format", str)
     if stated != FORMAT:
-        raise FormatError(path, f"is no rayset: its format is {shown(stated)}", "name a rayset that was written by goniotwin")
+        raise FormatError(
+            path, f"is no rayset: its format is {quote_word(stated)}", "name a rayset that was written by goniotwin"
+        )
     version = _attribute(path, file, "version", int)
     if version != VERSION:
         raise FormatError(path, f"is a rayset of version {version}, not {VERSION}", "read it with the program that wrote it")
@@ -111,11 +114,11 @@ def _attribute(path: StrPath, file: h5py.File, name: str, kind: type) -> Any:
     value = file.attrs[name]
     accepted = {str: str, bool: np.bool_, int: np.integer, float: np.floating}[kind]
     if not isinstance(value, accepted):
-        raise FormatError(path, f"the attribute {name} is {shown(str(value))}, no {kind.__name__}", AGAIN)
+        raise FormatError(path, f"the attribute {name} is {quote_word(str(value))}, no {kind.__name__}", AGAIN)
     return kind(value)
 
 
-def _column(path: StrPath, file: h5py.File, name: str, column: Column, flux_unit: str) -> Floats:
+def _column(path: StrPath, file: h5py.File, name: str, column: RaysetColumn, flux_unit: str) -> Floats:
     data = file.get(name)
     if not isinstance(data, h5py.Dataset):
         raise FormatError(path, f"the column {name} is missing", AGAIN)
@@ -125,5 +128,5 @@ def _column(path: StrPath, file: h5py.File, name: str, column: Column, flux_unit
         raise FormatError(path, f"the column {name} has {data.dtype} {data.shape}, not numbers {wanted}", AGAIN)
     unit = data.attrs.get("unit")
     if unit != (column.unit or flux_unit):
-        raise FormatError(path, f"the column {name} is in {shown(str(unit))}, not {column.unit or flux_unit}", AGAIN)
+        raise FormatError(path, f"the column {name} is in {quote_word(str(unit))}, not {column.unit or flux_unit}", AGAIN)
     return np.asarray(data[()], dtype=np.float64)

@@ -26,20 +26,20 @@ from goniotwin.twin.doors import TwinModbusClient, TwinRtuClient
 MODBUS_PORT, USBIP_PORT = "502", str(usbip.PORT)
 
 
-def place_of(address: str) -> str:
+def canonical_address(address: str) -> str:
     """Of any address that a rig file may have: links followed, hosts resolved, ports stated, queries left out."""
     plain = address.removeprefix("rtu:").partition("?")[0]
     for scheme, port in (("socket://", ""), ("rfc2217://", ""), ("usbip:", USBIP_PORT)):
         if plain.startswith(scheme):
             host, slash, bus_id = plain.removeprefix(scheme).partition("/")
-            return f"{_host(host, port)}{slash}{bus_id}"
+            return f"{_canonical_host(host, port)}{slash}{bus_id}"
     if plain.startswith(("/", "\\\\")) or Path(plain).exists():
         return os.path.realpath(plain)
     if re.fullmatch(r"(?i)com[0-9]+", plain):
         return plain.upper()
     if re.fullmatch(r"[0-9a-fA-F]{4}:[0-9a-fA-F]{4}(:.*)?", plain):
         return plain[:9].lower() + plain[9:]
-    return _host(plain, MODBUS_PORT)
+    return _canonical_host(plain, MODBUS_PORT)
 
 
 def host_and_port(place: str, default: str) -> tuple[str, str]:
@@ -53,7 +53,7 @@ def is_port(text: str) -> bool:
     return text.isascii() and text.isdecimal() and 0 < int(text) < 65536
 
 
-def _host(place: str, default_port: str) -> str:
+def _canonical_host(place: str, default_port: str) -> str:
     """`HOST:PORT` with the host's number; with its name where nobody knows the number."""
     host, port = host_and_port(place.lower(), default_port)
     with contextlib.suppress(OSError):
@@ -82,13 +82,13 @@ class ModbusUnits:
             return self._on_line(port, unit, baudrate, address, _serial_opener(port, baudrate))
         host, number = host_and_port(address, MODBUS_PORT)
         if not host or not is_port(number) or "?" in address:
-            raise _bad(address, "it is neither HOST, HOST:PORT nor rtu:PORT?unit=N")
+            raise _invalid_address(address, "it is neither HOST, HOST:PORT nor rtu:PORT?unit=N")
         return ModbusUnit(ModbusBus(_tcp_opener(host, int(number))))
 
     @staticmethod
     def explain(unit: ModbusUnit) -> Explain:
         """What puts the bytes on a unit's wire into words."""
-        return explain_rtu if unit.bus.line else explain
+        return explain_rtu if unit.bus.rtu else explain
 
     def _twin(self, address: str) -> ModbusUnit:
         device = self._virtual.modbus.get(address.rsplit("/", 1)[1]) if self._virtual is not None else None
@@ -103,11 +103,11 @@ class ModbusUnits:
         return self._on_line(address.rsplit("/", 1)[0], device.unit, baudrate, address, opener)
 
     def _on_line(self, port: str, unit: int, baudrate: int, address: str, opener: ModbusOpener) -> ModbusUnit:
-        bus, speed, taken = self._lines.setdefault(port, (ModbusBus(opener, line=True), baudrate, {}))
+        bus, speed, taken = self._lines.setdefault(port, (ModbusBus(opener, rtu=True), baudrate, {}))
         if speed != baudrate:
-            raise _bad(address, f"another unit on {port} has {speed} baud, and a line has one speed")
+            raise _invalid_address(address, f"another unit on {port} has {speed} baud, and a line has one speed")
         if unit in taken:
-            raise _bad(address, f"{taken[unit]} is unit {unit} of the same line")
+            raise _invalid_address(address, f"{taken[unit]} is unit {unit} of the same line")
         taken[unit] = address
         return ModbusUnit(bus, unit)
 
@@ -116,32 +116,32 @@ def rtu_address(address: str) -> tuple[str, int, int]:
     """Port, unit and baud rate of `rtu:PORT?unit=N&baudrate=B`; they are 1 and 9600 where not given. Raises UserError."""
     port, _, query = address.removeprefix(RTU).partition("?")
     if not port or port.startswith(TWIN):
-        raise _bad(address, "it names no serial port")
+        raise _invalid_address(address, "it names no serial port")
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
     except ValueError:
-        raise _bad(address, "what follows the ? is not of the form unit=N&baudrate=B") from None
+        raise _invalid_address(address, "what follows the ? is not of the form unit=N&baudrate=B") from None
     settings = dict(pairs)
     if len(settings) < len(pairs):
-        raise _bad(address, "it says something twice")
+        raise _invalid_address(address, "it says something twice")
     if unknown := sorted(settings.keys() - {"unit", "baudrate"}):
-        raise _bad(address, f"it has {', '.join(unknown)}, and takes only unit and baudrate")
-    unit = _whole(address, "unit", settings.get("unit", str(adam.UNIT)))
-    baudrate = _whole(address, "baudrate", settings.get("baudrate", str(adam.BAUDRATE)))
+        raise _invalid_address(address, f"it has {', '.join(unknown)}, and takes only unit and baudrate")
+    unit = _whole_number(address, "unit", settings.get("unit", str(adam.UNIT)))
+    baudrate = _whole_number(address, "baudrate", settings.get("baudrate", str(adam.BAUDRATE)))
     if not 1 <= unit <= adam.LAST_UNIT:
-        raise _bad(address, f"unit is 1 to {adam.LAST_UNIT}, not {unit}")
+        raise _invalid_address(address, f"unit is 1 to {adam.LAST_UNIT}, not {unit}")
     if baudrate not in BAUDRATES:
-        raise _bad(address, f"baudrate is one of {', '.join(map(str, BAUDRATES))}, not {baudrate}")
+        raise _invalid_address(address, f"baudrate is one of {', '.join(map(str, BAUDRATES))}, not {baudrate}")
     return port, unit, baudrate
 
 
-def _whole(address: str, what: str, text: str) -> int:
+def _whole_number(address: str, what: str, text: str) -> int:
     if not (text.isascii() and text.isdecimal()):
-        raise _bad(address, f"{what} is a whole number, not {text!r}")
+        raise _invalid_address(address, f"{what} is a whole number, not {text!r}")
     return int(text)
 
 
-def _bad(address: str, why: str) -> UserError:
+def _invalid_address(address: str, why: str) -> UserError:
     return UserError(f"photodiodes.units: {address!r}: {why}; mend it in the rig file")
 
 

@@ -17,7 +17,7 @@ from goniotwin.app.rig.addresses import RTU, rtu_address
 from goniotwin.app.rig.file import AXES, AxisTable, RigFile
 from goniotwin.app.rig.opening import TWIN, RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
-from goniotwin.twin.plant import Electronics, Monitor, MonochromatorDrive, WheelFilter
+from goniotwin.twin.plant import Electronics, MonitorPhotodiode, MonochromatorDrive, WheelFilter
 from goniotwin.twin.plant.converter import SETTLED
 
 NAME = "described"
@@ -27,14 +27,14 @@ RANGE_TO_SPARE = 2.0
 
 
 @dataclass(frozen=True)
-class Described:
+class DescribedTwin:
     """A virtual rig, and in words what was assumed where the file said nothing. `rig` is a whole rig file, text and all."""
 
     rig: RigDescription
-    assumed: tuple[str, ...]
+    assumptions: tuple[str, ...]
 
 
-def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], models: Mapping[str, str]) -> Described:
+def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], models: Mapping[str, str]) -> DescribedTwin:
     """A virtual rig in this process for any rig's file; one that is such already stays what it is.
 
     `etalon` and `samples` are the schedule's names; `models` says by name what they are, in one line each (see
@@ -57,8 +57,8 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
     for name, model in models.items():
         _samples(document)[name] = sample_table(model)
     if document.unwrap() == tomlkit.parse(real.text).unwrap():
-        return Described(real, ())
-    return Described(parse_rig(tomlkit.dumps(document), real.folder, real.name), tuple(assumed))
+        return DescribedTwin(real, ())
+    return DescribedTwin(parse_rig(tomlkit.dumps(document), real.folder, real.name), tuple(assumed))
 
 
 def _connect_to_the_twin(document: tomlkit.TOMLDocument, file: RigFile) -> None:
@@ -146,10 +146,10 @@ def _within_the_twins_means(document: tomlkit.TOMLDocument, file: RigFile, assum
     if file.monitor.dialect != "pm100d":
         _table(document, "monitor")["dialect"] = "pm100d"
         assumed.append("the monitor is a PM100D, as the twin's")
-    least = RANGE_TO_SPARE * Monitor.current_a
+    least = RANGE_TO_SPARE * MonitorPhotodiode.current_a
     if file.monitor.range_a < least:
         _table(document, "monitor")["range_a"] = least
-        assumed.append(f"the monitor's range is {least:g} A, for the twin's monitor gives {Monitor.current_a:g} A")
+        assumed.append(f"the monitor's range is {least:g} A, for the twin's monitor gives {MonitorPhotodiode.current_a:g} A")
     for name in AXES:
         axis = getattr(file.axes, name)
         if axis.switches and (axis.right_polarity or axis.left_polarity):

@@ -3,24 +3,35 @@
 How high an etalon's radiance factor can be: what is higher was written in percent.
 """
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from goniotwin.app.rig.filters import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
-from goniotwin.app.rig.twin_file import TwinTable
-from goniotwin.app.toml_file import Table
+from goniotwin.app.rig.twin_file import FilterPosition, Fraction, PolarAngle, TwinTable, refuse_repeated_positions
+from goniotwin.app.toml_file import TomlTable
+from goniotwin.drivers import (
+    ArcClearance,
+    AxisSettings,
+    FilterWheel,
+    Homing,
+    MonitorSettings,
+    MonochromatorSettings,
+    OrderFilter,
+    PhotodiodeSettings,
+)
 from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument
 
-MOST, MOST_NEAR_GRAZING = 1.5, 5.0
+HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
 """What is white in every direction has 1, in a broad lobe somewhat more, and only one near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
 
 
 def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
     """Raises ValueError for a radiance factor that no diffuser has."""
-    most = MOST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else MOST
+    most = HIGHEST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else HIGHEST_RADIANCE_FACTOR
     if radiance_factor > most:
         raise ValueError(
             f"a radiance factor of {radiance_factor:g} is above {most:g}, and no diffuser's is (1 is the ideal one); "
@@ -30,11 +41,10 @@ def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
 
 AXES = ("gamma", "sigma", "beta", "shift")
 Sense = Literal[1, -1]
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-Polar = Annotated[float, Field(ge=0.0, le=90.0)]
+TINY_NM = 1e-6
 
 
-class Simulated(Table):
+class SimulatedTable(TomlTable):
     """That nothing here is real: the seed of the virtual rig.
 
     Where another process serves it, so that the file has no [twin]: its model's hash (`old_model`: in its first version, which
@@ -48,7 +58,7 @@ class Simulated(Table):
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 
-class HomingTable(Table):
+class HomingTable(TomlTable):
     """A reference search: its mode as Trinamic counts them (1 to 8, and 64 or 128 more), and the angle of the reference.
 
     Without `angle_deg` the reference is where the axis' microsteps are 0.
@@ -68,7 +78,7 @@ class HomingTable(Table):
         return mode
 
 
-class AxisTable(Table):
+class AxisTable(TomlTable):
     """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
 
     Against backlash every move arrives from one side, which its zero is for. `switches` has the limit switches stop the
@@ -123,7 +133,7 @@ class AxisTable(Table):
         return self
 
 
-class AxesTable(Table):
+class AxesTable(TomlTable):
     """The motion controller and its axes."""
 
     kind: Literal["tmcl"]
@@ -147,7 +157,51 @@ class AxesTable(Table):
         return self
 
 
-class MonochromatorTable(Table):
+class OrderFilterTable(TomlTable):
+    """A position of the wheel and the band for which it is put in, the lower end included, the upper where no other begins.
+
+    `cut_on_nm` is from where on it lets light through; without it, as in a position that is empty, it is not taken to hold
+    anything back.
+    """
+
+    position: FilterPosition
+    name: Annotated[str, Field(min_length=1)]
+    from_nm: PositiveFloat
+    to_nm: PositiveFloat
+    cut_on_nm: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _lets_its_band_through(self) -> "OrderFilterTable":
+        if not self.from_nm < self.to_nm:
+            raise ValueError(f"from_nm {self.from_nm:g} is not below to_nm {self.to_nm:g}; exchange them")
+        if self.cut_on_nm is not None and self.cut_on_nm > self.from_nm:
+            raise ValueError(
+                f"cut_on_nm {self.cut_on_nm:g} is above from_nm {self.from_nm:g}, so it would hold back the very light that it "
+                "is put in for; let its band begin higher, or take another filter"
+            )
+        return self
+
+    def __str__(self) -> str:
+        return f"{self.name!r} ({self.from_nm:g} to {self.to_nm:g} nm)"
+
+
+def check_filter_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_nm: float) -> None:
+    """Raises ValueError where bands overlap, or leave a gap between `lowest_nm` and `highest_nm`, naming the keys."""
+    ordered = sorted(filters, key=lambda each: each.from_nm)
+    for below, above in pairwise(ordered):
+        if above.from_nm < below.to_nm - TINY_NM:
+            raise ValueError(f"filters: the bands of {below} and {above} overlap; let one's to_nm be the other's from_nm")
+    ends = [(0.0, ordered[0].from_nm), *((a.to_nm, b.from_nm) for a, b in pairwise(ordered)), (ordered[-1].to_nm, float("inf"))]
+    for end, begin in ends:
+        missing = max(end, lowest_nm), min(begin, highest_nm)
+        if missing[1] - missing[0] > TINY_NM:
+            raise ValueError(
+                f"filters: from {missing[0]:g} to {missing[1]:g} nm there is none; widen a band with from_nm or to_nm, name "
+                "the empty position that belongs there, or narrow lowest_nm and highest_nm"
+            )
+
+
+class MonochromatorTable(TomlTable):
     """The monochromator and its timing; `filter_s` is that of the filter wheel from a position to the next.
 
     With `filters` the wheel is turned with the wavelength; without any nothing turns it.
@@ -170,12 +224,12 @@ class MonochromatorTable(Table):
     @model_validator(mode="after")
     def _one_filter_at_every_wavelength(self) -> "MonochromatorTable":
         if self.filters:
-            refuse_positions_taken_twice(self.filters)
-            refuse_bands(self.filters, self.lowest_nm, self.highest_nm)
+            refuse_repeated_positions([each.position for each in self.filters])
+            check_filter_bands(self.filters, self.lowest_nm, self.highest_nm)
         return self
 
 
-class PhotodiodesTable(Table):
+class PhotodiodesTable(TomlTable):
     """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs.
 
     An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is how long one question takes.
@@ -183,10 +237,10 @@ class PhotodiodesTable(Table):
 
     kind: Literal["adam-6017", "adam-4117"]
     units: Annotated[list[str], Field(min_length=1)]
-    upper_deg: Annotated[list[Polar], Field(min_length=1)]
-    lower_deg: list[Polar]
+    upper_deg: Annotated[list[PolarAngle], Field(min_length=1)]
+    lower_deg: list[PolarAngle]
     gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)]
-    gain_uncertainty: Share = 1.0e-3
+    gain_uncertainty: Fraction = 1.0e-3
     range_code: int = adam.PLUS_MINUS_10_V
     conversions_per_s: PositiveFloat = 100.0
     settling_s: Annotated[float, Field(gt=0.0, le=600.0)] = 0.25
@@ -223,7 +277,7 @@ class PhotodiodesTable(Table):
         return self
 
 
-class MonitorTable(Table):
+class MonitorTable(TomlTable):
     """The monitor photodiode's instrument."""
 
     kind: Literal["pm100d"]
@@ -232,10 +286,10 @@ class MonitorTable(Table):
     wavelength_nm: PositiveFloat = 550.0
     range_a: PositiveFloat = 500e-9
     samples_per_s: PositiveFloat = 3000.0
-    relative_uncertainty: Share = 3.0e-4
+    relative_uncertainty: Fraction = 3.0e-4
 
 
-class GeometryTable(Table):
+class GeometryTable(TomlTable):
     """The geometry that decides which directions the mirror unit hides, and which a value is a mean of.
 
     `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm` of the exit
@@ -262,20 +316,20 @@ class GeometryTable(Table):
         return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
 
 
-class SampleUnitTable(Table):
+class SampleUnitTable(TomlTable):
     """What holds the sample. `signature_uncertainty` is the share (standard uncertainty) by which the instrument's own light is
     otherwise with a sample in its place than without: the sample hides some of it, and sends its own light to the frames. The
     default is that of frames 0.5 mm off the sample (2 mm: 0.5); of frames that lie on it 0.01 is more than enough.
     """
 
-    signature_uncertainty: Share = 0.3
+    signature_uncertainty: Fraction = 0.3
 
 
-class EtalonTable(Table):
+class EtalonTable(TomlTable):
     """The etalon's certificate: its radiance factor (1 is the ideal diffuser), with its relative standard uncertainty."""
 
     radiance_factor: PositiveFloat = 1.0
-    relative_uncertainty: Share = 0.0
+    relative_uncertainty: Fraction = 0.0
 
     @field_validator("radiance_factor")
     @classmethod
@@ -284,11 +338,11 @@ class EtalonTable(Table):
         return factor
 
 
-class RigFile(Table):
+class RigFile(TomlTable):
     """The whole file."""
 
     name: str
-    simulated: Simulated | None = None
+    simulated: SimulatedTable | None = None
     axes: AxesTable
     monochromator: MonochromatorTable
     photodiodes: PhotodiodesTable
@@ -314,3 +368,64 @@ class RigFile(Table):
         if len(names) > 1:
             raise ValueError(f"its twin:// addresses name several virtual rigs: {', '.join(sorted(names))}; name one")
         return self
+
+
+def axis_settings(file: RigFile) -> dict[str, AxisSettings]:
+    """By axis."""
+    return {name: _axis(name, getattr(file.axes, name)) for name in AXES}
+
+
+def monochromator_settings(file: RigFile) -> MonochromatorSettings:
+    """Of the monochromator."""
+    table = file.monochromator
+    return MonochromatorSettings(**table.model_dump(exclude={"kind", "port", "filters"}), wheel=filter_wheel(table.filters))
+
+
+def photodiode_settings(file: RigFile) -> PhotodiodeSettings:
+    """Of the photodiodes and their modules."""
+    table = file.photodiodes
+    values = table.model_dump(exclude={"units", "upper_deg", "lower_deg", "gains_v_per_a"})
+    if adam.MODELS[table.kind].serial and "exchange_s" not in table.model_fields_set:
+        values["exchange_s"] = adam.RTU_EXCHANGE_S
+    return PhotodiodeSettings(
+        upper_deg=tuple(table.upper_deg),
+        lower_deg=tuple(table.lower_deg),
+        gains_v_per_a=tuple(table.gains_v_per_a),
+        **values,
+    )
+
+
+def monitor_settings(file: RigFile) -> MonitorSettings:
+    """Of the monitor."""
+    return MonitorSettings(**file.monitor.model_dump(exclude={"kind", "usb"}))
+
+
+def nominal_instrument(file: RigFile) -> Instrument:
+    """The instrument as the operator believes it to be: for the directions that the mirror unit hides."""
+    return file.geometry.instrument()
+
+
+def arc_clearance(file: RigFile) -> ArcClearance:
+    """What the arc must keep clear of."""
+    return ArcClearance(top_polar_deg=max(*file.photodiodes.upper_deg, *file.photodiodes.lower_deg, 0.0))
+
+
+def _axis(name: str, table: AxisTable) -> AxisSettings:
+    homing = table.homing
+    return AxisSettings(
+        name=name,
+        speed=table.speed_deg_s,
+        acceleration=table.acceleration_deg_s2,
+        microstep_exponent=table.microsteps.bit_length() - 1,
+        stall_speed=table.stall_speed_deg_s,
+        homing=None
+        if homing is None
+        else Homing(homing.mode, homing.speed_deg_s, homing.switch_speed_deg_s, homing.angle_deg, homing.longest_s),
+        **table.model_dump(exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps", "stall_speed_deg_s", "homing"}),
+    )
+
+
+def filter_wheel(filters: Sequence[OrderFilterTable]) -> FilterWheel:
+    """For the driver."""
+    ordered = sorted(filters, key=lambda each: each.from_nm)
+    return FilterWheel(tuple(OrderFilter(each.position, each.name, each.from_nm, each.cut_on_nm) for each in ordered))

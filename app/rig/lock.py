@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import place_of
+from goniotwin.app.rig.addresses import canonical_address
 from goniotwin.protocols.clock import RealClock, calendar_stamp
 
 FOLDER = "goniotwin-locks"
@@ -19,7 +19,7 @@ LONGEST_NOTE = 400
 A_LOOK_S = 0.05
 
 
-class Held(UserError):
+class RigInUse(UserError):
     """Another program has it."""
 
     def __init__(self, address: str, holder: str) -> None:
@@ -36,7 +36,7 @@ class RigLock:
         self._files: list[IO[str]] = []
         note = f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {doing}"
         try:
-            for place, address in sorted({place_of(address): address for address in addresses}.items()):
+            for place, address in sorted({canonical_address(address): address for address in addresses}.items()):
                 self._take(place, address, note)
         except UserError:
             self.release()
@@ -61,7 +61,7 @@ class RigLock:
             file.seek(0)
             holder = file.read(LONGEST_NOTE).strip() or "another program"
             file.close()
-            raise Held(address, holder)
+            raise RigInUse(address, holder)
         self._files.append(file)
         with contextlib.suppress(OSError):  # a full disk has no room for the note, and it is held all the same
             os.ftruncate(file.fileno(), 0)
@@ -73,7 +73,7 @@ def holder_of(address: str) -> str | None:
     """Who has an address now; None where nobody has. Raises UserError where that cannot be told."""
     try:
         RigLock([address], "looking who has it").release()
-    except Held as held:
+    except RigInUse as held:
         return held.holder
     return None
 

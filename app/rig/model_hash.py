@@ -1,19 +1,19 @@
 """The hash of a virtual rig's model: of everything that decides what the virtual rig does, under names of fields alone.
 
 No name of a class or a module is in it, so that these may change. A hash begins with the version of its text. Version 1 had no
-such mark; see `app.rig.old_model_hash`.
+such mark; see `old_model_hash`.
 """
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
-from goniotwin.app.rig.old_model_hash import old_model_hash
 from goniotwin.twin import TwinModel
 
 VERSION = 2
@@ -74,3 +74,135 @@ def _array(values: np.ndarray) -> str:
         raise TypeError(f"an array of the type {values.dtype} has no canonical text: give an array of numbers")
     plain = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
     return f"array {values.shape} {plain.dtype.str} {hashlib.sha256(plain.tobytes()).hexdigest()}"
+
+
+@dataclass(frozen=True)
+class Former:
+    """A class as it was: its name, its fields in order, and by field the classes of what is in them."""
+
+    name: str
+    fields: tuple[str, ...]
+    of: Mapping[str, "Former"]
+
+
+def _former(name: str, names: str, **of: Former) -> Former:
+    return Former(name, tuple(names.split()), of)
+
+
+_WHEEL_FILTER = _former("WheelFilter", "position cut_on_nm transmittance")
+_DEVIATION = _former("Deviation", "rx_deg ry_deg rz_deg x_mm y_mm z_mm")
+_SENSOR = _former("RealSensor", "lens_diameter_mm focal_length_mm aperture_mm diaphragm_mm detector_mm detector_side_mm")
+_PARTS = {
+    "axes": _former(
+        "Mechanics",
+        "motor gear sense zero_deg full_steps encoder module backlash_deg lower_switch_deg upper_switch_deg home_deg "
+        "home_width_deg encoder_counts encoder_error_deg",
+    ),
+    "instrument": _former(
+        "Instrument",
+        "pupil_radius_mm pupil_to_mirror_mm mirror_distance_mm mirror_side_mm mirror_mount_mm mirror_reflectance spot_side_mm "
+        "arc_radius_mm detector_diameter_mm field_deg obstruction deviations sensor",
+        deviations=_DEVIATION,
+        sensor=_SENSOR,
+    ),
+    "frames": _former("SampleFrames", "gap_mm side_mm reflectance lit"),
+    "light": _former(
+        "Light",
+        "radiance band_nm throughput spectrum drift_per_hour flicker flicker_period_s wander wander_period_s",
+    ),
+    "photodiodes": _former(
+        "Photodiodes",
+        "upper_deg lower_deg responsivity dark_a dark_spread dark_wander dark_wander_period_s",
+    ),
+    "electronics": _former(
+        "Electronics",
+        "gains_v_per_a gain_spread offset_v noise_v settling_s temperature_k conversions_per_s latency_s module baudrate",
+    ),
+    "monitor": _former("Monitor", "current_a dark_a noise samples_per_s serial_number latency_s"),
+    "monochromator": _former(
+        "MonochromatorDrive",
+        "slew_nm_per_s settle_s shutter_s filter_s start_nm echo baudrate handshake grating_s slit_um_per_s nm_per_step "
+        "gratings filters already_there_is_error",
+    ),
+    "controller": _former("AxisController", "kind wire baudrate latency_s encoder_noise_microsteps"),
+    "estimator": _former("Estimator", "kind rays relative_error stray"),
+    "order_sorting": _former("OrderSorting", "second_order filters", filters=_WHEEL_FILTER),
+}
+_MODEL = ("seed", "samples", "noise", *_PARTS)
+_SAMPLE = ("name", "lobes", "spectrum")
+_SPECTRUM = ("wavelengths_nm", "weights")
+_LOBE = ("kind", "params", "sigma_deg", "phi_deg", "theta_deg", "psi_deg", "values", "incident", "transmits")
+
+
+class _Unknown(Exception):
+    """The model has something that the first version could not say."""
+
+
+def old_model_hash(model: TwinModel) -> str | None:
+    """The hash of a model in its first version.
+
+    None for a model that was not possible then: one with a later field that is not at its default, or with a value of another
+    kind. No older journal can be of such a model.
+    """
+    try:
+        return _digest(model)
+    except _Unknown:
+        return None
+
+
+def _digest(model: TwinModel) -> str:
+    _refuse_later_fields(model, _MODEL)
+    digest = hashlib.sha256()
+    text = {name: _text(getattr(model, name), former) for name, former in _PARTS.items()}
+    for name in ("axes", "instrument", "frames", "light", "photodiodes", "electronics", "monitor"):
+        digest.update(text[name].encode())
+    digest.update(f"({text['monochromator']}, {text['controller']}, {bool(model.noise)}, {text['estimator']})".encode())
+    if model.order_sorting.second_order or model.order_sorting.filters:
+        digest.update(text["order_sorting"].encode())
+    for key, sample in sorted(model.samples.items()):
+        _refuse_later_fields(sample, _SAMPLE)
+        digest.update(f"{key} {len(sample.lobes)} {sample.spectrum is None}".encode())
+        if sample.spectrum is not None:
+            _refuse_later_fields(sample.spectrum, _SPECTRUM)
+            digest.update(sample.spectrum.wavelengths_nm.tobytes() + sample.spectrum.weights.tobytes())
+        for lobe in sample.lobes:
+            _refuse_later_fields(lobe, _LOBE)
+            digest.update(f"{int(lobe.kind)} {int(lobe.incident)} {bool(lobe.transmits)} {lobe.values.shape}".encode())
+            for values in (lobe.params, lobe.sigma_deg, lobe.phi_deg, lobe.theta_deg, lobe.psi_deg, lobe.values):
+                digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _text(value: Any, former: Former | None) -> str:
+    """What `repr` gave for a value whose class, or the class of what is in it, was `former`."""
+    if value is None:
+        return "None"
+    if isinstance(value, tuple):
+        entries = [_text(each, former) for each in value]
+        return f"({entries[0]},)" if len(entries) == 1 else f"({', '.join(entries)})"
+    if isinstance(value, Mapping):
+        text = "{" + ", ".join(f"{str(key)!r}: {_text(each, former)}" for key, each in value.items()) + "}"
+        return text if isinstance(value, dict) else f"mappingproxy({text})"
+    if former is None:
+        return _plain(value)
+    _refuse_later_fields(value, former.fields)
+    entries = [f"{name}={_text(getattr(value, name), former.of.get(name))}" for name in former.fields]
+    return f"{former.name}({', '.join(entries)})"
+
+
+def _plain(value: object) -> str:
+    for kind in (bool, int, float, str):
+        if isinstance(value, kind):
+            return repr(kind(value))
+    raise _Unknown
+
+
+def _refuse_later_fields(value: Any, known: tuple[str, ...]) -> None:
+    """Raises _Unknown where a field that is not `known` is not at its default, or `value` is no dataclass at all."""
+    if not is_dataclass(value):
+        raise _Unknown
+    for entry in fields(value):
+        if entry.name not in known:
+            default = entry.default_factory() if entry.default_factory is not MISSING else entry.default
+            if default is MISSING or getattr(value, entry.name) != default:
+                raise _Unknown

@@ -10,21 +10,21 @@ import usb.core
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import USBIP_PORT, ModbusUnits, host_and_port, is_port
-from goniotwin.app.rig.file import RigFile
-from goniotwin.app.rig.lock import RigLock
-from goniotwin.app.rig.model_hash import model_hashes
-from goniotwin.app.rig.settings import (
+from goniotwin.app.rig.file import (
+    RigFile,
     arc_clearance,
     axis_settings,
     monitor_settings,
     monochromator_settings,
     photodiode_settings,
 )
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
-from goniotwin.app.toml_file import checked, parse_toml, read_toml
+from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
+from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.motion import tmcl
-from goniotwin.drivers.motion.tmcl.module import PortOpener
 from goniotwin.drivers.tap import Explain, Tap, as_text, no_tap
 from goniotwin.drivers.usb import usbtmc as usbtmc_driver
 from goniotwin.drivers.usb.usbip import find_usbip
@@ -79,12 +79,12 @@ class RigDescription:
 def read_rig(path: Path) -> RigDescription:
     """A rig file. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
-    return RigDescription(text, checked(RigFile, content, str(path)), path.parent, str(path))
+    return RigDescription(text, validate_table(RigFile, content, str(path)), path.parent, str(path))
 
 
 def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
     """A rig file's text, such as a journal holds. Raises UserError."""
-    return RigDescription(text, checked(RigFile, parse_toml(text, name), name), folder, name)
+    return RigDescription(text, validate_table(RigFile, parse_toml(text, name), name), folder, name)
 
 
 @dataclass
@@ -117,9 +117,9 @@ class OpenRig:
             self._lock = None
 
     @property
-    def transcript_trouble(self) -> str | None:
+    def transcript_failure(self) -> str | None:
         """Why transcripts are not written to their end; None where they are, or are not wanted."""
-        return self._transcript.trouble if self._transcript is not None else None
+        return self._transcript.failure if self._transcript is not None else None
 
     def lock(self, addresses: list[str], doing: str) -> None:
         """Keeps other programs from real devices until `close`. Raises UserError that says who has one."""

@@ -22,13 +22,13 @@ from pydantic import Field, model_validator
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, bsdf, read_ddr
 from goniotwin.app.formats.zemax import ZemaxBsdf, read_zemax
-from goniotwin.app.toml_file import Table, checked
-from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, spectral_table, summed, tabulated
+from goniotwin.app.toml_file import TomlTable, validate_table
+from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, spectral_table, sum_samples, table_sample
 
 Side = Literal["front", "back", "both"]
 
 
-class LambertianTable(Table):
+class LambertianTable(TomlTable):
     """A perfect diffuser of some reflectance, and of some transmittance."""
 
     model: Literal["lambertian"]
@@ -46,7 +46,7 @@ class LambertianTable(Table):
         return lambertian(self.reflectance, self.transmittance, self.side)
 
 
-class GaussianTable(Table):
+class GaussianTable(TomlTable):
     """A Gaussian lobe round the specular direction (the paper's formula 6), or round the transmitted one."""
 
     model: Literal["gaussian"]
@@ -71,7 +71,7 @@ class GaussianTable(Table):
         )
 
 
-class RegularTable(Table):
+class RegularTable(TomlTable):
     """A mirror or a clear sheet: a share of the light, or a list of shares over the incidences `sigma_deg`."""
 
     model: Literal["regular"]
@@ -90,7 +90,7 @@ class RegularTable(Table):
         return regular(self.reflectance, self.transmits, self.side, self.sigma_deg)
 
 
-class MeasuredTable(Table):
+class MeasuredTable(TomlTable):
     """A table of a Zemax `.bsdf` file, named from where the rig file is; a BTDF transmits."""
 
     model: Literal["zemax"]
@@ -101,7 +101,7 @@ class MeasuredTable(Table):
 LobeTable = Annotated[LambertianTable | GaussianTable | RegularTable | MeasuredTable, Field(discriminator="model")]
 
 
-class SumTable(Table):
+class SumTable(TomlTable):
     """Several models at once, each scattering its share."""
 
     model: Literal["sum"]
@@ -114,7 +114,7 @@ SampleTable = Annotated[LambertianTable | GaussianTable | RegularTable | Measure
 def scatterer(sample: SampleTable, folder: Path, place: str) -> Scatterer:
     """The model; files are looked for from `folder`. Raises UserError that begins with `place`, the sample's in its file."""
     if isinstance(sample, SumTable):
-        return summed(*[scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
+        return sum_samples(*[scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
     if not isinstance(sample, MeasuredTable):
         return sample.scatterer()
     try:
@@ -129,7 +129,7 @@ def _from_zemax(table: ZemaxBsdf, side: Side) -> Scatterer:
         raise ValueError(f"it has {len(table.sample_rotation_deg)} sample rotations; a sample here needs exactly one")
     transmits = table.scatter_type.upper() == "BTDF"
     axes = (table.incidence_deg, table.azimuth_deg, table.radial_deg)
-    return tabulated(*axes, table.values[0], side=side, transmits=transmits)
+    return table_sample(*axes, table.values[0], side=side, transmits=transmits)
 
 
 FORMULAS: dict[str, type[GaussianTable] | type[LambertianTable] | type[RegularTable]] = {
@@ -160,7 +160,7 @@ def parse_sample(text: str) -> Scatterer:
     """
     parts = [part.strip() for part in PLUS.split(text)]
     models = [_model(part) for part in parts]
-    sample = summed(*models, name=text.strip())
+    sample = sum_samples(*models, name=text.strip())
     _check_light(sample, MEASURED_LIGHT if any(part.startswith("table") for part in parts) else ALL_OF_THE_LIGHT)
     return sample
 
@@ -194,7 +194,7 @@ def _model(part: str) -> Scatterer:
         raise UserError(f"{place}: nothing follows the colon; keys are {_keys(name)}")
     entries = _entries(rest, name, place)
     try:
-        return checked(FORMULAS[name], {"model": name, **entries}, place).scatterer()
+        return validate_table(FORMULAS[name], {"model": name, **entries}, place).scatterer()
     except UserError as error:
         raise UserError(str(error).replace(": the file: ", ": ", 1)) from None
 
@@ -245,7 +245,7 @@ def _from_ddr(table: DdrTable, path: Path, side: Side) -> Scatterer:
     transmits = path.suffix.lower() == ".ddt"
     axes = (table.sigma_deg, table.phi_deg, table.theta_deg)
     if table.channels == (None,):
-        return tabulated(*axes, values[0], path.name, psi, side=side, transmits=transmits)
+        return table_sample(*axes, values[0], path.name, psi, side=side, transmits=transmits)
     wavelengths = [nm or 0.0 for nm in table.channels]
     return spectral_table(wavelengths, *axes, values, path.name, psi, side=side, transmits=transmits)
 

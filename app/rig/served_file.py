@@ -24,7 +24,7 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
         if endpoint.device == CONTROL:
             control = endpoint.port
         else:
-            addresses.setdefault(endpoint.device, address_of(endpoint))  # a pseudo-terminal comes before its TCP port
+            addresses.setdefault(endpoint.device, endpoint_address(endpoint))  # a pseudo-terminal comes before its TCP port
     document = tomlkit.parse(description.text)
     document.remove("twin")
     _table(document, "axes")["port"] = addresses["axes"]
@@ -41,7 +41,7 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     return f"{FIRST_LINE}\n{tomlkit.dumps(document)}"
 
 
-def address_of(endpoint: Endpoint) -> str:
+def endpoint_address(endpoint: Endpoint) -> str:
     """As a rig file writes it."""
     if endpoint.bus_id is not None:
         return f"usbip:{endpoint.host}:{endpoint.port}/{endpoint.bus_id}"

@@ -5,31 +5,36 @@ Nothing here is taken from the operator's part of the file: a wrong sign there h
 `[twin.optics]`, `[twin.sensor]`, `[twin.deviations]`: the virtual rig's optics, how they stand, how they are computed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from goniotwin.app.rig.filters import WheelFilterTable, refuse_positions_taken_twice
 from goniotwin.app.rig.samples import SampleTable, scatterer
-from goniotwin.app.toml_file import Table
+from goniotwin.app.toml_file import TomlTable
 from goniotwin.twin.optics import Deviation, Instrument, RealSensor, SampleFrames
 from goniotwin.twin.plant import (
     AxisController,
     Electronics,
     Estimator,
-    Light,
+    LightSource,
     Mechanics,
-    Monitor,
+    MonitorPhotodiode,
     MonochromatorDrive,
     OrderSorting,
     Photodiodes,
     TwinModel,
+    WheelFilter,
 )
 
+Fraction = Annotated[float, Field(ge=0.0, lt=1.0)]
+NonNegativeFloat = Annotated[float, Field(ge=0.0)]
+PolarAngle = Annotated[float, Field(ge=0.0, le=90.0)]
+FilterPosition = Annotated[int, Field(ge=1, le=6)]
 
-class OpticsTable(Table):
+
+class OpticsTable(TomlTable):
     """Dimensions of the instrument; `obstruction` off lets light pass through the mirror unit.
 
     `estimator` is what the photodiodes' light is computed by: `fast`, or `forward`, which traces everything and takes its
@@ -56,7 +61,7 @@ class OpticsTable(Table):
 
     @model_validator(mode="after")
     def _can_be_built(self) -> "OpticsTable":
-        built(self, {})
+        twin_instrument(self, {})
         return self
 
     def chosen(self) -> Estimator:
@@ -64,7 +69,7 @@ class OpticsTable(Table):
         return Estimator(self.estimator, self.rays, self.forward_error, self.stray)
 
 
-class FramesTable(Table):
+class FramesTable(TomlTable):
     """The two sheets that hold the sample: see `twin.optics.SampleFrames`."""
 
     gap_mm: float = 0.0
@@ -82,7 +87,7 @@ class FramesTable(Table):
         return SampleFrames(**self.model_dump())
 
 
-class SensorTable(Table):
+class SensorTable(TomlTable):
     """The sensor unit as it is built, in place of the virtual detectors of `[twin.optics]`: see `twin.optics.RealSensor`."""
 
     lens_diameter_mm: PositiveFloat = RealSensor.lens_diameter_mm
@@ -102,7 +107,7 @@ class SensorTable(Table):
         return RealSensor(**self.model_dump())
 
 
-class DeviationTable(Table):
+class DeviationTable(TomlTable):
     """How far an element stands from its place: three angles, three shifts; frames: twin.optics.geometry.instrument."""
 
     rx_deg: float = 0.0
@@ -113,7 +118,9 @@ class DeviationTable(Table):
     z_mm: float = 0.0
 
 
-def built(optics: OpticsTable, deviations: Mapping[str, DeviationTable], unit: SensorTable | None = None) -> Instrument:
+def twin_instrument(
+    optics: OpticsTable, deviations: Mapping[str, DeviationTable], unit: SensorTable | None = None
+) -> Instrument:
     """The instrument. Raises ValueError for dimensions that make none, for an element that there is not, and for a sensor
     `unit` beside dimensions of virtual detectors, or of which the estimator knows nothing.
     """
@@ -131,12 +138,7 @@ def built(optics: OpticsTable, deviations: Mapping[str, DeviationTable], unit: S
     return Instrument(**dimensions, deviations=standing, sensor=sensor)
 
 
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Polar = Annotated[float, Field(ge=0.0, le=90.0)]
-
-
-class MechanicsTable(Table):
+class MechanicsTable(TomlTable):
     """An axis as it is."""
 
     motor: Annotated[int, Field(ge=0, le=5)]
@@ -146,26 +148,26 @@ class MechanicsTable(Table):
     full_steps: PositiveInt = 200
     encoder: bool = True
     module: Annotated[int, Field(ge=1, le=255)] = 1
-    backlash_deg: NotNegative = 0.0
+    backlash_deg: NonNegativeFloat = 0.0
     lower_switch_deg: float | None = None
     upper_switch_deg: float | None = None
     home_deg: float | None = None
     home_width_deg: Annotated[float, Field(gt=0.0, lt=360.0)] = 1.0
     encoder_counts: PositiveInt = 51_200
-    encoder_error_deg: NotNegative = 0.0
+    encoder_error_deg: NonNegativeFloat = 0.0
 
 
-class ControllerTable(Table):
+class ControllerTable(TomlTable):
     """The motion modules and their wire: one module for each address among the axes' `module`."""
 
     kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
     wire: Literal["usb", "rs485"] = "usb"
     baudrate: PositiveInt = 115200
-    latency_s: NotNegative = 3.0e-4
-    encoder_noise_microsteps: NotNegative = 1.0
+    latency_s: NonNegativeFloat = 3.0e-4
+    encoder_noise_microsteps: NonNegativeFloat = 1.0
 
 
-class AxesMechanicsTable(Table):
+class AxesMechanicsTable(TomlTable):
     """All four axes as they are."""
 
     gamma: MechanicsTable
@@ -182,40 +184,40 @@ class AxesMechanicsTable(Table):
         return self
 
 
-class LightTable(Table):
+class LightTable(TomlTable):
     """The lamp: its radiance, what of it arrives, and how steady it is."""
 
     radiance: PositiveFloat = 2.0e3
     throughput: Annotated[float, Field(gt=0.0, le=1.0)] = 0.18
     drift_per_hour: float = 0.0
-    flicker: Share = 5.0e-4
-    wander: Share = 2.0e-3
+    flicker: Fraction = 5.0e-4
+    wander: Fraction = 2.0e-3
 
 
-class DiodesTable(Table):
+class DiodesTable(TomlTable):
     """Where the photodiodes sit, and their dark currents."""
 
-    upper_deg: Annotated[list[Polar], Field(min_length=1)] = [5.0 * k for k in range(18)]
-    lower_deg: list[Polar] = [5.0 * k for k in range(18)]
-    dark_a: NotNegative = 2.0e-12
-    dark_spread: Share = 0.05
-    dark_wander: Share = 2.0e-3
+    upper_deg: Annotated[list[PolarAngle], Field(min_length=1)] = [5.0 * k for k in range(18)]
+    lower_deg: list[PolarAngle] = [5.0 * k for k in range(18)]
+    dark_a: NonNegativeFloat = 2.0e-12
+    dark_spread: Fraction = 0.05
+    dark_wander: Fraction = 2.0e-3
 
 
-class ElectronicsTable(Table):
+class ElectronicsTable(TomlTable):
     """Amplifiers and converters; `gain_spread` is how far the gains are from what is printed on them."""
 
     gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)] = [1e6, 1e8, 1e10, 1e11]
-    gain_spread: Share = 1.0e-3
+    gain_spread: Fraction = 1.0e-3
     offset_v: float = 1.0e-3
-    noise_v: NotNegative = 1.5e-4
+    noise_v: NonNegativeFloat = 1.5e-4
     settling_s: PositiveFloat = 0.02
     module: Literal["adam-6017", "adam-4117"] = "adam-6017"
     baudrate: PositiveInt = 9600
     conversions_per_s: Literal[10, 100] = 100
 
 
-class DriveTable(Table):
+class DriveTable(TomlTable):
     """The monochromator as it is: its speeds, whether its line echoes, whether it knows handshake mode.
 
     `filters` is how many positions its wheel has, `filter_s` the time from one to the next. `second_order` is the share of
@@ -225,15 +227,34 @@ class DriveTable(Table):
     echo: bool = True
     handshake: bool = True
     slew_nm_per_s: PositiveFloat = 175.0
-    settle_s: NotNegative = 0.1
-    shutter_s: NotNegative = 0.15
-    filter_s: NotNegative = 1.0
+    settle_s: NonNegativeFloat = 0.1
+    shutter_s: NonNegativeFloat = 0.15
+    filter_s: NonNegativeFloat = 1.0
     filters: Annotated[int, Field(ge=0, le=6)] = 6
-    grating_s: NotNegative = 8.0
-    second_order: Share = 0.0
+    grating_s: NonNegativeFloat = 8.0
+    second_order: Fraction = 0.0
 
 
-class TwinTable(Table):
+class WheelFilterTable(TomlTable):
+    """A filter in the virtual rig's wheel: see `twin.plant.WheelFilter`. A position without one is open."""
+
+    position: FilterPosition
+    cut_on_nm: PositiveFloat
+    transmittance: Annotated[float, Field(gt=0.0, le=1.0)] = WheelFilter.transmittance
+
+    def filter(self) -> WheelFilter:
+        """For the model."""
+        return WheelFilter(**self.model_dump())
+
+
+def refuse_repeated_positions(positions: Sequence[int]) -> None:
+    """Raises ValueError, naming the position."""
+    for position in positions:
+        if (count := positions.count(position)) > 1:
+            raise ValueError(f"filters: position {position} is given {count} times; there is one filter in each, so leave one")
+
+
+class TwinTable(TomlTable):
     """The virtual rig. `noise` off silences every random process and leaves the quantisation."""
 
     axes: AxesMechanicsTable
@@ -252,12 +273,12 @@ class TwinTable(Table):
 
     @model_validator(mode="after")
     def _can_be_built(self) -> "TwinTable":
-        built(self.optics, self.deviations, self.sensor)
+        twin_instrument(self.optics, self.deviations, self.sensor)
         return self
 
     @model_validator(mode="after")
     def _filters_have_their_places(self) -> "TwinTable":
-        refuse_positions_taken_twice(self.filters)
+        refuse_repeated_positions([each.position for each in self.filters])
         for each in self.filters:
             if each.position > self.monochromator.filters:
                 raise ValueError(
@@ -282,12 +303,12 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
         seed=seed,
         axes={axis: Mechanics(**mechanics) for axis, mechanics in table.axes.model_dump().items()},
         samples={key: scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
-        instrument=built(table.optics, table.deviations, table.sensor),
+        instrument=twin_instrument(table.optics, table.deviations, table.sensor),
         frames=table.frames.frames(),
-        light=Light(**table.light.model_dump()),
+        light=LightSource(**table.light.model_dump()),
         photodiodes=Photodiodes(**_tuples(table.photodiodes)),
         electronics=Electronics(**_tuples(table.electronics)),
-        monitor=Monitor(),
+        monitor=MonitorPhotodiode(),
         monochromator=MonochromatorDrive(**table.monochromator.model_dump(exclude={"second_order"})),
         controller=AxisController(**table.controller.model_dump()),
         noise=table.noise,
@@ -296,5 +317,5 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
     )
 
 
-def _tuples(table: Table) -> dict[str, Any]:
+def _tuples(table: TomlTable) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.model_dump().items()}

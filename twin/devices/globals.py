@@ -5,7 +5,7 @@ import numpy as np
 from goniotwin.protocols.tmcl import Command, Status
 from goniotwin.protocols.tmcl_parameters import USER_BANK, Global
 from goniotwin.twin.devices.ramp_generator import Rejected
-from goniotwin.twin.plant.noise import mixed, process_key
+from goniotwin.twin.plant.noise import mix, process_key
 
 USER_VARIABLES, USER_STORED = 256, 56
 LOCK, UNLOCK = 1234, 4321
@@ -75,7 +75,7 @@ class Globals:
                 case Global.TICK_TIMER:
                     return round((t - self._ticks_from) * 1000.0) & 0x7FFF_FFFF
                 case Global.RANDOM_NUMBER:
-                    return int(mixed(self._key, np.int64(int(t * 1.0e6)))) & 0x7FFF_FFFF
+                    return int(mix(self._key, np.int64(int(t * 1.0e6)))) & 0x7FFF_FFFF
         self._check(bank, number)
         return 0
 

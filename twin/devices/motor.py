@@ -7,8 +7,8 @@ from goniotwin.twin.devices.axis_table import COMPUTED, Parameter
 from goniotwin.twin.devices.encoder import Encoder
 from goniotwin.twin.devices.ramp_generator import RampGenerator, Rejected, signed
 from goniotwin.twin.devices.switches import Place
-from goniotwin.twin.plant.motion import turning
-from goniotwin.twin.plant.shaft import Leash, Shaft
+from goniotwin.twin.plant.motion import ramp_to_velocity
+from goniotwin.twin.plant.shaft import Heartbeat, Shaft
 
 UNLOADED = 512
 POWER_DOWN_UNIT_S = 0.01
@@ -24,8 +24,8 @@ REPLANNED = frozenset(
 class Motor(RampGenerator):
     """A motor by its parameters. `faults` are bits of AP 208 that a test may set."""
 
-    def __init__(self, shaft: Shaft | None, encoder: Encoder | None, table: dict[int, Parameter], leash: Leash) -> None:
-        super().__init__(shaft, encoder, table, leash)
+    def __init__(self, shaft: Shaft | None, encoder: Encoder | None, table: dict[int, Parameter], heartbeat: Heartbeat) -> None:
+        super().__init__(shaft, encoder, table, heartbeat)
         self.faults = DriverFlag(0)
 
     def reset(self, t: float) -> None:
@@ -160,4 +160,4 @@ class Motor(RampGenerator):
         elif velocity == 0.0:
             self._target = int(position)
         else:
-            self._follow(turning(t, position, velocity, velocity, *self._slopes()), t)
+            self._follow(ramp_to_velocity(t, position, velocity, velocity, *self._slopes()), t)

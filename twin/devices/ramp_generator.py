@@ -14,8 +14,8 @@ from goniotwin.twin.devices.encoder import Encoder
 from goniotwin.twin.devices.halts import Guards, Halt, next_halt
 from goniotwin.twin.devices.switches import Place, Switch
 from goniotwin.twin.plant.model import Mechanics
-from goniotwin.twin.plant.motion import Trajectory, braked, cut, moving, resting, turning
-from goniotwin.twin.plant.shaft import Leash, Shaft
+from goniotwin.twin.plant.motion import Trajectory, brake_to_rest, cut_off, ramp_to_target, ramp_to_velocity, rest_at
+from goniotwin.twin.plant.shaft import Heartbeat, Shaft
 
 CHIP_UNITS_PPS = 16_000_000 / 2**24  # of velocities where UNIT_MODE is 0 (*)
 CANCELLED_STATE, CANCELLED_S = 15, 0.05
@@ -33,14 +33,14 @@ class Rejected(Exception):
 class RampGenerator:
     """What turns a motor: its counter, its trajectory, what will end that, and the shaft that follows.
 
-    `shaft` is None where nothing is coupled to it; `leash` is the module's heartbeat.
+    `shaft` is None where nothing is coupled to it; `heartbeat` is the module's heartbeat.
     """
 
-    def __init__(self, shaft: Shaft | None, encoder: Encoder | None, table: dict[int, Parameter], leash: Leash) -> None:
+    def __init__(self, shaft: Shaft | None, encoder: Encoder | None, table: dict[int, Parameter], heartbeat: Heartbeat) -> None:
         self.shaft = shaft if shaft is not None else Shaft(UNCOUPLED)
         self.encoder = encoder
         self._table = table
-        self._leash = leash
+        self._heartbeat = heartbeat
         self._eeprom: dict[int, int] = {}
         self.shaft.listener = self.refresh
         self._forget(0.0)
@@ -55,7 +55,7 @@ class RampGenerator:
         self._cancelled = -1.0
         self._last_reference = self._distance = 0
         self._positioning = False
-        self._wanted = self._trajectory = resting(0.0, t)
+        self._wanted = self._trajectory = rest_at(0.0, t)
 
     def is_moving(self, t: float) -> bool:
         """Whether the ramp is not over."""
@@ -81,7 +81,7 @@ class RampGenerator:
         self._positioning = False
         self._values[Axis.TARGET_VELOCITY] = velocity
         position, now = self._trajectory.position(t), self._trajectory.velocity(t)
-        self._follow(turning(t, position, now, velocity * self._unit(), *self._slopes()), t)
+        self._follow(ramp_to_velocity(t, position, now, velocity * self._unit(), *self._slopes()), t)
 
     def search(self, kind: int, t: float) -> int:
         """RFS. Raises Rejected for a type that there is not."""
@@ -129,7 +129,7 @@ class RampGenerator:
             if self.shaft.jammed:  # it sees no switch any more, and turns for ever
                 position, velocity = self._trajectory.position(t), self._trajectory.velocity(t)
                 self._search = reference_search.Search(self._trajectory, self._search.phases)
-                self._follow(turning(t, position, velocity, velocity, *self._slopes()), t)
+                self._follow(ramp_to_velocity(t, position, velocity, velocity, *self._slopes()), t)
         elif self._positioning:
             self._follow(self._ramp(t, self._trajectory.position(t), self._trajectory.velocity(t)), t)
         else:
@@ -148,8 +148,8 @@ class RampGenerator:
         self._halt = next_halt(drive, t, guards) if self.is_moving(t) else None
         if self._halt is not None:
             end = self._halt.t
-            self._trajectory = braked(wanted, end, down) if self._halt.soft else cut(wanted, end)
-        self.shaft.follow(t, self._trajectory, down, self._leash)
+            self._trajectory = brake_to_rest(wanted, end, down) if self._halt.soft else cut_off(wanted, end)
+        self.shaft.follow(t, self._trajectory, down, self._heartbeat)
 
     def _guards(self) -> Guards:
         values, encoder = self._values, self.encoder
@@ -166,8 +166,8 @@ class RampGenerator:
     def _ramp(self, t: float, position: float, velocity: float) -> Trajectory:
         speed = self._values[Axis.MAX_VELOCITY] * self._unit()
         if speed == 0.0:
-            return turning(t, position, velocity, 0.0, *self._slopes())
-        return moving(t, position, velocity, float(self._target), speed, *self._slopes())
+            return ramp_to_velocity(t, position, velocity, 0.0, *self._slopes())
+        return ramp_to_target(t, position, velocity, float(self._target), speed, *self._slopes())
 
     def switch(self, place: Place) -> Switch:
         """One of the shaft's switches, as the search mode has the home switch inverted."""

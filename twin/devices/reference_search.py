@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from goniotwin.protocols.tmcl_parameters import SWAPPED, SearchMode
 from goniotwin.twin.devices.switches import Switch, when_switched
-from goniotwin.twin.plant.motion import Trajectory, braked, cut, joined, moving, turning
+from goniotwin.twin.plant.motion import Trajectory, brake_to_rest, cut_off, join, ramp_to_target, ramp_to_velocity
 from goniotwin.twin.plant.shaft import Drive
 
 Seen = tuple[Switch, bool]
@@ -112,7 +112,7 @@ class _Course:
 
     def __init__(self, start: Trajectory, t: float, means: Means) -> None:
         self.means = means
-        self.trajectory = braked(start, t, means.deceleration)
+        self.trajectory = brake_to_rest(start, t, means.deceleration)
         self.t = max(t, self.trajectory.end)
         self.phases: list[float] = [t]
 
@@ -132,7 +132,7 @@ class _Course:
         self.phases.append(self.t)
         means = self.means
         position = self.trajectory.position(self.t)
-        ahead = joined(self.trajectory, turning(self.t, position, 0.0, velocity, means.acceleration, means.deceleration))
+        ahead = join(self.trajectory, ramp_to_velocity(self.t, position, 0.0, velocity, means.acceleration, means.deceleration))
         drive = means.driven(ahead)
         direction = 1 if velocity > 0.0 else -1
         found = [when_switched(drive, self.t, switch, wanted, direction) for switch, wanted in seen]
@@ -142,18 +142,18 @@ class _Course:
         if ends and not disabled:
             barrier = when_switched(drive, self.t, self.stop(direction), True, direction)
         if barrier is not None and (first is None or barrier < first):
-            self.trajectory = cut(ahead, barrier)
+            self.trajectory = cut_off(ahead, barrier)
             raise _NothingFound
         if first is None:
             self.trajectory = ahead
             raise _NothingFound
-        self.trajectory = braked(ahead, first, means.deceleration) if brake else cut(ahead, first)
+        self.trajectory = brake_to_rest(ahead, first, means.deceleration) if brake else cut_off(ahead, first)
         self.t = self.trajectory.end
         return ahead.position(first)
 
     def go(self, position: float, speed: float) -> None:
         """To a place."""
         means, here = self.means, self.trajectory.position(self.t)
-        way = moving(self.t, here, 0.0, position, speed, means.acceleration, means.deceleration)
-        self.trajectory = joined(self.trajectory, way)
+        way = ramp_to_target(self.t, here, 0.0, position, speed, means.acceleration, means.deceleration)
+        self.trajectory = join(self.trajectory, way)
         self.t = self.trajectory.end

@@ -28,7 +28,7 @@ from goniotwin.twin.devices.globals import Globals
 from goniotwin.twin.devices.motor import Motor
 from goniotwin.twin.devices.ramp_generator import Rejected
 from goniotwin.twin.plant import Plant
-from goniotwin.twin.plant.shaft import Leash
+from goniotwin.twin.plant.shaft import Heartbeat
 
 FACTORY_RESET_CODE, FACTORY_RESET_S = 1234, 5.0
 SUPPLY_DECIVOLT, TEMPERATURE_C = 240, 30
@@ -77,7 +77,7 @@ class MotionModule:
             Global.BAUD_RATE: BAUD_RATES.index(baudrate) if baudrate in BAUD_RATES else 0,
         }
         self.globals = Globals(dict(self._factory))
-        self._leash = Leash()
+        self._heartbeat = Heartbeat()
         self._dead_until = -math.inf
         self._coordinates: dict[tuple[int, int], int] = {}
         self._outputs = [0] * OUTPUTS
@@ -93,12 +93,12 @@ class MotionModule:
     def _motor(self, plant: Plant, name: str | None) -> Motor:
         shaft = plant.shafts[name] if name is not None else None
         encoder = Encoder(plant, name) if name is not None and plant.shafts[name].mechanics.encoder else None
-        return Motor(shaft, encoder, self.kind.table, self._leash)
+        return Motor(shaft, encoder, self.kind.table, self._heartbeat)
 
     def reset(self, t: float) -> None:
         """The power was away for a moment: EEPROM's settings hold, counters are 0, and nothing turns any more."""
         self.globals.reset(t)
-        self._leash.until = math.inf
+        self._heartbeat.until = math.inf
         self._coordinates.clear()
         self._outputs = [0] * OUTPUTS
         self._event_mask = 0
@@ -145,15 +145,15 @@ class MotionModule:
 
     def _mind_heartbeat(self, t: float) -> None:
         """What was still turning when the host had been silent for too long has been stopped then."""
-        if t > self._leash.until:
+        if t > self._heartbeat.until:
             for motor in self.motors:
-                if motor.is_moving(self._leash.until):
-                    motor.turn(0, self._leash.until)
-        self._extend_leash(t)
+                if motor.is_moving(self._heartbeat.until):
+                    motor.turn(0, self._heartbeat.until)
+        self._extend_heartbeat(t)
 
-    def _extend_leash(self, t: float) -> None:
+    def _extend_heartbeat(self, t: float) -> None:
         heartbeat = self.globals.get(0, Global.HEARTBEAT, t)
-        self._leash.until = t + heartbeat * 1.0e-3 if heartbeat > 0 else math.inf
+        self._heartbeat.until = t + heartbeat * 1.0e-3 if heartbeat > 0 else math.inf
 
     def _execute(self, request: Request, t: float) -> int:
         number, bank, value = request.type, request.motor, request.value
@@ -164,7 +164,7 @@ class MotionModule:
                 return version_number(self.kind.number, *self.kind.firmware)
             case Command.SGP:
                 self.globals.set(bank, number, value, t)
-                self._extend_leash(t)
+                self._extend_heartbeat(t)
                 return value
             case Command.GGP:
                 return self.globals.get(bank, number, t)

@@ -1,21 +1,30 @@
-"""The optics of the virtual prototype: geometry, scattering samples, and two estimators of what each detector gets.
+"""The optics of the virtual prototype: geometry, scattering samples, and two estimators of the light on each detector.
 
-`throughput` is the fast estimator, for a sample whose BSDF is known; `forward` traces everything from the exit pupil on
-and is the reference that holds the fast one. `IlluminationUnit` is what stands before the exit pupil, with its own two:
-`forward_illumination` and `adjoint_illumination`. Only numpy, numba and the standard library are below: files are
-app/formats' business.
+`throughput` is the fast estimator, for a sample with a known BSDF. `forward_throughput` traces rays from the exit pupil to the
+detectors; it is the reference for the fast one. `IlluminationUnit` is the optics before the exit pupil, with two estimators of
+its own: `forward_illumination` and `adjoint_illumination`. This package needs numpy, numba and the standard library alone:
+files are read and written in app/formats.
 """
 
 from goniotwin.twin.optics.bsdf.analytic_samples import gaussian, lambertian, regular
 from goniotwin.twin.optics.bsdf.lobes import Lobe
-from goniotwin.twin.optics.bsdf.point_samples import scattered
-from goniotwin.twin.optics.bsdf.scatterer import Scatterer, albedo, draw, evaluate, lobe_shares, sided, spectral, summed
-from goniotwin.twin.optics.bsdf.table_samples import spectral_table, tabulated
+from goniotwin.twin.optics.bsdf.point_samples import scattered_points
+from goniotwin.twin.optics.bsdf.scatterer import (
+    Scatterer,
+    albedo,
+    apply_spectrum,
+    combine_sides,
+    draw_directions,
+    evaluate,
+    lobe_shares,
+    sum_samples,
+)
+from goniotwin.twin.optics.bsdf.table_samples import spectral_table, table_sample
 from goniotwin.twin.optics.fast.estimator import luminance_factor, luminance_factors, spectral_throughput, throughput
 from goniotwin.twin.optics.fast.lobe_sums import Pose
 from goniotwin.twin.optics.fast.obstruction import ShadowMap, shadow_map, visible_fraction
-from goniotwin.twin.optics.forward.estimator import Estimate, forward
-from goniotwin.twin.optics.forward.stray_light import StrayMap, stray, stray_throughput
+from goniotwin.twin.optics.forward.estimator import Estimate, forward_throughput
+from goniotwin.twin.optics.forward.stray_light import StrayMap, stray_map, stray_throughput
 from goniotwin.twin.optics.geometry.coordinates import (
     arc_direction,
     from_specular,
@@ -31,7 +40,7 @@ from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure, adjoi
 from goniotwin.twin.optics.illumination.beam import Illumination
 from goniotwin.twin.optics.illumination.forward import forward_illumination
 from goniotwin.twin.optics.illumination.rayset import Rayset, RaySource, record, replay
-from goniotwin.twin.optics.illumination.spectrum import Spectrum, luminous, xenon
+from goniotwin.twin.optics.illumination.spectrum import Spectrum, luminous_spectrum, xenon_spectrum
 from goniotwin.twin.optics.illumination.unit import CorrectionUnit, IlluminationUnit
 
 __all__ = [
@@ -55,11 +64,13 @@ __all__ = [
     "StrayMap",
     "adjoint_illumination",
     "albedo",
+    "apply_spectrum",
     "arc_direction",
-    "draw",
+    "combine_sides",
+    "draw_directions",
     "evaluate",
-    "forward",
     "forward_illumination",
+    "forward_throughput",
     "from_specular",
     "gaussian",
     "illumination_figure",
@@ -68,24 +79,22 @@ __all__ = [
     "lobe_shares",
     "luminance_factor",
     "luminance_factors",
-    "luminous",
+    "luminous_spectrum",
     "pupil_image",
     "record",
     "regular",
     "replay",
-    "scattered",
+    "scattered_points",
     "shadow_map",
-    "sided",
-    "spectral",
     "spectral_table",
     "spectral_throughput",
     "specular_direction",
-    "stray",
+    "stray_map",
     "stray_throughput",
-    "summed",
-    "tabulated",
+    "sum_samples",
+    "table_sample",
     "throughput",
     "to_specular",
     "visible_fraction",
-    "xenon",
+    "xenon_spectrum",
 ]

@@ -6,6 +6,7 @@ files; without even that each program compiles for itself. numba's own `NUMBA_CA
 """
 
 import os
+import pickle
 import stat
 import tempfile
 from collections.abc import Callable
@@ -21,8 +22,34 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function], Function]:
     """Compile a function at its first call. `options` are those of `numba.njit`; division by zero gives inf or nan."""
     settings: dict[str, Any] = {"cache": CACHED, "error_model": error_model, **options}
-    compiled: Callable[[Function], Function] = njit(**settings)
+
+    def compiled(function: Function) -> Function:
+        dispatcher: Any = njit(**settings)(function)
+        _discard_unreadable(dispatcher._cache)
+        result: Function = dispatcher
+        return result
+
     return compiled
+
+
+def _discard_unreadable(cache: Any) -> None:
+    """Have the function compiled anew where its cache names a class that an earlier version of the program had.
+
+    numba unpickles an index of the cache, with the types in it, before it compares the index with the source file.
+    """
+    load = cache.load_overload
+
+    def load_overload(*arguments: Any) -> Any:
+        try:
+            return load(*arguments)
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            try:
+                cache.flush()
+            except OSError:  # a folder that is for reading alone
+                cache.disable()
+            return None
+
+    cache.load_overload = load_overload
 
 
 def find_cache(sources: Path, home: Path | None, temporary: Path) -> Path | None:

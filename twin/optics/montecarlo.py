@@ -28,7 +28,7 @@ STEP_24 = np.float32(2.0**-24)
 
 
 @kernel()
-def scrambled(bits: np.uint64) -> np.uint64:
+def scramble(bits: np.uint64) -> np.uint64:
     """64 bits that look random: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
     # Every constant is cast: with a plain integer numba goes over to floats, and the bits are wrong without a word.
     bits = (bits ^ (bits >> U64(30))) * U64(0xBF58476D1CE4E5B9)
@@ -39,14 +39,14 @@ def scrambled(bits: np.uint64) -> np.uint64:
 @kernel()
 def uniform(key: np.uint64, counter: int) -> float:
     """Number `counter` of a path's key, in [0, 1)."""
-    bits = scrambled(key + U64(counter + 1) * U64(0x9E3779B97F4A7C15))
+    bits = scramble(key + U64(counter + 1) * U64(0x9E3779B97F4A7C15))
     return float(bits >> U64(11)) * 1.1102230246251565e-16
 
 
 @kernel()
 def word_key(key: np.uint64, counter: int) -> np.uint32:
     """Key of a block's 32-bit words number `counter`: see `word`."""
-    return U32(scrambled(key + U64(counter + 1) * U64(0x9E3779B97F4A7C15)) >> U64(32))
+    return U32(scramble(key + U64(counter + 1) * U64(0x9E3779B97F4A7C15)) >> U64(32))
 
 
 @kernel(inline="always")
@@ -94,7 +94,7 @@ def check_seed(seed: int) -> None:
         raise ValueError(f"seed is {seed}: give a whole number from 0 to 2^64 - 1")
 
 
-def summed(trace: Callable[[int, int], Floats], first: int, last: int, chunk: int = CHUNK) -> Floats:
+def sum_chunks(trace: Callable[[int, int], Floats], first: int, last: int, chunk: int = CHUNK) -> Floats:
     """Sum of what `trace` gives for rays first..last-1. It must be a function of these alone, and hold no lock."""
     if last - first <= chunk:
         return trace(first, last)
@@ -107,7 +107,7 @@ def summed(trace: Callable[[int, int], Floats], first: int, last: int, chunk: in
     return total
 
 
-def until(
+def run_until(
     trace: Callable[[int, int], Floats],
     estimate: Callable[[Floats, int], tuple[float, float, Result]],
     rays: int | None,
@@ -128,12 +128,12 @@ def until(
     if rays is not None:
         if rays < 2:
             raise ValueError(f"rays is {rays}: give at least 2, for an error needs two")
-        return estimate(summed(trace, 0, rays, chunk), rays)[2]
+        return estimate(sum_chunks(trace, 0, rays, chunk), rays)[2]
     assert relative_error is not None
     if not 0.0 < relative_error < 1.0:
         raise ValueError(f"relative_error is {relative_error!r}: give a share between 0 and 1")
     done = first_rays
-    sums = summed(trace, 0, done, chunk)
+    sums = sum_chunks(trace, 0, done, chunk)
     while True:
         value, error, result = estimate(sums, done)
         if value <= 0.0:
@@ -150,5 +150,5 @@ def until(
             raise ValueError(f"relative_error {relative_error:g} takes {needed:.1e} rays, more than {most_rays:.1e}")
         # Few rays have a poor idea of their error: no more than sixteen times as many at once.
         more = math.ceil(min(16.0 * done, max(1.25 * done, needed)) / first_rays) * first_rays
-        sums = sums + summed(trace, done, more, chunk)
+        sums = sums + sum_chunks(trace, done, more, chunk)
         done = more

@@ -34,7 +34,7 @@ def conversions(t: float, period: float, channels: int) -> tuple[Ints, float, fl
 
 
 @kernel()
-def converted(
+def convert_channels(
     volts: Floats,
     begin: int,
     end: int,

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.plant.model import Light
+from goniotwin.twin.plant.model import LightSource
 from goniotwin.twin.plant.noise import normal, process_key, wandering
 
 
@@ -33,7 +33,7 @@ def lamp_mean(start: float, end: float, constants: Floats, keys: npt.NDArray[np.
     return mean
 
 
-def lamp_constants(light: Light, seed: int, noise: bool) -> tuple[Floats, npt.NDArray[np.uint64]]:
+def lamp_constants(light: LightSource, seed: int, noise: bool) -> tuple[Floats, npt.NDArray[np.uint64]]:
     """What the kernels take: (drift an hour, flicker, its period, wander, its period, from when on the drift goes, the
     level then) and the keys of both processes.
     """

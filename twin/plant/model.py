@@ -81,7 +81,7 @@ class Mechanics:
 
 
 @dataclass(frozen=True)
-class Light:
+class LightSource:
     """From the arc to the sample: `radiance` (W m^-2 sr^-1 nm^-1) in `band_nm`, of which `throughput` reaches the sample.
 
     `spectrum` has (wavelength in nm, relative radiance); drift and flicker are of the lamp, so that every detector and the
@@ -150,7 +150,7 @@ class Electronics:
 
 
 @dataclass(frozen=True)
-class Monitor:
+class MonitorPhotodiode:
     """The photodiode behind the beam splitter: its current for a lamp of 1 at 550 nm, and its relative noise a reading."""
 
     current_a: float = 1.4e-7
@@ -205,7 +205,7 @@ class Estimator:
     """What computes the photodiodes' light: the fast estimator, with its own few rays or with `rays` of them, or the forward
     one until half of the photodiodes that get light are known to `relative_error`.
 
-    `stray` is whether light of the frames, and light that met something between, counts: traced by the forward one, and for
+    `stray_map` is whether light of the frames, and light that met something between, counts: traced by the forward one, and for
     the fast one added from a map that the forward one makes.
     """
 
@@ -224,10 +224,10 @@ class TwinModel:
     samples: dict[str, Scatterer]
     instrument: Instrument = field(default_factory=Instrument)
     frames: SampleFrames = field(default_factory=SampleFrames)
-    light: Light = field(default_factory=Light)
+    light: LightSource = field(default_factory=LightSource)
     photodiodes: Photodiodes = field(default_factory=Photodiodes)
     electronics: Electronics = field(default_factory=Electronics)
-    monitor: Monitor = field(default_factory=Monitor)
+    monitor: MonitorPhotodiode = field(default_factory=MonitorPhotodiode)
     monochromator: MonochromatorDrive = field(default_factory=MonochromatorDrive)
     controller: AxisController = field(default_factory=AxisController)
     noise: bool = True

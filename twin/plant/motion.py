@@ -46,12 +46,12 @@ class Trajectory:
         return self.pieces[max(0, bisect_right(self.pieces, t, key=lambda piece: piece.t) - 1)]
 
 
-def resting(position: float, t: float = 0.0) -> Trajectory:
+def rest_at(position: float, t: float = 0.0) -> Trajectory:
     """At rest."""
     return Trajectory((Piece(t, position, 0.0, 0.0),))
 
 
-def turning(
+def ramp_to_velocity(
     now: float, position: float, velocity: float, wanted: float, acceleration: float, deceleration: float
 ) -> Trajectory:
     """From the present velocity to the `wanted` one (0: stop), and on with it."""
@@ -63,7 +63,7 @@ def turning(
     return Trajectory((*pieces, Piece(now, position, velocity, 0.0)))
 
 
-def moving(
+def ramp_to_target(
     now: float,
     position: float,
     velocity: float,
@@ -102,18 +102,18 @@ def moving(
     return Trajectory((*pieces, Piece(now, target, 0.0, 0.0)))
 
 
-def cut(trajectory: Trajectory, t: float) -> Trajectory:
+def cut_off(trajectory: Trajectory, t: float) -> Trajectory:
     """The same until `t`, and at rest there and then."""
-    return _then(trajectory, resting(trajectory.position(t), t))
+    return _then(trajectory, rest_at(trajectory.position(t), t))
 
 
-def braked(trajectory: Trajectory, t: float, deceleration: float) -> Trajectory:
+def brake_to_rest(trajectory: Trajectory, t: float, deceleration: float) -> Trajectory:
     """The same until `t`, and from there to rest over a ramp."""
     position, velocity = trajectory.position(t), trajectory.velocity(t)
-    return _then(trajectory, turning(t, position, velocity, 0.0, deceleration, deceleration))
+    return _then(trajectory, ramp_to_velocity(t, position, velocity, 0.0, deceleration, deceleration))
 
 
-def joined(first: Trajectory, second: Trajectory) -> Trajectory:
+def join(first: Trajectory, second: Trajectory) -> Trajectory:
     """The first until the second begins."""
     return _then(first, second)
 

@@ -20,7 +20,7 @@ def process_key(seed: int, process: str) -> np.uint64:
 
 
 @kernel()
-def mixed(key: np.uint64, counter: np.int64) -> np.uint64:
+def mix(key: np.uint64, counter: np.int64) -> np.uint64:
     """64 bits that look random, of a key and a counter."""
     z = key + U64(counter) * U64(0x9E3779B97F4A7C15)
     for _ in range(2):
@@ -33,7 +33,7 @@ def mixed(key: np.uint64, counter: np.int64) -> np.uint64:
 @kernel()
 def normal(key: np.uint64, counter: np.int64) -> float:
     """A standard normal number (Box and Muller) of a key and a counter."""
-    bits = mixed(key, counter)
+    bits = mix(key, counter)
     radius = math.sqrt(-2.0 * math.log((float(bits >> U64(32)) + 0.5) / 4294967296.0))
     return radius * math.cos(2.0 * math.pi * (float(bits & U64(0xFFFFFFFF)) / 4294967296.0))
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.instrument import nominal
-from goniotwin.twin.plant.converter import conversions, converted
+from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
+from goniotwin.twin.plant.converter import conversions, convert_channels
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.shaft import Shaft
-from goniotwin.twin.plant.timeline import Changing, Slewing, Timeline
+from goniotwin.twin.plant.timeline import ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.view import Aspect, View
 
 MODULE_CHANNELS = 8
@@ -27,14 +27,14 @@ class Plant:
     def __init__(self, model: TwinModel) -> None:
         self.model = model
         self.shafts = {name: Shaft(mechanics) for name, mechanics in model.axes.items()}
-        self.wavelength_nm = Slewing(model.monochromator.start_nm)
-        self.wheel = Slewing(1.0)
-        self.shutter_open: Timeline[bool] = Timeline(False)
-        self.sample: Timeline[str | None] = Timeline(None)
-        self.tilt_deg: Timeline[float] = Timeline(0.0)
+        self.wavelength_nm = SlewHistory(model.monochromator.start_nm)
+        self.wheel = SlewHistory(1.0)
+        self.shutter_open: History[bool] = History(False)
+        self.sample: History[str | None] = History(None)
+        self.tilt_deg: History[float] = History(0.0)
         diodes = model.photodiodes
         self.modules = math.ceil(diodes.count / MODULE_CHANNELS)
-        self.gain: list[Timeline[int]] = [Timeline(0) for _ in range(self.modules)]
+        self.gain: list[History[int]] = [History(0) for _ in range(self.modules)]
         self.view = View(model)
         self._lamp = lamp_constants(model.light, model.seed, model.noise)
         self._make_light()
@@ -42,12 +42,14 @@ class Plant:
 
     def _make_light(self) -> None:
         light = self.model.light
-        mirrors = nominal(self.model.instrument.mirror_reflectance) ** 3  # the optics count them, and `throughput` has them too
+        mirrors = (
+            nominal_reflectance(self.model.instrument.mirror_reflectance) ** 3
+        )  # the optics count them, and `throughput` has them too
         self._radiance = light.radiance * light.band_nm * light.throughput / mirrors
         self._lamp_spectrum = np.transpose(light.spectrum)
         self._responsivity = np.transpose(self.model.photodiodes.responsivity)
         light_path = (self.wavelength_nm, self.wheel, self.shutter_open, self.sample, self.tilt_deg)
-        self._deciding: tuple[Changing, ...] = (*light_path, *self.shafts.values())
+        self._deciding: tuple[ChangingQuantity, ...] = (*light_path, *self.shafts.values())
         # The photocurrents of what has settled last. What decides on them and is no line of time (`fade`) has to forget them.
         self._lit: tuple[tuple[object, ...], Floats] = ((), np.zeros(0))
 
@@ -183,7 +185,7 @@ class Plant:
             at = latest if steady else (numbers[begin] + begin / MODULE_CHANNELS) * period
             signal_a = self._lit[1] if light is not None else self.photocurrents_a(at)
             before, _ = gain.before(at)
-            converted(
+            convert_channels(
                 volts, begin, end, module * MODULE_CHANNELS, numbers, period, signal_a, self._dark_a, self._gains,
                 self._deviation, gain.at(at), before, gain.held_since(at), self._constants, *self._lamp, self._dark_keys,
                 self._noise_keys,

@@ -6,16 +6,16 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from goniotwin.twin.plant.model import Mechanics
-from goniotwin.twin.plant.motion import Trajectory, braked, resting, turning_points
-from goniotwin.twin.plant.timeline import Timeline
+from goniotwin.twin.plant.motion import Trajectory, brake_to_rest, rest_at, turning_points
+from goniotwin.twin.plant.timeline import History
 
 ELECTRIC_CYCLE = 4
 """Full steps after which a stepper motor's field is the same again: a rotor that was held back falls in at one of these."""
 
 
 @dataclass(slots=True)
-class Leash:
-    """How long a movement may go on without news from its host: at `until` it brakes (the module's heartbeat)."""
+class Heartbeat:
+    """How long a movement may go on without news from its host: at `run_until` it brakes (the module's heartbeat)."""
 
     until: float = math.inf
 
@@ -36,7 +36,7 @@ class Drive:
     start_deg: float = 0.0
     jammed: bool = False
     deceleration: float = math.inf
-    leash: Leash = field(default_factory=Leash)
+    heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
     def angle_deg(self, t: float) -> float:
         """The axis at `t`."""
@@ -61,10 +61,10 @@ class Drive:
         return self._trajectory(t).position(t)
 
     def _trajectory(self, t: float) -> Trajectory:
-        until = self.leash.until
+        until = self.heartbeat.until
         if t <= until or self.trajectory.velocity(until) == 0.0:
             return self.trajectory
-        return braked(self.trajectory, until, self.deceleration)
+        return brake_to_rest(self.trajectory, until, self.deceleration)
 
     def _driven_deg(self, t: float) -> float:
         return self.mechanics.zero_deg + self.full_steps(t) * self.mechanics.deg_per_full_step
@@ -84,7 +84,7 @@ class Shaft:
     def __init__(self, mechanics: Mechanics) -> None:
         self.mechanics = mechanics
         self.listener: Callable[[float], object] = float
-        self._drives = Timeline(Drive(mechanics, resting(0.0), start_deg=mechanics.zero_deg))
+        self._drives = History(Drive(mechanics, rest_at(0.0), start_deg=mechanics.zero_deg))
 
     @property
     def jammed(self) -> bool:
@@ -106,7 +106,7 @@ class Shaft:
 
     @property
     def last_change(self) -> float:
-        """From when on it rests, s; infinity where it turns for ever. A leash that runs out has it rest no later."""
+        """From when on it rests, s; infinity where it turns for ever. A heartbeat that runs out has it rest no later."""
         last = self._drives.newest.trajectory.pieces[-1]
         return max(self._drives.last_change, last.t) if last.velocity == 0.0 else math.inf
 
@@ -114,21 +114,25 @@ class Shaft:
         """Whether the axis may have moved after `t`."""
         return t < self.last_change
 
-    def driven(self, t: float, trajectory: Trajectory, deceleration: float = math.inf, leash: Leash | None = None) -> Drive:
+    def driven(
+        self, t: float, trajectory: Trajectory, deceleration: float = math.inf, heartbeat: Heartbeat | None = None
+    ) -> Drive:
         """What would become of it if from `t` on the motor's counter followed `trajectory`."""
         old = self._drives.at(t)
         return replace(
             old, trajectory=trajectory, since=t, start_deg=old.angle_deg(t), deceleration=deceleration,
-            leash=leash if leash is not None else Leash(),
+            heartbeat=heartbeat if heartbeat is not None else Heartbeat(),
         )  # fmt: skip
 
-    def follow(self, t: float, trajectory: Trajectory, deceleration: float = math.inf, leash: Leash | None = None) -> None:
-        """From `t` on the motor's counter follows `trajectory`, on a leash that ends it with a ramp."""
-        self._drives.set(t, self.driven(t, trajectory, deceleration, leash))
+    def follow(
+        self, t: float, trajectory: Trajectory, deceleration: float = math.inf, heartbeat: Heartbeat | None = None
+    ) -> None:
+        """From `t` on the motor's counter follows `trajectory`, on a heartbeat that ends it with a ramp."""
+        self._drives.set(t, self.driven(t, trajectory, deceleration, heartbeat))
 
     def recount(self, t: float, position: float, per_full: int) -> Trajectory:
         """The counter is set to `position`, in microsteps of `per_full` a full step: nothing moves. Returns the rest."""
-        rest = resting(position, t)
+        rest = rest_at(position, t)
         old = self._drives.at(t)
         origin = old.full_steps(t) - position / per_full
         self._drives.set(t, replace(self.driven(t, rest), per_full=per_full, origin=origin))

@@ -10,7 +10,7 @@ from typing import Generic, Protocol, TypeVar
 T = TypeVar("T")
 
 
-class Changing(Protocol):
+class ChangingQuantity(Protocol):
     """A quantity that changes now and then: what it is now, and from when on it has been at rest there, s."""
 
     @property
@@ -20,7 +20,7 @@ class Changing(Protocol):
     def last_change(self) -> float: ...
 
 
-class Timeline(Generic[T]):
+class History(Generic[T]):
     """The last `keep` values of a quantity, each with the time from which it holds; `newest` holds from `last_change` on."""
 
     def __init__(self, value: T, keep: int = 64) -> None:
@@ -55,7 +55,7 @@ class Timeline(Generic[T]):
 
 
 @dataclass(frozen=True, slots=True)
-class Pass:
+class Slew:
     """From `first` at `start` to `last` at `end`, and there from then on."""
 
     start: float
@@ -72,11 +72,11 @@ class Pass:
         return self.first + (self.last - self.first) * (t - self.start) / (self.end - self.start)
 
 
-class Slewing:
+class SlewHistory:
     """What the quantity was at any recent time; jumps and passes."""
 
     def __init__(self, value: float) -> None:
-        self._passes = Timeline(Pass(float("-inf"), float("-inf"), value, value))
+        self._passes = History(Slew(float("-inf"), float("-inf"), value, value))
 
     def at(self, t: float) -> float:
         """The value at `t`."""
@@ -84,18 +84,18 @@ class Slewing:
 
     def set(self, t: float, value: float) -> None:
         """It is `value` from `t` on."""
-        self._passes.set(t, Pass(t, t, value, value))
+        self._passes.set(t, Slew(t, t, value, value))
 
     def slew(self, start: float, end: float, value: float) -> None:
         """From where it is at `start` it passes linearly to `value`, which it reaches at `end`."""
-        self._passes.set(start, Pass(start, end, self.at(start), value))
+        self._passes.set(start, Slew(start, end, self.at(start), value))
 
     def stop(self, t: float) -> None:
         """It stays where it is at `t`."""
         self.set(t, self.at(t))
 
     @property
-    def newest(self) -> Pass:
+    def newest(self) -> Slew:
         """The last pass."""
         return self._passes.newest
 

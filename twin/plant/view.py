@@ -10,7 +10,16 @@ from typing import TypeVar
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Scatterer, StrayMap, arc_direction, forward, regular, stray, stray_throughput, throughput
+from goniotwin.twin.optics import (
+    Scatterer,
+    StrayMap,
+    arc_direction,
+    forward_throughput,
+    regular,
+    stray_map,
+    stray_throughput,
+    throughput,
+)
 from goniotwin.twin.plant.model import TwinModel
 
 Kept = TypeVar("Kept")
@@ -78,7 +87,7 @@ class View:
             return seen
 
         def mapped() -> StrayMap:
-            return stray(
+            return stray_map(
                 model.instrument, sigma, sample, seed=model.seed, gamma_deg=aspect.gamma_deg, wavelength_nm=wavelength,
                 sample_frames=model.frames,
             )  # fmt: skip
@@ -91,7 +100,7 @@ class View:
     ) -> Floats:  # fmt: skip
         # Each pose has its own random numbers: with the same ones all rows would be wrong in the same way.
         seed = blake2b(_seed_text(self._model.seed, aspect).encode(), digest_size=8).digest()
-        found = forward(
+        found = forward_throughput(
             self._model.instrument, sigma, directions, sample, seed=int.from_bytes(seed, "big"), gamma_deg=aspect.gamma_deg,
             wavelength_nm=wavelength, relative_error=self._model.estimator.relative_error, sample_frames=self._model.frames,
         )  # fmt: skip

@@ -5,19 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced
-from goniotwin.app.campaign.reduction.specular_grid import Regridded, regrid
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints
+from goniotwin.app.campaign.reduction.specular_grid import SpecularTable, regrid
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
 
-Exporter = Callable[[Reduced, str | None, Path], int]
+Exporter = Callable[[BsdfDataset, str | None, Path], int]
 LONGEST_LIST = 2000
 POINTS_AT_ONCE = 20_000
 """As text a point has a kilobyte or two."""
 SQLITE = b"SQLite format 3\0"
 
 
-def heading(reduced: Reduced) -> list[str]:
+def heading(reduced: BsdfDataset) -> list[str]:
     """The lines that say what a file is of."""
     lines = [f"campaign: {reduced.name}", f"rig: {reduced.rig.file.name}"]
     if reduced.simulated:
@@ -25,7 +25,7 @@ def heading(reduced: Reduced) -> list[str]:
     return lines
 
 
-def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
+def export_csv(reduced: BsdfDataset, sample: str | None, path: Path) -> int:
     """Every point that was measured, of one sample or of all; returns how many. Raises UserError."""
     chosen = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
     if not chosen:
@@ -53,7 +53,7 @@ def export_csv(reduced: Reduced, sample: str | None, path: Path) -> int:
     return sum(points.bsdf.size for points in chosen.values())
 
 
-def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
+def export_ddr(reduced: BsdfDataset, sample: str | None, path: Path) -> int:
     """One sample's luminance factors in specular coordinates; returns of how many measured points. Raises UserError."""
     if sample is None:
         if len(reduced.samples) != 1:
@@ -92,7 +92,7 @@ def export_ddr(reduced: Reduced, sample: str | None, path: Path) -> int:
 FORMATS: dict[str, Exporter] = {"ddr": export_ddr, "csv": export_csv}
 
 
-def _covered(grids: list[Regridded]) -> tuple[np.ndarray, np.ndarray]:
+def _covered(grids: list[SpecularTable]) -> tuple[np.ndarray, np.ndarray]:
     """Sigma from 0 to 90, for readers extrapolate outside a list: the first and last tables are held to the ends."""
     sigmas = grids[0].sigma_deg
     bsdf = np.array([grid.bsdf for grid in grids])
@@ -103,7 +103,7 @@ def _covered(grids: list[Regridded]) -> tuple[np.ndarray, np.ndarray]:
     return sigmas, bsdf
 
 
-def _continued(grids: list[Regridded], wavelengths: np.ndarray) -> list[str]:
+def _continued(grids: list[SpecularTable], wavelengths: np.ndarray) -> list[str]:
     """What in the table is no measurement, for its heading."""
     sigmas = ", ".join(f"{sigma:g}" for sigma in grids[0].sigma_deg)
     lines = [
@@ -129,7 +129,7 @@ def _runs(values: np.ndarray, chosen: np.ndarray) -> list[tuple[float, float]]:
     return [(float(values[start]), float(values[stop - 1])) for start, stop in edges.reshape(-1, 2)]
 
 
-def _points(reduced: Reduced, sample: str) -> BsdfPoints:
+def _points(reduced: BsdfDataset, sample: str) -> BsdfPoints:
     if sample not in reduced.samples:
         known = ", ".join(reduced.samples) or "none"
         raise UserError(f"the journal has no measured sample {sample!r}; it has: {known}")

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 
@@ -124,9 +124,9 @@ def field_variance(instrument: Instrument) -> float:
     return pupil + min(cone + side * far**2, disc + side * (near + far) ** 2)
 
 
-def with_field(points: BsdfPoints, rig: RigFile) -> BsdfPoints:
+def add_field_uncertainty(points: BsdfPoints, rig: RigFile) -> BsdfPoints:
     """The points with the field's part, `u_field`, in their uncertainty `u_bsdf`; NaN and not in it where nobody can tell."""
-    u_field = field_uncertainty(points, field_variance(believed_instrument(rig)))
+    u_field = field_uncertainty(points, field_variance(nominal_instrument(rig)))
     return replace(points, u_field=u_field, u_bsdf=np.hypot(points.u_bsdf, np.nan_to_num(u_field)))
 
 
@@ -142,7 +142,7 @@ def field_uncertainty(points: BsdfPoints, variance: float) -> Floats:
     for end in [*(np.flatnonzero(changes) + 1).tolist(), order.size]:
         if end - begin >= AT_ONCE or end == order.size > begin:
             part = order[begin:end]
-            values, which = directions_of(points.where(part))
+            values, which = merge_directions(points.where(part))
             result[part] = _uncertainty(values, variance)[which]
             begin = end
     return result
@@ -165,7 +165,7 @@ class Directions:
     u_bsdf: Floats
 
 
-def directions_of(points: BsdfPoints) -> tuple[Directions, Ints]:
+def merge_directions(points: BsdfPoints) -> tuple[Directions, Ints]:
     """Of points that are good, and for each point the number of its value: the mean of those in one direction."""
     polar = np.where(points.zenith_deg > 90.0, 180.0 - points.zenith_deg, points.zenith_deg)
     azimuth = np.mod(np.round(points.azimuth_deg, DECIMALS), 360.0)

@@ -21,7 +21,7 @@ PHI_STEP_DEG = 5.0
 
 
 @dataclass(frozen=True)
-class Regridded:
+class SpecularTable:
     """BSDF (sigma, phi, theta) in 1/sr; `measured` where it rests on measured directions, the rest is continued."""
 
     sigma_deg: Floats
@@ -31,7 +31,7 @@ class Regridded:
     measured: Flags
 
 
-def regrid(points: BsdfPoints) -> Regridded:
+def regrid(points: BsdfPoints) -> SpecularTable:
     """Points of one wavelength and one gamma on a grid of specular coordinates.
 
     theta goes from 0 to 180 in the finest step of the zenith angles; phi is 0 and 180 where only the plane of incidence
@@ -49,7 +49,7 @@ def regrid(points: BsdfPoints) -> Regridded:
     bsdf, measured = np.empty(shape), np.empty(shape, dtype=bool)
     for k, sigma in enumerate(sigmas):
         bsdf[k], measured[k] = _one_sigma(good.where(good.sigma_deg == sigma), float(sigma), phi, theta)
-    return Regridded(sigmas, phi, theta, bsdf, measured)
+    return SpecularTable(sigmas, phi, theta, bsdf, measured)
 
 
 def _one_sigma(points: BsdfPoints, sigma: float, phi: Floats, theta: Floats) -> tuple[Floats, Flags]:

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.symmetry import canonical
-from goniotwin.app.campaign.reduction.agreement import plausible
-from goniotwin.app.campaign.reduction.points import BsdfPoints, steepness
+from goniotwin.app.campaign.geometry.symmetry import canonical_poses
+from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
 from goniotwin.app.campaign.schedule.refinement import Symmetry
 from goniotwin.arrays import Floats
 
@@ -27,7 +26,7 @@ OF_PAIR = ("wavelength_nm", "sigma_deg", "shift_deg", "gamma", "beta", "photodio
 
 
 @dataclass(frozen=True)
-class Symmetrical:
+class SymmetryResult:
     """How `pairs` of a value and that of its mirror image differ. `chi_square` is about `pairs` where the symmetry holds;
     `worst` the greatest difference in its standard uncertainties, `beyond` the share of them beyond two. `largest` is a
     relative difference, with its standard uncertainty, at the place `where`: the greatest of those that are known well; where
@@ -76,7 +75,7 @@ class SymmetryCheck:
 
     def __init__(self, stated: Symmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
         self._stated = stated
-        self._poses = {tuple(pose) for pose in np.unique(canonical(mirrored, stated), axis=0).tolist()}
+        self._poses = {tuple(pose) for pose in np.unique(canonical_poses(mirrored, stated), axis=0).tolist()}
         self._angle_deg = angle_deg
         self._common = common
         self._monitor = monitor
@@ -85,7 +84,7 @@ class SymmetryCheck:
     def add(self, points: BsdfPoints) -> None:
         """Some more points."""
         poses = np.stack([points.gamma_deg, points.sigma_deg, points.beta_deg, points.shift_deg], axis=1)
-        same = canonical(poses, self._stated)
+        same = canonical_poses(poses, self._stated)
         rows, which = np.unique(same, axis=0, return_inverse=True)
         checked = np.array([tuple(row) in self._poses for row in rows.tolist()], dtype=bool)[which.ravel()]
         chosen = checked & points.good
@@ -99,9 +98,9 @@ class SymmetryCheck:
         columns |= {"zenith": here.zenith_deg, "azimuth": here.azimuth_deg, "mirrored": here.mirrored.astype(float)}
         self._kept.append(columns)
 
-    def verdict(self) -> Symmetrical:
+    def result(self) -> SymmetryResult:
         """Of all points that were added."""
-        nothing = Symmetrical(self._stated, 0, 0.0, 0.0, 0.0, math.nan, math.nan, "")
+        nothing = SymmetryResult(self._stated, 0, 0.0, 0.0, 0.0, math.nan, math.nan, "")
         if not self._kept:
             return nothing
         all_of = {name: np.concatenate([each[name] for each in self._kept]) for name in self._kept[0]}
@@ -126,7 +125,7 @@ class SymmetryCheck:
         along = np.bincount(row, weights=difference * mean / variance)
         length = np.bincount(row, weights=mean**2 / variance)
         chi_square = float(np.sum(plain - common * along**2 / (1.0 + common * length)))
-        found = Symmetrical(
+        found = SymmetryResult(
             self._stated, int(one.size), chi_square, float(worse.max()), float(np.mean(worse > 2.0)), math.nan, math.nan, ""
         )
         safe = np.where(mean == 0.0, np.nan, np.abs(mean))
@@ -140,7 +139,7 @@ class SymmetryCheck:
             f"(photodiode {at['photodiode']:.0f})"
         )
         known = (found.stated, found.pairs, found.chi_square, found.worst, found.beyond)
-        return Symmetrical(*known, float(relative[k]), float(u_relative[k]), where)
+        return SymmetryResult(*known, float(relative[k]), float(u_relative[k]), where)
 
 
 def _means(columns: Columns, which: np.ndarray, size: int, chosen: np.ndarray) -> tuple[Floats, Floats]:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.shadow import shadowed
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.row_points import live_points
-from goniotwin.app.campaign.reduction.signals import Signal, darks_by_gain, signal
+from goniotwin.app.campaign.reduction.signals import Signal, dark_readings_by_gain, signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.rig import RigDescription, photodiode_settings
@@ -107,7 +107,7 @@ class LiveScan:
         row, rig = committed.row, self.plan.rig
         assert row.pose is not None
         settings = photodiode_settings(rig.file)
-        reduced = signal(committed.data, darks_by_gain(list(self._dark_readings), settings), settings)
+        reduced = signal(committed.data, dark_readings_by_gain(list(self._dark_readings), settings), settings)
         place = (row.wavelength_nm, row.pose)
         upper = len(settings.upper_deg)
         if row.sample == self.plan.schedule.file.etalon:
@@ -159,7 +159,7 @@ def _blocked_intervals(rig: RigDescription, row: Row) -> tuple[tuple[float, floa
     _gamma, sigma, beta, _shift = row.pose
     plane = beta % 180.0
     polar = np.arange(-90.0, 90.0 + GRID_DEG, GRID_DEG)
-    blocked = shadowed(rig.file, sigma, np.abs(polar), _azimuths(polar, plane))
+    blocked = blocked_by_mirrors(rig.file, sigma, np.abs(polar), _azimuths(polar, plane))
     x = _abscissa(sigma, polar, plane)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], blocked, [False]]).astype(np.int8)))
     intervals = []

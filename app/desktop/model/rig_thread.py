@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 
 from goniotwin.app.campaign.campaign import operator_for
-from goniotwin.app.campaign.journal.runs import SUFFIX
+from goniotwin.app.campaign.journal.summary import SUFFIX
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import Engine

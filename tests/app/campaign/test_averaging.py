@@ -10,7 +10,7 @@ import pytest
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.readout import MIN_AVERAGED_READINGS, NOT_WARM, WarmUpTrace, readings_needed, saturation
-from goniotwin.app.campaign.reduction.signals import middle
+from goniotwin.app.campaign.reduction.signals import middle_s
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, photodiode_settings, read_rig
@@ -96,7 +96,7 @@ def test_a_joined_reading_has_the_middle_of_its_lots(write_rig: Writer, write_sc
     run = carried_out(dim_plan(write_rig, write_schedule, 0.01, 20.0), tmp_path / "a.journal")
     for each in run.of("measure", "etalon"):
         reading = each.data.readings[0]
-        assert each.data.started_s < reading.first_s < middle(reading) < each.data.ended_s - reading.period_s
+        assert each.data.started_s < reading.first_s < middle_s(reading) < each.data.ended_s - reading.period_s
 
 
 def test_a_resumed_campaign_averages_alike(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

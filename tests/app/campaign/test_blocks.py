@@ -12,10 +12,10 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.points import BsdfPoints, joined
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.forecast import forecast
-from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import parse_rig, read_rig
@@ -49,7 +49,7 @@ def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def plan_rows(journal: Journal, sample: str) -> list[Row]:
-    return [row for row in journal.planned() if row.sample == sample and row.kind == "measure"]
+    return [row for row in journal.planned_rows() if row.sample == sample and row.kind == "measure"]
 
 
 def bits(points: BsdfPoints) -> list[bytes]:
@@ -65,7 +65,7 @@ def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path, siz
             for size in sizes:
                 blocks = list(reduction.blocks(sample, size))
                 seen = reduction.overlaps(sample, size)
-                points = joined([reduction.finished(block.points, seen) for block in blocks])
+                points = join_points([reduction.finish(block.points, seen) for block in blocks])
                 found[size] = bits(points)
                 ranks = np.concatenate([block.rank for block in blocks])
                 assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
@@ -80,7 +80,7 @@ def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path, siz
 def test_a_forecast_is_the_same_whatever_the_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
     found = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
     assert all(each.spread == found[0].spread for each in found)
-    assert all(each.verdicts.as_dict() == found[0].verdicts.as_dict() for each in found)
+    assert all(each.check_results.as_dict() == found[0].check_results.as_dict() for each in found)
     assert len({(tmp_path / f"{size}.csv").read_bytes() for size in sizes}) == 1
     with Journal.open(journal) as opened:
         whole = reduce_journal(opened)
@@ -89,8 +89,8 @@ def test_a_forecast_is_the_same_whatever_the_size_of_a_block(journal: Path, size
         positive = points.good & (points.bsdf > 0.0)
         median = float(np.percentile((points.u_bsdf / np.where(positive, points.bsdf, np.nan))[positive], 50))
         assert found[0].spread[name]["p50"] == median
-        assert found[0].verdicts.symmetry[name] == whole.symmetry[name]
-        assert found[0].verdicts.overlaps[name] == whole.overlaps[name]
+        assert found[0].check_results.symmetry[name] == whole.symmetry[name]
+        assert found[0].check_results.overlaps[name] == whole.overlaps[name]
     assert whole.symmetry["glass"].pairs > 0
     assert whole.overlaps["glass"].pairs > 0
 
@@ -102,7 +102,9 @@ def test_what_a_forecast_holds_grows_by_much_less_than_a_kilobyte_a_row(
     rig, held, rows = read_rig(write_rig()), [], []
     for step in steps:
         many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")
-        plan, _ = prepared(read_schedule(write_schedule(many, ("[1e8, 1e10]", "[1e8]"), ("[180]", "[0, 90, 180]"))), rig, {})
+        plan, _ = plan_rehearsal(
+            read_schedule(write_schedule(many, ("[1e8, 1e10]", "[1e8]"), ("[180]", "[0, 90, 180]"))), rig, {}
+        )
         path = tmp_path / f"{step}.journal"
         rehearse(plan, out=path)
         gc.collect()

@@ -9,12 +9,10 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.calibration import Factors, Pairs, calibrated
 from goniotwin.app.campaign.reduction.export import export_csv
-from goniotwin.app.campaign.reduction.overlaps import overlaps
+from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors, OverlapPairs, fit_factors, overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.reduction.verdicts import checked_in
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, check_journal, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import read_points_csv
@@ -47,7 +45,7 @@ def measured(write_rig: Writer, write_schedule: Writer, path: Path, *, share: fl
     return path
 
 
-def reduced(path: Path, *, calibrate: bool) -> Reduced:
+def reduced(path: Path, *, calibrate: bool) -> BsdfDataset:
     """As if the schedule had said so from the beginning."""
     with sqlite3.connect(path) as db:
         (text,) = db.execute("SELECT value FROM campaign WHERE key = 'schedule'").fetchone()
@@ -76,7 +74,7 @@ def test_a_photodiode_that_has_faded_by_2_percent_is_told_and_left_as_it_is(
     mine = points.where(points.good & (points.photodiode == FADED))
     assert float(np.mean(mine.bsdf)) / (0.3 / np.pi) == pytest.approx(0.98, abs=0.001)
     assert np.abs(off(mine)).min() > 5.0
-    checks = checked_in(tmp_path / "a.journal")
+    checks = check_journal(tmp_path / "a.journal")
     assert checks is not None
     assert any("photodiode 5 by 1.01" in line and "so they are not" in line for line in checks.lines)
 
@@ -93,7 +91,7 @@ def test_it_is_brought_within_its_uncertainty(write_rig: Writer, write_schedule:
     assert np.all(points.u_bsdf[points.good] / points.bsdf[points.good] > before.u_bsdf[points.good] / before.bsdf[points.good])
     assert any("whose values have been multiplied by 0:" in note for note in after.notes)
     assert any("beyond 4 u from 1: photodiodes 5" in note for note in after.notes)
-    checks = checked_in(path)
+    checks = check_journal(path)
     assert checks is not None
     assert any("values have been multiplied by 0.99" in line for line in checks.lines)
     assert checks.as_dict()["overlaps"]["grey"]["calibration"]["significant"] == [FADED]
@@ -131,13 +129,13 @@ def test_a_narrow_lobe_connects_no_photodiodes_and_nothing_gets_worse(
 # ---- the least squares ----
 
 
-def chain(rng: np.random.Generator, g: np.ndarray, each: int, sigma: float, monitor: float, poses: int = 4) -> Pairs:
+def chain(rng: np.random.Generator, g: np.ndarray, each: int, sigma: float, monitor: float, poses: int = 4) -> OverlapPairs:
     """Neighbours overlap, as on an arc; all pairs of two poses share an error."""
     one = np.tile(np.arange(g.size - 1), each)
     together = np.repeat(np.arange(each) % poses, g.size - 1)
     shared = monitor * rng.standard_normal(poses)
     ratio = g[one] - g[one + 1] + sigma * rng.standard_normal(one.size) + shared[together]
-    return Pairs(one, one + 1, ratio, np.full(one.size, sigma**2), together)
+    return OverlapPairs(one, one + 1, ratio, np.full(one.size, sigma**2), together)
 
 
 def test_factors_are_as_uncertain_as_they_say() -> None:
@@ -146,7 +144,7 @@ def test_factors_are_as_uncertain_as_they_say() -> None:
     """
     rng, squares = np.random.default_rng(7), []
     for _ in range(200):
-        found = calibrated(chain(rng, np.zeros(8), 8, 0.002, 0.0006), 0.0006, set(range(8)))
+        found = fit_factors(chain(rng, np.zeros(8), 8, 0.002, 0.0006), 0.0006, set(range(8)))
         squares.append(np.mean((np.log(found.values) / np.array(found.uncertainties)) ** 2))
     spread = 5.0 * float(np.std(squares)) / np.sqrt(len(squares))
     assert 0.8 - spread < float(np.mean(squares)) < 1.0 + spread
@@ -155,9 +153,9 @@ def test_factors_are_as_uncertain_as_they_say() -> None:
 def test_a_single_outlier_moves_no_factor() -> None:
     rng = np.random.default_rng(3)
     pairs = chain(rng, np.zeros(6), 10, 0.001, 0.0)
-    clean = calibrated(pairs, 0.0, set(range(6)))
+    clean = fit_factors(pairs, 0.0, set(range(6)))
     pairs.ratio[12] += 0.5  # as if a reflection had come into one view
-    found = calibrated(pairs, 0.0, set(range(6)))
+    found = fit_factors(pairs, 0.0, set(range(6)))
     assert np.abs(np.array(found.values) - np.array(clean.values)).max() < 0.001
     assert found.significant == []
 
@@ -166,11 +164,11 @@ def test_parts_that_no_overlap_connects_are_levelled_by_themselves() -> None:
     rng = np.random.default_rng(5)
     left = chain(rng, np.array([0.0, 0.02, 0.0, 0.0]), 20, 1e-4, 0.0)
     right = chain(rng, np.zeros(3), 20, 1e-4, 0.0)
-    pairs = Pairs(
+    pairs = OverlapPairs(
         np.append(left.one, right.one + 10), np.append(left.other, right.other + 10), np.append(left.ratio, right.ratio),
         np.append(left.variance, right.variance), np.append(left.together, right.together + 100),
     )  # fmt: skip
-    found = calibrated(pairs, 0.0, {*range(4), 10, 11, 12, 20})
+    found = fit_factors(pairs, 0.0, {*range(4), 10, 11, 12, 20})
     assert found.photodiodes == (0, 1, 2, 3, 10, 11, 12)
     assert found.unconnected == (20,)
     assert np.array(found.values)[4:] == pytest.approx(1.0, abs=2e-4)
@@ -180,7 +178,7 @@ def test_parts_that_no_overlap_connects_are_levelled_by_themselves() -> None:
 
 def test_pairs_that_are_known_badly_connect_nothing() -> None:
     pairs = chain(np.random.default_rng(1), np.array([0.0, 0.5]), 4, 0.1, 0.0)
-    assert calibrated(pairs, 0.0, {0, 1}) == Factors((), (), (), (0, 1), 0, 1.0)
+    assert fit_factors(pairs, 0.0, {0, 1}) == CalibrationFactors((), (), (), (0, 1), 0, 1.0)
 
 
 def test_what_one_sees_of_reflected_and_another_of_transmitted_light_is_no_overlap() -> None:

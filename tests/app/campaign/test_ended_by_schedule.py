@@ -9,12 +9,12 @@ import pytest
 from goniotwin.app.campaign.campaign import resume_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, prepared, rehearse
-from goniotwin.app.campaign.rehearsal.report import in_words
+from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, plan_rehearsal, rehearse
+from goniotwin.app.campaign.rehearsal.report import report_text
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from goniotwin.app.rig.lock import Held, RigLock
+from goniotwin.app.rig.lock import RigInUse, RigLock
 from tests.app.campaign.test_resume import STEADY, stopped_at
 from tests.conftest import SMALL, Writer
 from tests.system.test_command import CALLS, Call, answer
@@ -24,7 +24,7 @@ DIM = SMALL + "\n[stop]\nlamp_below = 0.75\n"
 
 
 def rehearsed(schedule: Path, rig: Path, out: Path) -> Rehearsal:
-    return rehearse(*prepared(read_schedule(schedule), read_rig(rig), {}), out=out)
+    return rehearse(*plan_rehearsal(read_schedule(schedule), read_rig(rig), {}), out=out)
 
 
 @pytest.mark.parametrize("call", CALLS)
@@ -46,7 +46,7 @@ def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write
     assert found.done
     assert found.result["rows"] == found.result["planned"]
     assert found.result["sessions"] >= 3
-    assert any("ends it" in each and "--resume" in each for each in found.result["warnings"])
+    assert any("[stop] ends the run" in each and "--resume" in each for each in found.result["warnings"])
     assert found.result["relative_uncertainty"]["gaussian-5"]["trusted"] > 0
 
 
@@ -56,8 +56,8 @@ def test_a_rehearsal_that_comes_no_further_says_so(write_rig: Writer, write_sche
     found = rehearsed(write_schedule(text=DIM), rig, tmp_path / "a.journal")
     assert (found.done, found.result["state"]) == (False, "stopped")
     assert found.result["rows"] < found.result["planned"]
-    assert any("it ends before all rows are measured" in each and "the lamp is at" in each for each in found.result["warnings"])
-    assert f"{found.result['rows']} of {found.result['planned']} rows" in in_words(found)
+    assert any("ends before all rows are measured" in each and "the lamp is at" in each for each in found.result["warnings"])
+    assert f"{found.result['rows']} of {found.result['planned']} rows" in report_text(found)
 
 
 @pytest.mark.skipif(not hasattr(os, "link"), reason="this system has no hard links")
@@ -69,7 +69,7 @@ def test_a_journal_is_one_under_all_its_names(write_rig: Writer, write_schedule:
     about = first.stat()
     held = RigLock([f"/goniotwin-journal/{about.st_dev}/{about.st_ino}"], "small (a.journal)")
     try:
-        with pytest.raises(Held, match=r"b\.journal: is in use by process \d+ .*small \(a\.journal\)"):
+        with pytest.raises(RigInUse, match=r"b\.journal: is in use by process \d+ .*small \(a\.journal\)"):
             resume_campaign(second)
     finally:
         held.release()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
 from goniotwin.app.campaign.reduction.overlaps import overlaps
-from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints
 from goniotwin.app.campaign.reduction.specular_grid import regrid
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_ddr, read_points_csv
@@ -87,13 +87,13 @@ def test_nothing_measured_makes_no_grid() -> None:
 
 
 @pytest.fixture
-def reduced() -> Reduced:
+def reduced() -> BsdfDataset:
     zenith, azimuth = np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 180.0])[None, :]
     points = points_of(30.0, zenith, azimuth, np.broadcast_to((zenith > 26.0) & (zenith < 34.0) & (azimuth == 0.0), (180, 2)))
-    return Reduced("test", read_rig(RIG), True, {"gaussian-5": points}, {"gaussian-5": overlaps(points, 0.0)}, ("a note",))
+    return BsdfDataset("test", read_rig(RIG), True, {"gaussian-5": points}, {"gaussian-5": overlaps(points, 0.0)}, ("a note",))
 
 
-def test_a_ddr_says_what_is_simulated_and_what_is_continued(reduced: Reduced, tmp_path: Path) -> None:
+def test_a_ddr_says_what_is_simulated_and_what_is_continued(reduced: BsdfDataset, tmp_path: Path) -> None:
     count = export_ddr(reduced, None, tmp_path / "a.ddr")
     table = read_ddr(tmp_path / "a.ddr")
     text = "\n".join(table.comments)
@@ -106,7 +106,7 @@ def test_a_ddr_says_what_is_simulated_and_what_is_continued(reduced: Reduced, tm
     assert table.values[0, 0, 1, 1, node] == pytest.approx(math.pi * float(smooth(np.array(40.0), np.array(180.0))))
 
 
-def test_a_csv_has_every_point_and_no_number_where_there_is_none(reduced: Reduced, tmp_path: Path) -> None:
+def test_a_csv_has_every_point_and_no_number_where_there_is_none(reduced: BsdfDataset, tmp_path: Path) -> None:
     assert export_csv(reduced, None, tmp_path / "a.csv") == 360
     points = read_points_csv(tmp_path / "a.csv")
     assert any("SIMULATED" in comment for comment in points.comments)
@@ -114,7 +114,7 @@ def test_a_csv_has_every_point_and_no_number_where_there_is_none(reduced: Reduce
     assert list(np.unique(points.columns["flags"])) == ["", "shadowed"]
 
 
-def test_a_csv_has_the_fields_part_and_says_where_it_cannot_be_told(reduced: Reduced, tmp_path: Path) -> None:
+def test_a_csv_has_the_fields_part_and_says_where_it_cannot_be_told(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     known = points.zenith_deg > 20.0
     told = replace(points, u_field=np.where(known, 0.002, np.nan))
@@ -126,7 +126,7 @@ def test_a_csv_has_the_fields_part_and_says_where_it_cannot_be_told(reduced: Red
     assert any("u_field_per_sr" in comment for comment in found.comments)
 
 
-def test_an_unknown_sample_is_named(reduced: Reduced, tmp_path: Path) -> None:
+def test_an_unknown_sample_is_named(reduced: BsdfDataset, tmp_path: Path) -> None:
     for export in (export_csv, export_ddr):
         with pytest.raises(UserError, match="no measured sample 'satin'"):
             export(reduced, "satin", tmp_path / "a")

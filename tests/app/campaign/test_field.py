@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.geometry.directions import arc_views
-from goniotwin.app.campaign.reduction.field_of_view import directions_of, field_uncertainty, field_variance
+from goniotwin.app.campaign.reduction.field_of_view import field_uncertainty, field_variance, merge_directions
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.rig import read_rig
 from goniotwin.arrays import Floats
@@ -92,7 +92,7 @@ def test_the_lobes_middle_is_where_theta_is_zero_on_either_side_and_for_either_l
             points, zenith_deg=view.zenith, azimuth_deg=view.azimuth, theta_deg=view.theta,
             back=np.full(view.theta.size, view.back), transmitted=np.full(view.theta.size, view.transmitted),
         )  # fmt: skip
-        values, which = directions_of(points)
+        values, which = merge_directions(points)
         assert np.degrees(np.arccos(values.middle))[which] == pytest.approx(view.theta, abs=1e-5)
         between = 0.5 * (values.polar[1:] + values.polar[:-1])
         slope = np.diff(values.middle) / np.diff(values.polar)

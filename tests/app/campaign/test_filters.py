@@ -9,7 +9,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
@@ -18,7 +18,7 @@ from goniotwin.app.rig import OpenRig
 from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices import Cornerstone260
-from goniotwin.twin.optics import lambertian, spectral
+from goniotwin.twin.optics import apply_spectrum, lambertian
 from tests.app.campaign.failing_campaign import POLICIES, Wires, run_with, wrong
 from tests.app.campaign.filter_bench import BELIEVED, THERE, plan_with, rig_with, second_order
 from tests.app.campaign.measuring_bench import Run, carried_out
@@ -57,7 +57,7 @@ def test_the_wheel_turns_with_the_wavelength_and_each_row_says_where_it_is(heard
     changes = [there for here, there in zip([1.0, *order], order, strict=False) if here != there]
     assert [line for line in heard if line.startswith("FILTER ")] == [f"FILTER {each:.0f}" for each in changes]
     assert changes
-    assert checked_plan(plan)["filter_changes"] == len(changes)
+    assert check_plan(plan)["filter_changes"] == len(changes)
 
 
 def test_it_is_asked_before_and_after_it_is_turned(heard: list[str], tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_position_that_the_wheel_does_not_have_ends_the_run_with_what_the_unit
     without = ("[twin.samples.etalon]", "[twin.monochromator]\nfilters = 0\n\n[twin.samples.etalon]")
     run = carried_out(plan_with(rig=rig_with(BELIEVED, without)), tmp_path / "b.journal")
     assert run.faults == [
-        "monochromator: turn the filter wheel to 1: it has none; remove monochromator.filters of the rig file"
+        "monochromator: turn the filter wheel to 1: it has no filter wheel; remove monochromator.filters from the rig file"
     ]
 
 
@@ -233,7 +233,7 @@ def _bsdf_at_760(tmp_path: Path, *changes: tuple[str, str]) -> float:
 
     def coloured(opened: OpenRig) -> None:
         assert opened.virtual is not None
-        opened.virtual.plant.model.samples["gaussian-5"] = spectral([380.0, 760.0], [AT_380, AT_760], lambertian(1.0))
+        opened.virtual.plant.model.samples["gaussian-5"] = apply_spectrum([380.0, 760.0], [AT_380, AT_760], lambertian(1.0))
 
     path = tmp_path / "a.journal"
     path.unlink(missing_ok=True)

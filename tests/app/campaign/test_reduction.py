@@ -9,8 +9,8 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, theory
-from goniotwin.app.campaign.reduction.reduction import BsdfPoints, Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.comparison import compare, theoretical_bsdf
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
@@ -18,12 +18,12 @@ from goniotwin.app.rig import read_rig
 from tests.conftest import RIG, SCHEDULE, Writer
 
 AEROGLAZE = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
-Measure = Callable[[Path, Path], Reduced]
+Measure = Callable[[Path, Path], BsdfDataset]
 
 
 @pytest.fixture
 def measure(tmp_path: Path) -> Measure:
-    def run(rig: Path, schedule: Path) -> Reduced:
+    def run(rig: Path, schedule: Path) -> BsdfDataset:
         journal = tmp_path / f"{rig.stem}.journal"
         outcome = run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), journal)
         assert outcome.state is State.DONE
@@ -34,7 +34,7 @@ def measure(tmp_path: Path) -> Measure:
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Reduced:
+def demo(tmp_path_factory: pytest.TempPathFactory) -> BsdfDataset:
     """The demo's campaign, with noise."""
     journal = tmp_path_factory.mktemp("demo") / "quick.journal"
     run_campaign(make_plan(read_schedule(SCHEDULE), read_rig(RIG)), journal)
@@ -42,14 +42,14 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Reduced:
         return reduce_journal(opened)
 
 
-def test_the_demos_gaussian_is_within_3_percent_of_theory(demo: Reduced) -> None:
+def test_the_demos_gaussian_is_within_3_percent_of_theory(demo: BsdfDataset) -> None:
     found = compare(demo.rig, "gaussian-5", demo.samples["gaussian-5"])
     assert [each.sigma_deg for each in found] == [0.0, 30.0, 60.0]
     assert all(each.relative_rms_percent <= 3.0 for each in found)
     assert [each.count for each in found] == [26, 41, 41]
 
 
-def test_the_hole_at_normal_incidence_is_open_and_stated(demo: Reduced) -> None:
+def test_the_hole_at_normal_incidence_is_open_and_stated(demo: BsdfDataset) -> None:
     normal = compare(demo.rig, "gaussian-5", demo.samples["gaussian-5"])[0]
     # Mirror 3 hides about 3.5 deg round the retro-direction, which is the specular one at sigma 0.
     assert normal.hidden_deg == tuple(np.arange(-3.5, 3.6, 0.5))
@@ -79,7 +79,7 @@ def test_without_noise_only_the_blur_of_the_aperture_is_left(write_rig: Writer, 
     ids=["gear of sigma", "sense of sigma", "sense of the shift"],
 )  # fmt: skip
 def test_what_the_operator_has_wrong_shows_in_the_bsdf(
-    write_rig: Writer, measure: Measure, change: tuple[str, str], demo: Reduced
+    write_rig: Writer, measure: Measure, change: tuple[str, str], demo: BsdfDataset
 ) -> None:
     """The virtual rig has mechanics of its own, so that nothing cancels."""
     reduced = measure(write_rig(change), SCHEDULE)
@@ -90,11 +90,11 @@ def test_what_the_operator_has_wrong_shows_in_the_bsdf(
     assert worst > 5.0  # the limit that the paper sets for the whole instrument
 
 
-def test_the_uncertainty_is_neither_too_small_nor_too_great(demo: Reduced) -> None:
+def test_the_uncertainty_is_neither_too_small_nor_too_great(demo: BsdfDataset) -> None:
     """Where the lobe is broad against the field (its tails have blur, its flanks none), deviations fit it."""
     points = demo.samples["gaussian-5"]
     tail = points.where(points.good & points.in_plane & (points.theta_deg > 25.0) & (points.zenith_deg < 80.0))
-    z = (tail.bsdf - theory(demo.rig, "gaussian-5", tail)) / tail.u_bsdf
+    z = (tail.bsdf - theoretical_bsdf(demo.rig, "gaussian-5", tail)) / tail.u_bsdf
     assert z.size > 300
     assert 0.7 < float(np.mean(z**2)) < 1.3
     assert float(np.abs(z).max()) < 4.5
@@ -157,7 +157,7 @@ def test_an_unfinished_journal_is_reduced_as_far_as_it_goes(write_rig: Writer, w
         reduce_journal(journal)
 
 
-def test_points_are_chosen_together(demo: Reduced) -> None:
+def test_points_are_chosen_together(demo: BsdfDataset) -> None:
     points = demo.samples["gaussian-5"]
     some = points.where(points.sigma_deg == 30.0)
     assert isinstance(some, BsdfPoints)

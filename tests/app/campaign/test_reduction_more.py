@@ -12,7 +12,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.export import export_csv
 from goniotwin.app.campaign.reduction.overlaps import overlaps
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
@@ -27,7 +27,7 @@ ONE = (("gaussian-5", "grey"), ("[1e8, 1e10]", "[1e10, 1e11]"))
 DRIFT = "\n[drift]\nevery_s = 10\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\nlimit = 0.005\n"
 
 
-def reduced(path: Path) -> Reduced:
+def reduced(path: Path) -> BsdfDataset:
     with Journal.open(path) as journal:
         return reduce_journal(journal)
 

@@ -11,10 +11,10 @@ import pytest
 import serial
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, prepared, rehearse
-from goniotwin.app.campaign.rehearsal.report import in_words
+from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, plan_rehearsal, rehearse
+from goniotwin.app.campaign.rehearsal.report import report_text
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
@@ -48,7 +48,7 @@ def of_a_real_rig(write_rig: Writer, *changes: Change) -> Path:
 def rehearsed(schedule: Path, rig: Path, *, sample: str | None = None, out: Path | None = None) -> Rehearsal:
     """As `goniotwin rehearse` does it; `sample` is what gaussian-5 is in place of what the rig says."""
     models = {} if sample is None else {"gaussian-5": sample}
-    return rehearse(*prepared(read_schedule(schedule), read_rig(rig), models), out=out)
+    return rehearse(*plan_rehearsal(read_schedule(schedule), read_rig(rig), models), out=out)
 
 
 def warned(found: Rehearsal, words: str) -> list[str]:
@@ -66,7 +66,7 @@ def test_its_duration_is_the_journals_and_the_one_that_check_foretells(
 ) -> None:
     schedule, rig = write_schedule(), write_rig()
     found = rehearsed(schedule, rig, out=tmp_path / "kept.journal")
-    foretold = checked_plan(make_plan(read_schedule(schedule), read_rig(rig)))
+    foretold = check_plan(make_plan(read_schedule(schedule), read_rig(rig)))
     assert found.result["duration_s"] == pytest.approx(foretold["duration_s"], rel=0.05)
     with Journal.open(tmp_path / "kept.journal") as journal:
         assert found.result["duration_s"] == journal.seconds
@@ -96,7 +96,7 @@ def test_it_says_where_the_axes_have_been_and_how_full_the_converters_were(small
 
 
 def test_it_foretells_the_uncertainty_of_each_direction(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    plan, assumed = prepared(read_schedule(write_schedule()), read_rig(write_rig()), {})
+    plan, assumed = plan_rehearsal(read_schedule(write_schedule()), read_rig(write_rig()), {})
     spread = rehearse(plan, assumed, points=tmp_path / "points.csv").result["relative_uncertainty"]["gaussian-5"]
     assert 0.0 < spread["p05"] <= spread["p50"] <= spread["p95"]
     found = read_points_csv(tmp_path / "points.csv")
@@ -114,7 +114,7 @@ def test_what_it_says_is_json_and_says_that_it_is_simulated(small: Rehearsal) ->
     assert result["simulated"] is True
     assert result["state"] == "done"
     assert {"blocks", "counts", "saturated", "lamp_hours", "journal_bytes", "warnings", "assumed"} <= set(result)
-    assert in_words(small).startswith("SIMULATED")
+    assert report_text(small).startswith("SIMULATED")
 
 
 def test_nothing_of_a_real_rig_is_opened(write_rig: Writer, write_schedule: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +147,7 @@ def test_axes_that_would_have_to_be_homed_are_taken_as_homed_and_told(write_rig:
 
 def test_a_sample_of_another_name_than_the_schedules_is_refused(write_rig: Writer, write_schedule: Writer) -> None:
     with pytest.raises(UserError, match="has no such sample; it has etalon, gaussian-5"):
-        prepared(read_schedule(write_schedule()), read_rig(write_rig()), {"paper": "lambertian"})
+        plan_rehearsal(read_schedule(write_schedule()), read_rig(write_rig()), {"paper": "lambertian"})
 
 
 def test_it_warns_of_a_lobe_narrower_than_the_field(write_rig: Writer, write_schedule: Writer) -> None:
@@ -172,7 +172,7 @@ def test_it_says_by_how_much_the_field_changes_the_values(write_rig: Writer, wri
 def test_it_warns_of_a_dark_sample_on_a_coarse_gain(write_rig: Writer, write_schedule: Writer) -> None:
     coarse = ("[1e8, 1e10]", "[1e8]")
     dark = "lambertian:reflectance=0.02"
-    assert warned(rehearsed(write_schedule(coarse), write_rig(), sample=dark), "gaussian-5 is dark for the gain of 1e+08")
+    assert warned(rehearsed(write_schedule(coarse), write_rig(), sample=dark), "signal of gaussian-5 too low at 1e+08 V/A")
     assert not warned(rehearsed(write_schedule(("[1e8, 1e10]", "[1e11]")), write_rig(), sample=dark), "is dark")
 
 
@@ -184,7 +184,7 @@ def test_it_warns_of_a_hidden_specular_direction(write_rig: Writer, write_schedu
 def test_it_warns_of_values_over_the_range(write_rig: Writer, write_schedule: Writer) -> None:
     found = rehearsed(write_schedule(("[1e8, 1e10]", "[1e11]")), write_rig())
     assert found.result["saturated"] > 0
-    assert warned(found, "over the range at every gain")
+    assert warned(found, "saturated at every gain")
 
 
 def test_it_does_not_warn_of_the_beam_itself_on_the_arc_that_does_not_matter(write_rig: Writer, write_schedule: Writer) -> None:
@@ -192,10 +192,10 @@ def test_it_does_not_warn_of_the_beam_itself_on_the_arc_that_does_not_matter(wri
     signature = ("dark_readings = 4", "dark_readings = 4\nsignature = true")
     reflected = rehearsed(write_schedule(signature), write_rig())
     assert reflected.result["saturated"] == 0
-    assert not warned(reflected, "over the range at every gain")
+    assert not warned(reflected, "saturated at every gain")
     light = ('name = "small"', 'name = "small"\nlight = "transmitted"')
     transmitted = rehearsed(write_schedule(signature, light), write_rig(), sample="lambertian:reflectance=0.9")
-    assert warned(transmitted, "over the range at every gain")
+    assert warned(transmitted, "saturated at every gain")
 
 
 @pytest.mark.long
@@ -206,7 +206,7 @@ def test_what_it_holds_does_not_grow_with_the_rows(
     monkeypatch.setattr("goniotwin.twin.devices.usbtmc_transfers.LOG_KEPT", 50)  # which is full after few rows
     many = ("shift_deg = [0, 1]", "shift_deg = { start = 0.0, stop = 4.5, step = 0.03 }")
     once = (("readings = 2", "readings = 1"), ("[1e8, 1e10]", "[1e8]"))
-    plan, assumed = prepared(read_schedule(write_schedule(many, *once)), read_rig(write_rig()), {})
+    plan, assumed = plan_rehearsal(read_schedule(write_schedule(many, *once)), read_rig(write_rig()), {})
     held: dict[int, int] = {}
 
     def weigh(event: Event) -> None:

@@ -14,15 +14,15 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
 from goniotwin.app.campaign.reduction.points import steepness
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.reduction.symmetry import Symmetrical
-from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
-from goniotwin.app.campaign.rehearsal.report import in_words
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
+from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
+from goniotwin.app.campaign.rehearsal.report import report_text
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import app
 from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import RigDescription, read_rig
-from goniotwin.twin.optics import Scatterer, tabulated
+from goniotwin.twin.optics import Scatterer, table_sample
 from tests.app.campaign.test_export import points_of
 from tests.conftest import SMALL, Change, Writer
 
@@ -38,7 +38,7 @@ def measured(write_rig: Writer, write_schedule: Writer, tmp_path: Path, *changes
     return tmp_path / "a.journal"
 
 
-def reduced(path: Path) -> Reduced:
+def reduced(path: Path) -> BsdfDataset:
     with Journal.open(path) as journal:
         return reduce_journal(journal)
 
@@ -47,7 +47,7 @@ def brushed(share: float) -> Scatterer:
     """White where the light comes from the sample's azimuth 90, greyer by so much on either side where from -90."""
     psi, phi, theta = np.arange(0.0, 360.0, 15.0), np.array([0.0, 180.0]), np.array([0.0, 180.0])
     values = 0.5 / np.pi * (1.0 + share * np.sin(np.radians(psi)))
-    return tabulated([30.0], phi, theta, np.broadcast_to(values[:, None, None, None], (psi.size, 1, 2, 2)), psi_deg=psi)
+    return table_sample([30.0], phi, theta, np.broadcast_to(values[:, None, None, None], (psi.size, 1, 2, 2)), psi_deg=psi)
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_a_grey_sample_holds_however_it_is_read(
 
 
 def test_where_nothing_can_be_said_a_program_reads_null() -> None:
-    nothing = Symmetrical("isotropic", 0, 0.0, 0.0, 0.0, float("nan"), float("nan"), "")
+    nothing = SymmetryResult("isotropic", 0, 0.0, 0.0, 0.0, float("nan"), float("nan"), "")
     assert nothing.as_dict()["holds"] is None
 
 
@@ -164,10 +164,10 @@ def test_the_end_of_a_run_and_of_a_rehearsal_says_it(
     assert (
         json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)["checks"]["symmetry"]["gaussian-5"]["holds"] is False
     )
-    found = rehearse(*prepared(read_schedule(schedule), read_rig(rig), {}))
+    found = rehearse(*plan_rehearsal(read_schedule(schedule), read_rig(rig), {}))
     assert found.result["checks"]["symmetry"]["gaussian-5"]["holds"] is False
     assert any("does NOT hold" in each for each in found.result["warnings"])
-    assert "check       symmetry of gaussian-5" in in_words(found)
+    assert "check       symmetry of gaussian-5" in report_text(found)
     json.dumps(found.result, allow_nan=False)
 
 

@@ -8,11 +8,11 @@ import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.comparison import theory
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.reduction.comparison import theoretical_bsdf
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.measuring_bench import QUIET
@@ -35,7 +35,7 @@ def planned(text: str, rig: Path = RIG) -> Plan:
     return make_plan(parse_schedule(text, "x.toml"), read_rig(rig))
 
 
-def measured(plan: Plan, path: Path) -> Reduced:
+def measured(plan: Plan, path: Path) -> BsdfDataset:
     run_campaign(plan, path)
     with Journal.open(path) as journal:
         return reduce_journal(journal)
@@ -51,11 +51,11 @@ def test_what_is_hidden_only_at_the_etalon_is_flagged_and_all_else_is_right(
     points = found.samples["opal"]
     assert not points.dead.any()
     good = points.where(points.good)
-    z = np.abs(good.bsdf - theory(found.rig, "opal", good)) / good.u_bsdf
+    z = np.abs(good.bsdf - theoretical_bsdf(found.rig, "opal", good)) / good.u_bsdf
     assert z.max() < 5.0
     assert np.mean(z < 2.0) > 0.95
     assert good.bsdf.size > 2300
-    checked = checked_plan(plan)
+    checked = check_plan(plan)
     foretold = {
         (round(each["sigma"], 3), round(zenith, 3), round(azimuth, 3))
         for each in checked["shadowed_deg"]
@@ -71,7 +71,7 @@ def test_the_example_has_values_nearly_everywhere(tmp_path: Path) -> None:
     """Shortened: one wavelength, no open beam."""
     text = re.sub("wavelength_nm = .*", "wavelength_nm = [550]", EXAMPLE.read_text()).replace("open_beam = true", "")
     text = re.sub("beta_deg = .*", "beta_deg = [0, 90, 180]", text)
-    found = rehearse(*prepared(parse_schedule(text, "t.toml"), read_rig(RIG), {}))
+    found = rehearse(*plan_rehearsal(parse_schedule(text, "t.toml"), read_rig(RIG), {}))
     spread = found.result["relative_uncertainty"]["opal"]
     assert spread["to_a_tenth"] > 0.9 * spread["directions"]
     assert not any("no value" in each for each in found.result["warnings"])
@@ -79,24 +79,24 @@ def test_the_example_has_values_nearly_everywhere(tmp_path: Path) -> None:
 
 def test_check_says_of_a_virtual_rig_what_gives_no_light() -> None:
     def told(text: str) -> list[str]:
-        return [each for each in checked_plan(planned(text))["warnings"] if "when its" in each]
+        return [each for each in check_plan(planned(text))["warnings"] if "when its" in each]
 
     assert told(HEAD + COARSE) == []
     bare, opaque = told(HEAD.replace("white-tile", "etalon").replace("opal", "gaussian-5") + COARSE)
     assert "etalon reflects nothing when its back is lit, so that transmitted light has no scale" in bare
     assert "gaussian-5 lets nothing through when its front is lit" in opaque
-    assert checked_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG)))["shadowed_only_for_etalon"] == 135
+    assert check_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG)))["shadowed_only_for_etalon"] == 135
 
 
 def test_a_rehearsal_warns_of_a_sample_without_any_value_and_says_why() -> None:
     def told(text: str) -> list[str]:
-        found = rehearse(*prepared(parse_schedule(text, "t.toml"), read_rig(RIG), {}))
-        return [each for each in found.result["warnings"] if "gets no value" in each]
+        found = rehearse(*plan_rehearsal(parse_schedule(text, "t.toml"), read_rig(RIG), {}))
+        return [each for each in found.result["warnings"] if "has no value" in each]
 
     (bare,) = told(HEAD.replace("white-tile", "etalon") + COARSE)
-    assert "opal gets no value at all: of 108 directions 4 are hidden by the mirror unit, 104 are without a signal" in bare
+    assert "opal has no values: of 108 directions 4 are blocked by the mirror unit, 104 are without a signal" in bare
     (opaque,) = told(HEAD.replace("opal", "gaussian-5") + COARSE)
-    assert "gaussian-5 gets no value that is more than its noise" in opaque
+    assert "gaussian-5 has no value above its noise" in opaque
     assert told(HEAD + COARSE) == []
 
 
@@ -104,8 +104,8 @@ def test_a_rehearsal_warns_of_a_sample_without_any_value_and_says_why() -> None:
     ("light", "said"),
     [
         ("reflected", ["from reflected light"]),
-        ("transmitted", ["from the etalon's light that transmitted light is scaled by"]),
-        ("both", ["from reflected light and from the etalon's light that transmitted light is scaled by"]),
+        ("transmitted", ["from the etalon's signal that scales transmitted light"]),
+        ("both", ["from reflected light and from the etalon's signal that scales transmitted light"]),
     ],
 )
 def test_the_note_says_from_which_light_the_signature_was_subtracted(light: str, said: list[str], tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.comparison import theory
+from goniotwin.app.campaign.reduction.comparison import theoretical_bsdf
 from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowStarted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -161,7 +161,7 @@ def met(case: Case, grid: tuple[str, str], folder: Path) -> Found:
     points = points_of(folder / "trouble.journal", case) if run.state is State.DONE else None
     if points is None:
         return Found(case, run, 0, 0, 0.0, 0.0, 0)
-    expected = theory(plan.rig, case.sample, points)
+    expected = theoretical_bsdf(plan.rig, case.sample, points)
     usable = points.good & np.isfinite(expected) & ~points.flags["field"]
     z = np.abs(points.bsdf - expected)[usable] / points.u_bsdf[usable]
     flags = [flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range", "field")]  # of any run

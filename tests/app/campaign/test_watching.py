@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
-from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.wording import number_list
@@ -37,7 +37,7 @@ def planned(text: str) -> Plan:
     return make_plan(parse_schedule(text, "x.toml"), read_rig(RIG))
 
 
-def fading(text: str, photodiode: int, path: Path) -> Reduced:
+def fading(text: str, photodiode: int, path: Path) -> BsdfDataset:
     """The photodiode gives a fifth less from the sample's first check on."""
     rigs: list[OpenRig] = []
 
@@ -55,7 +55,7 @@ def test_a_photodiode_that_the_checks_see_is_flagged_and_not_told_of(tmp_path: P
     found = fading(TEXT, 3, tmp_path / "a.journal")  # at 15 deg, the peak of the lobe at the checks' pose
     points = found.samples["gaussian-5"]
     assert points.drifted[points.photodiode == 3].all()
-    assert 3 not in found.unwatched["gaussian-5"]
+    assert 3 not in found.unchecked["gaussian-5"]
 
 
 def test_a_photodiode_that_they_do_not_see_is_told_of(tmp_path: Path) -> None:
@@ -63,28 +63,28 @@ def test_a_photodiode_that_they_do_not_see_is_told_of(tmp_path: Path) -> None:
     points = found.samples["gaussian-5"]
     peak = points.where((points.photodiode == 12) & (points.sigma_deg == 60.0))
     assert peak.good.all()  # and wrong
-    assert 12 in found.unwatched["gaussian-5"]
-    (note,) = [each for each in found.notes if each.startswith("drift checks of gaussian-5 saw no light")]
-    assert number_list(found.unwatched["gaussian-5"]) in note
-    assert "a fault of theirs would pass" in note
-    assert "white-tile" not in found.unwatched
+    assert 12 in found.unchecked["gaussian-5"]
+    (note,) = [each for each in found.notes if each.startswith("drift checks of gaussian-5 cannot detect")]
+    assert number_list(found.unchecked["gaussian-5"]) in note
+    assert "a fault of theirs would not be noticed" in note
+    assert "white-tile" not in found.unchecked
 
 
 def test_a_rehearsal_warns_of_them_and_says_what_to_do() -> None:
     def told(text: str) -> list[str]:
-        found = rehearse(*prepared(parse_schedule(text, "x.toml"), read_rig(RIG), {}))
+        found = rehearse(*plan_rehearsal(parse_schedule(text, "x.toml"), read_rig(RIG), {}))
         return [each for each in found.result["warnings"] if "drift checks of" in each]
 
     (warning,) = told(TEXT)
     assert "drift checks of gaussian-5" in warning
-    assert "take a [drift] pose at which more of them have light" in warning
+    assert "choose a [drift] pose at which more of them have light" in warning
     assert told(TEXT.replace("gaussian-5", "opal")) == []
     assert told(TEXT.partition("[drift]")[0]) == []
 
 
 def test_check_warns_of_those_that_no_light_can_reach_at_the_checks_pose() -> None:
     def told(text: str) -> list[str]:
-        return [each for each in checked_plan(planned(text))["warnings"] if "a fault of theirs" in each]
+        return [each for each in check_plan(planned(text))["warnings"] if "a fault of theirs" in each]
 
     assert told(TEXT) == []
     through = 'light = "transmitted"\n' + TEXT.replace("gaussian-5", "opal")

@@ -12,7 +12,7 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QApplication, QFileDialog, QPushButton
 from pytestqt.qtbot import QtBot
 
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
@@ -45,7 +45,7 @@ def wait_for_end(qtbot: QtBot, window: MainWindow, state: State) -> None:
 def row_counts(window: MainWindow) -> tuple[int, int]:
     assert window.presenter.journal is not None
     with Journal.open(window.presenter.journal) as journal:
-        return journal.counted()
+        return journal.row_counts()
 
 
 def test_a_run_measures_all_rows_into_the_journal(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
@@ -339,7 +339,7 @@ def test_closing_during_a_run_asks_and_continues_or_stops_the_run(qtbot: QtBot, 
     assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
     assert window.presenter.journal is not None
     with Journal.open(window.presenter.journal) as journal:
-        assert journal.counted()[0] < ROWS
+        assert journal.row_counts()[0] < ROWS
 
 
 def test_a_signal_stops_the_run_without_a_question(qtbot: QtBot, open_window: WindowOpener) -> None:

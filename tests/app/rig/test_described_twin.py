@@ -7,7 +7,7 @@ import tomlkit
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, axis_settings, open_rig, parse_rig
-from goniotwin.app.rig.described_twin import Described, described_twin
+from goniotwin.app.rig.described_twin import DescribedTwin, described_twin
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import TwinModel
 from tests.conftest import RIG, Change, changed
@@ -24,11 +24,11 @@ def real_rig(*changes: Change) -> RigDescription:
     return parse_rig(text.replace("twin://virtual/monitor", "1313:8078:P0012345"), Path(), "real.toml")
 
 
-def described(*changes: Change, **models: str) -> Described:
+def described(*changes: Change, **models: str) -> DescribedTwin:
     return described_twin(real_rig(*changes), "etalon", ["paper"], models)
 
 
-def model(found: Described) -> TwinModel:
+def model(found: DescribedTwin) -> TwinModel:
     made = found.rig.model()
     assert made is not None
     return made
@@ -75,15 +75,15 @@ def test_whatever_the_operator_believes_an_axis_goes_where_it_is_sent(change: li
 
 def test_what_the_file_does_not_say_is_told() -> None:
     found = described()
-    assert [each.partition(" ")[0] for each in found.assumed] == ["lamp,", "etalon", "paper"]
-    assert "Gaussian of 5 deg" in found.assumed[2]
-    assert "--sample paper=MODEL" in found.assumed[2]
-    assert "ideal diffuser on both sides with a reflectance of 0.99" in found.assumed[1]
+    assert [each.partition(" ")[0] for each in found.assumptions] == ["lamp,", "etalon", "paper"]
+    assert "Gaussian of 5 deg" in found.assumptions[2]
+    assert "--sample paper=MODEL" in found.assumptions[2]
+    assert "ideal diffuser on both sides with a reflectance of 0.99" in found.assumptions[1]
 
 
 def test_what_somebody_has_said_of_a_sample_is_not_assumed() -> None:
     found = described(paper="lambertian:reflectance=0.5+gaussian:width_deg=3,reflectance=0.3")
-    assert not any("paper" in each for each in found.assumed)
+    assert not any("paper" in each for each in found.assumptions)
     assert model(found).samples["paper"].name == "lambertian 0.5 + gaussian 3 deg one_over_e luminance"
 
 
@@ -106,9 +106,9 @@ def test_its_file_is_a_whole_rig_file() -> None:
 
 def test_a_virtual_rig_stays_what_it_is() -> None:
     virtual = parse_rig(RIG.read_text(encoding="utf-8"), RIG.parent, str(RIG))
-    assert described_twin(virtual, "etalon", ["gaussian-5"], {}) == Described(virtual, ())
+    assert described_twin(virtual, "etalon", ["gaussian-5"], {}) == DescribedTwin(virtual, ())
     other = described_twin(virtual, "etalon", ["gaussian-5"], {"gaussian-5": "gaussian:width_deg=7"})
-    assert other.assumed == ()
+    assert other.assumptions == ()
     assert other.rig.file.twin is not None
     assert virtual.file.twin is not None
     assert other.rig.file.twin.axes == virtual.file.twin.axes
@@ -120,7 +120,7 @@ def test_limit_switches_stand_beyond_the_soft_limits_and_stop_nothing() -> None:
     found = described(("[axes.beta]", switches))
     beta = model(found).axes["beta"]
     assert (beta.lower_switch_deg, beta.upper_switch_deg) == (-6.0, 361.0)
-    assert sum("beta's limit switches" in each for each in found.assumed) == 2
+    assert sum("beta's limit switches" in each for each in found.assumptions) == 2
     with open_rig(found.rig, VirtualClock()) as opened:
         opened.connect()
         switched = opened.rig.axes["beta"].switches()
@@ -134,7 +134,7 @@ def test_what_the_twin_has_in_one_kind_only_is_of_that_kind_and_told() -> None:
         ("range_a = 500e-9", 'range_a = 50e-9\ndialect = "b2980"'),
         ("gain_uncertainty = 0.001", "conversions_per_s = 60.0"),
     )
-    told = " ".join(found.assumed)
+    told = " ".join(found.assumptions)
     assert all(each in told for each in ("9600 Bd", "PM100D", "2.8e-07 A", "100 conversions"))
     with open_rig(found.rig, VirtualClock()) as opened:
         opened.connect()

@@ -5,7 +5,7 @@ import re
 import pytest
 import tomlkit
 
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
@@ -123,7 +123,7 @@ def test_the_twin_of_a_real_rigs_file_has_the_filters_that_the_file_says_somethi
     assert model.order_sorting == OrderSorting(0.0, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
     assert [each.position for each in monochromator_settings(found.rig.file).wheel.filters] == [1, 4, 2]
     assert found.rig.file.monochromator.baudrate == 9600
-    assert any("filters that have a cut_on_nm let 0.9 of the light through" in each for each in found.assumed)
+    assert any("filters that have a cut_on_nm let 0.9 of the light through" in each for each in found.assumptions)
 
 
 def test_a_served_rigs_file_keeps_what_the_operator_believes_of_the_wheel() -> None:
@@ -145,6 +145,6 @@ def test_the_example_is_the_virtual_rig_with_filters_and_nothing_else() -> None:
     assert example["twin"].pop("monochromator") == {"second_order": 0.1}
     assert {**example, "name": plain["name"]} == plain
     schedule = parse_schedule(SMALL.replace("[550]", "{ start = 380, stop = 780, step = 10 }"), "x")
-    result = checked_plan(make_plan(schedule, read_rig(RIG.with_name("filters.toml"))))
+    result = check_plan(make_plan(schedule, read_rig(RIG.with_name("filters.toml"))))
     assert not [each for each in result["warnings"] if "half the wavelength" in each]
     assert result["filter_changes"] > 0

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.rig import parse_rig, read_rig
-from goniotwin.app.rig.model_hash import canonical_text, model_hash, model_hashes
-from goniotwin.app.rig.old_model_hash import old_model_hash
+from goniotwin.app.rig.model_hash import canonical_text, model_hash, model_hashes, old_model_hash
 from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import spectral_table

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, ZemaxBsdf, write_ddr, write_zemax
 from goniotwin.app.rig.samples import parse_sample, table_files
-from goniotwin.twin.optics import albedo, evaluate, from_specular, gaussian, lambertian, light_direction, summed
+from goniotwin.twin.optics import albedo, evaluate, from_specular, gaussian, lambertian, light_direction, sum_samples
 
 SIGMA, PHI, THETA = np.array([0.0, 60.0]), np.array([0.0, 180.0]), np.array([0.0, 20.0, 180.0])
 VALUES = np.array([0.3, 0.2, 0.1]) * np.ones((1, 2, 2, 3))
@@ -45,7 +45,7 @@ def test_a_gaussian_is_what_its_keys_say(width: float, form: str, quantity: str,
 @given(shares, widths, shares)
 def test_a_sum_is_the_sum_of_its_parts_in_any_order_and_spacing(white: float, width: float, share: float) -> None:
     parts = [f"lambertian:reflectance={white!r}", f"gaussian:width_deg={width!r},reflectance={share!r}"]
-    meant = evaluate(summed(lambertian(white), gaussian(width, reflectance=share)), LIGHT, OBSERVERS)
+    meant = evaluate(sum_samples(lambertian(white), gaussian(width, reflectance=share)), LIGHT, OBSERVERS)
     for text in ("+".join(parts), " + ".join(reversed(parts)), f" {parts[0]} +{parts[1]} "):
         np.testing.assert_allclose(evaluate(parse_sample(text), LIGHT, OBSERVERS), meant, rtol=1e-12)
 

@@ -5,10 +5,19 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, scattered, sided, summed, tabulated
+from goniotwin.twin.optics import (
+    Scatterer,
+    combine_sides,
+    gaussian,
+    lambertian,
+    regular,
+    scattered_points,
+    sum_samples,
+    table_sample,
+)
 
 SIGMA_AXIS, PHI_AXIS, THETA_AXIS = [0.0, 30.0, 60.0], [0.0, 90.0, 180.0], [0.0, 10.0, 30.0, 90.0]
-TABLE = tabulated(
+TABLE = table_sample(
     SIGMA_AXIS, PHI_AXIS, THETA_AXIS,
     0.05 + 0.1 * np.arange(3)[:, None, None] + 0.03 * np.arange(3)[:, None] + 0.2 * np.exp(-np.arange(4.0)),
 )  # fmt: skip
@@ -17,8 +26,8 @@ TURN_AXIS = [0.0, 60.0, 150.0, 240.0, 360.0]
 UNEVEN = np.random.default_rng(1).random((4, 3, 5, 4)) * np.array([8.0, 4.0, 0.3, 0.1])
 UNEVEN[..., 0] = UNEVEN[..., :1, 0]
 UNEVEN[..., -1, :] = UNEVEN[..., 0, :]
-ANISOTROPIC = tabulated(SIGMA_AXIS, TURN_AXIS, THETA_AXIS, UNEVEN, "anisotropic", psi_deg=PSI_AXIS)
-BRUSHED = tabulated(
+ANISOTROPIC = table_sample(SIGMA_AXIS, TURN_AXIS, THETA_AXIS, UNEVEN, "anisotropic", psi_deg=PSI_AXIS)
+BRUSHED = table_sample(
     [10.0, 50.0], TURN_AXIS, [2.0, 15.0, 40.0], UNEVEN[:3, :2, :, :3], "brushed", psi_deg=[0.0, 40.0, 90.0],
     symmetry="orthotropic",
 )  # fmt: skip
@@ -34,7 +43,7 @@ def points(incidences: list[float], step_deg: float = 4.0) -> Floats:
 
 SPREAD = points([0.0, 30.0, 60.0])
 SPREAD_VALUES = 0.1 + 0.2 * np.cos(np.radians(SPREAD[:, 1])) + 1e-3 * SPREAD[:, 0]
-POINTS = scattered(SPREAD[:, 0], SPREAD[:, 1], SPREAD[:, 2], SPREAD_VALUES, "points", spherical=True)
+POINTS = scattered_points(SPREAD[:, 0], SPREAD[:, 1], SPREAD[:, 2], SPREAD_VALUES, "points", spherical=True)
 
 SINGLE = [
     lambertian(0.8), gaussian(5.0), gaussian(25.0), gaussian(60.0),
@@ -45,9 +54,9 @@ COMBINED = [
     gaussian(10.0, transmits=True),
     gaussian(10.0, transmits=True, refraction=1.5, side="back"),
     gaussian(20.0, transmits=True, refraction=0.7),
-    summed(gaussian(3.0, reflectance=0.3), gaussian(30.0, reflectance=0.3), lambertian(0.2), name="three"),
-    summed(lambertian(0.5), regular(0.3), regular(0.1, transmits=True, side="both"), name="with regular"),
-    sided(gaussian(5.0), lambertian(0.1), ANISOTROPIC, gaussian(12.0), name="four ways"),
+    sum_samples(gaussian(3.0, reflectance=0.3), gaussian(30.0, reflectance=0.3), lambertian(0.2), name="three"),
+    sum_samples(lambertian(0.5), regular(0.3), regular(0.1, transmits=True, side="both"), name="with regular"),
+    combine_sides(gaussian(5.0), lambertian(0.1), ANISOTROPIC, gaussian(12.0), name="four ways"),
 ]
 MODELS = [*SINGLE, *COMBINED]
 

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Instrument, arc_direction, forward, gaussian, lambertian, luminance_factor, throughput
+from goniotwin.twin.optics import (
+    Instrument,
+    arc_direction,
+    forward_throughput,
+    gaussian,
+    lambertian,
+    luminance_factor,
+    throughput,
+)
 from goniotwin.twin.optics.fast.aperture import (
     BLOCK,
     DX,
@@ -15,13 +23,13 @@ from goniotwin.twin.optics.fast.aperture import (
     ROWS,
     M,
     aperture_sizes,
-    apertures,
     common_disc,
     cone_nodes,
-    detector_frames,
+    fill_apertures,
+    fill_frames,
+    fill_wide_apertures,
     hole_nodes,
     side_nodes,
-    wide_apertures,
 )
 from goniotwin.twin.optics.geometry.scene import scene_at
 from tests.sizes import parted
@@ -38,11 +46,11 @@ def moments(instrument: Instrument, *, wide: bool, nodes: int, rings: int = 0) -
     count, w = ZENITHS_DEG.size, np.empty(ROWS * BLOCK)
     rows = w.reshape(ROWS, BLOCK)
     rows[PX // BLOCK : PX // BLOCK + 3, :count], rows[DX // BLOCK : DX // BLOCK + 3, :count] = centres.T, axes.T
-    detector_frames(w, count)
+    fill_frames(w, count)
     if wide:
-        wide_apertures(w, count, hole_nodes(nodes), sizes)
+        fill_wide_apertures(w, count, hole_nodes(nodes), sizes)
     else:
-        apertures(w, count, cone_nodes(rings), side_nodes(nodes), sizes)
+        fill_apertures(w, count, cone_nodes(rings), side_nodes(nodes), sizes)
     return rows[M // BLOCK : M // BLOCK + MOMENTS, :count].T
 
 
@@ -93,7 +101,7 @@ def test_the_flux_of_a_wide_field_is_the_forward_estimators(field_deg: float, pa
     instrument = Instrument(field_deg=field_deg, detector_diameter_mm=10.0)
     directions = arc_direction(np.arange(10.0, 86.0, 15.0), 90.0)
     found = throughput(instrument, 30.0, directions, lambertian(1.0))
-    traced = forward(instrument, 30.0, directions, lambertian(1.0), relative_error=0.01 * math.sqrt(part), seed=3)
+    traced = forward_throughput(instrument, 30.0, directions, lambertian(1.0), relative_error=0.01 * math.sqrt(part), seed=3)
     standard = (found - traced.single_m2sr) / traced.single_error
     assert np.abs(standard).max() < 4.5
     assert np.sum(standard**2) < 30.0  # chi-square of 6: one in 25,000 is beyond

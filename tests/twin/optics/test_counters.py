@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from goniotwin.twin.optics.forward.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
-from goniotwin.twin.optics.montecarlo import high_16, low_16, scrambled, uniform, upper_24, word, word_key
+from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
+from goniotwin.twin.optics.montecarlo import high_16, low_16, scramble, uniform, upper_24, word, word_key
 
 COUNT = 1 << 20
 
@@ -16,7 +16,7 @@ COUNT = 1 << 20
 @njit
 def numbers(block: int, count: int) -> Any:
     """Three words of paths of a block, as the numbers that are made of them."""
-    key = scrambled(np.uint64(block))
+    key = scramble(np.uint64(block))
     keys = word_key(key, 0), word_key(key, 1)
     result = np.empty((count, 4))
     for i in range(count):
@@ -69,7 +69,7 @@ def applied(which: int, values: Any) -> Any:
         elif which == 4:
             result[i] = arcsine(x)
         else:
-            result[i] = math.atan2(turned_by(x)[1], turned_by(x)[0]) / (2.0 * math.pi) + 0.5
+            result[i] = math.atan2(cosine_and_sine(x)[1], cosine_and_sine(x)[0]) / (2.0 * math.pi) + 0.5
     return result
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.twin.optics.geometry.deviation import Deviation, by_name, rotation_and_shift
+from goniotwin.twin.optics.geometry.deviation import Deviation, check_deviations, rotation_and_shift
 
 ANGLE = st.floats(-180.0, 180.0)
 
@@ -38,6 +38,6 @@ def test_what_is_no_deviation_is_refused() -> None:
     with pytest.raises(ValueError, match="ry_deg is nan"):
         Deviation(ry_deg=float("nan"))
     with pytest.raises(ValueError, match="'lens': no such element; known are mirror_1, mirror_2"):
-        by_name({"lens": Deviation()}, ("mirror_1", "mirror_2"))
+        check_deviations({"lens": Deviation()}, ("mirror_1", "mirror_2"))
     with pytest.raises(ValueError, match="give a Deviation"):
-        by_name({"mirror_1": 0.05}, ("mirror_1",))  # type: ignore[dict-item]
+        check_deviations({"mirror_1": 0.05}, ("mirror_1",))  # type: ignore[dict-item]

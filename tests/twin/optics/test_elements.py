@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics.illumination.elements import bend, chord, reflected, to_plane
+from goniotwin.twin.optics.illumination.elements import bend, chord, reflect_at_sphere, to_plane
 
 FRAME = np.vstack([np.zeros(3), np.eye(3)])
 COUNTER = np.random.Generator(np.random.Philox(key=7))
@@ -72,10 +72,10 @@ def test_the_reflector_sends_what_comes_from_its_centre_back_there() -> None:
     for angle, on in ((0.0, True), (59.0, True), (61.0, False)):
         x = np.zeros(3)
         w = np.array([math.sin(math.radians(angle)), -math.cos(math.radians(angle)), 0.0])
-        assert reflected(frame, 50.0, 0.5, x, w) == on
+        assert reflect_at_sphere(frame, 50.0, 0.5, x, w) == on
         assert np.linalg.norm(x) == pytest.approx(50.0)
         assert x + 50.0 * w == pytest.approx(np.zeros(3), abs=1e-12)
     # A point beside the centre is imaged upside down.
     x, w = np.array([0.1, 0.0, 0.2]), np.array([0.0, -1.0, 0.0])
-    assert reflected(frame, 50.0, 0.5, x, w)
+    assert reflect_at_sphere(frame, 50.0, 0.5, x, w)
     assert x - x[1] / w[1] * w == pytest.approx([-0.1, 0.0, -0.2], rel=1e-4)

@@ -13,7 +13,7 @@ from goniotwin.twin.optics import (
     Deviation,
     Instrument,
     Scatterer,
-    forward,
+    forward_throughput,
     from_specular,
     gaussian,
     lambertian,
@@ -62,7 +62,7 @@ def hold_each_other(
     """
     if part > 1:
         paths, least, sum_error, rays = paths // part, least * part, sum_error * math.sqrt(part), FEW_RAYS
-    estimate = forward(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
+    estimate = forward_throughput(instrument, sigma_deg, directions, scatterer, paths, seed=2026, gamma_deg=gamma_deg)
     sample = scatterer or regular(transmits=True, side="both")
     expected = throughput(instrument, sigma_deg, directions, sample, rays=rays, gamma_deg=gamma_deg)
     # Slivers of a detector and the lobe's far tail have too few hits for an error that is known.
@@ -179,7 +179,7 @@ def test_they_agree_for_a_mirror_and_the_open_beam(sigma_deg: float, scatterer: 
     narrow = Instrument(obstruction=False)
     directions = rings(sigma_deg, 0.12, 6, transmitted=scatterer is None)
     # These detectors overlap, so their sum's error is not known from theirs.
-    estimate = forward(narrow, sigma_deg, directions, scatterer, 4_000_000 // part, seed=3)
+    estimate = forward_throughput(narrow, sigma_deg, directions, scatterer, 4_000_000 // part, seed=3)
     expected = throughput(narrow, sigma_deg, directions, scatterer or regular(transmits=True, side="both"))
     seen = expected > 0.05 * expected.max()
     assert np.max(np.abs(estimate.single_m2sr - expected)[seen] / estimate.single_error[seen]) < 5.5

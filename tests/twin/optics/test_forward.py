@@ -14,15 +14,15 @@ from goniotwin.twin.optics import (
     Reflectance,
     Scatterer,
     albedo,
+    apply_spectrum,
     arc_direction,
-    forward,
+    forward_throughput,
     from_specular,
     gaussian,
     lambertian,
     light_direction,
     regular,
-    spectral,
-    summed,
+    sum_samples,
 )
 from goniotwin.twin.optics.forward.paths import BLOCK
 from goniotwin.twin.optics.montecarlo import CHUNK
@@ -50,7 +50,7 @@ def test_detectors_that_look_into_a_wide_spot_get_their_own_etendue(sigma_deg: f
     wide = Instrument(spot_side_mm=24.0, mirror_side_mm=200.0, obstruction=False, detector_diameter_mm=10.0, field_deg=2.0)
     directions = spread_out(200)
     directions = directions[directions[:, 2] > math.cos(math.radians(45.0))]
-    found = forward(wide, sigma_deg, directions, lambertian(0.6), 20_000_000 // part, seed=1)
+    found = forward_throughput(wide, sigma_deg, directions, lambertian(0.6), 20_000_000 // part, seed=1)
     # Irradiance pi L sin^2 cos of a round pupil on the axis, f = 0.6 / pi, the disc's area times its projected cone.
     etendue_m2sr = math.pi * 0.005**2 * math.pi * math.sin(math.radians(1.0)) ** 2
     closed = REFLECTED * 0.6 * PUPIL_SINE2 * math.cos(math.radians(sigma_deg)) * etendue_m2sr
@@ -63,7 +63,7 @@ def test_detectors_that_look_into_a_wide_spot_get_their_own_etendue(sigma_deg: f
 @parted(4)
 def test_the_open_beam_fills_a_small_detector_with_the_pupils_radiance(part: int) -> None:
     small = replace(OPEN, detector_diameter_mm=4.0, field_deg=0.1)
-    found = forward(small, 30.0, [-light_direction(30.0), light_direction(30.0)], None, 4_000_000 // part, seed=2)
+    found = forward_throughput(small, 30.0, [-light_direction(30.0), light_direction(30.0)], None, 4_000_000 // part, seed=2)
     closed = REFLECTED * math.pi * 0.002**2 * math.pi * math.sin(math.radians(0.05)) ** 2
     assert found.throughput_m2sr[0] == pytest.approx(closed, abs=4.0 * found.standard_error[0])
     assert found.standard_error[0] < 0.01 * math.sqrt(part) * closed
@@ -74,8 +74,8 @@ def test_the_open_beam_fills_a_small_detector_with_the_pupils_radiance(part: int
 @pytest.mark.parametrize("scatterer", MODELS, ids=named)
 @pytest.mark.parametrize("sigma_deg", [25.0, 140.0])
 def test_all_that_leaves_a_sample_is_its_albedo_of_all_that_arrives(scatterer: Scatterer, sigma_deg: float, part: int) -> None:
-    arriving = forward(ALL, sigma_deg, [UP, DOWN], None, 300_000 // part, seed=4).single_m2sr.sum()
-    found = forward(ALL, sigma_deg, [UP, DOWN], scatterer, 400_000 // part, seed=4, gamma_deg=35.0)
+    arriving = forward_throughput(ALL, sigma_deg, [UP, DOWN], None, 300_000 // part, seed=4).single_m2sr.sum()
+    found = forward_throughput(ALL, sigma_deg, [UP, DOWN], scatterer, 400_000 // part, seed=4, gamma_deg=35.0)
     back = sigma_deg > 90.0
     for k, transmitted in ((0, back), (1, not back)):
         share = albedo(scatterer, sigma_deg, transmitted, gamma_deg=35.0)
@@ -85,24 +85,26 @@ def test_all_that_leaves_a_sample_is_its_albedo_of_all_that_arrives(scatterer: S
 
 
 def test_a_spectral_sample_is_what_it_is_at_the_wavelength() -> None:
-    coloured = summed(spectral([400.0, 700.0], [0.2, 0.8], lambertian()), spectral([400.0, 700.0], [1.0, 0.0], gaussian(20.0)))
-    arriving = forward(ALL, 30.0, [UP, DOWN], None, 300_000, seed=4).single_m2sr.sum()
+    coloured = sum_samples(
+        apply_spectrum([400.0, 700.0], [0.2, 0.8], lambertian()), apply_spectrum([400.0, 700.0], [1.0, 0.0], gaussian(20.0))
+    )
+    arriving = forward_throughput(ALL, 30.0, [UP, DOWN], None, 300_000, seed=4).single_m2sr.sum()
     for wavelength in (400.0, 500.0, 700.0):
-        found = forward(ALL, 30.0, [UP], coloured, 300_000, seed=5, wavelength_nm=wavelength)
+        found = forward_throughput(ALL, 30.0, [UP], coloured, 300_000, seed=5, wavelength_nm=wavelength)
         share = albedo(coloured, 30.0, wavelength_nm=wavelength)
         assert found.single_m2sr[0] / arriving == pytest.approx(share, rel=1e-2)
     with pytest.raises(ValueError, match="wavelength_nm is missing"):
-        forward(ALL, 30.0, [UP], coloured, 300_000)
+        forward_throughput(ALL, 30.0, [UP], coloured, 300_000)
 
 
 def test_the_mirrors_on_the_way_and_one_that_scattered_light_meets_reflect_their_share() -> None:
     # A mirror in place of the sample, at normal incidence, sends everything back over the mirrors.
-    seen = forward(Instrument(), 0.0, [UP], regular(), 100_000, seed=1)
+    seen = forward_throughput(Instrument(), 0.0, [UP], regular(), 100_000, seed=1)
     assert seen.throughput_m2sr[0] == 0.0
     dull, bright = (replace(OPEN, mirror_reflectance=share) for share in (0.5, 1.0))
     directions = spread_out(10)
-    halves = forward(dull, 30.0, directions, lambertian(), 1_000_000, seed=1).single_m2sr
-    wholes = forward(bright, 30.0, directions, lambertian(), 1_000_000, seed=1).single_m2sr
+    halves = forward_throughput(dull, 30.0, directions, lambertian(), 1_000_000, seed=1).single_m2sr
+    wholes = forward_throughput(bright, 30.0, directions, lambertian(), 1_000_000, seed=1).single_m2sr
     assert halves == pytest.approx(wholes / 8.0, rel=1e-5)
 
 
@@ -114,15 +116,17 @@ def test_mirrors_of_a_table_reflect_what_it_says_for_the_wavelength_and_their_an
     perfect = replace(instrument, mirror_reflectance=1.0)
     directions = spread_out(10)
     for wavelength, expected in ((400.0, 0.6), (500.0, 0.725), (600.0, 0.85)):
-        found = forward(instrument, 30.0, directions, lambertian(), 500_000, seed=1, wavelength_nm=wavelength).single_m2sr
-        whole = forward(perfect, 30.0, directions, lambertian(), 500_000, seed=1).single_m2sr
+        found = forward_throughput(
+            instrument, 30.0, directions, lambertian(), 500_000, seed=1, wavelength_nm=wavelength
+        ).single_m2sr
+        whole = forward_throughput(perfect, 30.0, directions, lambertian(), 500_000, seed=1).single_m2sr
         # The beam's 0.7 deg are even about 45 deg, and the table is straight there.
         assert found.sum() / whole.sum() == pytest.approx(expected**3, rel=1e-3)
 
 
 def test_the_standard_error_is_that_of_repeated_runs() -> None:
-    directions, sample = spread_out(40), summed(lambertian(0.5), gaussian(30.0, reflectance=0.4))
-    runs = [forward(WIDE, 30.0, directions, sample, 60_000, seed) for seed in range(60)]
+    directions, sample = spread_out(40), sum_samples(lambertian(0.5), gaussian(30.0, reflectance=0.4))
+    runs = [forward_throughput(WIDE, 30.0, directions, sample, 60_000, seed) for seed in range(60)]
     scatter = np.var([run.throughput_m2sr for run in runs], axis=0, ddof=1)
     stated = np.mean([run.standard_error**2 for run in runs], axis=0)
     # 60 runs tell a variance to 18 %, and the mean over about 40 detectors to 3 %.
@@ -132,15 +136,15 @@ def test_the_standard_error_is_that_of_repeated_runs() -> None:
 
 def test_an_error_can_be_asked_for() -> None:
     directions = spread_out(30)
-    found = forward(WIDE, 30.0, directions, lambertian(), relative_error=0.01, seed=1)
+    found = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.01, seed=1)
     lit = found.throughput_m2sr > 0.0
     assert np.median(found.standard_error[lit] / found.throughput_m2sr[lit]) < 0.01
-    again = forward(WIDE, 30.0, directions, lambertian(), paths=found.paths, seed=1)
+    again = forward_throughput(WIDE, 30.0, directions, lambertian(), paths=found.paths, seed=1)
     assert np.array_equal(found.throughput_m2sr, again.throughput_m2sr)
-    coarse = forward(WIDE, 30.0, directions, lambertian(), relative_error=0.03, seed=1)
+    coarse = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.03, seed=1)
     assert coarse.paths < found.paths
     with pytest.raises(ValueError, match="of no light"):
-        forward(WIDE, 150.0, directions, lambertian(), relative_error=0.01)
+        forward_throughput(WIDE, 150.0, directions, lambertian(), relative_error=0.01)
 
 
 def fields(found: Any) -> list[Floats]:
@@ -154,29 +158,29 @@ def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads(scatterer: 
     try:
         for count in (1, threads, threads):
             numba.set_num_threads(count)
-            found.append(fields(forward(WIDE, 30.0, directions, scatterer, paths, seed=3)))
+            found.append(fields(forward_throughput(WIDE, 30.0, directions, scatterer, paths, seed=3)))
     finally:
         numba.set_num_threads(threads)
     assert all(np.array_equal(one, other) for run in found[1:] for one, other in zip(found[0], run, strict=True))
     assert np.any(found[0][2] > 0.0)
-    other_seed = forward(WIDE, 30.0, directions, scatterer, paths, seed=4)
+    other_seed = forward_throughput(WIDE, 30.0, directions, scatterer, paths, seed=4)
     assert not np.array_equal(found[0][0], other_seed.throughput_m2sr)
 
 
 def test_detectors_do_not_depend_on_each_other() -> None:
     directions = np.concatenate([from_specular(30.0, np.arange(0.0, 20.0, 0.05), 40.0), spread_out(50)])
-    together = forward(WIDE, 30.0, directions, gaussian(10.0), 200_000, seed=1)
-    alone = [forward(WIDE, 30.0, directions[k : k + 1], gaussian(10.0), 200_000, seed=1) for k in (0, 77, 399, 420)]
+    together = forward_throughput(WIDE, 30.0, directions, gaussian(10.0), 200_000, seed=1)
+    alone = [forward_throughput(WIDE, 30.0, directions[k : k + 1], gaussian(10.0), 200_000, seed=1) for k in (0, 77, 399, 420)]
     assert [each.throughput_m2sr[0] for each in alone] == together.throughput_m2sr[[0, 77, 399, 420]].tolist()
 
 
 def test_the_number_of_paths_is_rounded_up_to_blocks_and_no_detectors_get_nothing() -> None:
-    assert forward(WIDE, 30.0, [UP], lambertian(), 5, seed=0).paths == BLOCK
-    assert forward(WIDE, 30.0, np.zeros((0, 3)), lambertian(), BLOCK + 1).throughput_m2sr.shape == (0,)
+    assert forward_throughput(WIDE, 30.0, [UP], lambertian(), 5, seed=0).paths == BLOCK
+    assert forward_throughput(WIDE, 30.0, np.zeros((0, 3)), lambertian(), BLOCK + 1).throughput_m2sr.shape == (0,)
 
 
 def test_a_sample_that_scatters_nothing_of_this_light_gives_nothing() -> None:
-    found = forward(WIDE, 150.0, spread_out(20) * [1.0, 1.0, -1.0], lambertian(), 100_000)
+    found = forward_throughput(WIDE, 150.0, spread_out(20) * [1.0, 1.0, -1.0], lambertian(), 100_000)
     assert not np.any(found.single_m2sr)
 
 
@@ -199,4 +203,4 @@ def test_a_sample_that_scatters_nothing_of_this_light_gives_nothing() -> None:
 def test_what_cannot_be_run_is_refused(change: dict[str, Any], wrong: str) -> None:
     arguments: dict[str, Any] = dict(sigma_deg=30.0, directions=[UP], scatterer=lambertian(), paths=100, seed=0)
     with pytest.raises(ValueError, match=wrong):
-        forward(WIDE, **{**arguments, **change})
+        forward_throughput(WIDE, **{**arguments, **change})

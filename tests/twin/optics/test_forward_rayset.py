@@ -10,13 +10,13 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     IlluminationUnit,
     Instrument,
-    forward,
+    apply_spectrum,
+    forward_throughput,
     from_specular,
     gaussian,
     lambertian,
     record,
     replay,
-    spectral,
 )
 from goniotwin.twin.optics.geometry.instrument import SampleFrames
 from goniotwin.twin.optics.geometry.mirrors import pupil
@@ -51,8 +51,8 @@ def uniform_rays(count: int, side_mm: float = 7.5) -> RaySource:
 @pytest.mark.parametrize("sigma_deg", [20.0, 150.0])
 def test_rays_of_a_uniform_pupil_give_what_the_pupil_gives(sigma_deg: float) -> None:
     directions, sample = around(sigma_deg), gaussian(15.0, side="both")
-    plain = forward(WIDE, sigma_deg, directions, sample, 5_000_000, seed=1)
-    found = forward(WIDE, sigma_deg, directions, sample, 10_000_000, seed=2, source=uniform_rays(400_000))
+    plain = forward_throughput(WIDE, sigma_deg, directions, sample, 5_000_000, seed=1)
+    found = forward_throughput(WIDE, sigma_deg, directions, sample, 10_000_000, seed=2, source=uniform_rays(400_000))
     agree(plain.single_m2sr, plain.single_error, found.single_m2sr, found.single_error)
     error = math.sqrt(float(np.sum(plain.single_error**2 + found.single_error**2)))
     assert found.single_m2sr.sum() == pytest.approx(plain.single_m2sr.sum(), abs=4.0 * error)
@@ -65,7 +65,7 @@ def test_rays_of_a_uniform_pupil_give_what_the_pupil_gives(sigma_deg: float) -> 
 def test_its_light_beside_the_hole_lights_the_frame() -> None:
     everything = Instrument(obstruction=False, detector_diameter_mm=1e7, field_deg=179.9)
     frames = SampleFrames(reflectance=0.4)
-    found = forward(
+    found = forward_throughput(
         everything, 0.0, [[0.0, 0.0, 1.0]], lambertian(), 300_000, source=uniform_rays(200_000), sample_frames=frames
     )
     expected = 0.4 * (7.5**2 / 5.0**2 - 1.0) * found.single_m2sr[0]
@@ -76,8 +76,8 @@ def test_a_recorded_rayset_differs_by_no_more_than_its_light_is_uneven() -> None
     source = replay(record(UNIT, 300_000, seed=3), UNIT, PLACE)
     directions = around(30.0)
     for sample, most in ((lambertian(), 0.01), (gaussian(15.0), 0.02)):
-        plain = forward(WIDE, 30.0, directions, sample, 2_000_000, seed=1)
-        found = forward(WIDE, 30.0, directions, sample, 2_000_000, seed=2, source=source)
+        plain = forward_throughput(WIDE, 30.0, directions, sample, 2_000_000, seed=1)
+        found = forward_throughput(WIDE, 30.0, directions, sample, 2_000_000, seed=2, source=source)
         error = np.hypot(plain.single_error, found.single_error) / plain.single_m2sr
         # The same light in the hole; where in it, and from where in the pupil, differs by a few percent.
         assert np.all(np.abs(found.single_m2sr / plain.single_m2sr - 1.0) < most + 4.5 * error)
@@ -86,10 +86,10 @@ def test_a_recorded_rayset_differs_by_no_more_than_its_light_is_uneven() -> None
 def test_its_wavelength_is_the_mean_of_its_rays() -> None:
     source = uniform_rays(10_000)
     source = replace(source, wavelength_nm=np.where(np.arange(10_000) % 2, 500.0, 600.0))
-    sample = spectral([500.0, 600.0], [0.2, 0.8], lambertian())
-    found = forward(WIDE, 30.0, around(30.0), sample, 100_000, source=source)
+    sample = apply_spectrum([500.0, 600.0], [0.2, 0.8], lambertian())
+    found = forward_throughput(WIDE, 30.0, around(30.0), sample, 100_000, source=source)
     mean = float(np.average(source.wavelength_nm, weights=source.flux))
-    same = forward(WIDE, 30.0, around(30.0), sample, 100_000, source=source, wavelength_nm=mean)
+    same = forward_throughput(WIDE, 30.0, around(30.0), sample, 100_000, source=source, wavelength_nm=mean)
     assert np.array_equal(found.throughput_m2sr, same.throughput_m2sr)
 
 
@@ -97,4 +97,4 @@ def test_rays_that_never_arrive_are_refused() -> None:
     source = uniform_rays(100)
     elsewhere = replace(source, rays=source.rays + np.array([50.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match="none of its rays comes over the mirrors into the hole"):
-        forward(WIDE, 30.0, around(30.0), lambertian(), 1000, source=elsewhere)
+        forward_throughput(WIDE, 30.0, around(30.0), lambertian(), 1000, source=elsewhere)

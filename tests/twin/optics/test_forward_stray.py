@@ -11,14 +11,14 @@ from goniotwin.twin.optics import (
     Instrument,
     Scatterer,
     arc_direction,
-    forward,
+    forward_throughput,
     gaussian,
     lambertian,
     light_direction,
     regular,
     throughput,
 )
-from goniotwin.twin.optics.forward.stray_light import PATHS, stray, stray_throughput
+from goniotwin.twin.optics.forward.stray_light import PATHS, stray_map, stray_throughput
 from goniotwin.twin.optics.geometry.instrument import SampleFrames
 from tests.sizes import parted
 
@@ -33,7 +33,7 @@ BLACK = SampleFrames(reflectance=0.0)
 @pytest.mark.parametrize("sigma_deg", [0.0, 60.0])
 def test_a_lit_frame_scatters_its_share_of_the_light_round_the_hole(sigma_deg: float) -> None:
     frames = SampleFrames(reflectance=0.3, lit=1.5)
-    found = forward(ALL, sigma_deg, [UP], lambertian(0.6), 400_000, seed=1, sample_frames=frames)
+    found = forward_throughput(ALL, sigma_deg, [UP], lambertian(0.6), 400_000, seed=1, sample_frames=frames)
     # The beam lights the larger square as it lights the hole: to 1e-3 over 7.5 mm at 800 mm, and at 60 deg to 1 %.
     expected = 0.3 * (1.5**2 - 1.0) / 0.6 * found.single_m2sr[0]
     assert found.stray_m2sr[0] == pytest.approx(expected, abs=5.0 * found.stray_error[0] + 1e-3 * expected)
@@ -42,13 +42,13 @@ def test_a_lit_frame_scatters_its_share_of_the_light_round_the_hole(sigma_deg: f
 
 def test_what_a_frame_scatters_is_the_same_light_with_any_sample_and_none() -> None:
     # Frames that lie on the sample get next to nothing of it: what differs is noise, which is 4 % of a bin, and cancels.
-    none = stray(Instrument(), 30.0, None).values[0]
+    none = stray_map(Instrument(), 30.0, None).values[0]
     for sample in (gaussian(15.0, reflectance=0.9), lambertian(0.03)):
-        assert stray(Instrument(), 30.0, sample).values[0] == pytest.approx(none, rel=5e-3)
+        assert stray_map(Instrument(), 30.0, sample).values[0] == pytest.approx(none, rel=5e-3)
 
 
 def test_without_frames_mirrors_and_a_second_scattering_there_is_no_stray_light() -> None:
-    found = forward(ALL, 30.0, [UP], lambertian(), 100_000, seed=1, sample_frames=BLACK)
+    found = forward_throughput(ALL, 30.0, [UP], lambertian(), 100_000, seed=1, sample_frames=BLACK)
     assert found.stray_m2sr[0] == 0.0
     assert found.stray_error[0] == 0.0
     assert np.array_equal(found.throughput_m2sr, found.single_m2sr)
@@ -77,7 +77,9 @@ def test_light_between_sample_and_frame_comes_and_goes_as_between_two_parallel_p
     # the light escape beside them, of 3e-3 by the hole.
     narrow = replace(ALL, spot_side_mm=0.1, pupil_radius_mm=2.0)
     frames = SampleFrames(gap_mm=1.0, side_mm=4000.0, reflectance=0.8, lit=1.0)
-    found = forward(narrow, 0.0, [UP], lambertian(0.9), 2_500_000 // part, seed=1, sample_frames=frames, max_interactions=200)
+    found = forward_throughput(
+        narrow, 0.0, [UP], lambertian(0.9), 2_500_000 // part, seed=1, sample_frames=frames, max_interactions=200
+    )
     expected = chains(0.8 * 0.9)
     ratio = found.stray_m2sr[0] / found.single_m2sr[0]
     error = ratio * math.hypot(found.stray_error[0] / found.stray_m2sr[0], found.single_error[0] / found.single_m2sr[0])
@@ -88,7 +90,9 @@ def test_light_between_sample_and_frame_comes_and_goes_as_between_two_parallel_p
 def test_fewer_interactions_leave_out_what_comes_later() -> None:
     frames = SampleFrames(gap_mm=2.0, reflectance=0.9)
     found = [
-        forward(ALL, 30.0, [UP], lambertian(0.9), 200_000, seed=1, sample_frames=frames, max_interactions=most).stray_m2sr[0]
+        forward_throughput(
+            ALL, 30.0, [UP], lambertian(0.9), 200_000, seed=1, sample_frames=frames, max_interactions=most
+        ).stray_m2sr[0]
         for most in (1, 2, 3, 20)
     ]
     # One interaction leaves the light that the frame scatters itself; a second, on the frame, sends it to the sample.
@@ -100,7 +104,7 @@ def test_a_gap_lets_the_spot_wander_and_shadows_slanting_light() -> None:
     def seen(gap_mm: float, polar_deg: float) -> float:
         frames = SampleFrames(gap_mm=gap_mm, reflectance=0.0)
         directions = arc_direction([polar_deg], [0.0])
-        found = forward(
+        found = forward_throughput(
             replace(WIDE, obstruction=False), 0.0, directions, lambertian(), 2_000_000, seed=1, sample_frames=frames
         )
         return float(found.single_m2sr[0])
@@ -115,7 +119,7 @@ def test_mirror_2_sends_light_back_to_the_sample_unit() -> None:
     towards = (light_direction(30.0) - np.array([0.0, 1.0, 0.0])) / math.sqrt(2.0)
     upwards = replace(ALL, obstruction=True, mirror_side_mm=60.0, field_deg=40.0)
     frames = SampleFrames(reflectance=1.0, lit=1.0, side_mm=200.0)
-    found = forward(upwards, 30.0, [UP], lambertian(), 2_000_000, seed=1, sample_frames=frames)
+    found = forward_throughput(upwards, 30.0, [UP], lambertian(), 2_000_000, seed=1, sample_frames=frames)
     share = towards[2] / math.pi * 60.0**2 / (2.0 * 200.0**2) * 0.95
     # The mirror is 12 deg wide; what goes to it over mirror 3 comes back beside the frames, where mirror 1 is.
     assert found.stray_m2sr[0] / found.single_m2sr[0] == pytest.approx(share, rel=0.1)
@@ -127,8 +131,10 @@ def test_the_fast_estimator_and_the_stray_map_are_the_forward_one(scatterer: Sca
     frames = SampleFrames(reflectance=0.5)
     polar, azimuth = np.meshgrid(np.arange(4.0, 88.0, 7.0), np.arange(3.0, 360.0, 24.0))
     directions = arc_direction(polar.ravel(), azimuth.ravel())
-    found = forward(WIDE, 30.0, directions, scatterer, 10_000_000 // part, seed=1, sample_frames=frames)
-    added = stray_throughput(stray(WIDE, 30.0, scatterer, 8 * PATHS // part, seed=2, sample_frames=frames), directions, WIDE)
+    found = forward_throughput(WIDE, 30.0, directions, scatterer, 10_000_000 // part, seed=1, sample_frames=frames)
+    added = stray_throughput(
+        stray_map(WIDE, 30.0, scatterer, 8 * PATHS // part, seed=2, sample_frames=frames), directions, WIDE
+    )
     fast = throughput(WIDE, 30.0, directions, scatterer, rays=1 << 14)
     # Few hits have no error that is known; a map of 5 by 10 deg blurs by a few percent of the stray light.
     seen = found.standard_error < 0.2 * found.throughput_m2sr
@@ -142,12 +148,12 @@ def test_the_fast_estimator_and_the_stray_map_are_the_forward_one(scatterer: Sca
 
 
 def test_the_map_is_for_the_detectors_that_it_was_made_for() -> None:
-    found = stray(WIDE, 30.0, lambertian(), 10_000)
+    found = stray_map(WIDE, 30.0, lambertian(), 10_000)
     with pytest.raises(ValueError, match="the map is for arc, disc and field"):
         stray_throughput(found, [UP], Instrument())
-    assert np.array_equal(found.values, stray(WIDE, 30.0, lambertian(), 10_000).values)
+    assert np.array_equal(found.values, stray_map(WIDE, 30.0, lambertian(), 10_000).values)
     with pytest.raises(ValueError, match="paths is 1"):
-        stray(WIDE, 30.0, lambertian(), 1)
+        stray_map(WIDE, 30.0, lambertian(), 1)
 
 
 @pytest.mark.parametrize(

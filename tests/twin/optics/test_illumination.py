@@ -9,7 +9,7 @@ import pytest
 
 from goniotwin.twin.optics.geometry.deviation import Deviation
 from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.illumination.spectrum import xenon
+from goniotwin.twin.optics.illumination.spectrum import xenon_spectrum
 from goniotwin.twin.optics.illumination.unit import ARC, ELEMENTS, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 
 
@@ -79,7 +79,7 @@ def test_the_fingerprint_stands_for_everything_that_decides_the_rays() -> None:
     others = [
         replace(unit, wavelength_nm=556.0),
         replace(unit, arc_length_mm=2.3),
-        replace(unit, lamp=xenon(2999.0)),
+        replace(unit, lamp=xenon_spectrum(2999.0)),
         *(replace(unit, deviations={name: Deviation(y_mm=0.01)}) for name in ELEMENTS),
     ]
     assert len({unit.fingerprint, *(other.fingerprint for other in others)}) == 1 + len(others)

@@ -12,7 +12,7 @@ from goniotwin.twin.optics.geometry.deviation import Deviation
 from goniotwin.twin.optics.illumination.adjoint import adjoint_illumination, illumination_figure
 from goniotwin.twin.optics.illumination.beam import Illumination
 from goniotwin.twin.optics.illumination.forward import forward_illumination
-from goniotwin.twin.optics.illumination.spectrum import luminous, xenon
+from goniotwin.twin.optics.illumination.spectrum import luminous_spectrum, xenon_spectrum
 from goniotwin.twin.optics.illumination.unit import ELEMENTS, IlluminationUnit
 from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.sizes import parted
@@ -138,7 +138,7 @@ def test_a_straight_unit_lights_the_field_evenly_and_symmetrically() -> None:
 
 def test_the_unit_of_the_lamp_is_carried() -> None:
     watts = adjoint_illumination(UNIT, rays=1000)
-    lumens = adjoint_illumination(replace(UNIT, lamp=luminous(xenon())), rays=1000)
+    lumens = adjoint_illumination(replace(UNIT, lamp=luminous_spectrum(xenon_spectrum())), rays=1000)
     assert (watts.unit, lumens.unit) == ("W", "lm")
     assert watts.efficiency == pytest.approx(lumens.efficiency)
     # V(555 nm) is nearly 1.

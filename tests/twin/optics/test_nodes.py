@@ -15,7 +15,7 @@ from goniotwin.twin.optics import (
     gaussian,
     lambertian,
     luminance_factor,
-    tabulated,
+    table_sample,
     throughput,
 )
 from goniotwin.twin.optics.fast.lobe_sums import gaussian_values
@@ -103,11 +103,11 @@ def test_a_beam_that_misses_the_mirrors_in_part_is_taken_by_a_bundle() -> None:
 def test_a_table_with_kinks_is_taken_by_a_bundle_and_agrees_with_the_etalon() -> None:
     """Linear between few angles, as measured tables are: seven rays would miss what a kink does to a beam of 0.7 deg."""
     theta = np.array([0.0, 1.0, 2.0, 4.0, 8.0, 20.0, 180.0])
-    table = tabulated([0.0, 80.0], [0.0], theta, np.tile(np.exp(-theta / 4.0), (2, 1, 1)))
+    table = table_sample([0.0, 80.0], [0.0], theta, np.tile(np.exp(-theta / 4.0), (2, 1, 1)))
     directions = lobe_grid(30.0, 4.0)
     few, many = (luminance_factor(OPEN, 30.0, directions, table, rays) for rays in (None, MANY))
     assert percentile_95(few, many) < 0.3
-    white = tabulated([0.0, 80.0], [0.0], theta, np.full((2, 1, theta.size), 1.0 / math.pi))
+    white = table_sample([0.0, 80.0], [0.0], theta, np.full((2, 1, theta.size), 1.0 / math.pi))
     np.testing.assert_allclose(luminance_factor(OPEN, 30.0, directions, white), 1.0, rtol=1e-12)
 
 

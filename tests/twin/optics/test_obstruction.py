@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics import Instrument, forward, from_specular, light_direction, throughput, visible_fraction
+from goniotwin.twin.optics import Instrument, forward_throughput, from_specular, light_direction, throughput, visible_fraction
 from goniotwin.twin.optics.bsdf.analytic_samples import lambertian
-from goniotwin.twin.optics.forward.bounces import on_mount
+from goniotwin.twin.optics.forward.bounces import is_on_mount
 from goniotwin.twin.optics.forward.setting import set_up
 from goniotwin.twin.optics.geometry.instrument import SampleFrames
 from goniotwin.twin.optics.geometry.mirrors import ALONG_Y
@@ -89,7 +89,7 @@ def test_a_mount_hides_as_a_larger_mirror_does_and_neither_adds_to_the_beam_nor_
 def test_both_estimators_know_mounts() -> None:
     mounted = Instrument(mirror_mount_mm=15.0, detector_diameter_mm=20.0, field_deg=4.0)
     directions = from_specular(SIGMA, 2.0 * SIGMA + np.arange(-16.0, 16.1, 4.0), 0.0)
-    traced = forward(mounted, SIGMA, directions, lambertian(), 8_000_000, seed=5)
+    traced = forward_throughput(mounted, SIGMA, directions, lambertian(), 8_000_000, seed=5)
     visible = visible_fraction(mounted, SIGMA, directions)
     seen = visible == 1.0
     assert 2 <= np.count_nonzero(seen) < seen.size
@@ -103,4 +103,4 @@ def test_light_that_meets_a_mount_ends_there(mirror: int) -> None:
     stage = set_up(instrument, SIGMA, [[0.0, 0.0, 1.0]], lambertian(), 0.0, None, None, 8, SampleFrames()).stage
     centre, _, along, across = stage.mirrors[mirror]
     for u, v, mount in ((0.0, 0.0, False), (9.9, -9.9, False), (10.1, 0.0, True), (0.0, -10.1, True), (-14.9, 14.9, True)):
-        assert on_mount(stage, mirror, *(centre + u * along + v * across)) is mount
+        assert is_on_mount(stage, mirror, *(centre + u * along + v * across)) is mount

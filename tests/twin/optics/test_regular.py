@@ -8,13 +8,13 @@ import pytest
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Instrument,
+    apply_spectrum,
     gaussian,
     light_direction,
     regular,
-    spectral,
     spectral_throughput,
     specular_direction,
-    summed,
+    sum_samples,
     throughput,
 )
 from goniotwin.twin.optics.geometry.scene import scene_at
@@ -83,7 +83,7 @@ def test_a_mirror_in_front_hides_the_image() -> None:
 def test_a_sum_is_the_sum_and_each_wavelength_is_weighed() -> None:
     directions = specular_direction(30.0)[None]
     lobe, mirror = gaussian(5.0, reflectance=0.4), regular(0.05)
-    both = spectral([400.0, 700.0], [1.0, 0.5], summed(lobe, mirror))
+    both = apply_spectrum([400.0, 700.0], [1.0, 0.5], sum_samples(lobe, mirror))
     parts = throughput(OPEN, 30.0, directions, lobe) + throughput(OPEN, 30.0, directions, mirror)
     assert throughput(OPEN, 30.0, directions, both, wavelength_nm=550.0) == pytest.approx(0.75 * parts)
     at_once = spectral_throughput(OPEN, 30.0, directions, both, [400.0, 550.0, 700.0])

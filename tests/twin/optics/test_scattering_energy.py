@@ -9,14 +9,14 @@ import pytest
 from goniotwin.twin.optics import (
     Scatterer,
     albedo,
+    apply_spectrum,
     evaluate,
     gaussian,
     lambertian,
     light_direction,
     regular,
-    spectral,
-    summed,
-    tabulated,
+    sum_samples,
+    table_sample,
 )
 from tests.twin.optics.models import BRUSHED, TABLE, named
 
@@ -58,11 +58,11 @@ def test_the_albedo_of_a_sum_is_the_sum_of_the_albedos() -> None:
     parts = [lambertian(0.2), gaussian(5.0, reflectance=0.3), regular(0.1), TABLE, BRUSHED]
     for sigma in (0.0, 40.0, 70.0):
         each = [albedo(part, sigma, gamma_deg=30.0) for part in parts]
-        assert albedo(summed(*parts), sigma, gamma_deg=30.0) == pytest.approx(sum(each), rel=1e-12)
+        assert albedo(sum_samples(*parts), sigma, gamma_deg=30.0) == pytest.approx(sum(each), rel=1e-12)
 
 
 def test_the_albedo_follows_the_spectrum() -> None:
-    sample = summed(spectral([400.0, 700.0], [0.2, 0.8], lambertian(0.5)), regular(0.1))
+    sample = sum_samples(apply_spectrum([400.0, 700.0], [0.2, 0.8], lambertian(0.5)), regular(0.1))
     assert [albedo(sample, 30.0, wavelength_nm=nm) for nm in (400.0, 550.0, 700.0)] == pytest.approx([0.2, 0.35, 0.5])
 
 
@@ -88,7 +88,7 @@ def test_the_albedo_of_a_narrow_lobe_is_its_volume_times_the_cosine() -> None:
 def test_the_albedo_of_a_table_is_that_of_the_function_it_is_made_of() -> None:
     # Half of it by the cosine law: f = a cos(zenith), whose albedo is 2 pi a / 3 at every incidence, here at normal.
     theta = np.arange(0.0, 91.0, 1.0)
-    table = tabulated([0.0], [0.0], theta, 0.4 * np.cos(np.radians(theta))[None, None])
+    table = table_sample([0.0], [0.0], theta, 0.4 * np.cos(np.radians(theta))[None, None])
     assert albedo(table, 0.0) == pytest.approx(0.8 * math.pi / 3.0, rel=1e-4)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Scatterer, evaluate, from_specular, light_direction, scattered
+from goniotwin.twin.optics import Scatterer, evaluate, from_specular, light_direction, scattered_points
 from tests.twin.optics.models import points
 
 SIGMAS = [0.0, 30.0, 60.0]
@@ -23,7 +23,7 @@ def true_value(sigma: Floats, zenith: Floats, azimuth: Floats) -> Floats:
 
 def table_of(rows: Floats, values: Floats, **options: Any) -> Scatterer:
     """The table of values at rows of sigma, zenith and azimuth."""
-    return scattered(rows[:, 0], rows[:, 1], rows[:, 2], values, spherical=True, **options)
+    return scattered_points(rows[:, 0], rows[:, 1], rows[:, 2], values, spherical=True, **options)
 
 
 def made(step_deg: float, **options: Any) -> Scatterer:
@@ -46,7 +46,7 @@ def test_points_on_a_regular_grid_of_specular_coordinates_are_met() -> None:
     theta, phi = (each.ravel() for each in np.meshgrid(np.arange(5.0, 176.0, 5.0), np.arange(0.0, 360.0, 5.0)))
     theta, phi = np.append(theta, 0.0), np.append(phi, 0.0)
     values = 0.1 + np.exp(-theta / 20.0) * (1.2 + np.sin(np.radians(phi)))
-    model = scattered(np.full(theta.size, 30.0), theta, phi, values)
+    model = scattered_points(np.full(theta.size, 30.0), theta, phi, values)
     above = from_specular(30.0, theta, phi)[:, 2] > 1e-9
     found = evaluate(model, light_direction(30.0), from_specular(30.0, theta, phi)[above])
     assert found == pytest.approx(values[above], rel=1e-6)
@@ -87,7 +87,7 @@ def test_points_of_an_anisotropic_sample_are_about_the_light_wherever_it_is() ->
     # An isotropic lobe, measured at three azimuths of the light in the sample's frame: psi makes no difference.
     rows = np.concatenate([np.column_stack([spread + np.array([0.0, 0.0, psi]), np.full(len(spread), psi)]) for psi in psis])
     values = true_value(rows[:, 0], rows[:, 1], rows[:, 2] - rows[:, 3])
-    model = scattered(rows[:, 0], rows[:, 1], rows[:, 2] % 360.0, values, psi_deg=rows[:, 3], spherical=True)
+    model = scattered_points(rows[:, 0], rows[:, 1], rows[:, 2] % 360.0, values, psi_deg=rows[:, 3], spherical=True)
     light, observer = light_direction(30.0), from_specular(30.0, 15.0, 60.0)
     turned = [float(evaluate(model, light, observer, gamma_deg=gamma)) for gamma in (0.0, 50.0, 240.0)]
     assert turned == pytest.approx([turned[0]] * 3, rel=1e-6)
@@ -124,16 +124,16 @@ def changed(**changes: Any) -> dict[str, Any]:
     ],
 )
 def test_points_that_make_no_table_are_refused(changes: dict[str, Any], says: str) -> None:
-    scattered(**changed(), spherical=True)
+    scattered_points(**changed(), spherical=True)
     with pytest.raises(ValueError, match=says):
-        scattered(**changed(**changes), spherical=True)
+        scattered_points(**changed(**changes), spherical=True)
 
 
 def test_two_values_in_one_direction_are_refused() -> None:
     given = changed()
     doubled: dict[str, Any] = {name: np.append(values, values[17]) for name, values in given.items()}
     with pytest.raises(ValueError, match=rf"points 17 and {given['values'].size}, at sigma 0, have the same direction"):
-        scattered(**doubled, spherical=True)
+        scattered_points(**doubled, spherical=True)
 
 
 def test_an_incidence_without_points_is_refused() -> None:

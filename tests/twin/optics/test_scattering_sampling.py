@@ -9,7 +9,8 @@ from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import (
     Scatterer,
     albedo,
-    draw,
+    apply_spectrum,
+    draw_directions,
     evaluate,
     from_specular,
     gaussian,
@@ -17,10 +18,9 @@ from goniotwin.twin.optics import (
     light_direction,
     lobe_shares,
     regular,
-    spectral,
     specular_direction,
-    summed,
-    tabulated,
+    sum_samples,
+    table_sample,
     to_specular,
 )
 from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
@@ -95,7 +95,7 @@ def test_what_is_drawn_into_each_part_of_the_sphere_is_the_integral_of_the_value
     model: Scatterer, sigma_deg: float
 ) -> None:
     count, gamma_deg, light = 40_000, 25.0, light_direction(sigma_deg)
-    directions, weights = draw(model, light, np.random.default_rng(11).random((count, 4)), gamma_deg=gamma_deg)
+    directions, weights = draw_directions(model, light, np.random.default_rng(11).random((count, 4)), gamma_deg=gamma_deg)
     incident, polar = (1, sigma_deg) if sigma_deg < 90.0 else (-1, 180.0 - sigma_deg)
     places, deviations = bin_middles(polar), []
     for transmits in (False, True):
@@ -131,7 +131,7 @@ def test_what_is_drawn_into_each_part_of_the_sphere_is_the_integral_of_the_value
 def test_the_mean_weight_of_the_samples_is_the_albedo(model: Scatterer, sigma_deg: float, gamma_deg: float) -> None:
     count = 40_000
     light = light_direction(sigma_deg)
-    directions, weights = draw(model, light, np.random.default_rng(3).random((count, 4)), gamma_deg=gamma_deg)
+    directions, weights = draw_directions(model, light, np.random.default_rng(3).random((count, 4)), gamma_deg=gamma_deg)
     through = directions[:, 2] * light[2] < 0.0
     for transmitted, mine in ((False, weights * ~through), (True, weights * through)):
         error = mine.std(ddof=1) / math.sqrt(count)
@@ -141,16 +141,16 @@ def test_the_mean_weight_of_the_samples_is_the_albedo(model: Scatterer, sigma_de
 
 @pytest.mark.parametrize("model", [gaussian(2.0), gaussian(5.0), gaussian(15.0), ANISOTROPIC, BRUSHED], ids=named)
 def test_a_lobe_is_drawn_by_its_shape(model: Scatterer) -> None:
-    _, weights = draw(model, light_direction(30.0), np.random.default_rng(5).random((20_000, 4)))
+    _, weights = draw_directions(model, light_direction(30.0), np.random.default_rng(5).random((20_000, 4)))
     # By the cosine law alone a lobe of 5 deg has 11 times its mean, one of 2 deg 28 times.
     assert weights.std() < 0.8 * weights.mean()
 
 
 @pytest.mark.parametrize("sigma_deg", [20.0, 130.0])
 def test_a_regular_component_goes_in_one_direction_with_its_share_of_the_light(sigma_deg: float) -> None:
-    mirror = summed(regular(0.25, side="both"), regular(0.5, transmits=True, side="both"), lambertian(0.1, side="both"))
+    mirror = sum_samples(regular(0.25, side="both"), regular(0.5, transmits=True, side="both"), lambertian(0.1, side="both"))
     light = light_direction(sigma_deg)
-    directions, weights = draw(mirror, light, np.random.default_rng(2).random((20_000, 4)))
+    directions, weights = draw_directions(mirror, light, np.random.default_rng(2).random((20_000, 4)))
     reflected = np.isclose(directions @ specular_direction(sigma_deg), 1.0, atol=1e-14)
     through = np.isclose(directions @ -light, 1.0, atol=1e-14)
     assert np.mean(weights * reflected) == pytest.approx(0.25, abs=0.015)
@@ -160,24 +160,26 @@ def test_a_regular_component_goes_in_one_direction_with_its_share_of_the_light(s
 
 
 def test_lobes_are_drawn_in_proportion_to_what_they_scatter() -> None:
-    sample = summed(lambertian(0.3), gaussian(5.0, reflectance=0.6), gaussian(5.0, transmits=True), lambertian(side="back"))
+    sample = sum_samples(
+        lambertian(0.3), gaussian(5.0, reflectance=0.6), gaussian(5.0, transmits=True), lambertian(side="back")
+    )
     assert lobe_shares(sample, 0.0) == pytest.approx([0.3 / 1.8, 0.6 / 1.8, 0.9 / 1.8, 0.0], rel=1e-6)
     assert lobe_shares(sample, 150.0) == pytest.approx([0.0, 0.0, 0.0, 1.0])
     assert not np.any(lobe_shares(lambertian(), 150.0))
     # A lobe that is dark at this incidence, but not at others, is not forgotten.
     bent = gaussian(5.0, transmits=True, refraction=0.5)
-    assert lobe_shares(summed(lambertian(0.5), bent), 80.0)[1] > 0.0
+    assert lobe_shares(sum_samples(lambertian(0.5), bent), 80.0)[1] > 0.0
 
 
 def test_without_a_wavelength_lobes_are_drawn_by_their_mean_over_the_spectrum() -> None:
-    sample = summed(spectral([400.0, 600.0], [0.0, 1.0], lambertian(0.5)), lambertian(0.5))
+    sample = sum_samples(apply_spectrum([400.0, 600.0], [0.0, 1.0], lambertian(0.5)), lambertian(0.5))
     assert lobe_shares(sample, 0.0) == pytest.approx([1.0 / 3.0, 2.0 / 3.0])
     assert lobe_shares(sample, 0.0, 400.0) == pytest.approx([0.0, 1.0])
 
 
 def test_a_table_of_zeros_is_black() -> None:
-    black = tabulated([0.0, 60.0], [0.0, 180.0], [0.0, 90.0], np.zeros((2, 2, 2)))
-    _, weights = draw(black, light_direction(10.0), np.random.default_rng(2).random((1000, 4)))
+    black = table_sample([0.0, 60.0], [0.0, 180.0], [0.0, 90.0], np.zeros((2, 2, 2)))
+    _, weights = draw_directions(black, light_direction(10.0), np.random.default_rng(2).random((1000, 4)))
     assert not np.any(weights)
     assert albedo(black, 10.0) == 0.0
     assert not evaluate(black, light_direction(10.0), from_specular(10.0, 5.0, 0.0))
@@ -185,8 +187,8 @@ def test_a_table_of_zeros_is_black() -> None:
 
 def test_numbers_that_cannot_be_drawn_from_are_refused() -> None:
     with pytest.raises(ValueError, match="uniform has the shape"):
-        draw(lambertian(), light_direction(0.0), np.full((5, 3), 0.5))
+        draw_directions(lambertian(), light_direction(0.0), np.full((5, 3), 0.5))
     with pytest.raises(ValueError, match="less than 1"):
-        draw(lambertian(), light_direction(0.0), np.full((5, 4), 1.0))
+        draw_directions(lambertian(), light_direction(0.0), np.full((5, 4), 1.0))
     with pytest.raises(ValueError, match="light has the shape"):
-        draw(lambertian(), [[0.0, 0.0, 1.0]], np.full((5, 4), 0.5))
+        draw_directions(lambertian(), [[0.0, 0.0, 1.0]], np.full((5, 4), 0.5))

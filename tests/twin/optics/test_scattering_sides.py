@@ -11,14 +11,14 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Scatterer,
     albedo,
+    combine_sides,
     evaluate,
     from_specular,
     gaussian,
     lambertian,
     light_direction,
     regular,
-    sided,
-    summed,
+    sum_samples,
 )
 from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, flipped, named
 
@@ -36,7 +36,7 @@ models = st.sampled_from(FRONT)
 @settings(deadline=None)
 @given(models, directions, directions)
 def test_light_from_the_back_meets_the_sample_turned_about_x(model: Scatterer, light: Floats, observer: Floats) -> None:
-    turned = evaluate(sided(back_reflection=model), flipped(light, -1, False), flipped(observer, -1, False))
+    turned = evaluate(combine_sides(back_reflection=model), flipped(light, -1, False), flipped(observer, -1, False))
     assert turned == evaluate(model, light, observer)
 
 
@@ -45,9 +45,9 @@ def test_light_from_the_back_meets_the_sample_turned_about_x(model: Scatterer, l
 def test_a_transmitted_direction_is_a_reflected_one_mirrored_in_the_sheet(
     model: Scatterer, light: Floats, observer: Floats
 ) -> None:
-    front = sided(front_transmission=model)
+    front = combine_sides(front_transmission=model)
     assert evaluate(front, light, flipped(observer, 1, True)) == evaluate(model, light, observer)
-    back = sided(back_transmission=model)
+    back = combine_sides(back_transmission=model)
     through = flipped(flipped(observer, 1, True), -1, False)
     assert evaluate(back, flipped(light, -1, False), through) == evaluate(model, light, observer)
 
@@ -83,7 +83,7 @@ def test_gamma_changes_what_an_anisotropic_sample_shows_and_nothing_of_the_other
 RECIPROCAL = [
     lambertian(0.7), lambertian(0.3, 0.6, side="both"), gaussian(2.0), gaussian(5.0, "half_width"), gaussian(30.0),
     gaussian(120.0), gaussian(10.0, transmits=True, side="both"),
-    summed(lambertian(0.2, 0.2, side="both"), gaussian(20.0, side="both"), gaussian(8.0, transmits=True, side="both")),
+    sum_samples(lambertian(0.2, 0.2, side="both"), gaussian(20.0, side="both"), gaussian(8.0, transmits=True, side="both")),
 ]  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def test_of_other_models_this_cannot_be_said(model: Scatterer) -> None:
 
 
 def test_each_way_of_the_light_has_its_own_model() -> None:
-    sheet = sided(lambertian(0.1), lambertian(0.2), lambertian(0.3), lambertian(0.4))
+    sheet = combine_sides(lambertian(0.1), lambertian(0.2), lambertian(0.3), lambertian(0.4))
     shares = [albedo(sheet, sigma, transmitted) for sigma in (20.0, 160.0) for transmitted in (False, True)]
     assert shares == pytest.approx([0.1, 0.2, 0.3, 0.4], rel=1e-6)
     up, down = light_direction(20.0), light_direction(160.0)
@@ -122,12 +122,12 @@ def test_a_lobe_that_transmits_goes_straight_through_from_either_side() -> None:
 
 def test_a_model_of_another_side_is_not_moved_in_silence() -> None:
     bent = gaussian(5.0, transmits=True, refraction=1.5)
-    assert albedo(sided(back_transmission=bent), 150.0, transmitted=True) > 0.0
+    assert albedo(combine_sides(back_transmission=bent), 150.0, transmitted=True) > 0.0
     with pytest.raises(ValueError, match="front_reflection has a lobe that transmits light from the front"):
-        sided(front_reflection=bent)
+        combine_sides(front_reflection=bent)
     with pytest.raises(ValueError, match="front_reflection has a lobe that reflects light from the back"):
-        sided(front_reflection=lambertian(side="back"))
+        combine_sides(front_reflection=lambertian(side="back"))
     with pytest.raises(ValueError, match="back_reflection has a lobe that transmits"):
-        sided(back_reflection=summed(lambertian(0.1), regular(0.5, transmits=True)))
+        combine_sides(back_reflection=sum_samples(lambertian(0.1), regular(0.5, transmits=True)))
     with pytest.raises(ValueError, match="no model is given"):
-        sided()
+        combine_sides()

@@ -10,18 +10,18 @@ from hypothesis import strategies as st
 
 from goniotwin.twin.optics import (
     Scatterer,
+    apply_spectrum,
     evaluate,
     from_specular,
     gaussian,
     lambertian,
     light_direction,
-    spectral,
     spectral_table,
-    summed,
+    sum_samples,
 )
 
 LIGHT, OBSERVER = light_direction(30.0), from_specular(30.0, 6.0, 40.0)
-GREY = summed(lambertian(0.4), gaussian(5.0, reflectance=0.4))
+GREY = sum_samples(lambertian(0.4), gaussian(5.0, reflectance=0.4))
 wavelengths = st.floats(300.0, 900.0)
 
 
@@ -34,15 +34,18 @@ def seen(model: Scatterer, wavelength_nm: float | None = None) -> float:
 def test_a_coloured_sample_is_the_grey_one_times_its_factor(wavelength_nm: float) -> None:
     nm, factors = [400.0, 500.0, 700.0], [0.2, 1.0, 0.5]
     factor = np.interp(wavelength_nm, nm, factors)
-    assert seen(spectral(nm, factors, GREY), wavelength_nm) == pytest.approx(factor * seen(GREY))
+    assert seen(apply_spectrum(nm, factors, GREY), wavelength_nm) == pytest.approx(factor * seen(GREY))
 
 
 @settings(deadline=None)
 @given(wavelengths)
 def test_in_a_sum_each_part_keeps_its_spectrum(wavelength_nm: float) -> None:
-    red, blue = spectral([600.0, 700.0], [0.0, 1.0], lambertian(0.3)), spectral([450.0, 650.0], [1.0, 0.2], gaussian(9.0))
+    red, blue = (
+        apply_spectrum([600.0, 700.0], [0.0, 1.0], lambertian(0.3)),
+        apply_spectrum([450.0, 650.0], [1.0, 0.2], gaussian(9.0)),
+    )
     parts = seen(red, wavelength_nm) + seen(blue, wavelength_nm) + seen(GREY, wavelength_nm)
-    assert seen(summed(red, blue, GREY), wavelength_nm) == pytest.approx(parts, rel=1e-12)
+    assert seen(sum_samples(red, blue, GREY), wavelength_nm) == pytest.approx(parts, rel=1e-12)
 
 
 @settings(deadline=None)
@@ -67,13 +70,13 @@ def test_a_spectral_table_may_be_anisotropic_and_have_both_sides() -> None:
 
 def test_weights_are_one_without_a_spectrum_and_given_for_many_wavelengths_at_once() -> None:
     assert GREY.weights() == pytest.approx([1.0, 1.0])
-    coloured = summed(spectral([400.0, 600.0], [0.0, 1.0], lambertian(0.5)), lambertian(0.5))
+    coloured = sum_samples(apply_spectrum([400.0, 600.0], [0.0, 1.0], lambertian(0.5)), lambertian(0.5))
     assert coloured.weights([400.0, 450.0, 800.0]) == pytest.approx(np.array([[0.0, 0.25, 1.0], [1.0, 1.0, 1.0]]))
 
 
 def test_a_coloured_sample_has_to_be_told_the_wavelength() -> None:
     with pytest.raises(ValueError, match="wavelength_nm is missing"):
-        seen(spectral([400.0, 700.0], [0.1, 0.2], GREY))
+        seen(apply_spectrum([400.0, 700.0], [0.1, 0.2], GREY))
     for wrong in (-5.0, 0.0, math.nan):
         with pytest.raises(ValueError, match="wavelength_nm is"):
             seen(GREY, wrong)
@@ -94,12 +97,12 @@ def test_a_coloured_sample_has_to_be_told_the_wavelength() -> None:
 )
 def test_a_spectrum_that_is_none_is_refused(nm: Any, factors: Any, says: str) -> None:
     with pytest.raises(ValueError, match=says):
-        spectral(nm, factors, GREY)
+        apply_spectrum(nm, factors, GREY)
 
 
 def test_what_has_a_spectrum_gets_no_second_one() -> None:
     with pytest.raises(ValueError, match="depends on the wavelength already"):
-        spectral([400.0], [0.5], spectral([400.0], [0.5], GREY))
+        apply_spectrum([400.0], [0.5], apply_spectrum([400.0], [0.5], GREY))
 
 
 def test_a_hole_in_a_spectral_table_is_named_with_its_wavelength() -> None:
@@ -115,4 +118,4 @@ def test_a_hole_in_a_spectral_table_is_named_with_its_wavelength() -> None:
 
 def test_a_sum_of_nothing_is_no_sample() -> None:
     with pytest.raises(ValueError, match="scatterers is empty"):
-        summed()
+        sum_samples()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Scatterer, evaluate, from_specular, light_direction, tabulated
+from goniotwin.twin.optics import Scatterer, evaluate, from_specular, light_direction, table_sample
 from tests.twin.optics.models import PSI_AXIS, SIGMA_AXIS, TABLE, THETA_AXIS, TURN_AXIS, UNEVEN
 
 
@@ -41,7 +41,7 @@ def test_a_table_made_of_a_smooth_function_gives_it_back_at_its_nodes(
 ) -> None:
     turn = [0.0, *(2.0 * each for each in phi), 360.0]
     values = smooth(np.array(psi), np.array(sigma), np.array(turn), np.array(theta))
-    model = tabulated(sigma, turn, theta, values, psi_deg=psi)
+    model = table_sample(sigma, turn, theta, values, psi_deg=psi)
     n, i, j, k = (data.draw(st.integers(0, len(axis) - 1)) for axis in (psi, sigma, turn, theta))
     if from_specular(sigma[i], theta[k], turn[j])[2] <= 1e-9:
         return
@@ -53,7 +53,7 @@ def test_a_table_made_of_a_smooth_function_gives_it_back_at_its_nodes(
 @settings(deadline=None)
 @given(st.floats(1.0, 59.0), st.floats(0.0, 360.0), st.floats(0.0, 89.0), st.floats(0.0, 360.0))
 def test_between_its_nodes_a_table_is_between_their_values(sigma: float, phi: float, theta: float, psi: float) -> None:
-    model = tabulated(SIGMA_AXIS, TURN_AXIS, THETA_AXIS, UNEVEN, psi_deg=PSI_AXIS)
+    model = table_sample(SIGMA_AXIS, TURN_AXIS, THETA_AXIS, UNEVEN, psi_deg=PSI_AXIS)
     value = seen(model, psi, sigma, theta, phi)
     if from_specular(sigma, theta, phi)[2] <= 1e-9:
         return
@@ -81,7 +81,7 @@ def test_a_table_gives_its_own_values_and_what_is_between() -> None:
 
 
 def test_over_the_incidence_a_table_has_no_kink_and_no_overshoot() -> None:
-    steep = tabulated([10.0, 30.0, 50.0, 70.0], [0.0], [0.0], [[[1.0]], [[1.1]], [[2.0]], [[20.0]]])
+    steep = table_sample([10.0, 30.0, 50.0, 70.0], [0.0], [0.0], [[[1.0]], [[1.1]], [[2.0]], [[20.0]]])
 
     def value(sigma_deg: float) -> float:
         return float(evaluate(steep, light_direction(sigma_deg), from_specular(sigma_deg, 0.0, 0.0)))
@@ -95,15 +95,15 @@ def test_over_the_incidence_a_table_has_no_kink_and_no_overshoot() -> None:
 
 
 def test_outside_of_its_lists_a_table_holds_its_ends() -> None:
-    table = tabulated([10.0, 20.0], [0.0], [5.0, 15.0], [[[1.0, 2.0]], [[3.0, 4.0]]])
+    table = table_sample([10.0, 20.0], [0.0], [5.0, 15.0], [[[1.0, 2.0]], [[3.0, 4.0]]])
     assert evaluate(table, light_direction(0.0), from_specular(0.0, 1.0, 0.0)) == 1.0
     assert evaluate(table, light_direction(60.0), from_specular(60.0, 40.0, 0.0)) == 4.0
 
 
 def test_a_table_over_180_deg_is_mirrored_and_one_over_360_is_not() -> None:
     light, phis = light_direction(30.0), np.array([45.0, 315.0])
-    half = tabulated([30.0], [0.0, 90.0, 180.0], [0.0], [[[1.0], [2.0], [3.0]]])
-    full = tabulated([30.0], [0.0, 90.0, 180.0, 270.0, 360.0], [0.0], [[[1.0], [2.0], [3.0], [4.0], [1.0]]])
+    half = table_sample([30.0], [0.0, 90.0, 180.0], [0.0], [[[1.0], [2.0], [3.0]]])
+    full = table_sample([30.0], [0.0, 90.0, 180.0, 270.0, 360.0], [0.0], [[[1.0], [2.0], [3.0], [4.0], [1.0]]])
     assert evaluate(half, light, from_specular(30.0, 20.0, phis)) == pytest.approx([1.5, 1.5])
     assert evaluate(full, light, from_specular(30.0, 20.0, phis)) == pytest.approx([1.5, 2.5])
 
@@ -112,7 +112,7 @@ def over_psi(psi: list[float], values: list[float], symmetry: Any = "none") -> S
     """A table whose value depends on psi, and for the phi of 90 and 270 is more by 10 and 20."""
     more = np.array([0.0, 10.0, 0.0, 20.0, 0.0])
     table = np.array(values)[:, None, None, None] + more[None, None, :, None]
-    return tabulated([30.0], [0.0, 90.0, 180.0, 270.0, 360.0], [20.0], table, psi_deg=psi, symmetry=symmetry)
+    return table_sample([30.0], [0.0, 90.0, 180.0, 270.0, 360.0], [20.0], table, psi_deg=psi, symmetry=symmetry)
 
 
 def test_over_psi_a_table_is_linear_and_goes_round() -> None:
@@ -160,7 +160,7 @@ def test_a_table_with_one_psi_is_isotropic() -> None:
 )
 def test_a_table_with_holes_or_disorder_is_refused(sigma: Any, phi: Any, theta: Any, value: float, says: str) -> None:
     with pytest.raises(ValueError, match=says):
-        tabulated(sigma, phi, theta, np.full((len(sigma), len(phi), len(theta)), value))
+        table_sample(sigma, phi, theta, np.full((len(sigma), len(phi), len(theta)), value))
 
 
 @pytest.mark.parametrize(
@@ -178,15 +178,15 @@ def test_a_table_with_holes_or_disorder_is_refused(sigma: Any, phi: Any, theta: 
 def test_azimuths_that_do_not_fit_their_symmetry_are_refused(psi: list[float], symmetry: Any, says: str) -> None:
     values = np.array([1.0, 2.0])[:, None, None, None]
     with pytest.raises(ValueError, match=says):
-        tabulated([10.0], [0.0], [0.0], values, psi_deg=psi, symmetry=symmetry)
+        table_sample([10.0], [0.0], [0.0], values, psi_deg=psi, symmetry=symmetry)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match=r"values has the shape \(2,\): its axes \(sigma, phi, theta\)"):
-        tabulated([10.0], [0.0], [0.0, 1.0], [1.0, 2.0])
+        table_sample([10.0], [0.0], [0.0, 1.0], [1.0, 2.0])
     with pytest.raises(ValueError, match=r"its axes \(psi, sigma, phi, theta\) make it \(2, 1, 1, 2\)"):
-        tabulated([10.0], [0.0], [0.0, 1.0], np.ones((1, 1, 2)), psi_deg=[0.0, 90.0])
+        table_sample([10.0], [0.0], [0.0, 1.0], np.ones((1, 1, 2)), psi_deg=[0.0, 90.0])
     with pytest.raises(ValueError, match="values has nan at psi 90, sigma 10, phi 0, theta 1"):
-        tabulated([10.0], [0.0], [0.0, 1.0], np.array([1.0, 1.0, 1.0, math.nan]).reshape(2, 1, 1, 2), psi_deg=[0.0, 90.0])
+        table_sample([10.0], [0.0], [0.0, 1.0], np.array([1.0, 1.0, 1.0, math.nan]).reshape(2, 1, 1, 2), psi_deg=[0.0, 90.0])
     with pytest.raises(ValueError, match="there is no psi_deg"):
-        tabulated([10.0], [0.0], [0.0], [[[1.0]]], symmetry="half_turn")
+        table_sample([10.0], [0.0], [0.0], [[[1.0]]], symmetry="half_turn")

@@ -8,7 +8,7 @@ import pytest
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
-from goniotwin.twin.optics.forward.scoring import HITS, Room, find_cells, score, score_segment, targets
+from goniotwin.twin.optics.forward.scoring import HITS, HitBuffer, find_cells, make_targets, score, score_segment
 
 
 def random_directions(count: int, seed: int) -> Floats:
@@ -39,7 +39,7 @@ def test_every_ray_is_counted_by_those_that_see_it(field_deg: float, count: int)
     rays[::2] = axes[np.arange(BLOCK // 2) % count] + 0.6 * math.radians(field_deg) * random_directions(BLOCK // 2, 3)
     rays = (rays / np.linalg.norm(rays, axis=1)[:, None]).astype(np.float32).astype(np.float64)
     places = np.column_stack([np.random.default_rng(4).uniform(-2.5, 2.5, (BLOCK, 2)).astype(np.float32), np.zeros(BLOCK)])
-    found = targets(centres, axes, field_deg, diameter_mm)
+    found = make_targets(centres, axes, field_deg, diameter_mm)
     expected = counted(centres, axes, field_deg, diameter_mm, places, rays)
     surely = expected == counted(centres, axes, field_deg * 0.99999, diameter_mm - 1e-3, places, rays)
     surely &= expected == counted(centres, axes, field_deg * 1.00001, diameter_mm + 1e-3, places, rays)
@@ -53,7 +53,7 @@ def test_every_ray_is_counted_by_those_that_see_it(field_deg: float, count: int)
     for c in range(2):
         buffer[PX + c * BLOCK : PX + (c + 1) * BLOCK] = places[:, c]
     cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(found.starts).max()) + 1
-    room = Room(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    room = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
     sums = np.zeros((count, 4))
     find_cells(buffer, BLOCK, found.cells, cells)
     score(buffer, BLOCK, cells, found, room, sums)
@@ -67,7 +67,7 @@ def test_every_ray_is_counted_by_those_that_see_it(field_deg: float, count: int)
 
 def test_a_ray_that_is_stopped_before_a_detector_is_not_counted() -> None:
     axes = np.array([[0.0, 0.0, 1.0]])
-    found, sums = targets(300.0 * axes, axes, 1.0, 5.0), np.zeros((1, 4))
+    found, sums = make_targets(300.0 * axes, axes, 1.0, 5.0), np.zeros((1, 4))
     for stop, counts in ((299.0, 0.0), (301.0, 1.0)):
         score_segment(found, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, stop, 1.0, sums)
         assert sums[0, 2] == counts

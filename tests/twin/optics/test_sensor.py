@@ -15,12 +15,12 @@ from goniotwin.twin.optics import (
     lambertian,
     luminance_factor,
     spectral_throughput,
-    stray,
+    stray_map,
     stray_throughput,
     throughput,
     visible_fraction,
 )
-from goniotwin.twin.optics.geometry.sensor import passes
+from goniotwin.twin.optics.geometry.sensor import passes_sensor
 
 OTHERS = [RealSensor(diaphragm_mm=18.0), RealSensor(detector_side_mm=0.1), RealSensor(detector_mm=40.0)]
 NAMES = ["diaphragm out of focus", "small detector", "detector far behind"]
@@ -29,7 +29,7 @@ DIRECTIONS = arc_direction([20.0, 40.0], [150.0, 60.0])
 
 def counted(sensor: RealSensor, rays: np.ndarray) -> np.ndarray:
     """Which of rays (n, 4) of places and slopes reach the detector."""
-    return np.array([passes(x, y, p, q, sensor.constants) for x, y, p, q in rays])
+    return np.array([passes_sensor(x, y, p, q, sensor.constants) for x, y, p, q in rays])
 
 
 def rays(count: int = 20_000, slope: float = 0.01) -> np.ndarray:
@@ -102,13 +102,13 @@ def test_no_ray_outside_its_widest_cone_can_pass(sensor: RealSensor) -> None:
 
 
 def fast_calls(instrument: Instrument) -> list[Callable[[], Any]]:
-    virtual = stray(replace(instrument, sensor=None), 30.0, lambertian(), paths=2)
+    virtual = stray_map(replace(instrument, sensor=None), 30.0, lambertian(), paths=2)
     return [
         lambda: throughput(instrument, 30.0, DIRECTIONS, lambertian()),
         lambda: throughput(instrument, 30.0, DIRECTIONS, lambertian(), rays=64),
         lambda: spectral_throughput(instrument, 30.0, DIRECTIONS, lambertian(), [500.0, 600.0]),
         lambda: luminance_factor(instrument, 30.0, DIRECTIONS, lambertian()),
-        lambda: stray(instrument, 30.0, lambertian(), paths=2).values,
+        lambda: stray_map(instrument, 30.0, lambertian(), paths=2).values,
         lambda: stray_throughput(virtual, DIRECTIONS, instrument),
     ]
 

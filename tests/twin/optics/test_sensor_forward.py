@@ -17,14 +17,14 @@ from goniotwin.twin.optics import (
     Scatterer,
     arc_direction,
     evaluate,
-    forward,
+    forward_throughput,
     from_specular,
     gaussian,
     lambertian,
     light_direction,
 )
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
-from goniotwin.twin.optics.forward.scoring import HITS, Room, find_cells, score, score_segment, sensor_targets
+from goniotwin.twin.optics.forward.scoring import HITS, HitBuffer, find_cells, make_sensor_targets, score, score_segment
 from goniotwin.twin.optics.forward.setting import set_up
 from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.sizes import parted
@@ -105,8 +105,8 @@ def test_simple_sensors_get_what_the_simplified_detectors_get(
 ) -> None:
     instrument, seen = Instrument(sensor=sensor), directions(scatterer, sigma_deg)
     paths = (4_000_000 if sensor == WIDE else 16_000_000) // part
-    real = forward(instrument, sigma_deg, seen, scatterer, paths, seed=1)
-    virtual = forward(instrument.simplified(), sigma_deg, seen, scatterer, paths, seed=2)
+    real = forward_throughput(instrument, sigma_deg, seen, scatterer, paths, seed=1)
+    virtual = forward_throughput(instrument.simplified(), sigma_deg, seen, scatterer, paths, seed=2)
     assert np.median(real.standard_error / real.throughput_m2sr) < 0.08 * math.sqrt(part)
     agree(real.throughput_m2sr, real.standard_error, virtual.throughput_m2sr, virtual.standard_error)
 
@@ -117,10 +117,10 @@ def test_simple_sensors_get_what_the_simplified_detectors_get(
 def test_what_is_not_simple_gets_what_plain_monte_carlo_says(sensor: RealSensor, scatterer: Scatterer, part: int) -> None:
     instrument = Instrument(sensor=sensor, obstruction=False)
     seen = directions(scatterer, 30.0)
-    found = forward(instrument, 30.0, seen, scatterer, 10_000_000 // part, seed=3)
+    found = forward_throughput(instrument, 30.0, seen, scatterer, 10_000_000 // part, seed=3)
     agree(found.single_m2sr, found.single_error, *plainly(instrument, sensor, 30.0, seen, scatterer, 60_000 // part))
     # The disc and cone that one might take it for are another thing.
-    virtual = forward(replace(instrument, sensor=None), 30.0, seen, scatterer, 10_000_000 // part, seed=4)
+    virtual = forward_throughput(replace(instrument, sensor=None), 30.0, seen, scatterer, 10_000_000 // part, seed=4)
     error = math.hypot(*(np.linalg.norm(each.single_error) for each in (found, virtual)))
     assert abs(found.single_m2sr.sum() - virtual.single_m2sr.sum()) > 10.0 * error
 
@@ -128,7 +128,7 @@ def test_what_is_not_simple_gets_what_plain_monte_carlo_says(sensor: RealSensor,
 def test_plain_monte_carlo_agrees_with_the_simplified_detectors_too() -> None:
     instrument = Instrument(sensor=WIDE, obstruction=False)
     seen = directions(lambertian(), 60.0)
-    virtual = forward(instrument.simplified(), 60.0, seen, lambertian(), 6_000_000, seed=5)
+    virtual = forward_throughput(instrument.simplified(), 60.0, seen, lambertian(), 6_000_000, seed=5)
     agree(virtual.single_m2sr, virtual.single_error, *plainly(instrument, WIDE, 60.0, seen, lambertian()))
 
 
@@ -161,12 +161,12 @@ def test_every_ray_is_counted_by_the_sensors_that_it_passes(sensor: RealSensor) 
     assert np.count_nonzero(surely) > 100
     assert unsure.sum() < 10
 
-    found, sums = sensor_targets(centres, axes, along, sensor), np.zeros((len(axes), 4))
+    found, sums = make_sensor_targets(centres, axes, along, sensor), np.zeros((len(axes), 4))
     buffer = np.zeros(ROWS * BLOCK, np.float32)
     buffer[WEIGHT : WEIGHT + BLOCK], buffer[STOP : STOP + BLOCK] = 1.0, np.inf
     buffer[DX : DX + 3 * BLOCK], buffer[PX : PX + 2 * BLOCK] = rays.T.ravel(), places[:, :2].T.ravel()
     cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(found.starts).max()) + 1
-    room = Room(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    room = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
     find_cells(buffer, BLOCK, found.cells, cells)
     score(buffer, BLOCK, cells, found, room, sums)
     for (px, py, pz), (dx, dy, dz) in zip(places, rays, strict=True):
@@ -177,7 +177,7 @@ def test_every_ray_is_counted_by_the_sensors_that_it_passes(sensor: RealSensor) 
 
 def test_what_stops_a_ray_before_the_lens_stops_it() -> None:
     axes, sums = np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 4))
-    found = sensor_targets(300.0 * axes, axes, np.array([[1.0, 0.0, 0.0]]), RealSensor())
+    found = make_sensor_targets(300.0 * axes, axes, np.array([[1.0, 0.0, 0.0]]), RealSensor())
     for stop, counts in ((299.0, 0.0), (301.0, 1.0)):
         score_segment(found, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, stop, 1.0, sums)
         assert sums[0, 2] == counts
@@ -202,7 +202,9 @@ def test_the_sides_of_the_square_lie_along_and_across_the_arc(sigma_deg: float, 
 def test_a_sensor_that_is_shifted_sees_another_part_of_the_spot() -> None:
     # By half of the spot and all of the lens' radius: nothing on the axis is left.
     aside = {"sensor": Deviation(x_mm=30.0)}
-    found = forward(Instrument(sensor=SMALL, deviations=aside), 30.0, arc_direction([50.0], [90.0]), lambertian(), 200_000)
+    found = forward_throughput(
+        Instrument(sensor=SMALL, deviations=aside), 30.0, arc_direction([50.0], [90.0]), lambertian(), 200_000
+    )
     assert found.single_m2sr[0] == 0.0
 
 
@@ -212,7 +214,7 @@ def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads() -> None:
     try:
         for count in (1, threads):
             numba.set_num_threads(count)
-            found.append(forward(instrument, 30.0, seen, gaussian(8.0), 4 * CHUNK + 77, seed=3))
+            found.append(forward_throughput(instrument, 30.0, seen, gaussian(8.0), 4 * CHUNK + 77, seed=3))
     finally:
         numba.set_num_threads(threads)
     for name in ("throughput_m2sr", "standard_error", "stray_m2sr", "stray_error"):
@@ -221,4 +223,6 @@ def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads() -> None:
 
 
 def test_no_detectors_get_nothing() -> None:
-    assert forward(Instrument(sensor=WIDE), 30.0, np.zeros((0, 3)), lambertian(), BLOCK).throughput_m2sr.shape == (0,)
+    assert forward_throughput(Instrument(sensor=WIDE), 30.0, np.zeros((0, 3)), lambertian(), BLOCK).throughput_m2sr.shape == (
+        0,
+    )

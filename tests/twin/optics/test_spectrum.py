@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.twin.optics.illumination.spectrum import V_NM, Passband, Spectrum, V, luminous, xenon
+from goniotwin.twin.optics.illumination.spectrum import V_NM, Passband, Spectrum, V, luminous_spectrum, xenon_spectrum
 
 
 def test_the_luminous_efficiency_has_its_published_integral() -> None:
@@ -14,9 +14,9 @@ def test_the_luminous_efficiency_has_its_published_integral() -> None:
 
 
 def test_the_xenon_lamp_has_its_luminous_flux_and_a_flat_visible_spectrum() -> None:
-    lamp = xenon()
-    assert luminous(lamp).total == pytest.approx(3000.0)
-    assert luminous(lamp).unit == "lm"
+    lamp = xenon_spectrum()
+    assert luminous_spectrum(lamp).total == pytest.approx(3000.0)
+    assert luminous_spectrum(lamp).unit == "lm"
     visible = lamp.at(np.arange(400.0, 771.0, 10.0))
     assert visible.min() / visible.mean() > 0.8
     assert visible.max() / visible.mean() < 1.25
@@ -38,14 +38,14 @@ def test_an_interval_is_passed_whole() -> None:
 
 @given(st.floats(350.0, 800.0), st.floats(0.0, 300.0), st.floats(0.5, 40.0))
 def test_the_flux_that_passes_is_the_integral(centre: float, interval: float, width: float) -> None:
-    lamp, band = xenon(), Passband(centre, interval, width)
+    lamp, band = xenon_spectrum(), Passband(centre, interval, width)
     wavelength = np.linspace(379.0, 781.0, 402_001)
     expected = np.trapezoid(lamp.at(wavelength) * band.transmittance(wavelength), wavelength)
     assert band.flux(lamp) == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
 def test_wavelengths_are_distributed_as_what_passes() -> None:
-    drawn = Passband(555.0, 0.0, 5.0).sample(xenon(), (np.arange(10_000) + 0.5) / 10_000)
+    drawn = Passband(555.0, 0.0, 5.0).sample(xenon_spectrum(), (np.arange(10_000) + 0.5) / 10_000)
     # A triangle's variance is a sixth of the square of its half width.
     assert drawn.mean() == pytest.approx(555.0, abs=0.01)
     assert drawn.std() == pytest.approx(5.0 / np.sqrt(6.0), rel=1e-3)
@@ -70,8 +70,8 @@ def test_a_table_that_is_no_spectrum_is_refused(wavelength: list[float], flux: l
 
 def test_a_band_outside_the_lamps_table_passes_nothing() -> None:
     band = Passband(1000.0, 0.0, 5.0)
-    assert band.flux(xenon()) == 0.0
+    assert band.flux(xenon_spectrum()) == 0.0
     with pytest.raises(ValueError, match="emits nothing in 995 to 1005 nm"):
-        band.sample(xenon(), np.array([0.5]))
+        band.sample(xenon_spectrum(), np.array([0.5]))
     with pytest.raises(ValueError, match="luminous_flux_lm"):
-        xenon(0.0)
+        xenon_spectrum(0.0)

@@ -7,7 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.drivers.motion.settings import move_seconds
-from goniotwin.twin.plant.motion import Trajectory, braked, cut, joined, moving, resting, turning, turning_points
+from goniotwin.twin.plant.motion import (
+    Trajectory,
+    brake_to_rest,
+    cut_off,
+    join,
+    ramp_to_target,
+    ramp_to_velocity,
+    rest_at,
+    turning_points,
+)
 
 PLACE = st.floats(-1e6, 1e6)
 SPEED = st.floats(100.0, 1e6)
@@ -18,7 +27,7 @@ SLOPE = st.floats(100.0, 1e6)
 def test_a_move_from_rest_ends_at_its_target_when_the_trapezoid_says(
     start: float, target: float, speed: float, up: float, down: float
 ) -> None:
-    trajectory = moving(1.0, start, 0.0, target, speed, up, down)
+    trajectory = ramp_to_target(1.0, start, 0.0, target, speed, up, down)
     assert trajectory.position(trajectory.end) == pytest.approx(target)
     assert trajectory.velocity(trajectory.end + 1.0) == 0.0
     assert trajectory.end - 1.0 == pytest.approx(move_seconds(target - start, speed, up, down), rel=1e-6, abs=1e-6)
@@ -28,51 +37,51 @@ def test_a_move_from_rest_ends_at_its_target_when_the_trapezoid_says(
 def test_a_move_out_of_a_movement_ends_at_its_target_without_a_jump(
     start: float, target: float, speed: float, up: float, down: float, share: float
 ) -> None:
-    trajectory = moving(0.0, start, share * speed, target, speed, up, down)
+    trajectory = ramp_to_target(0.0, start, share * speed, target, speed, up, down)
     assert trajectory.position(trajectory.end) == pytest.approx(target)
     _is_smooth(trajectory, max(up, down), speed)
 
 
 @given(PLACE, SPEED, SLOPE, SLOPE)
 def test_a_stop_ends_in_rest_after_the_braking_way(start: float, speed: float, up: float, down: float) -> None:
-    trajectory = turning(0.0, start, speed, 0.0, up, down)
+    trajectory = ramp_to_velocity(0.0, start, speed, 0.0, up, down)
     assert trajectory.velocity(trajectory.end) == 0.0
     assert trajectory.position(trajectory.end) - start == pytest.approx(speed * speed / (2.0 * down), rel=1e-6, abs=1e-3)
     _is_smooth(trajectory, max(up, down), speed)
 
 
 def test_a_change_of_mind_turns_round() -> None:
-    out = moving(0.0, 0.0, 0.0, 1000.0, 100.0, 100.0, 100.0)
-    back = moving(2.0, out.position(2.0), out.velocity(2.0), 0.0, 100.0, 100.0, 100.0)
+    out = ramp_to_target(0.0, 0.0, 0.0, 1000.0, 100.0, 100.0, 100.0)
+    back = ramp_to_target(2.0, out.position(2.0), out.velocity(2.0), 0.0, 100.0, 100.0, 100.0)
     assert back.position(2.5) > out.position(2.0)  # it brakes before it turns
     assert back.position(back.end) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_rest_stays() -> None:
-    assert resting(5.0).position(-10.0) == resting(5.0).position(1e9) == 5.0
+    assert rest_at(5.0).position(-10.0) == rest_at(5.0).position(1e9) == 5.0
 
 
 @given(PLACE, PLACE, SPEED, SLOPE, st.floats(0.0, 1.0))
 def test_a_cut_trajectory_is_the_same_before_and_rests_after(
     start: float, target: float, speed: float, slope: float, share: float
 ) -> None:
-    whole = moving(0.0, start, 0.0, target, speed, slope, slope)
+    whole = ramp_to_target(0.0, start, 0.0, target, speed, slope, slope)
     t = share * whole.end
-    short = cut(whole, t)
+    short = cut_off(whole, t)
     assert short.position(0.5 * t) == whole.position(0.5 * t)
     assert short.position(t + 1e6) == whole.position(t)
     assert short.velocity(t + 1.0) == 0.0
 
 
 def test_a_braked_trajectory_rests_after_its_braking_way() -> None:
-    stopped = braked(turning(0.0, 0.0, 0.0, 100.0, 100.0, 100.0), 2.0, 50.0)
+    stopped = brake_to_rest(ramp_to_velocity(0.0, 0.0, 0.0, 100.0, 100.0, 100.0), 2.0, 50.0)
     assert stopped.position(10.0) == pytest.approx(50.0 + 100.0 + 100.0)
     assert stopped.end == pytest.approx(4.0)
 
 
 def test_turning_points_are_where_the_direction_changes() -> None:
-    out = moving(0.0, 0.0, 0.0, 1000.0, 100.0, 100.0, 100.0)
-    back = joined(out, moving(2.0, out.position(2.0), out.velocity(2.0), 0.0, 100.0, 100.0, 100.0))
+    out = ramp_to_target(0.0, 0.0, 0.0, 1000.0, 100.0, 100.0, 100.0)
+    back = join(out, ramp_to_target(2.0, out.position(2.0), out.velocity(2.0), 0.0, 100.0, 100.0, 100.0))
     points = turning_points(back, 0.0)
     assert points[0] == 0.0
     for begin, end in pairwise(points):

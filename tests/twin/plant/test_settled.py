@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from goniotwin.app.rig import read_rig
 from goniotwin.twin import TwinModel
 from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
-from goniotwin.twin.plant.motion import moving
-from goniotwin.twin.plant.shaft import Leash
-from goniotwin.twin.plant.timeline import Timeline
+from goniotwin.twin.plant.motion import ramp_to_target
+from goniotwin.twin.plant.shaft import Heartbeat
+from goniotwin.twin.plant.timeline import History
 from tests.conftest import RIG
 
 STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
@@ -43,8 +43,8 @@ def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
             shaft = list(plant.shafts.values())[choice % 4]
             begun = t - (0.0, 0.4)[choice % 2]
             here = shaft.drive(begun).counter(begun)
-            way = moving(begun, here, 0.0, here + 40.0 * (choice - 500), 3e4, 6e4, 6e4)
-            shaft.follow(begun, way, 6e4, Leash(t + (0.1, 60.0)[choice % 2]))
+            way = ramp_to_target(begun, here, 0.0, here + 40.0 * (choice - 500), 3e4, 6e4, 6e4)
+            shaft.follow(begun, way, 6e4, Heartbeat(t + (0.1, 60.0)[choice % 2]))
         case 6:
             plant.fade(choice % 36, 0.9)
         case 7:
@@ -71,21 +71,23 @@ def test_every_reading_is_that_of_a_plant_that_remembers_nothing(
         np.testing.assert_array_equal(kept.volts(module, t), fresh.volts(module, t))
 
 
-def test_a_leash_that_runs_out_after_a_reading_shows_in_the_next(model: TwinModel) -> None:
+def test_a_heartbeat_that_runs_out_after_a_reading_shows_in_the_next(model: TwinModel) -> None:
     plant = Plant(replace(model, noise=False))
     plant.mount("gaussian-5", 0.0)
     plant.shutter_open.set(0.0, True)
     before = plant.volts(0, 10.0)
     sigma = plant.shafts["sigma"]
-    sigma.follow(10.0, moving(10.0, 0.0, 0.0, 153_600.0, 51_200.0, 51_200.0, 51_200.0), 51_200.0, Leash(11.0))
+    sigma.follow(10.0, ramp_to_target(10.0, 0.0, 0.0, 153_600.0, 51_200.0, 51_200.0, 51_200.0), 51_200.0, Heartbeat(11.0))
     moved = plant.volts(0, 30.0)
     assert np.abs(moved - before).max() > 1e-5
-    sigma.follow(11.0, moving(11.0, sigma.drive(11.0).counter(11.0), 0.0, 0.0, 51_200.0, 51_200.0, 51_200.0))  # in the past
+    sigma.follow(
+        11.0, ramp_to_target(11.0, sigma.drive(11.0).counter(11.0), 0.0, 0.0, 51_200.0, 51_200.0, 51_200.0)
+    )  # in the past
     np.testing.assert_allclose(plant.volts(0, 30.0), before, atol=1e-6)  # the lamp drifts
 
 
 def test_since_when_a_value_holds() -> None:
-    line = Timeline("a", keep=2)
+    line = History("a", keep=2)
     assert line.held_since(0.0) == float("-inf")
     line.set(1.0, "b")
     line.set(2.0, "c")

@@ -1,12 +1,12 @@
-"""Shafts: play, jams, leashes."""
+"""Shafts: play, jams, heartbeats."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.twin.plant import Mechanics
-from goniotwin.twin.plant.motion import moving, turning
-from goniotwin.twin.plant.shaft import Leash, Shaft
+from goniotwin.twin.plant.motion import ramp_to_target, ramp_to_velocity
+from goniotwin.twin.plant.shaft import Heartbeat, Shaft
 
 PER_TURN = 51_200
 
@@ -20,7 +20,7 @@ def test_the_axis_is_never_further_from_its_drive_than_its_play(targets: list[fl
     axis = shaft(backlash_deg=play)
     counter, t = 0.0, 0.0
     for target in targets:
-        way = moving(t, counter, 0.0, target * PER_TURN / 10.0, 1e5, 1e6, 1e6)
+        way = ramp_to_target(t, counter, 0.0, target * PER_TURN / 10.0, 1e5, 1e6, 1e6)
         axis.follow(t, way)
         for share in (0.2, 0.5, 0.8, 1.0):
             moment = t + share * (way.end - t)
@@ -32,24 +32,24 @@ def test_the_axis_is_never_further_from_its_drive_than_its_play(targets: list[fl
 @given(st.floats(0.0, 2.0), st.lists(st.floats(0.0, 10.0), min_size=2, max_size=20))
 def test_the_past_is_what_it_was_whoever_asks_when(play: float, times: list[float]) -> None:
     axis = shaft(backlash_deg=play)
-    axis.follow(0.0, moving(0.0, 0.0, 0.0, 2e4, 1e4, 1e4, 1e4))
-    axis.follow(1.5, moving(1.5, axis.drive(1.5).counter(1.5), 1e4, 0.0, 1e4, 1e4, 1e4))
+    axis.follow(0.0, ramp_to_target(0.0, 0.0, 0.0, 2e4, 1e4, 1e4, 1e4))
+    axis.follow(1.5, ramp_to_target(1.5, axis.drive(1.5).counter(1.5), 1e4, 0.0, 1e4, 1e4, 1e4))
     assert {t: axis.angle_deg(t) for t in times} == {t: axis.angle_deg(t) for t in reversed(times)}
 
 
-def test_a_leash_brakes_what_runs_on_it() -> None:
-    axis, leash = shaft(), Leash()
-    axis.follow(0.0, turning(0.0, 0.0, 0.0, 1e4, 1e4, 1e4), 1e4, leash)
-    leash.until = 2.0
+def test_a_heartbeat_brakes_what_runs_on_it() -> None:
+    axis, heartbeat = shaft(), Heartbeat()
+    axis.follow(0.0, ramp_to_velocity(0.0, 0.0, 0.0, 1e4, 1e4, 1e4), 1e4, heartbeat)
+    heartbeat.until = 2.0
     free = axis.angle_deg(2.0)
     assert axis.angle_deg(1e6) == pytest.approx(free + 5_000 * 10.0 / PER_TURN)
-    leash.until = 3.0
+    heartbeat.until = 3.0
     assert axis.angle_deg(2.5) > axis.angle_deg(2.0) == free
 
 
 def test_what_turns_steadily_moves_for_ever() -> None:
     axis = shaft()
-    axis.follow(0.0, turning(0.0, 0.0, 0.0, 1e4, 1e4, 1e4))
+    axis.follow(0.0, ramp_to_velocity(0.0, 0.0, 0.0, 1e4, 1e4, 1e4))
     assert axis.moved_since(1e6)
 
 

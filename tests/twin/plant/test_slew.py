@@ -1,10 +1,10 @@
 """A quantity that passes from one value to another."""
 
-from goniotwin.twin.plant.timeline import Slewing
+from goniotwin.twin.plant.timeline import SlewHistory
 
 
 def test_it_passes_linearly_and_stops_where_it_is_told_to() -> None:
-    line = Slewing(500.0)
+    line = SlewHistory(500.0)
     assert line.last_change == float("-inf")
     line.slew(10.0, 12.0, 600.0)
     assert [line.at(t) for t in (0.0, 10.0, 11.0, 12.0, 20.0)] == [500.0, 500.0, 550.0, 600.0, 600.0]

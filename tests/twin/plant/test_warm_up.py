@@ -25,8 +25,8 @@ from goniotwin.protocols.clock import RealClock
 from goniotwin.twin import VirtualRig
 
 rig = VirtualRig.build(read_rig(Path(sys.argv[1])).model(), RealClock())
-kernels = [each for name, module in sorted(sys.modules.items()) if name.startswith("goniotwin.twin") for each in vars(module).values()]
-kernels = [each for each in kernels if isinstance(each, Dispatcher)]
+modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("goniotwin.twin")]
+kernels = [each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)]
 compiled = [each.signatures for each in kernels]
 stopwatch = RealClock()
 rig.mount("etalon")

@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.lobes import Lobe, Quantity, frozen, normal_reflectance, parameters
+from goniotwin.twin.optics.bsdf.lobes import GaussianQuantity, Lobe, freeze, normal_reflectance, parameters
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, LAMBERTIAN, REGULAR
-from goniotwin.twin.optics.bsdf.scatterer import Scatterer, on_side
-
-__all__ = ["Form", "Quantity", "Scatterer", "Side", "gaussian", "lambertian", "regular", "sides_of"]
+from goniotwin.twin.optics.bsdf.scatterer import Scatterer, move_to_side
 
 Form = Literal["one_over_e", "half_width"]
 Side = Literal["front", "back", "both"]
@@ -22,11 +20,11 @@ SIDES: dict[Side, tuple[int, ...]] = {"front": (1,), "back": (-1,), "both": (1, 
 NARROWEST_DEG = 0.01
 
 
-def sides_of(lobe: Lobe, side: Side, transmits: bool) -> tuple[Lobe, ...]:
+def lobes_of_side(lobe: Lobe, side: Side, transmits: bool) -> tuple[Lobe, ...]:
     """The lobe for light from the stated side or sides. Raises ValueError for another word."""
     if side not in SIDES:
         raise ValueError(f"side is {side!r}: give 'front', 'back' or 'both', where the light comes from")
-    return tuple(on_side(lobe, incident, transmits) for incident in SIDES[side])
+    return tuple(move_to_side(lobe, incident, transmits) for incident in SIDES[side])
 
 
 def _positive(name: str, value: float) -> float:
@@ -60,7 +58,7 @@ def lambertian(reflectance: float = 1.0, transmittance: float = 0.0, side: Side 
     lobes: tuple[Lobe, ...] = ()
     for share, transmits in ((reflectance, False), (transmittance, True)):
         if share > 0.0:
-            lobes += sides_of(Lobe(LAMBERTIAN, parameters(share / math.pi)), side, transmits)
+            lobes += lobes_of_side(Lobe(LAMBERTIAN, parameters(share / math.pi)), side, transmits)
     passed = f" transmitting {transmittance:g}" if transmittance else ""
     return Scatterer(f"lambertian {reflectance:g}{passed}", lobes)
 
@@ -68,7 +66,7 @@ def lambertian(reflectance: float = 1.0, transmittance: float = 0.0, side: Side 
 def gaussian(
     width_deg: float,
     form: Form = "one_over_e",
-    quantity: Quantity = "luminance",
+    quantity: GaussianQuantity = "luminance",
     peak: float | None = None,
     reflectance: float | None = None,
     transmits: bool = False,
@@ -110,7 +108,9 @@ def gaussian(
     cut = -math.expm1(-exponent * math.pi**2)
     params = parameters(_positive("peak", peak), exponent, float(quantity == "intensity"), cut, ratio)
     way = (" transmitted" if transmits else "") + (f" at {ratio:g}" if ratio != 1.0 else "")
-    return Scatterer(f"gaussian {width_deg:g} deg {form} {quantity}{way}", sides_of(Lobe(GAUSSIAN, params), side, transmits))
+    return Scatterer(
+        f"gaussian {width_deg:g} deg {form} {quantity}{way}", lobes_of_side(Lobe(GAUSSIAN, params), side, transmits)
+    )
 
 
 def regular(
@@ -126,13 +126,13 @@ def regular(
     albedo is the share. Raises ValueError, naming the place, for shares that are not within 0 and 1 or are all 0.
     """
     shares = np.asarray(reflectance, dtype=np.float64)
-    sigma: Floats = frozen([0.0])
+    sigma: Floats = freeze([0.0])
     if sigma_deg is None:
         if shares.ndim:
             raise ValueError(f"reflectance has the shape {shares.shape}: give one number, or sigma_deg for a list")
         shares = shares.reshape(1)
     else:
-        sigma = axis("sigma_deg", sigma_deg, 90.0)
+        sigma = check_axis("sigma_deg", sigma_deg, 90.0)
         if shares.shape != sigma.shape:
             raise ValueError(f"reflectance has the shape {shares.shape}: sigma_deg makes it {sigma.shape}")
     wrong = np.flatnonzero(~((shares >= 0.0) & (shares <= 1.0)))
@@ -141,14 +141,14 @@ def regular(
         raise ValueError(f"reflectance is {shares[wrong[0]]}{where}: give a share of the light, 0 to 1")
     if not np.any(shares > 0.0):
         raise ValueError("reflectance is 0: give a share above 0, or leave the component out")
-    lobe = Lobe(REGULAR, parameters(shares[0]), sigma, values=frozen(shares.reshape(1, -1, 1, 1)))
+    lobe = Lobe(REGULAR, parameters(shares[0]), sigma, values=freeze(shares.reshape(1, -1, 1, 1)))
     share = f"{shares[0]:g}" if shares.size == 1 else f"over {shares.size} incidences"
-    return Scatterer(f"regular {share}{' transmitted' if transmits else ''}", sides_of(lobe, side, transmits))
+    return Scatterer(f"regular {share}{' transmitted' if transmits else ''}", lobes_of_side(lobe, side, transmits))
 
 
-def axis(name: str, values: npt.ArrayLike, last_deg: float) -> Floats:
+def check_axis(name: str, values: npt.ArrayLike, last_deg: float) -> Floats:
     """A list of angles, checked: ascending, finite, within 0 and `last_deg`. Raises ValueError that names it."""
-    result = frozen(values)
+    result = freeze(values)
     if result.ndim != 1 or result.size == 0:
         raise ValueError(f"{name} has the shape {result.shape}: give a list of at least one angle")
     if not np.all(np.isfinite(result)):

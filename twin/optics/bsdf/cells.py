@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.tables import azimuth_place, phi_in_list, place, plane_of_incidence, specular_angles
+from goniotwin.twin.optics.bsdf.tables import azimuth_place, find_interval, phi_in_list, plane_of_incidence, specular_angles
 from goniotwin.twin.optics.geometry.coordinates import from_specular
 from goniotwin.twin.optics.kernel import kernel
 
@@ -49,9 +49,9 @@ def _cell_density(ph: Floats, th: Floats, shares: Floats, n: int, m: int, theta:
     count, lead = theta_cells(th)
     k = 0
     if theta >= th[0]:
-        k = lead + (place(th, theta)[0] if theta < th[th.size - 1] else th.size - 1)
+        k = lead + (find_interval(th, theta)[0] if theta < th[th.size - 1] else th.size - 1)
     k = min(k, count - 1)
-    j = place(ph, phi)[0]
+    j = find_interval(ph, phi)[0]
     start, end = _phi_edges(ph, j)
     # Of a list over 180 deg a cell lies on both sides of the plane of incidence.
     sides = 2.0 if ph.size > 1 and ph[ph.size - 1] <= 180.0 else 1.0
@@ -70,7 +70,7 @@ def cell_density(
     sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
     n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
     phi = phi_in_list(ph, sign * phi)
-    m, a = place(sig, sigma)
+    m, a = find_interval(sig, sigma)
     m1 = min(m + 1, sig.size - 1)
     result = (1.0 - share) * (1.0 - a) * _cell_density(ph, th, shares, n, m, theta, phi)
     if a > 0.0:
@@ -89,7 +89,7 @@ def cell_direction(
     """A direction for three uniform numbers in [0, 1): `choice` takes the list, u the cell and theta in it, v phi."""
     sine, ux, uy = plane_of_incidence(lx, ly)
     n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
-    m, a = place(sig, math.degrees(math.atan2(sine, lz)))
+    m, a = find_interval(sig, math.degrees(math.atan2(sine, lz)))
     if choice < share:
         n, choice = n1, choice / share
     else:

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.cells import cell_shares
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, bent, evaluate_all, regular_share
+from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, evaluate_all, refract, regular_share
 from goniotwin.twin.optics.geometry.coordinates import from_specular, light_direction
 
-Quantity = Literal["luminance", "intensity"]
+GaussianQuantity = Literal["luminance", "intensity"]
 KernelArguments = tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]
 
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -21,7 +21,7 @@ GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
 ALBEDO_SIGMA_DEG = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
 
 
-def frozen(values: npt.ArrayLike) -> Floats:
+def freeze(values: npt.ArrayLike) -> Floats:
     """A copy that nobody can change: kernels are compiled for such arrays, and lobes share them."""
     result = np.array(values, dtype=np.float64, order="C")
     result.flags.writeable = False
@@ -30,7 +30,7 @@ def frozen(values: npt.ArrayLike) -> Floats:
 
 def parameters(*values: float) -> Floats:
     """The eight parameters of a lobe, filled up with zeros."""
-    return frozen([*values, *[0.0] * (8 - len(values))])
+    return freeze([*values, *[0.0] * (8 - len(values))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ class Lobe:
 
     kind: int
     params: Floats
-    sigma_deg: Floats = field(default_factory=lambda: frozen([0.0]))
-    phi_deg: Floats = field(default_factory=lambda: frozen([0.0]))
-    theta_deg: Floats = field(default_factory=lambda: frozen([0.0]))
-    psi_deg: Floats = field(default_factory=lambda: frozen([0.0]))
-    values: Floats = field(default_factory=lambda: frozen([[[[0.0]]]]))
+    sigma_deg: Floats = field(default_factory=lambda: freeze([0.0]))
+    phi_deg: Floats = field(default_factory=lambda: freeze([0.0]))
+    theta_deg: Floats = field(default_factory=lambda: freeze([0.0]))
+    psi_deg: Floats = field(default_factory=lambda: freeze([0.0]))
+    values: Floats = field(default_factory=lambda: freeze([[[[0.0]]]]))
     incident: int = 1
     transmits: bool = False
 
@@ -58,19 +58,19 @@ class Lobe:
         table = np.empty((2 * self.values.shape[0], *self.values.shape[1:]))
         for n, block in enumerate(self.values):
             table[2 * n], table[2 * n + 1] = block, slopes(self.sigma_deg, block)
-        return self.kind, self.params, self.sigma_deg, self.phi_deg, self.theta_deg, self.psi_deg, frozen(table)
+        return self.kind, self.params, self.sigma_deg, self.phi_deg, self.theta_deg, self.psi_deg, freeze(table)
 
     @cached_property
     def cells(self) -> Floats:
         """What `sample` and `density` take in place of the table: see `cell_shares`; one zero for models without one."""
         if self.kind not in (TABLE, ANISOTROPIC):
-            return frozen([[[0.0]]])
-        return frozen(cell_shares(self.sigma_deg, self.phi_deg, self.theta_deg, self.values))
+            return freeze([[[0.0]]])
+        return freeze(cell_shares(self.sigma_deg, self.phi_deg, self.theta_deg, self.values))
 
     @cached_property
     def albedos(self) -> Floats:
         """Albedos at ALBEDO_SIGMA_DEG, the plane of incidence along x."""
-        return frozen([self.albedo(sigma) for sigma in ALBEDO_SIGMA_DEG])
+        return freeze([self.albedo(sigma) for sigma in ALBEDO_SIGMA_DEG])
 
     def albedo(self, sigma_deg: float, azimuth_deg: float = 0.0) -> float:
         """Share of the light at canonical sigma (0 to < 90) and azimuth that the lobe scatters, by quadrature.
@@ -83,7 +83,7 @@ class Lobe:
             return float(regular_share(params, sig, table, *map(float, light)))
         axis_deg = sigma_deg
         if self.kind == GAUSSIAN and self.params[4] != 1.0:
-            x, _, z = bent(float(self.params[4]), *map(float, light))
+            x, _, z = refract(float(self.params[4]), *map(float, light))
             if z <= 0.0:
                 return 0.0
             axis_deg = math.degrees(math.atan2(x, z))
@@ -95,7 +95,7 @@ class Lobe:
         rows = observer.reshape(-1, 3)
         lights = np.broadcast_to(light, rows.shape)
         if azimuth_deg != 0.0:
-            rows, lights = turned(azimuth_deg, rows), turned(azimuth_deg, lights)
+            rows, lights = rotate_about_z(azimuth_deg, rows), rotate_about_z(azimuth_deg, lights)
         value = evaluate_all(*self.kernel_arguments, 1, False, np.array(lights, order="C"), rows).reshape(theta.shape)
         total = np.sum(value * observer[..., 2] * np.sin(theta) * weight)
         return float(total * 2.0 * math.pi / phi.size)
@@ -109,7 +109,7 @@ class Lobe:
         return np.array([0.0, 0.25 * math.pi, 0.5 * math.pi, 0.75 * math.pi, math.pi])
 
 
-def turned(angle_deg: float, vectors: Floats) -> Floats:
+def rotate_about_z(angle_deg: float, vectors: Floats) -> Floats:
     """Vectors (..., 3) turned about z by `angle_deg`, counter-clockwise."""
     cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -150,7 +150,7 @@ def lobe_breaks(exponent: float) -> Floats:
     return np.append(np.minimum(widths / math.sqrt(exponent), math.pi), math.pi)
 
 
-def normal_reflectance(exponent: float, quantity: Quantity) -> float:
+def normal_reflectance(exponent: float, quantity: GaussianQuantity) -> float:
     """Albedo at normal incidence of a Gaussian of peak 1."""
     theta, weight = panels(np.minimum(lobe_breaks(exponent), math.pi / 2))
     projected = np.cos(theta) if quantity == "luminance" else np.ones_like(theta)

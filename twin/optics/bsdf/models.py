@@ -3,7 +3,7 @@
 A lobe is a code, eight parameters and a table (arrays of one element where there is none), so that every lobe has the
 same types and each kernel is compiled once. Vectors are unit vectors from the sample: l towards the light, d towards
 the observer, z the sample's normal. The models know one pair of sides only: light in front, observer in front.
-`canonical` makes that of any other pair. Where a direction still is not in front (z <= 0) the value is zero.
+`to_canonical` makes that of any other pair. Where a direction still is not in front (z <= 0) the value is zero.
 
 - LAMBERTIAN: params[0] is the value in 1/sr.
 - GAUSSIAN: params[0] is the peak in 1/sr, params[1] the factor of theta^2 in the exponent (1/rad^2), params[2] is 1
@@ -21,25 +21,8 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.tables import anisotropic, hermite, place, tabular
+from goniotwin.twin.optics.bsdf.tables import anisotropic_value, find_interval, hermite_weights, table_value
 from goniotwin.twin.optics.kernel import kernel
-
-__all__ = [
-    "ANISOTROPIC",
-    "GAUSSIAN",
-    "LAMBERTIAN",
-    "REGULAR",
-    "TABLE",
-    "analytic",
-    "anisotropic",
-    "bent",
-    "bsdf",
-    "canonical",
-    "evaluate_all",
-    "from_canonical",
-    "regular_share",
-    "tabular",
-]
 
 LAMBERTIAN = 0
 GAUSSIAN = 1
@@ -49,7 +32,7 @@ REGULAR = 4
 
 
 @kernel(forceinline=True)
-def canonical(
+def to_canonical(
     incident: int, transmits: bool, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float, float, float, float, float]:
     """Directions in the sample's own frame as the models take them, for light from the front (1) or the back (-1).
@@ -66,7 +49,7 @@ def canonical(
 
 @kernel(forceinline=True)
 def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """The observer's direction in the sample's own frame of a canonical one: what `canonical` did, undone."""
+    """The observer's direction in the sample's own frame of a canonical one: what `to_canonical` did, undone."""
     if transmits:
         dz = -dz
     if incident < 0:
@@ -75,10 +58,10 @@ def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: flo
 
 
 @kernel(forceinline=True)
-def bent(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, float]:
+def refract(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, float]:
     """The light whose specular direction is the axis of a lobe bent by Snell's law: sin(theta_t) = sin(theta_i) / ratio.
 
-    `analytic` takes it in place of the light. Beyond total reflection its z is 0: there is no lobe, and the value is 0.
+    `analytic_value` takes it in place of the light. Beyond total reflection its z is 0: there is no lobe, and the value is 0.
     """
     if ratio == 1.0 or lz <= 0.0:
         return lx, ly, lz
@@ -87,11 +70,11 @@ def bent(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, f
 
 
 @kernel(forceinline=True)
-def analytic(
+def analytic_value(
     kind: int, peak: float, exponent: float, intensity: float,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """`bsdf` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; for a ratio other than 1, l is from `bent`.
+    """`bsdf` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; for a ratio other than 1, l is from `refract`.
 
     Loops call this themselves: handing arrays to a function costs numba's reference counts, ten times what the model
     does.
@@ -112,8 +95,8 @@ def regular_share(params: Floats, sig: Floats, table: Floats, lx: float, ly: flo
         return 0.0
     if sig.size == 1:
         return params[0]  # type: ignore[no-any-return]
-    i, a = place(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
-    w = hermite(a, sig[i + 1] - sig[i])
+    i, a = find_interval(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
+    w = hermite_weights(a, sig[i + 1] - sig[i])
     values = w[0] * table[0, i, 0, 0] + w[1] * table[0, i + 1, 0, 0]
     return values + w[2] * table[1, i, 0, 0] + w[3] * table[1, i + 1, 0, 0]  # type: ignore[no-any-return]
 
@@ -127,12 +110,12 @@ def bsdf(
     if kind == REGULAR:
         return 0.0
     if kind == TABLE:
-        return tabular(sig, ph, th, table, lx, ly, lz, dx, dy, dz)
+        return table_value(sig, ph, th, table, lx, ly, lz, dx, dy, dz)
     if kind == ANISOTROPIC:
-        return anisotropic(sig, ph, th, psi, params[0], params[1], table, lx, ly, lz, dx, dy, dz)
+        return anisotropic_value(sig, ph, th, psi, params[0], params[1], table, lx, ly, lz, dx, dy, dz)
     if kind == GAUSSIAN:
-        lx, ly, lz = bent(params[4], lx, ly, lz)
-    return analytic(kind, params[0], params[1], params[2], lx, ly, lz, dx, dy, dz)
+        lx, ly, lz = refract(params[4], lx, ly, lz)
+    return analytic_value(kind, params[0], params[1], params[2], lx, ly, lz, dx, dy, dz)
 
 
 @kernel()
@@ -143,7 +126,7 @@ def evaluate_all(
     """`bsdf` of rows (n, 3) of directions in the sample's own frame."""
     result = np.empty(light.shape[0])
     for i in range(light.shape[0]):
-        lx, ly, lz, dx, dy, dz = canonical(
+        lx, ly, lz, dx, dy, dz = to_canonical(
             incident, transmits, light[i, 0], light[i, 1], light[i, 2], observer[i, 0], observer[i, 1], observer[i, 2]
         )
         result[i] = bsdf(kind, params, sig, ph, th, psi, table, lx, ly, lz, dx, dy, dz)

@@ -6,7 +6,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe
-from goniotwin.twin.optics.bsdf.models import canonical, from_canonical
+from goniotwin.twin.optics.bsdf.models import from_canonical, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import uniform
@@ -32,7 +32,7 @@ class Lobes(NamedTuple):
     starts: np.ndarray
 
 
-def packed(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
+def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
     """Lobes and their weights, for light from the side `incident` above (z > 0 of the scene's frame)."""
     heads, starts, flat, used = [], [], [], 0
     for lobe in lobes:
@@ -111,7 +111,7 @@ def scatter_at_sample(
         if rest < 0.0:
             break
     transmits, side = lobes.heads[which, TRANSMITS] == 1, 1 if above else -1
-    lx, ly, lz, _, _, _ = canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
+    lx, ly, lz, _, _, _ = to_canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
     dx, dy, dz, factor = scatter(
         *lobe_arrays(lobes, which), lx, ly, lz, uniform(key, counter + 1), uniform(key, counter + 2), uniform(key, counter + 3)
     )  # fmt: skip

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.analytic_samples import Side
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
-from goniotwin.twin.optics.bsdf.table_samples import Symmetry, tabulated
+from goniotwin.twin.optics.bsdf.table_samples import Symmetry, table_sample
 from goniotwin.twin.optics.geometry.coordinates import from_specular, to_specular
 from goniotwin.twin.optics.kernel import kernel
 
@@ -26,7 +26,7 @@ STEP_DEG = 5.0
 SECTORS = 8
 
 
-def scattered(
+def scattered_points(
     sigma_deg: npt.ArrayLike,
     theta_deg: npt.ArrayLike,
     phi_deg: npt.ArrayLike,
@@ -45,7 +45,7 @@ def scattered(
     theta and phi are specular coordinates or, with `spherical`, the zenith angle (0 to 90) and the azimuth about the
     normal, the light being at azimuth psi, or 0. The incidences sigma (and psi, for an anisotropic sample) are a
     regular grid: each pair of those that occur has its own points. `mirrored` uses each point on both sides of the
-    plane of incidence. Over sigma and psi the value goes as in `tabulated`, whose `symmetry`, `side` and `transmits`
+    plane of incidence. Over sigma and psi the value goes as in `table_sample`, whose `symmetry`, `side` and `transmits`
     these are; coordinates are canonical.
 
     Raises ValueError, naming the argument and the place, for lists of different lengths, angles out of range, values
@@ -87,7 +87,7 @@ def scattered(
             raise ValueError(f"{hole}: no point within {gap_deg:g} deg of it; measure there, or allow a larger gap_deg")
         table[n, m] = found[:, 0].reshape(nodes.shape[:-1])
     blocks, turns = (table[0], None) if psi_deg is None else (table, psis)
-    return tabulated(sigmas, phi, theta, blocks, name, turns, symmetry, side, transmits)
+    return table_sample(sigmas, phi, theta, blocks, name, turns, symmetry, side, transmits)
 
 
 def _points(lists: dict[str, npt.ArrayLike], last_theta_deg: float) -> dict[str, Floats]:

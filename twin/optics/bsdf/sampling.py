@@ -11,7 +11,16 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.cells import cell_density, cell_direction
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, bent, bsdf, from_canonical, regular_share
+from goniotwin.twin.optics.bsdf.models import (
+    ANISOTROPIC,
+    GAUSSIAN,
+    REGULAR,
+    TABLE,
+    bsdf,
+    from_canonical,
+    refract,
+    regular_share,
+)
 from goniotwin.twin.optics.bsdf.tables import plane_of_incidence
 from goniotwin.twin.optics.kernel import kernel
 
@@ -23,7 +32,7 @@ LOBE_SHARE = 0.75
 def analytic_density(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
 ) -> float:
-    """`density` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `bent`, as in `analytic`."""
+    """`density` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `refract`, as in `analytic_value`."""
     cosine = max(dz, 0.0) / math.pi
     if kind != GAUSSIAN or lz <= 0.0:
         return cosine
@@ -38,7 +47,7 @@ def analytic_density(
 def analytic_sample(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, u: float, v: float, choice: float
 ) -> tuple[float, float, float]:
-    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `bent`, as in `analytic`."""
+    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `refract`, as in `analytic_value`."""
     turn = 2.0 * math.pi * v
     if kind != GAUSSIAN or choice >= LOBE_SHARE or lz <= 0.0:
         radius = math.sqrt(u)
@@ -62,7 +71,7 @@ def density(
         own = cell_density(params, sig, ph, th, psi, cells, lx, ly, lz, dx, dy, dz)
         return LOBE_SHARE * own + (1.0 - LOBE_SHARE) * max(dz, 0.0) / math.pi
     if kind == GAUSSIAN:
-        lx, ly, lz = bent(params[4], lx, ly, lz)
+        lx, ly, lz = refract(params[4], lx, ly, lz)
     return analytic_density(kind, params[1], params[3], lx, ly, lz, dx, dy, dz)
 
 
@@ -80,7 +89,7 @@ def sample(
     if kind in (TABLE, ANISOTROPIC) and choice < LOBE_SHARE and lz > 0.0:
         return cell_direction(params, sig, ph, th, psi, cells, lx, ly, lz, u, v, choice / LOBE_SHARE)
     if kind == GAUSSIAN:
-        lx, ly, lz = bent(params[4], lx, ly, lz)
+        lx, ly, lz = refract(params[4], lx, ly, lz)
     return analytic_sample(kind, params[1], params[3], lx, ly, lz, u, v, choice)
 
 

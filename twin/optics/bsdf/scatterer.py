@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, frozen, turned
-from goniotwin.twin.optics.bsdf.models import canonical, evaluate_all
+from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, freeze, rotate_about_z
+from goniotwin.twin.optics.bsdf.models import evaluate_all, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter_all
 
 
@@ -27,7 +27,7 @@ class SpectralWeights:
 
     def __post_init__(self) -> None:
         """Checks and copies the arrays. Raises ValueError, naming the argument and the place."""
-        wavelengths, weights = frozen(self.wavelengths_nm), frozen(self.weights)
+        wavelengths, weights = freeze(self.wavelengths_nm), freeze(self.weights)
         if wavelengths.ndim != 1 or wavelengths.size == 0:
             raise ValueError(f"wavelengths_nm has the shape {wavelengths.shape}: give a list of at least one")
         wrong = np.flatnonzero(~(np.isfinite(wavelengths) & (wavelengths > 0.0)))
@@ -94,7 +94,7 @@ def _rows(light: npt.ArrayLike, observer: npt.ArrayLike, gamma_deg: float) -> tu
         raise ValueError(f"light and observer have the shape {pair[0].shape}: give vectors along the last axis")
     rows = [np.array(vectors, order="C").reshape(-1, 3) for vectors in pair]
     if gamma_deg != 0.0:
-        rows = [turned(-gamma_deg, vectors) for vectors in rows]
+        rows = [rotate_about_z(-gamma_deg, vectors) for vectors in rows]
     return rows, pair[0].shape[:-1]
 
 
@@ -172,7 +172,7 @@ def lobe_shares(scatterer: Scatterer, sigma_deg: float, wavelength_nm: float | N
     return result / total if total > 0.0 else result
 
 
-def draw(
+def draw_directions(
     scatterer: Scatterer,
     light: npt.ArrayLike,
     uniform: npt.ArrayLike,
@@ -192,7 +192,7 @@ def draw(
         raise ValueError(f"uniform has the shape {numbers.shape}: give (n, 4), numbers from 0 to less than 1")
     sigma_deg = float(np.degrees(np.arctan2(np.hypot(vector[0], vector[1]), vector[2])))
     shares, weights = lobe_shares(scatterer, sigma_deg, wavelength_nm), scatterer.weights(wavelength_nm)
-    own = turned(-gamma_deg, vector)
+    own = rotate_about_z(-gamma_deg, vector)
     directions, scattered = np.tile([0.0, 0.0, 1.0], (numbers.shape[0], 1)), np.zeros(numbers.shape[0])
     chosen = np.searchsorted(np.cumsum(shares), numbers[:, 0] * shares.sum(), side="right")
     for i, lobe in enumerate(scatterer.lobes):
@@ -200,22 +200,22 @@ def draw(
         if not mine.size:
             continue
         x, y, z = (float(c) for c in own)
-        canonical_light = canonical(lobe.incident, lobe.transmits, x, y, z, 0.0, 0.0, 0.0)[:3]
+        canonical_light = to_canonical(lobe.incident, lobe.transmits, x, y, z, 0.0, 0.0, 0.0)[:3]
         found = scatter_all(
             *lobe.kernel_arguments, lobe.cells, lobe.incident, lobe.transmits, *canonical_light,
             np.ascontiguousarray(numbers[mine, 1:]),
         )  # fmt: skip
-        directions[mine] = turned(gamma_deg, found[:, :3])
+        directions[mine] = rotate_about_z(gamma_deg, found[:, :3])
         scattered[mine] = found[:, 3] * weights[i] / shares[i]
     return directions, scattered
 
 
-def on_side(lobe: Lobe, incident: int, transmits: bool) -> Lobe:
+def move_to_side(lobe: Lobe, incident: int, transmits: bool) -> Lobe:
     """The same model for another pair of sides."""
     return replace(lobe, incident=incident, transmits=transmits)
 
 
-def summed(*scatterers: Scatterer, name: str | None = None) -> Scatterer:
+def sum_samples(*scatterers: Scatterer, name: str | None = None) -> Scatterer:
     """The sum of samples: all their lobes, each with its own spectrum.
 
     That it gives back no more light than it gets is for the caller to see to: `albedo` tells. Raises ValueError for no
@@ -234,7 +234,9 @@ def summed(*scatterers: Scatterer, name: str | None = None) -> Scatterer:
     return Scatterer(title, lobes, SpectralWeights(wavelengths, weights))
 
 
-def spectral(wavelengths_nm: npt.ArrayLike, factors: npt.ArrayLike, scatterer: Scatterer, name: str | None = None) -> Scatterer:
+def apply_spectrum(
+    wavelengths_nm: npt.ArrayLike, factors: npt.ArrayLike, scatterer: Scatterer, name: str | None = None
+) -> Scatterer:
     """A grey sample in colour: `factors` (w,) times it at wavelengths (w,) in nm, linear between, the ends held.
 
     Raises ValueError for lists that do not fit or ascend, for a factor that is negative or missing, and for a sample
@@ -242,14 +244,14 @@ def spectral(wavelengths_nm: npt.ArrayLike, factors: npt.ArrayLike, scatterer: S
     """
     if scatterer.spectrum is not None:
         raise ValueError(f"scatterer: {scatterer.name} depends on the wavelength already; colour its parts, then add them")
-    wavelengths, factor = frozen(wavelengths_nm), frozen(factors)
+    wavelengths, factor = freeze(wavelengths_nm), freeze(factors)
     if factor.shape != wavelengths.shape:
         raise ValueError(f"factors has the shape {factor.shape}: wavelengths_nm makes it {wavelengths.shape}")
     spectrum = SpectralWeights(wavelengths, np.tile(factor, (len(scatterer.lobes), 1)))
     return replace(scatterer, name=name or f"{scatterer.name} in colour", spectrum=spectrum)
 
 
-def sided(
+def combine_sides(
     front_reflection: Scatterer | None = None,
     front_transmission: Scatterer | None = None,
     back_reflection: Scatterer | None = None,
@@ -275,7 +277,7 @@ def sided(
     ]
     if not given:
         raise ValueError("no model is given: give one for at least one way of the light")
-    return summed(*given, name=name)
+    return sum_samples(*given, name=name)
 
 
 def _mover(argument: str, incident: int, transmits: bool) -> Callable[[Lobe], Lobe]:
@@ -284,6 +286,6 @@ def _mover(argument: str, incident: int, transmits: bool) -> Callable[[Lobe], Lo
         if not right and (lobe.transmits or lobe.incident != 1):
             side, way = "front" if lobe.incident == 1 else "back", "transmits" if lobe.transmits else "reflects"
             raise ValueError(f"{argument} has a lobe that {way} light from the {side}: give it to the argument of its own")
-        return on_side(lobe, incident, transmits)
+        return move_to_side(lobe, incident, transmits)
 
     return moved

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.analytic_samples import Side, axis, sides_of
-from goniotwin.twin.optics.bsdf.lobes import Lobe, frozen, parameters
+from goniotwin.twin.optics.bsdf.analytic_samples import Side, check_axis, lobes_of_side
+from goniotwin.twin.optics.bsdf.lobes import Lobe, freeze, parameters
 from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, TABLE
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer, SpectralWeights
 
@@ -25,7 +25,7 @@ SYMMETRIES: dict[Symmetry, tuple[float, bool]] = {
 }
 
 
-def tabulated(
+def table_sample(
     sigma_deg: npt.ArrayLike,
     phi_deg: npt.ArrayLike,
     theta_deg: npt.ArrayLike,
@@ -52,13 +52,13 @@ def tabulated(
     Raises ValueError, naming the argument, for axes that do not ascend or leave their range, for a wrong shape, and for
     values that are negative, infinite or missing.
     """
-    phi, psi = _phi(phi_deg), None if psi_deg is None else axis("psi_deg", psi_deg, 360.0)
-    sigma, theta = axis("sigma_deg", sigma_deg, 90.0), axis("theta_deg", theta_deg, 180.0)
-    table = frozen(values)
+    phi, psi = _phi(phi_deg), None if psi_deg is None else check_axis("psi_deg", psi_deg, 360.0)
+    sigma, theta = check_axis("sigma_deg", sigma_deg, 90.0), check_axis("theta_deg", theta_deg, 180.0)
+    table = freeze(values)
     axes = {"sigma": sigma, "phi": phi, "theta": theta}
     _check(table, axes if psi is None else {"psi": psi, **axes})
     blocks = table[None] if psi is None else table
-    return Scatterer(name, sides_of(_lobe(sigma, phi, theta, psi, blocks, symmetry), side, transmits))
+    return Scatterer(name, lobes_of_side(_lobe(sigma, phi, theta, psi, blocks, symmetry), side, transmits))
 
 
 def spectral_table(
@@ -73,19 +73,19 @@ def spectral_table(
     side: Side = "front",
     transmits: bool = False,
 ) -> Scatterer:
-    """`tabulated` at each wavelength in nm, ascending; values have one more axis, the wavelength, before the others.
+    """`table_sample` at each wavelength in nm, ascending; values have one more axis, the wavelength, before the others.
 
-    Linear between the wavelengths, the first and last hold outside. Raises ValueError as `tabulated` does, and for
+    Linear between the wavelengths, the first and last hold outside. Raises ValueError as `table_sample` does, and for
     wavelengths that do not ascend or are not positive.
     """
-    wavelengths, table = frozen(wavelengths_nm), np.asarray(values, dtype=np.float64)
+    wavelengths, table = freeze(wavelengths_nm), np.asarray(values, dtype=np.float64)
     if table.ndim == 0 or wavelengths.ndim != 1 or table.shape[0] != wavelengths.size:
         shapes = f"values has the shape {table.shape} and wavelengths_nm {wavelengths.shape}"
         raise ValueError(f"{shapes}: give a table for each wavelength, along the first axis")
     lobes: tuple[Lobe, ...] = ()
     for wavelength, block in zip(wavelengths, table, strict=True):
         try:
-            made = tabulated(sigma_deg, phi_deg, theta_deg, block, name, psi_deg, symmetry, side, transmits)
+            made = table_sample(sigma_deg, phi_deg, theta_deg, block, name, psi_deg, symmetry, side, transmits)
         except ValueError as error:
             raise ValueError(f"at {wavelength:g} nm: {error}") from None
         lobes += made.lobes
@@ -94,7 +94,7 @@ def spectral_table(
 
 
 def _phi(phi_deg: npt.ArrayLike) -> Floats:
-    phi = axis("phi_deg", phi_deg, 360.0)
+    phi = check_axis("phi_deg", phi_deg, 360.0)
     if phi.size > 1 and (phi[0] != 0.0 or phi[-1] not in (180.0, 360.0)):
         runs = f"{phi[0]:g} to {phi[-1]:g}"
         raise ValueError(f"phi_deg runs from {runs}: give 0 to 180 (symmetric) or 0 to 360, or one angle")
@@ -118,7 +118,7 @@ def _lobe(sigma: Floats, phi: Floats, theta: Floats, psi: Floats | None, blocks:
     if psi is None and symmetry != "none":
         raise ValueError(f"symmetry is {symmetry!r}, but there is no psi_deg that it could be a symmetry of")
     if psi is None or psi.size == 1:
-        return Lobe(TABLE, parameters(), sigma, phi, theta, values=frozen(blocks))
+        return Lobe(TABLE, parameters(), sigma, phi, theta, values=freeze(blocks))
     period, mirrored = SYMMETRIES[symmetry]
     if mirrored:
         if psi[0] != 0.0 or psi[-1] != 0.5 * period:
@@ -133,5 +133,5 @@ def _lobe(sigma: Floats, phi: Floats, theta: Floats, psi: Floats | None, blocks:
             ends = f"values at psi {psi[0]:g} and {psi[-1]:g} differ by up to {worst:g} 1/sr"
             raise ValueError(f"{ends}: the sample is the same there; leave one of them out")
     else:
-        psi, blocks = frozen([*psi, psi[0] + period]), np.concatenate([blocks, blocks[:1]])
-    return Lobe(ANISOTROPIC, parameters(period, float(mirrored)), sigma, phi, theta, frozen(psi), frozen(blocks))
+        psi, blocks = freeze([*psi, psi[0] + period]), np.concatenate([blocks, blocks[:1]])
+    return Lobe(ANISOTROPIC, parameters(period, float(mirrored)), sigma, phi, theta, freeze(psi), freeze(blocks))

@@ -12,7 +12,7 @@ from goniotwin.twin.optics.kernel import kernel
 
 
 @kernel()
-def place(axis: Floats, x: float) -> tuple[int, float]:
+def find_interval(axis: Floats, x: float) -> tuple[int, float]:
     """Interval of an ascending axis that holds x, and the share of the way through it; held at both ends."""
     last = axis.size - 1
     if last == 0 or x <= axis[0]:
@@ -73,25 +73,25 @@ def azimuth_place(psi: Floats, period: float, mirrored: float, lx: float, ly: fl
     sign = 1.0
     if mirrored > 0.0 and azimuth > 0.5 * period:
         azimuth, sign = period - azimuth, -1.0
-    n, share = place(psi, azimuth)
+    n, share = find_interval(psi, azimuth)
     return n, n + 1, share, sign
 
 
 @kernel(forceinline=True)
-def hermite(a: float, step: float) -> tuple[float, float, float, float]:
+def hermite_weights(a: float, step: float) -> tuple[float, float, float, float]:
     """Weights of the values at both ends of an interval and of the slopes there, at the share a of the way through it."""
     rest = 1.0 - a
     return rest * rest * (1.0 + 2.0 * a), a * a * (3.0 - 2.0 * a), step * a * rest * rest, -step * a * a * rest
 
 
 @kernel()
-def looked_up(sig: Floats, ph: Floats, th: Floats, table: Floats, block: int, sigma: float, theta: float, phi: float) -> float:
+def look_up(sig: Floats, ph: Floats, th: Floats, table: Floats, block: int, sigma: float, theta: float, phi: float) -> float:
     """Value of one block of psi: cubic in sigma, linear in phi and theta; ends hold outside of each list."""
-    i, a = place(sig, sigma)
-    j, b = place(ph, phi_in_list(ph, phi))
-    k, c = place(th, theta)
+    i, a = find_interval(sig, sigma)
+    j, b = find_interval(ph, phi_in_list(ph, phi))
+    k, c = find_interval(th, theta)
     i1, j1, k1 = min(i + 1, sig.size - 1), min(j + 1, ph.size - 1), min(k + 1, th.size - 1)
-    weights = hermite(a, sig[i1] - sig[i])
+    weights = hermite_weights(a, sig[i1] - sig[i])
     total = 0.0
     for term in range(4):
         part, m = 2 * block + term // 2, i if term % 2 == 0 else i1
@@ -102,7 +102,7 @@ def looked_up(sig: Floats, ph: Floats, th: Floats, table: Floats, block: int, si
 
 
 @kernel()
-def tabular(
+def table_value(
     sig: Floats, ph: Floats, th: Floats, table: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
@@ -110,11 +110,11 @@ def tabular(
     if lz <= 0.0 or dz <= 0.0:
         return 0.0
     sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
-    return looked_up(sig, ph, th, table, 0, sigma, theta, phi)
+    return look_up(sig, ph, th, table, 0, sigma, theta, phi)
 
 
 @kernel()
-def anisotropic(
+def anisotropic_value(
     sig: Floats, ph: Floats, th: Floats, psi: Floats, period: float, mirrored: float, table: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
@@ -123,7 +123,7 @@ def anisotropic(
         return 0.0
     sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
     n, n1, share, sign = azimuth_place(psi, period, mirrored, lx, ly)
-    here = looked_up(sig, ph, th, table, n, sigma, theta, sign * phi)
+    here = look_up(sig, ph, th, table, n, sigma, theta, sign * phi)
     if share == 0.0:
         return here
-    return (1.0 - share) * here + share * looked_up(sig, ph, th, table, n1, sigma, theta, sign * phi)
+    return (1.0 - share) * here + share * look_up(sig, ph, th, table, n1, sigma, theta, sign * phi)

@@ -95,7 +95,7 @@ def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float
 
 
 @kernel(nogil=True)
-def detector_frames(w: Floats, count: int) -> None:
+def fill_frames(w: Floats, count: int) -> None:
     """Fills the frames of detectors whose places and views are in `w`."""
     for k in range(count):
         dx, dy, dz = w[k + DX], w[k + DY], w[k + DZ]
@@ -107,7 +107,7 @@ def detector_frames(w: Floats, count: int) -> None:
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats) -> None:
+def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats) -> None:
     """Fills the moments of detectors whose frames are in `w`; the first is in mm^2.
 
     `sizes`: the disc's radius, the hole's half side, mm, and the sine of half the field. See `cone_nodes`, `side_nodes`.
@@ -186,7 +186,7 @@ def hole_nodes(count: int) -> Floats:
 
 
 @kernel(forceinline=True)
-def disc_beyond(radius: float, cut: float) -> tuple[float, float, float, float]:
+def disc_segment(radius: float, cut: float) -> tuple[float, float, float, float]:
     """Of the part x > cut of a disc round the origin: area, and the integrals of x, x x and y y."""
     root = math.sqrt(max(radius * radius - cut * cut, 0.0))
     area = radius * radius * math.atan2(root, cut) - cut * root
@@ -212,8 +212,8 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
         own = 0.25 * other * other * area
         return area, area * x, area * y, own + area * x * x, area * x * y, own + area * y * y
     cut = (apart * apart + radius * radius - other * other) / (2.0 * apart)
-    a1, s1, xx1, yy1 = disc_beyond(radius, cut)
-    a2, s2, xx2, yy2 = disc_beyond(other, apart - cut)  # seen from its own centre, the other way round
+    a1, s1, xx1, yy1 = disc_segment(radius, cut)
+    a2, s2, xx2, yy2 = disc_segment(other, apart - cut)  # seen from its own centre, the other way round
     area, first = a1 + a2, s1 + a2 * apart - s2
     along, across = xx1 + xx2 - 2.0 * apart * s2 + apart * apart * a2, yy1 + yy2
     c, s = x / apart, y / apart
@@ -222,8 +222,8 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
 
 
 @kernel(nogil=True)
-def wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> None:
-    """Fills the moments of the detectors in `w` as `apertures` does; `hole` are the nodes of a side, see `hole_nodes`.
+def fill_wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> None:
+    """Fills the moments of the detectors in `w` as `fill_apertures` does; `hole` are the nodes of a side, see `hole_nodes`.
 
     The cosines of a ray are taken to second order in its slopes, and what a node sees of the disc as symmetrical in them:
     of cones of some degrees both are right to 1e-5.

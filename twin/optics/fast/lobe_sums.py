@@ -1,12 +1,11 @@
-"""The sums of the fast estimator: lobes over the rays of detectors.
+"""Sums of each lobe over the rays of the detectors: the core of the fast estimator.
 
-Geometry comes first, and is the same for every sample: the rays of each detector, few or many (twin.optics.fast.rays). Then
-each lobe is summed over them.
+Geometry comes first and is the same for every sample: the rays of each detector (twin.optics.fast.rays). Each lobe is then
+summed over these rays.
 
-A Gaussian lobe's values over many rays: `analytic` of twin.optics.bsdf.models as one plain loop, of which LLVM makes vectors.
-
-The angle is that of the chord between lobe axis and observer, which does not cancel near the axis; arcsine and exponential are
-polynomials fitted by least maximum error, to 1e-12 and better.
+The values of a Gaussian lobe are `analytic_value` of twin.optics.bsdf.models as one plain loop, which LLVM vectorises. The
+angle follows from the chord between lobe axis and observer, which does not cancel near the axis. Arcsine and exponential are
+minimax polynomials with errors of 1e-12 or less.
 """
 
 import math
@@ -22,8 +21,8 @@ from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.lobes import Lobe
 from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, bsdf, regular_share
 from goniotwin.twin.optics.fast.aperture import WIDE, aperture_sizes, cone_nodes, hole_nodes, side_nodes
-from goniotwin.twin.optics.fast.obstruction import FREE, PARTLY, visible
-from goniotwin.twin.optics.fast.ray_bundle import cone, ray_bundle
+from goniotwin.twin.optics.fast.obstruction import FREE, PARTLY, visible_shares
+from goniotwin.twin.optics.fast.ray_bundle import cone_slopes, ray_bundle
 from goniotwin.twin.optics.fast.rays import HEXAGON, NODES, fill_nodes, fill_rays
 from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
 from goniotwin.twin.optics.geometry.instrument import Instrument, Reflectance
@@ -85,11 +84,11 @@ def gaussian_values(
 CHUNK = 8192
 Rule = tuple[Floats, Floats, Floats, int]
 """Nodes over the cone, over a side of the hole, and over it where the cone is wide; rays where a mirror cuts into the view."""
-FINE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
+FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
 """For fluxes: what the aperture takes is exact to 0.3 %."""
-COARSE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
+COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 """For ratios, in which it cancels: exact to 3 %."""
-TABULATED = (TABLE, ANISOTROPIC)
+TABLE_KINDS = (TABLE, ANISOTROPIC)
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 
 
@@ -168,7 +167,7 @@ def lobe_throughputs(
         active = [k for k, lobe in enumerate(lobes) if lobe.incident == scene.incident]
         result = np.zeros((len(lobes), axes.shape[0]))
         results.append(LobeSums(result, scene))
-        score = _Score(instrument, scene, [lobes[k] for k in active], rays, COARSE if ratios else FINE)
+        score = _Score(instrument, scene, [lobes[k] for k in active], rays, COARSE_RULE if ratios else FINE_RULE)
         for first in range(0, axes.shape[0] if active else 0, CHUNK):
             piece = slice(first, first + CHUNK)
             tasks.append((score, centres[piece], axes[piece], result, active, piece))
@@ -199,7 +198,7 @@ class _Score:
         self._half, self._blocking = 0.5 * instrument.mirror_side_mm, 0.5 * instrument.blocking_side_mm
         self._obstruction = instrument.obstruction
         self._bundle = ray_bundle(partly if rays is None else rays)
-        self._slopes = cone(self._bundle, self._sizes)
+        self._slopes = cone_slopes(self._bundle, self._sizes)
         seen_sr = math.pi * self._sizes[2] ** 2
         self._scale = seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6
 
@@ -224,10 +223,10 @@ class _Score:
                 scene.mirrors, self._blocking, self._obstruction, scene.clipped, rays, status,
             )  # fmt: skip
             for lobe, row in zip(self._lobes, sums, strict=True):
-                if lobe.kind not in TABULATED:
+                if lobe.kind not in TABLE_KINDS:
                     lobe_sums(*lobe.kernel_arguments, lobe.transmits, rays, NODES, row)
             rest = np.flatnonzero(status == PARTLY)
-            tabulated = [k for k, lobe in enumerate(self._lobes) if lobe.kind in TABULATED]
+            tabulated = [k for k, lobe in enumerate(self._lobes) if lobe.kind in TABLE_KINDS]
             if tabulated:
                 taken = rays[0].reshape(NODES, count).sum(axis=0)
                 self._with_bundles(centres, axes, np.flatnonzero(status == FREE), tabulated, sums, taken)
@@ -268,5 +267,5 @@ class _Score:
         seen = np.ones_like(row)
         lit = np.flatnonzero(row) if self._obstruction else np.empty(0, dtype=np.int64)
         if lit.size:
-            seen[lit] = visible(centres[lit], axes[lit], self._bundle, self._sizes, self._scene.mirrors, self._blocking)
+            seen[lit] = visible_shares(centres[lit], axes[lit], self._bundle, self._sizes, self._scene.mirrors, self._blocking)
         return seen

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.aperture import aperture_sizes, detector_frame
-from goniotwin.twin.optics.fast.ray_bundle import cone, detector_ray, ray_bundle, view
+from goniotwin.twin.optics.fast.ray_bundle import cone_slopes, detector_ray, fill_view, ray_bundle
 from goniotwin.twin.optics.geometry.coordinates import arc_direction
 from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.geometry.mirrors import distance_to
@@ -41,7 +41,7 @@ def may_hide(mirrors: Floats, m: int, half: float, centre: Floats, width: float)
 
 
 @kernel(forceinline=True)
-def hidden(
+def is_hidden(
     mirrors: Floats, near: Floats, half: float, reach: float,
     px: float, py: float, wx: float, wy: float, wz: float,
 ) -> bool:  # fmt: skip
@@ -61,7 +61,7 @@ def mirrors_near(mirrors: Floats, half: float, centre: Floats, sizes: Floats, ne
 
 
 @kernel()
-def shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats, sizes: Floats) -> int:
+def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats, sizes: Floats) -> int:
     """FREE, HIDDEN, or PARTLY where the mirrors that are near cut some of a detector's rays, or where that is not sure.
 
     Hole and disc are convex, so what the rays cover in a mirror's plane is the hull of the lines between the hole's corners
@@ -100,18 +100,18 @@ def shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats
 
 
 @kernel(nogil=True)
-def visible(centres: Floats, directions: Floats, rays: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
+def visible_shares(centres: Floats, directions: Floats, rays: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
     """Share (n,) of the rays of a bundle that no mirror cuts, of detectors at `centres` that look along -`directions`."""
     result = np.zeros(directions.shape[0])
-    near, axes, slopes = np.zeros(3), np.zeros((4, 3)), cone(rays, sizes)
+    near, axes, slopes = np.zeros(3), np.zeros((4, 3)), cone_slopes(rays, sizes)
     for k in range(directions.shape[0]):
-        view(centres[k], directions[k], axes)
+        fill_view(centres[k], directions[k], axes)
         mirrors_near(mirrors, half, centres[k], sizes, near)
         seen, free = 0.0, 0.0
         for j in range(rays.shape[0]):
             weight, px, py, wx, wy, wz, length = detector_ray(axes, rays, slopes, j, sizes)
             seen += weight
-            if weight > 0.0 and not hidden(mirrors, near, half, length, px, py, wx, wy, wz):
+            if weight > 0.0 and not is_hidden(mirrors, near, half, length, px, py, wx, wy, wz):
                 free += weight
         if seen > 0.0:
             result[k] = free / seen
@@ -132,12 +132,12 @@ def visible_fraction(
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     centres, axes = scene.detectors(instrument, directions)
     half = 0.5 * instrument.blocking_side_mm
-    return np.asarray(visible(centres, axes, ray_bundle(rays), aperture_sizes(instrument), scene.mirrors, half))
+    return np.asarray(visible_shares(centres, axes, ray_bundle(rays), aperture_sizes(instrument), scene.mirrors, half))
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowMap:
-    """Share `visible` (polar, azimuth) of a detector's rays that no mirror cuts, over angles in deg.
+    """Share `visible_shares` (polar, azimuth) of a detector's rays that no mirror cuts, over angles in deg.
 
     `obstruction` is the instrument's: without it the shadow is there and is not felt.
     """

@@ -55,7 +55,7 @@ def ray_bundle(rays: int) -> Floats:
 
 
 @kernel()
-def cone(rays: Floats, sizes: Floats) -> Floats:
+def cone_slopes(rays: Floats, sizes: Floats) -> Floats:
     """Of each ray its slopes to the detector's axis, away from the normal and level, and its component along it: (rays, 3)."""
     result = np.empty((rays.shape[0], 3))
     for j in range(rays.shape[0]):
@@ -66,7 +66,7 @@ def cone(rays: Floats, sizes: Floats) -> Floats:
 
 
 @kernel()
-def view(centre: Floats, d: Floats, axes: Floats) -> None:
+def fill_view(centre: Floats, d: Floats, axes: Floats) -> None:
     """Fills `axes` (4, 3) of a detector: away (from the normal), level, along d; and its centre along these."""
     e1x, e1y, e1z, e2x, e2y = detector_frame(d[0], d[1], d[2])
     axes[0, 0], axes[0, 1], axes[0, 2] = e1x, e1y, e1z

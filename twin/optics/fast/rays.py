@@ -69,12 +69,12 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     WY,
     WZ,
     M,
-    apertures,
-    detector_frames,
-    wide_apertures,
+    fill_apertures,
+    fill_frames,
+    fill_wide_apertures,
 )
-from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, hidden, mirrors_near, shadow
-from goniotwin.twin.optics.fast.ray_bundle import arrival, detector_ray, view
+from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, is_hidden, mirrors_near
+from goniotwin.twin.optics.fast.ray_bundle import arrival, detector_ray, fill_view
 from goniotwin.twin.optics.kernel import kernel
 
 NODES = 7
@@ -201,18 +201,18 @@ def fill_nodes(
         for k in range(first, last):
             for c in range(3):
                 w[k - first + PX + c * BLOCK], w[k - first + DX + c * BLOCK] = centres[k, c], axes[k, c]
-        detector_frames(w, last - first)
+        fill_frames(w, last - first)
         if wide:
-            wide_apertures(w, last - first, hole, sizes)
+            fill_wide_apertures(w, last - first, hole, sizes)
         else:
-            apertures(w, last - first, cone, side, sizes)
+            fill_apertures(w, last - first, cone, side, sizes)
         place_nodes(w, last - first, pupil, hexagon, rays, first, count)
         for k in range(first, last):
             status[k] = PARTLY if clipped else FREE
             if obstruction and w[k - first + M] > 0.0:
                 mirrors_near(mirrors, blocking, centres[k], sizes, near)
                 if near[0] + near[1] + near[2] > 0.0:
-                    status[k] = max(status[k], shadow(mirrors, near, blocking, centres[k], axes[k], sizes))
+                    status[k] = max(status[k], find_shadow(mirrors, near, blocking, centres[k], axes[k], sizes))
             if status[k] == HIDDEN:
                 for j in range(NODES):
                     rays[0, j * count + k] = 0.0
@@ -228,14 +228,14 @@ def fill_rays(
     `half` is a mirror's half side, mm, and `blocking` that with its mount.
     """
     axes, near = np.zeros((4, 3)), np.zeros(3)
-    view(centre, d, axes)
+    fill_view(centre, d, axes)
     if obstruction:
         mirrors_near(mirrors, blocking, centre, sizes, near)
     crowded = near[0] + near[1] + near[2] > 0.0
     share = 4.0 * sizes[1] * sizes[1] / bundle.shape[0]
     for j in range(bundle.shape[0]):
         weight, px, py, wx, wy, wz, length = detector_ray(axes, bundle, slopes, j, sizes)
-        if weight > 0.0 and crowded and hidden(mirrors, near, blocking, length, px, py, wx, wy, wz):
+        if weight > 0.0 and crowded and is_hidden(mirrors, near, blocking, length, px, py, wx, wy, wz):
             weight = 0.0
         lx, ly, lz, gain = arrival(px, py, bundle[j, 4], bundle[j, 5], pupil, images, half, clipped)
         rays[0, j] = share * weight * gain

@@ -9,22 +9,22 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes
-from goniotwin.twin.optics.forward.bounces import Stage, bounce, by_cosine
-from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, arrive
+from goniotwin.twin.optics.forward.bounces import Surfaces, cosine_direction, trace_bounces
+from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, trace_to_sample
 from goniotwin.twin.optics.forward.scattering import (
     leave_by_cosine,
     leave_by_lobe,
     leave_by_model,
-    meet_frame,
-    meet_mirror,
-    meet_nothing,
     path_key,
+    reset_stops,
+    stop_at_frame,
+    stop_at_mirror,
     weigh_lobe,
 )
-from goniotwin.twin.optics.forward.scoring import HITS, Room, Targets, find_cells, score
+from goniotwin.twin.optics.forward.scoring import HITS, HitBuffer, Targets, find_cells, score
 from goniotwin.twin.optics.forward.spread import BINS, Spread
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import scrambled, uniform, word_key
+from goniotwin.twin.optics.montecarlo import scramble, uniform, word_key
 
 U64 = np.uint64
 COSINE, SHAPE, REST, MODEL, FRAME = range(5)
@@ -45,7 +45,7 @@ class Strata(NamedTuple):
 
 
 @kernel(nogil=True)
-def leave(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.ndarray, lobes: Lobes) -> None:
+def scatter_stratum(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.ndarray, lobes: Lobes) -> None:
     """Directions and weights of the paths of stratum k that have arrived at the sample."""
     way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
     gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.heads[which, TRANSMITS] == 1
@@ -62,7 +62,7 @@ def leave(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.n
 
 @kernel(nogil=True)
 def trace(
-    first: int, last: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes, stage: Stage, targets: Targets,
+    first: int, last: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes, stage: Surfaces, targets: Targets,
     spread: Spread, longest: int, detectors: int,
 ) -> Floats:  # fmt: skip
     """Sums (detectors, 4) over blocks first..last-1: of the weights of paths that were scattered once and of their squares, and
@@ -71,34 +71,34 @@ def trace(
     sums = np.zeros((detectors + BINS if spread.wanted else detectors, 4))
     buffer, found = np.empty(ROWS * BLOCK, np.float32), np.empty(BLOCK, np.int32)
     most = HITS + longest + 1
-    room = Room(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
-    start, keys = scrambled(U64(seed)), np.empty(4, np.uint32)
+    room = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    start, keys = scramble(U64(seed)), np.empty(4, np.uint32)
     for block in range(first, last):
-        key = scrambled(start + U64(block) * U64(0xD1342543DE82EF95))
+        key = scramble(start + U64(block) * U64(0xD1342543DE82EF95))
         for k in range(strata.ways.shape[0]):
             count, inside = strata.ways[k, 2], strata.ways[k, 0] != FRAME
             stream = k if inside else FRAMES_STREAM
             for n in range(4):
                 keys[n] = word_key(key, 4 * stream + n)
-            arrive(buffer, count, keys, beam, inside, strata.lit)
+            trace_to_sample(buffer, count, keys, beam, inside, strata.lit)
             if not inside:
                 for i in range(count):
                     if buffer[i + FLUX] > 0.0:
                         own = path_key(key, stream, i)
-                        dx, dy, dz = by_cosine(True, uniform(own, 0), uniform(own, 1))
+                        dx, dy, dz = cosine_direction(True, uniform(own, 0), uniform(own, 1))
                         weight = buffer[i + FLUX] * strata.gains[k, 0]
-                        bounce(
+                        trace_bounces(
                             stage, lobes, targets, spread, own, 1, False,
                             np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), stage.gap, dx, dy, dz, weight, sums,
                         )  # fmt: skip
                 continue
-            leave(buffer, strata, k, key, keys, lobes)
-            meet_nothing(buffer, count)
+            scatter_stratum(buffer, strata, k, key, keys, lobes)
+            reset_stops(buffer, count)
             if stage.obstruction:
                 for m in range(3):
-                    meet_mirror(buffer, count, stage.mirrors[m], stage.blocking_half)
+                    stop_at_mirror(buffer, count, stage.mirrors[m], stage.blocking_half)
             if stage.gap > 0.0:
-                meet_frame(buffer, count, stage.hole_half, stage.gap)
+                stop_at_frame(buffer, count, stage.hole_half, stage.gap)
             if detectors > 0:
                 find_cells(buffer, count, targets.cells, found)
                 score(buffer, count, found, targets, room, sums)
@@ -106,7 +106,7 @@ def trace(
                 if buffer[i + STOP] < np.inf and buffer[i + WEIGHT] > 0.0:
                     weight = np.float64(buffer[i + WEIGHT])
                     dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
-                    bounce(
+                    trace_bounces(
                         stage, lobes, targets, spread, path_key(key, k, i), 1, True,
                         np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), 0.0, dx, dy, dz, weight, sums,
                     )  # fmt: skip
@@ -117,14 +117,14 @@ def trace(
 def trace_geometry(blocks: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes) -> float:
     """The same without what follows the scattering, for its speed: the sum of the last path's direction of each block."""
     buffer, keys, total = np.empty(ROWS * BLOCK, np.float32), np.empty(4, np.uint32), 0.0
-    start = scrambled(U64(seed))
+    start = scramble(U64(seed))
     for block in range(blocks):
-        key = scrambled(start + U64(block) * U64(0xD1342543DE82EF95))
+        key = scramble(start + U64(block) * U64(0xD1342543DE82EF95))
         for k in range(strata.ways.shape[0]):
             if strata.ways[k, 0] != FRAME:
                 for n in range(4):
                     keys[n] = word_key(key, 4 * k + n)
-                arrive(buffer, strata.ways[k, 2], keys, beam, True, strata.lit)
-                leave(buffer, strata, k, key, keys, lobes)
+                trace_to_sample(buffer, strata.ways[k, 2], keys, beam, True, strata.lit)
+                scatter_stratum(buffer, strata, k, key, keys, lobes)
                 total += buffer[strata.ways[k, 2] - 1 + DX]
     return total

@@ -27,7 +27,7 @@ NUMBERS = 8
 NEAR = 1e-6
 
 
-class Stage(NamedTuple):
+class Surfaces(NamedTuple):
     """What light can meet, in the sample's frame, mm: `mirrors` (3, 4, 3), their half side and that with the mount, of which
     there are none for scattered light without `obstruction`; their `reflectance` (91,) at incidences of 0 to 90 deg; half
     sides of hole and frames, the gap and the frames' reflectance; `most` interactions of a path.
@@ -47,7 +47,7 @@ class Stage(NamedTuple):
 
 @kernel()
 def next_surface(
-    stage: Stage, px: float, py: float, pz: float, dx: float, dy: float, dz: float
+    stage: Surfaces, px: float, py: float, pz: float, dx: float, dy: float, dz: float
 ) -> tuple[int, float]:  # fmt: skip
     """The surface that a ray meets first, and how far away it is."""
     surface, nearest = NOTHING, math.inf
@@ -69,7 +69,7 @@ def next_surface(
 
 
 @kernel()
-def on_mount(stage: Stage, m: int, px: float, py: float, pz: float) -> bool:
+def is_on_mount(stage: Surfaces, m: int, px: float, py: float, pz: float) -> bool:
     """Whether a place in the plane of mirror m is beyond its edges."""
     x, y, z = px - stage.mirrors[m, 0, 0], py - stage.mirrors[m, 0, 1], pz - stage.mirrors[m, 0, 2]
     u = x * stage.mirrors[m, 2, 0] + y * stage.mirrors[m, 2, 1] + z * stage.mirrors[m, 2, 2]
@@ -78,14 +78,14 @@ def on_mount(stage: Stage, m: int, px: float, py: float, pz: float) -> bool:
 
 
 @kernel()
-def by_cosine(up: bool, u: float, v: float) -> tuple[float, float, float]:
+def cosine_direction(up: bool, u: float, v: float) -> tuple[float, float, float]:
     """A direction by Lambert's law, above or below."""
     radius, turn, height = math.sqrt(u), 2.0 * math.pi * v, math.sqrt(1.0 - u)
     return radius * math.cos(turn), radius * math.sin(turn), height if up else -height
 
 
 @kernel()
-def at_angle(table: Floats, cosine: float) -> float:
+def interpolate_degrees(table: Floats, cosine: float) -> float:
     """Of a table over whole degrees of incidence, 0 to 90, linear between."""
     place = math.degrees(math.acos(min(1.0, cosine)))
     i = min(int(place), table.size - 2)
@@ -93,8 +93,8 @@ def at_angle(table: Floats, cosine: float) -> float:
 
 
 @kernel()
-def bounce(
-    stage: Stage, lobes: Lobes, targets: Targets, spread: Spread, key: np.uint64, interactions: int, scored: bool,
+def trace_bounces(
+    stage: Surfaces, lobes: Lobes, targets: Targets, spread: Spread, key: np.uint64, interactions: int, scored: bool,
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, weight: float, sums: Floats,
 ) -> None:  # fmt: skip
     """Follows a path from p along d, that has had `interactions`, and scores it; its first part unless that is `scored`."""
@@ -115,9 +115,9 @@ def bounce(
         if mirrored:
             nx, ny, nz = stage.mirrors[surface, 1, 0], stage.mirrors[surface, 1, 1], stage.mirrors[surface, 1, 2]
             along = dx * nx + dy * ny + dz * nz
-            if along >= 0.0 or on_mount(stage, surface, px, py, pz):
+            if along >= 0.0 or is_on_mount(stage, surface, px, py, pz):
                 return
-            weight *= at_angle(stage.reflectance, -along)
+            weight *= interpolate_degrees(stage.reflectance, -along)
             dx, dy, dz = dx - 2.0 * along * nx, dy - 2.0 * along * ny, dz - 2.0 * along * nz
         elif surface == SHEET:
             pz = 0.0
@@ -131,7 +131,7 @@ def bounce(
             pz = stage.gap * (1 + UPPER - surface)
             if uniform(key, counter) >= stage.frame_reflectance:
                 return
-            dx, dy, dz = by_cosine(dz < 0.0, uniform(key, counter + 1), uniform(key, counter + 2))
+            dx, dy, dz = cosine_direction(dz < 0.0, uniform(key, counter + 1), uniform(key, counter + 2))
         if not weight > 0.0:
             return
         interactions += 1

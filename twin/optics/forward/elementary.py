@@ -38,7 +38,7 @@ def cosine(square: np.float32) -> np.float32:
 
 
 @kernel(inline="always")
-def turned_by(share: np.float32) -> tuple[np.float32, np.float32]:
+def cosine_and_sine(share: np.float32) -> tuple[np.float32, np.float32]:
     """Cosine and sine of a share of the whole turn, 0 to 1, counted from the negative x axis."""
     half = PI * (share - HALF)
     square = half * half

@@ -19,7 +19,7 @@ from goniotwin.twin.optics.forward.paths import BLOCK
 from goniotwin.twin.optics.forward.setting import Setting, set_up
 from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames
 from goniotwin.twin.optics.illumination.rayset import RaySource
-from goniotwin.twin.optics.montecarlo import CHUNK, U64, check_seed, summed, until
+from goniotwin.twin.optics.montecarlo import CHUNK, U64, check_seed, run_until, sum_chunks
 
 FIRST_PATHS = 1 << 18
 DARK_PATHS = 1 << 22
@@ -28,10 +28,10 @@ MOST_PATHS = 1 << 38
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What `forward` found, (n,) each in m^2 sr with its standard error: all of the throughput, and the two parts of it.
+    """Result of `forward_throughput`, arrays (n,) in m^2 sr with standard errors: total throughput, single and stray component.
 
-    Single is what was scattered once, by the sample, after the three mirrors: what the fast estimator is about. Stray is
-    the rest: light of the frames, and light that met something between. `paths` is how many were traced. The flux on a
+    Single is light that the sample scattered once after the three mirrors: this is what the fast estimator computes. Stray is
+    the rest: light of the frames, and light that met another surface. `paths` is the number of traced paths. The flux on a
     detector is its throughput times `radiance`: the exit pupil's own, or, for a rayset, that of a uniform exit pupil that
     gives the hole as much light, in `unit` / (m^2 sr).
     Each contribution counts for itself in the errors, and light that is drawn in several ways as if it were drawn at random:
@@ -49,7 +49,7 @@ class Estimate:
     unit: str | None = None
 
 
-def forward(
+def forward_throughput(
     instrument: Instrument,
     sigma_deg: float,
     directions: npt.ArrayLike,
@@ -96,7 +96,7 @@ def forward(
     return _run(setting, paths, relative_error, seed)
 
 
-def traced(setting: Setting, seed: int, first: int, last: int) -> Floats:
+def trace_paths(setting: Setting, seed: int, first: int, last: int) -> Floats:
     """Sums (rows, 4) over paths first..last-1, both multiples of a block: see `trace`."""
     if not setting.strata.ways.size:
         return np.zeros((setting.rows, 4))
@@ -110,7 +110,7 @@ def traced(setting: Setting, seed: int, first: int, last: int) -> Floats:
 def run_sums(setting: Setting, paths: int, seed: int) -> tuple[Floats, int]:
     """The sums over so many paths, and how many they are, rounded up."""
     rounded = BLOCK * math.ceil(paths / BLOCK)
-    return summed(lambda first, last: traced(setting, seed, first, last), 0, rounded), rounded
+    return sum_chunks(lambda first, last: trace_paths(setting, seed, first, last), 0, rounded), rounded
 
 
 def _run(setting: Setting, paths: int | None, relative_error: float | None, seed: int) -> Estimate:
@@ -132,7 +132,7 @@ def _run(setting: Setting, paths: int | None, relative_error: float | None, seed
     # Chunks grow with the number of detectors, so that adding their sums remains cheap.
     chunk = CHUNK * min(16, max(1, setting.rows // 4096))
     rounded = None if paths is None else BLOCK * math.ceil(paths / BLOCK)
-    return until(
-        lambda first, last: traced(setting, seed, first, last), estimate, rounded, relative_error, max(FIRST_PATHS, chunk),
+    return run_until(
+        lambda first, last: trace_paths(setting, seed, first, last), estimate, rounded, relative_error, max(FIRST_PATHS, chunk),
         DARK_PATHS, MOST_PATHS, chunk,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.forward.elementary import turned_by
+from goniotwin.twin.optics.forward.elementary import cosine_and_sine
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import high_16, low_16, word
 
@@ -81,7 +81,7 @@ def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, a
     for i in range(count):
         bits = word(key, i)
         radius = np.sqrt(low_16(bits))
-        cos, sin = turned_by(high_16(bits))
+        cos, sin = cosine_and_sine(high_16(bits))
         u, v, s, t = radius * cos, radius * sin, buffer[i + PX], buffer[i + PY]
         x, y, z = p00 + u * p10 + v * p20, p01 + u * p11 + v * p21, p02 + u * p12 + v * p22
         wx, wy, wz = a00 + s * a10 + t * a20 - x, a01 + s * a11 + t * a21 - y, a02 + s * a12 + t * a22 - z
@@ -103,7 +103,7 @@ def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flu
 
 
 @kernel(fastmath={"contract"})
-def over_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
+def reflect_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
     """Takes the rays to a mirror and reflects them there; one that misses it carries nothing any more."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
     nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
@@ -150,7 +150,7 @@ def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, 
 
 
 @kernel()
-def arrive(buffer: np.ndarray, count: int, keys: np.ndarray, beam: Beam, inside: bool, lit: float) -> None:
+def trace_to_sample(buffer: np.ndarray, count: int, keys: np.ndarray, beam: Beam, inside: bool, lit: float) -> None:
     """All of it: rays in the hole or, without `inside`, on the frame round it; `keys` (2,) of the two words of a path."""
     uniform_pupil = beam.rays.shape[0] == 0
     if not uniform_pupil:
@@ -162,5 +162,5 @@ def arrive(buffer: np.ndarray, count: int, keys: np.ndarray, beam: Beam, inside:
             aim_beside_hole(buffer, count, keys[0], lit)
         leave_pupil(buffer, count, keys[1], beam.pupil, beam.aim)
     for m in range(3):
-        over_mirror(buffer, count, beam.mirrors[m], beam.mirror_half, beam.reflectance[m])
+        reflect_at_mirror(buffer, count, beam.mirrors[m], beam.mirror_half, beam.reflectance[m])
     land(buffer, count, beam.hole_half, beam.frame_half, beam.gap, inside, uniform_pupil)

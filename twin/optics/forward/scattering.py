@@ -13,10 +13,10 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes, lobe_arrays
 from goniotwin.twin.optics.bsdf.sampling import scatter
-from goniotwin.twin.optics.forward.elementary import arcsine, cosine, exp_minus, minus_log, sine_ratio, turned_by
+from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
 from goniotwin.twin.optics.forward.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import scrambled, uniform, upper_24, word
+from goniotwin.twin.optics.montecarlo import scramble, uniform, upper_24, word
 
 F32 = np.float32
 U64 = np.uint64
@@ -30,7 +30,7 @@ def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits:
     factor, way = F32(gain), F32(-1.0 if transmits else 1.0)
     for i in range(count):
         height = upper_24(word(keys[0], i))
-        cos, sin = turned_by(upper_24(word(keys[1], i)))
+        cos, sin = cosine_and_sine(upper_24(word(keys[1], i)))
         radius = np.sqrt(height)
         buffer[i + DX], buffer[i + DY], buffer[i + DZ] = radius * cos, radius * sin, way * np.sqrt(ONE - height)
         buffer[i + WEIGHT] = buffer[i + FLUX] * factor
@@ -47,7 +47,7 @@ def leave_by_lobe(
     way = F32(-1.0 if transmits else 1.0)
     for i in range(count):
         below = ONE - upper_24(word(keys[0], i)) * cut
-        cos, sin = turned_by(upper_24(word(keys[1], i)))
+        cos, sin = cosine_and_sine(upper_24(word(keys[1], i)))
         square = max(minus_log(below), ZERO) * inverse
         half = QUARTER * square
         sinc, cos_half = sine_ratio(half), cosine(half)
@@ -96,7 +96,7 @@ def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, tra
 
 
 @kernel(fastmath={"contract"})
-def meet_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> None:
+def stop_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> None:
     """STOP becomes the distance to a mirror where that is met before."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
     nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
@@ -114,7 +114,7 @@ def meet_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> 
 
 
 @kernel(fastmath={"contract"})
-def meet_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
+def stop_at_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
     """The same for the frame's own side, which faces the sample."""
     limit, height = F32(hole), F32(gap)
     for i in range(count):
@@ -126,7 +126,7 @@ def meet_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
 
 
 @kernel()
-def meet_nothing(buffer: np.ndarray, count: int) -> None:
+def reset_stops(buffer: np.ndarray, count: int) -> None:
     """STOP is infinite."""
     for i in range(count):
         buffer[i + STOP] = F32(np.inf)
@@ -135,7 +135,7 @@ def meet_nothing(buffer: np.ndarray, count: int) -> None:
 @kernel()
 def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
     """Of one path of a block: for what is drawn path by path."""
-    return scrambled(key + U64(stratum * 65536 + i + 1) * U64(0xD1342543DE82EF95))
+    return scramble(key + U64(stratum * 65536 + i + 1) * U64(0xD1342543DE82EF95))
 
 
 @kernel()

@@ -13,7 +13,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
-from goniotwin.twin.optics.geometry.sensor import RealSensor, passes
+from goniotwin.twin.optics.geometry.sensor import RealSensor, passes_sensor
 from goniotwin.twin.optics.kernel import kernel
 
 F32 = np.float32
@@ -83,7 +83,7 @@ def _listed(axes: Floats, half: float, cells: int, starts: np.ndarray, numbers: 
     return count
 
 
-def targets(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float) -> Targets:
+def make_targets(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float) -> Targets:
     """Of detectors at `centres` (n, 3), mm, that look along -`axes` (n, 3), all with the same field and disc."""
     half = math.radians(0.5 * field_deg)
     cells = min(MOST_CELLS, max(FEWEST_CELLS, math.ceil(2.0 / math.sin(half))))
@@ -101,12 +101,12 @@ def targets(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float)
     return Targets(starts, numbers, frames, cells, chord2, (0.5 * diameter_mm) ** 2, None)
 
 
-def sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: RealSensor) -> Targets:
+def make_sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: RealSensor) -> Targets:
     """Of sensors with their lenses at `centres` (n, 3), mm, that look along -`axes` (n, 3), `sides` (n, 3) along the arc.
 
     The lists are those of a cone that no ray which can pass is outside of, with room for rounding.
     """
-    found = targets(centres, axes, sensor.widest_deg + math.degrees(2.0 * SLACK), sensor.lens_diameter_mm)
+    found = make_targets(centres, axes, sensor.widest_deg + math.degrees(2.0 * SLACK), sensor.lens_diameter_mm)
     rows = np.vstack([sides, np.zeros(3)]).astype(np.float32)[found.numbers]
     return found._replace(frames=np.hstack([found.frames, rows]), sensor=sensor.constants)
 
@@ -123,7 +123,7 @@ def find_cells(buffer: np.ndarray, count: int, cells: int, found: np.ndarray) ->
         found[i] = cell if buffer[i + WEIGHT] > ZERO else nowhere
 
 
-class Room(NamedTuple):
+class HitBuffer(NamedTuple):
     """For HITS and one list of detectors: the place in the lists and the path of each, and of those that count the weight."""
 
     places: np.ndarray
@@ -132,7 +132,7 @@ class Room(NamedTuple):
 
 
 @kernel(forceinline=True)
-def counts(
+def is_counted(
     targets: Targets, sensor: Floats | None, j: int, px: float, py: float, pz: float, dx: float, dy: float, dz: float,
     stop: float,
 ) -> bool:  # fmt: skip
@@ -148,27 +148,27 @@ def counts(
     ux, uy, uz = np.float64(frames[j, 6]), np.float64(frames[j, 7]), np.float64(frames[j, 8])
     vx, vy, vz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
     p, q = (dx * ux + dy * uy + dz * uz) / along, (dx * vx + dy * vy + dz * vz) / along
-    return 0.0 < distance < stop and passes(x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, p, q, sensor)
+    return 0.0 < distance < stop and passes_sensor(x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, p, q, sensor)
 
 
 @kernel()
-def settle_sensors(buffer: np.ndarray, hits: int, targets: Targets, room: Room, sums: Floats) -> None:
-    """`settle` of real sensors."""
+def add_sensor_hits(buffer: np.ndarray, hits: int, targets: Targets, room: HitBuffer, sums: Floats) -> None:
+    """`add_hits` of real sensors."""
     for h in range(hits):
         i, j = room.paths[h], room.places[h]
         px, py, stop = np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), np.float64(buffer[i + STOP])
         dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
-        if counts(targets, targets.sensor, j, px, py, 0.0, dx, dy, dz, stop):
+        if is_counted(targets, targets.sensor, j, px, py, 0.0, dx, dy, dz, stop):
             k, weight = targets.numbers[j], np.float64(buffer[i + WEIGHT])
             sums[k, 0] += weight
             sums[k, 1] += weight * weight
 
 
 @kernel(fastmath={"contract"})
-def settle(buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | None, room: Room, sums: Floats) -> None:
+def add_hits(buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | None, room: HitBuffer, sums: Floats) -> None:
     """Adds those of the hits that cross the detector's disc, or pass its sensor, to the first two columns of `sums` (n, 4)."""
     if sensor is not None:
-        settle_sensors(buffer, hits, targets, room, sums)
+        add_sensor_hits(buffer, hits, targets, room, sums)
         return
     frames, places, paths, weights = targets.frames, room.places, room.paths, room.weights
     radius2, kept = F32(targets.radius2), 0
@@ -189,7 +189,7 @@ def settle(buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | Non
 
 
 @kernel(fastmath={"contract"})
-def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, room: Room, sums: Floats) -> None:
+def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, room: HitBuffer, sums: Floats) -> None:
     """Adds the paths of a block to the first two columns of `sums`, those first that are within the detectors' cones."""
     starts, frames, places, paths = targets.starts, targets.frames, room.places, room.paths
     chord2, hits = F32(targets.chord2), 0
@@ -203,9 +203,9 @@ def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, r
             paths[hits], places[hits] = i, j
             hits += 1 if ox * ox + oy * oy + oz * oz <= chord2 else 0
         if hits > HITS:
-            settle(buffer, hits, targets, targets.sensor, room, sums)
+            add_hits(buffer, hits, targets, targets.sensor, room, sums)
             hits = 0
-    settle(buffer, hits, targets, targets.sensor, room, sums)
+    add_hits(buffer, hits, targets, targets.sensor, room, sums)
 
 
 @kernel()
@@ -222,7 +222,7 @@ def score_segment(
         ex, ey, ez = targets.frames[j, 0], targets.frames[j, 1], targets.frames[j, 2]
         if (dx - ex) ** 2 + (dy - ey) ** 2 + (dz - ez) ** 2 > targets.chord2:
             continue
-        if counts(targets, targets.sensor, j, px, py, pz, dx, dy, dz, stop):
+        if is_counted(targets, targets.sensor, j, px, py, pz, dx, dy, dz, stop):
             k = targets.numbers[j]
             sums[k, 2] += weight
             sums[k, 3] += weight * weight

@@ -12,15 +12,15 @@ import numpy.typing as npt
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.analytic_samples import regular
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, LAMBERTIAN
-from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, Lobes, lobe_share, packed
+from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, Lobes, lobe_share, pack_lobes
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.forward.blocks import COSINE, FRAME, MODEL, REST, SHAPE, Strata
-from goniotwin.twin.optics.forward.bounces import Stage
+from goniotwin.twin.optics.forward.bounces import Surfaces
 from goniotwin.twin.optics.forward.paths import BLOCK, MARGIN, Beam
-from goniotwin.twin.optics.forward.scoring import Targets, sensor_targets, targets
+from goniotwin.twin.optics.forward.scoring import Targets, make_sensor_targets, make_targets
 from goniotwin.twin.optics.forward.spread import BINS, Spread
 from goniotwin.twin.optics.geometry.coordinates import direction_rows
-from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames, share_reflected
+from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames, reflected_share
 from goniotwin.twin.optics.geometry.mirrors import pupil, reflect
 from goniotwin.twin.optics.geometry.scene import Scene, scene_at
 from goniotwin.twin.optics.illumination.rayset import RaySource
@@ -32,10 +32,10 @@ LEAST = 16
 MM2_TO_M2 = 1e-6
 
 
-def strata(pupil_radius_mm: float, beam: Beam, lobes: Lobes, frames: SampleFrames, beside: float, stray: bool) -> Strata:
+def make_strata(pupil_radius_mm: float, beam: Beam, lobes: Lobes, frames: SampleFrames, beside: float, stray: bool) -> Strata:
     """How a block's paths are shared out: by what each lobe scatters, and the frame, which gets `beside` of the hole's light.
 
-    The frame never has more than half, and half for a map of `stray` light. Raises ValueError for more lobes than there is
+    The frame never has more than half, and half for a map of `stray_map` light. Raises ValueError for more lobes than there is
     room for.
     """
     area = math.pi * pupil_radius_mm**2 * 4.0 * beam.hole_half**2
@@ -104,7 +104,7 @@ class Setting:
     beam: Beam
     strata: Strata
     lobes: Lobes
-    stage: Stage
+    stage: Surfaces
     targets: Targets
     spread: Spread
     longest: int
@@ -130,20 +130,20 @@ def set_up(
     frames: SampleFrames,
     spread: bool = False,
 ) -> Setting:
-    """Everything for `forward`, see there. With `spread` stray light is spread over a map."""
+    """Everything for `forward_throughput`, see there. With `spread` stray light is spread over a map."""
     sample = scatterer or OPEN_BEAM
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     rows = np.asarray(directions, dtype=np.float64)
     centres, axes = scene.detectors(instrument, rows) if rows.size else (np.zeros((0, 3)), direction_rows(np.zeros((0, 3))))
     if instrument.sensor is None:
-        found = targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
+        found = make_targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
     else:
-        found = sensor_targets(centres, axes, _along_the_arc(instrument, scene, rows), instrument.sensor)
+        found = make_sensor_targets(centres, axes, _along_the_arc(instrument, scene, rows), instrument.sensor)
     beam = _beam(instrument, scene, wavelength_nm, source, frames)
     weights = sample.weights(wavelength_nm)
     kept = [k for k in range(len(sample.lobes)) if weights[k] > 0.0]
     kept = kept or [0]
-    lobes = packed(tuple(sample.lobes[k] for k in kept), weights[kept], scene.incident)
+    lobes = pack_lobes(tuple(sample.lobes[k] for k in kept), weights[kept], scene.incident)
     half_field = math.radians(0.5 * instrument.field_deg)
     radiance, unit = 1.0, None
     inside, outside = 1.0, frames.lit**2 - 1.0
@@ -153,14 +153,14 @@ def set_up(
     return Setting(
         scene,
         beam,
-        strata(instrument.pupil_radius_mm, beam, lobes, frames, outside / inside, spread),
+        make_strata(instrument.pupil_radius_mm, beam, lobes, frames, outside / inside, spread),
         lobes,
-        Stage(
+        Surfaces(
             scene.mirrors,
             0.5 * instrument.mirror_side_mm,
             0.5 * instrument.blocking_side_mm,
             instrument.obstruction,
-            share_reflected(instrument.mirror_reflectance, wavelength_nm, np.arange(91.0)),
+            reflected_share(instrument.mirror_reflectance, wavelength_nm, np.arange(91.0)),
             beam.hole_half,
             beam.frame_half,
             frames.gap_mm,
@@ -214,7 +214,7 @@ def _linear_reflectance(instrument: Instrument, scene: Scene, wavelength_nm: flo
     """Of each mirror (3, 2), linear in the cosine over the degree on either side of the beam's axis."""
     angles = scene.mirror_angles_deg
     near, far = np.maximum(angles - 1.0, 0.0), np.minimum(angles + 1.0, 90.0)
-    middle, first, last = (share_reflected(instrument.mirror_reflectance, wavelength_nm, each) for each in (angles, near, far))
+    middle, first, last = (reflected_share(instrument.mirror_reflectance, wavelength_nm, each) for each in (angles, near, far))
     slope = (last - first) / (np.cos(np.radians(far)) - np.cos(np.radians(near)))
     return np.stack([middle - slope * np.cos(np.radians(angles)), slope], axis=1)
 

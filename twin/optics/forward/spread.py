@@ -31,7 +31,7 @@ class Spread(NamedTuple):
 
 
 @kernel()
-def shared(a: float, b: float, apart: float) -> float:
+def common_area(a: float, b: float, apart: float) -> float:
     """Area that two circles of radii a and b share, `apart` between their centres."""
     if apart >= a + b:
         return 0.0
@@ -52,7 +52,7 @@ def spread_segment(
     if ends or along >= spread.arc:
         return
     aside = math.sqrt(max(0.0, px * px + py * py + pz * pz - along * along))
-    area = shared(spread.half_field, spread.disc / spread.arc, aside / spread.arc)
+    area = common_area(spread.half_field, spread.disc / spread.arc, aside / spread.arc)
     i = min(int(math.degrees(math.acos(min(1.0, abs(dz)))) / POLAR_STEP_DEG), POLAR_BINS - 1)
     j = int(math.degrees(math.atan2(dy, dx)) / AZIMUTH_STEP_DEG + AZIMUTH_BINS) % AZIMUTH_BINS
     side = 0 if dz >= 0.0 else 1
@@ -62,7 +62,7 @@ def spread_segment(
 
 
 @kernel()
-def bin_cosines() -> np.ndarray:
+def projected_solid_angles() -> np.ndarray:
     """Projected solid angle in sr of the bins of each polar angle, (18,)."""
     result = np.empty(POLAR_BINS)
     for i in range(POLAR_BINS):

@@ -14,7 +14,13 @@ from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.fast.obstruction import visible_fraction
 from goniotwin.twin.optics.forward.estimator import run_sums
 from goniotwin.twin.optics.forward.setting import set_up
-from goniotwin.twin.optics.forward.spread import AZIMUTH_BINS, AZIMUTH_STEP_DEG, POLAR_BINS, POLAR_STEP_DEG, bin_cosines
+from goniotwin.twin.optics.forward.spread import (
+    AZIMUTH_BINS,
+    AZIMUTH_STEP_DEG,
+    POLAR_BINS,
+    POLAR_STEP_DEG,
+    projected_solid_angles,
+)
 from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames
 from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.illumination.rayset import RaySource
@@ -41,7 +47,7 @@ class StrayMap:
     detector: tuple[float, float, float]
 
 
-def stray(
+def stray_map(
     instrument: Instrument,
     sigma_deg: float,
     scatterer: Scatterer | None,
@@ -53,10 +59,10 @@ def stray(
     max_interactions: int = 8,
     sample_frames: SampleFrames | None = None,
 ) -> StrayMap:
-    """The map for a sample, `scatterer`, at one place of mirror unit and sample unit; see `forward` for the arguments.
+    """Stray light map of a sample at one position of mirror unit and sample unit; arguments as in `forward_throughput`.
 
-    Half of the paths are those that land on a frame first. Raises ValueError as `forward` does, and for a sensor that is no
-    simple detector, for light is spread over discs with acceptance cones: see `Instrument.simplified`.
+    Half of the paths land on a frame first. Raises ValueError as `forward_throughput` does, and for a sensor that is not a
+    simple detector, because the map holds for discs with acceptance cones: see `Instrument.simplified`.
     """
     instrument = instrument.simplified()
     check_seed(seed)
@@ -70,7 +76,7 @@ def stray(
     mean, square = sums[:, 2] / done, sums[:, 3] / done
     error = np.sqrt(np.maximum(square - mean**2, 0.0) / (done - 1))
     shape = (2, POLAR_BINS, AZIMUTH_BINS)
-    scale = 1.0 / (setting.radiance * bin_cosines()[:, None])
+    scale = 1.0 / (setting.radiance * projected_solid_angles()[:, None])
     return StrayMap(
         sigma_deg, gamma_deg, mean.reshape(shape) * scale, error.reshape(shape) * scale, done, _detector(instrument)
     )  # fmt: skip

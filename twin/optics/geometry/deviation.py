@@ -32,7 +32,7 @@ class Deviation:
                 raise ValueError(f"{entry.name} is {value!r}: give a finite number")
 
 
-NONE = Deviation()
+NO_DEVIATION = Deviation()
 
 
 def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
@@ -54,7 +54,7 @@ def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
     return matrix, shift
 
 
-def by_name(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:
+def check_deviations(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:
     """A copy of `deviations`. Raises ValueError, naming the known elements, for one that is not among them."""
     names = tuple(known)
     for name, deviation in deviations.items():

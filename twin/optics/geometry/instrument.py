@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.deviation import NONE, Deviation, by_name
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 
 NOMINAL_DEG = 45.0
@@ -63,7 +63,7 @@ class Reflectance:
         return np.asarray(np.interp(np.asarray(angle_deg, dtype=np.float64), self.angle_deg, row))
 
 
-def share_reflected(reflectance: "float | Reflectance", wavelength_nm: float | None, angle_deg: npt.ArrayLike) -> Floats:
+def reflected_share(reflectance: "float | Reflectance", wavelength_nm: float | None, angle_deg: npt.ArrayLike) -> Floats:
     """Share (...) of unpolarised light that a mirror reflects at angles (...) of incidence, whatever tells it.
 
     Raises ValueError where a table over the wavelength is not told it.
@@ -73,9 +73,9 @@ def share_reflected(reflectance: "float | Reflectance", wavelength_nm: float | N
     return np.full(np.shape(angle_deg), float(reflectance))
 
 
-def nominal(reflectance: "float | Reflectance") -> float:
+def nominal_reflectance(reflectance: "float | Reflectance") -> float:
     """At 45 deg and 555 nm."""
-    return float(share_reflected(reflectance, NOMINAL_NM, NOMINAL_DEG))
+    return float(reflected_share(reflectance, NOMINAL_NM, NOMINAL_DEG))
 
 
 ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
@@ -134,12 +134,12 @@ class Instrument:
             raise ValueError(f"mirror_reflectance is {self.mirror_reflectance!r}: give a share of at most 1")
         if self.field_deg >= 180.0:
             raise ValueError(f"field_deg is {self.field_deg!r}: give the cone's full width, less than 180 deg")
-        known = by_name(self.deviations, ELEMENTS)
+        known = check_deviations(self.deviations, ELEMENTS)
         object.__setattr__(self, "deviations", MappingProxyType(dict(sorted(known.items()))))
 
     def deviation(self, element: str) -> Deviation:
         """Of one element; none where none is given."""
-        return self.deviations.get(element, NONE)
+        return self.deviations.get(element, NO_DEVIATION)
 
     def simplified(self) -> "Instrument":
         """The same with virtual detectors, a disc with an acceptance cone each, which is all that the fast estimator knows.

@@ -95,11 +95,11 @@ def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Float
     Exact: the pupil is reflected in the three planes, one after the other. The axes turn with sigma, as the beam's
     section does.
     """
-    centre, axis_u, axis_v = placed(np.array(pupil(instrument)), unfolding(mirrors_at(instrument, sigma_deg))[0])
+    centre, axis_u, axis_v = transform_rows(np.array(pupil(instrument)), unfolding_maps(mirrors_at(instrument, sigma_deg))[0])
     return centre, axis_u, axis_v
 
 
-def unfolding(unit: Mirrors) -> tuple[Floats, Floats]:
+def unfolding_maps(unit: Mirrors) -> tuple[Floats, Floats]:
     """Maps (4, 4) of homogeneous columns that unfold the path: of what is before mirror 1, and (3, 4, 4) of each mirror.
 
     Each mirror is reflected in those that follow it, so that the path from the sample to the pupil's image is straight.
@@ -112,16 +112,16 @@ def unfolding(unit: Mirrors) -> tuple[Floats, Floats]:
     return last_two @ maps[0], np.array([last_two, maps[2], np.eye(4)])
 
 
-def placed(rows: Floats, maps: Floats) -> Floats:
+def transform_rows(rows: Floats, maps: Floats) -> Floats:
     """Rows (..., n, 3), of which the first is a point and the others are vectors, as a map (..., 4, 4) takes them."""
     turned = rows @ np.swapaxes(maps[..., :3, :3], -1, -2)
     turned[..., 0, :] += maps[..., :3, 3]
     return np.ascontiguousarray(turned)
 
 
-def unfolded(unit: Mirrors) -> Mirrors:
+def unfold_mirrors(unit: Mirrors) -> Mirrors:
     """The mirrors as the sample sees them: each one's image in those that follow, so that the path is straight."""
-    seen = placed(unit.packed, unfolding(unit)[1])
+    seen = transform_rows(unit.packed, unfolding_maps(unit)[1])
     return Mirrors(seen[:, 0], seen[:, 1], seen[:, 2], seen[:, 3])
 
 

@@ -15,7 +15,7 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import direction_rows
 from goniotwin.twin.optics.geometry.deviation import Deviation, rotation_and_shift
 from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.mirrors import distance_to, mirrors_at, placed, pupil, unfolding
+from goniotwin.twin.optics.geometry.mirrors import distance_to, mirrors_at, pupil, transform_rows, unfolding_maps
 from goniotwin.twin.optics.kernel import kernel
 
 UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
@@ -88,8 +88,8 @@ def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -
     own = np.eye(4)
     own[:3, :3], own[:3, 3] = to_sample, -to_sample @ origin
     unit = mirrors_at(instrument, sigma_deg)
-    before, each = unfolding(unit)
-    centre, axis_u, axis_v = placed(np.array(pupil(instrument)), own @ before)
+    before, each = unfolding_maps(unit)
+    centre, axis_u, axis_v = transform_rows(np.array(pupil(instrument)), own @ before)
     normal = np.array(
         [
             axis_u[1] * axis_v[2] - axis_u[2] * axis_v[1],
@@ -100,9 +100,9 @@ def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -
     radius, facing = instrument.pupil_radius_mm, 1.0 if normal @ centre > 0.0 else -1.0
     seen_pupil = np.array([centre, radius * axis_u, radius * axis_v, facing * normal])
     mirrors = unit.packed
-    images = placed(mirrors, own @ each)
-    clipped = clips(images, seen_pupil, 0.5 * instrument.spot_side_mm, 0.5 * instrument.mirror_side_mm)
-    return Scene(sigma_deg, -1 if back else 1, seen_pupil, placed(mirrors, own), images, to_sample, origin, clipped)
+    images = transform_rows(mirrors, own @ each)
+    clipped = clips_beam(images, seen_pupil, 0.5 * instrument.spot_side_mm, 0.5 * instrument.mirror_side_mm)
+    return Scene(sigma_deg, -1 if back else 1, seen_pupil, transform_rows(mirrors, own), images, to_sample, origin, clipped)
 
 
 def _sample_frame(deviation: Deviation, gamma_deg: float, back: bool) -> tuple[Floats, Floats]:
@@ -125,7 +125,7 @@ def _detector_frames(axes: Floats) -> Floats:
 
 
 @kernel()
-def clips(images: Floats, pupil: Floats, hole: float, mirror: float) -> bool:
+def clips_beam(images: Floats, pupil: Floats, hole: float, mirror: float) -> bool:
     """Whether some ray of the beam misses a mirror; `hole` and `mirror` are half sides, mm.
 
     Hole and pupil are convex, so the beam's section in a mirror's plane is the hull of the lines between their corners:

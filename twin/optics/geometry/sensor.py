@@ -78,7 +78,7 @@ class RealSensor:
 
     @property
     def constants(self) -> Floats:
-        """For `passes`: squared radii of lens and aperture, 1/f, diaphragm, detector, half its side."""
+        """For `passes_sensor`: squared radii of lens and aperture, 1/f, diaphragm, detector, half its side."""
         return np.array(
             [
                 0.25 * self.lens_diameter_mm**2, 0.25 * self.aperture_mm**2, 1.0 / self.focal_length_mm, self.diaphragm_mm,
@@ -88,7 +88,7 @@ class RealSensor:
 
 
 @kernel(forceinline=True)
-def passes(x: float, y: float, p: float, q: float, constants: Floats) -> bool:
+def passes_sensor(x: float, y: float, p: float, q: float, constants: Floats) -> bool:
     """Whether a ray reaches the detector that crosses the lens' plane at (x, y), mm, with slopes (p, q) to its axis."""
     if x * x + y * y > constants[0]:
         return False

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.illumination.beam import Illumination, checked_square, mean_and_error, widest_angle
-from goniotwin.twin.optics.illumination.elements import bend, chord, reflected, to_plane
+from goniotwin.twin.optics.illumination.beam import Illumination, check_square, mean_and_error, widest_angle
+from goniotwin.twin.optics.illumination.elements import bend, chord, reflect_at_sphere, to_plane
 from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import check_seed, scrambled, uniform, until
+from goniotwin.twin.optics.montecarlo import check_seed, run_until, scramble, uniform
 
 U64 = np.uint64
 # Few enough to be quick, and enough for their scatter to be known.
@@ -36,7 +36,7 @@ def lit_length(frames: Floats, sizes: Floats, x: Floats, w: Floats) -> float:
         return 0.0
     gain = bend(frames[INPUT], u, v, -1.0 / sizes[4], w)
     length: float = sizes[10] * chord(frames[ARC], sizes[0], sizes[1], x, w)
-    if sizes[11] > 0.0 and reflected(frames[REFLECTOR], sizes[2], sizes[3], x, w):
+    if sizes[11] > 0.0 and reflect_at_sphere(frames[REFLECTOR], sizes[2], sizes[3], x, w):
         length += sizes[11] * chord(frames[ARC], sizes[0], sizes[1], x, w)
     weighted: float = length / gain
     return weighted
@@ -50,9 +50,9 @@ def _trace(
     """Sums (2, cells^2 + bins) of the weights, in 1/mm, and of their squares over rays first..last-1."""
     sums = np.zeros((2, cells * cells + bins))
     x, w = np.empty(3), np.empty(3)
-    start = scrambled(U64(seed))
+    start = scramble(U64(seed))
     for ray in range(first, last):
-        key = scrambled(start + U64(ray) * U64(0xD1342543DE82EF95))
+        key = scramble(start + U64(ray) * U64(0xD1342543DE82EF95))
         # The cells take turns, so that each has its share of the rays.
         cell = ray % (cells * cells)
         i, j = cell // cells, cell % cells
@@ -105,7 +105,7 @@ def adjoint_illumination(
     `rays` is rounded up so that each cell has as many, and at least 2. The flux' error is that of its cells together; all
     errors are those of means of weights. Raises ValueError as `forward_illumination`; the bound is 2^30 rays.
     """
-    side = checked_square(unit, side_mm, cells, bins)
+    side = check_square(unit, side_mm, cells, bins)
     check_seed(seed)
     frames, sizes, widest = unit.frames, unit.sizes, widest_angle(unit, side)
     places = cells * cells
@@ -138,7 +138,7 @@ def adjoint_illumination(
         )
         return found.flux, found.flux_error, found
 
-    return until(trace, estimate, rays, relative_error, first_rays, DARK_RAYS, MOST_RAYS)
+    return run_until(trace, estimate, rays, relative_error, first_rays, DARK_RAYS, MOST_RAYS)
 
 
 # The map shows the slit's image with its edges: so much wider than the field.

@@ -87,7 +87,7 @@ def widest_angle(unit: IlluminationUnit, side_mm: float) -> float:
     return 1.5 * math.atan(reach / unit.sample_distance_mm)
 
 
-def checked_square(unit: IlluminationUnit, side_mm: float | None, cells: int, bins: int) -> float:
+def check_square(unit: IlluminationUnit, side_mm: float | None, cells: int, bins: int) -> float:
     """The square's side: the unit's own without another. Raises ValueError for what makes no map or profile."""
     side = unit.field_side_mm if side_mm is None else side_mm
     if not (math.isfinite(side) and side > 0.0):

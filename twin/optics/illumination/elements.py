@@ -48,7 +48,7 @@ def bend(frame: Floats, u: float, v: float, power: float, w: Floats) -> float:
 
 
 @kernel(forceinline=True)
-def reflected(frame: Floats, radius: float, least: float, x: Floats, w: Floats) -> bool:
+def reflect_at_sphere(frame: Floats, radius: float, least: float, x: Floats, w: Floats) -> bool:
     """Takes a ray from near the reflector's centre to its sphere and reflects it there; whether the reflector is there.
 
     `least` is the cosine of the half-angle at the centre of curvature, which is a radius from the vertex along y.

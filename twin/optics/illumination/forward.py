@@ -9,11 +9,11 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.illumination.beam import Illumination, checked_square, mean_and_error, widest_angle
-from goniotwin.twin.optics.illumination.elements import bend, reflected, to_plane
+from goniotwin.twin.optics.illumination.beam import Illumination, check_square, mean_and_error, widest_angle
+from goniotwin.twin.optics.illumination.elements import bend, reflect_at_sphere, to_plane
 from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import check_seed, scrambled, uniform, until
+from goniotwin.twin.optics.montecarlo import check_seed, run_until, scramble, uniform
 
 U64 = np.uint64
 FIRST_RAYS = 1 << 18
@@ -29,9 +29,9 @@ def _trace(
     """Sums (2, cells^2 + bins) of the weights and of their squares over rays first..last-1."""
     sums = np.zeros((2, cells * cells + bins))
     x, w = np.empty(3), np.empty(3)
-    start = scrambled(U64(seed))
+    start = scramble(U64(seed))
     for ray in range(first, last):
-        key = scrambled(start + U64(ray) * U64(0xD1342543DE82EF95))
+        key = scramble(start + U64(ray) * U64(0xD1342543DE82EF95))
         # Anywhere in the arc; within a cone about the condenser, or straight away from it, towards the reflector.
         cosine = 1.0 - uniform(key, 0) * aim[3]
         backwards = uniform(key, 1) < 0.5
@@ -46,7 +46,7 @@ def _trace(
         weight = sizes[10]
         if backwards:
             weight = sizes[11]
-            if not reflected(frames[REFLECTOR], sizes[2], sizes[3], x, w):
+            if not reflect_at_sphere(frames[REFLECTOR], sizes[2], sizes[3], x, w):
                 continue
         u, v = to_plane(frames[INPUT], x, w)
         if not u * u + v * v <= sizes[5] * sizes[5]:
@@ -113,7 +113,7 @@ def forward_illumination(
     weights, zeros included. Bit-identical for any number of threads. Raises ValueError for fewer than 2 rays, a negative
     seed, a map of no cells, and an error that 2^34 rays do not reach.
     """
-    side = checked_square(unit, side_mm, cells, bins)
+    side = check_square(unit, side_mm, cells, bins)
     check_seed(seed)
     frames, sizes, widest = unit.frames, unit.sizes, widest_angle(unit, side)
     aim, across = _aim(unit)
@@ -144,4 +144,4 @@ def forward_illumination(
         )
         return found.flux, found.flux_error, found
 
-    return until(trace, estimate, rays, relative_error, FIRST_RAYS, DARK_RAYS, MOST_RAYS)
+    return run_until(trace, estimate, rays, relative_error, FIRST_RAYS, DARK_RAYS, MOST_RAYS)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 
-Unit = Literal["W", "lm"]
+FluxUnit = Literal["W", "lm"]
 LUMEN_PER_WATT = 683.0
 
 # The photopic luminous efficiency V(lambda) of CIE 1924, every 10 nm from 380 to 780 nm.
@@ -33,7 +33,7 @@ class Spectrum:
 
     wavelength_nm: Floats
     flux_per_nm: Floats
-    unit: Unit = "W"
+    unit: FluxUnit = "W"
 
     def __post_init__(self) -> None:
         wavelength = np.array(self.wavelength_nm, dtype=np.float64)
@@ -110,7 +110,7 @@ class Passband:
         return np.interp(numbers, np.append(0.0, share / share[-1]), edges)
 
 
-def luminous(spectrum: Spectrum) -> Spectrum:
+def luminous_spectrum(spectrum: Spectrum) -> Spectrum:
     """A spectrum in W as one in lm, at the wavelengths of both tables between 380 and 780 nm."""
     if spectrum.unit == "lm":
         return spectrum
@@ -119,7 +119,7 @@ def luminous(spectrum: Spectrum) -> Spectrum:
     return Spectrum(wavelength, LUMEN_PER_WATT * np.interp(wavelength, V_NM, V) * spectrum.at(wavelength), "lm")
 
 
-def xenon(luminous_flux_lm: float = 3000.0) -> Spectrum:
+def xenon_spectrum(luminous_flux_lm: float = 3000.0) -> Spectrum:
     """A xenon short-arc lamp of about 150 W, in W/nm from 380 to 780 nm; 3000 lm is what such lamps are rated at.
 
     Coarse, and drawn from what is generally published of these lamps, not from one lamp's data sheet: a continuum like
@@ -137,4 +137,4 @@ def xenon(luminous_flux_lm: float = 3000.0) -> Spectrum:
         ]
     )  # fmt: skip
     relative = Spectrum(shape[:, 0], shape[:, 1])
-    return Spectrum(relative.wavelength_nm, relative.flux_per_nm * luminous_flux_lm / luminous(relative).total)
+    return Spectrum(relative.wavelength_nm, relative.flux_per_nm * luminous_flux_lm / luminous_spectrum(relative).total)

@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.deviation import NONE, Deviation, by_name, rotation_and_shift
-from goniotwin.twin.optics.illumination.spectrum import Passband, Spectrum, xenon
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations, rotation_and_shift
+from goniotwin.twin.optics.illumination.spectrum import Passband, Spectrum, xenon_spectrum
 
 ELEMENTS = ("arc", "reflector", "input_condenser", "slit", "output_condenser", "unit")
 # In this order the frames go to the kernels.
@@ -53,7 +53,7 @@ class IlluminationUnit:
     can have, and for deviations of an unknown element.
     """
 
-    lamp: Spectrum = field(default_factory=xenon)
+    lamp: Spectrum = field(default_factory=xenon_spectrum)
     arc_radius_mm: float = 0.5
     arc_length_mm: float = 2.2
     arc_transmittance: float = 0.8
@@ -95,7 +95,7 @@ class IlluminationUnit:
                 raise ValueError(f"{name} is {getattr(self, name)!r}: the arc alone reaches {reach:.3g} mm")
         if self.wavelength_nm <= 0.5 * self.interval_nm + self.bandwidth_nm:
             raise ValueError(f"wavelength_nm is {self.wavelength_nm!r}: interval and bandwidth reach below 0")
-        object.__setattr__(self, "deviations", by_name(self.deviations, ELEMENTS))
+        object.__setattr__(self, "deviations", check_deviations(self.deviations, ELEMENTS))
 
     @property
     def slit_distance_mm(self) -> float:
@@ -130,7 +130,7 @@ class IlluminationUnit:
             if entry.name not in ("lamp", "deviations"):
                 digest.update(f"{entry.name}={float(getattr(self, entry.name))!r}\n".encode())
         for name in ELEMENTS:
-            deviation = self.deviations.get(name, NONE)
+            deviation = self.deviations.get(name, NO_DEVIATION)
             values = " ".join(repr(float(getattr(deviation, part.name))) for part in fields(deviation))
             digest.update(f"{name}={values}\n".encode())
         digest.update(self.lamp.unit.encode())
@@ -147,10 +147,10 @@ class IlluminationUnit:
         condenser = -self.slit_distance_mm - self.input_condenser_distance_mm * self.input_condenser_magnification
         arc = condenser - self.input_condenser_distance_mm
         along = (arc, arc - self.reflector_radius_mm, condenser, -self.slit_distance_mm, 0.0)
-        whole, shift = rotation_and_shift(self.deviations.get("unit", NONE))
+        whole, shift = rotation_and_shift(self.deviations.get("unit", NO_DEVIATION))
         frames = np.empty((5, 4, 3))
         for element, name in enumerate(ELEMENTS[:5]):
-            own, offset = rotation_and_shift(self.deviations.get(name, NONE))
+            own, offset = rotation_and_shift(self.deviations.get(name, NO_DEVIATION))
             frames[element, 0] = whole @ (np.array([0.0, along[element], 0.0]) + offset) + shift
             frames[element, 1:] = (whole @ own).T
         return frames

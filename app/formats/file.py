@@ -1,4 +1,4 @@
-"""Files read whole, and written so that nobody ever finds half of one."""
+"""Files: the error of this package, reading, and writing that leaves a whole file or none."""
 
 import contextlib
 import os
@@ -7,10 +7,35 @@ import threading
 from collections.abc import Iterable
 from pathlib import Path
 
-from goniotwin.app.formats.errors import FormatError, StrPath
+StrPath = str | os.PathLike[str]
+LONGEST_WORD = 40
 
 
-def read_whole(path: StrPath) -> bytes:
+class FormatError(ValueError):
+    """A file that is not what it should be.
+
+    The message is one printable line: the file, the line in it where known, what is wrong and what to do.
+    """
+
+    def __init__(self, path: StrPath, wrong: str, remedy: str, line: int | None = None) -> None:
+        super().__init__(path, wrong, remedy, line)
+        self.path = os.fspath(path)
+        self.wrong = wrong
+        self.remedy = remedy
+        self.line = line
+
+    def __str__(self) -> str:
+        where = self.path if self.line is None else f"{self.path}, line {self.line}"
+        message = f"{where}: {self.wrong}; {self.remedy}"
+        return "".join(letter if letter.isprintable() else "?" for letter in message)
+
+
+def quote_word(word: str) -> str:
+    """A word of a file as a message quotes it: short, and with nothing that a terminal would obey."""
+    return ascii(word if len(word) <= LONGEST_WORD else word[:LONGEST_WORD] + "...")
+
+
+def read_file(path: StrPath) -> bytes:
     """The bytes of a file. Raises FormatError if it is absent, not a regular file, or unreadable."""
     try:
         file = Path(path)
@@ -23,7 +48,7 @@ def read_whole(path: StrPath) -> bytes:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
 
 
-def refuse_unwritable(path: StrPath) -> None:
+def check_writable(path: StrPath) -> None:
     """Raises FormatError where `write_whole` certainly could not write, so that nobody works for hours to find out."""
     try:
         file = Path(os.path.realpath(path))
@@ -42,7 +67,7 @@ def refuse_unwritable(path: StrPath) -> None:
         raise FormatError(path, "is not a possible file name", "check the name") from error
 
 
-def write_whole(path: StrPath, content: bytes | Iterable[bytes]) -> None:
+def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
     """Write a file as a whole: under another name in the same folder, onto the disk, then renamed to `path`. A large content
     may come in parts; what is raised while they are made is passed on, and leaves no file.
 

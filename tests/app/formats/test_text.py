@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.formats.errors import FormatError
-from goniotwin.app.formats.text_file import comment_lines, read_text, write_text
+from goniotwin.app.formats.file import FormatError
+from goniotwin.app.formats.text import comment_lines, read_text, write_text
 
 
 def test_a_file_is_replaced_as_a_whole_and_nothing_is_left_beside_it(tmp_path: Path) -> None:

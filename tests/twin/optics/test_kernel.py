@@ -1,0 +1,54 @@
+"""The cache of compiled functions."""
+
+import importlib
+import os
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+SOURCE = """
+from typing import NamedTuple
+
+from goniotwin.twin.optics.kernel import kernel
+
+
+class {name}(NamedTuple):
+    value: float
+
+
+@kernel()
+def scaled(argument, factor):
+    return argument.value * factor
+
+
+def result():
+    return scaled({name}(2.0), {factor})
+"""
+MODULE = "kernel_of_a_test"
+
+
+def import_anew(folder: Path, name: str, factor: float, changed_s: int) -> ModuleType:
+    """Writes the module, as changed at some time, and imports it as another process would."""
+    source = folder / f"{MODULE}.py"
+    source.write_text(SOURCE.format(name=name, factor=factor), encoding="utf-8")
+    os.utime(source, (changed_s, changed_s))
+    sys.modules.pop(MODULE, None)
+    importlib.invalidate_caches()
+    return importlib.import_module(MODULE)
+
+
+def test_a_cache_that_names_a_renamed_class_is_compiled_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after an update of the program: the index of the old function is there, and its types are not."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    assert import_anew(tmp_path, "Before", 3.0, 1_000_000_000).result() == 6.0
+    assert list((tmp_path / "cache").rglob("*.nbi"))
+    module = import_anew(tmp_path, "After", 5.0, 1_100_000_000)
+    assert module.result() == 10.0
+    assert sum(module.scaled.stats.cache_misses.values()) == 1
+    again = import_anew(tmp_path, "After", 5.0, 1_100_000_000)
+    assert again.result() == 10.0
+    assert sum(again.scaled.stats.cache_hits.values()) == 1
+    sys.modules.pop(MODULE)
