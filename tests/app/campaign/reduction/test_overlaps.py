@@ -18,7 +18,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.campaign_bench import run_plan
-from tests.app.campaign.test_export import points_of
+from tests.app.campaign.reduction.test_export import points_of
 from tests.conftest import SMALL, Writer
 
 GREY = '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.3\n\n[twin.samples.etalon]'
