@@ -213,4 +213,4 @@ def test_the_kinds_of_faults(error: DeviceError, kind: str) -> None:
 
 def test_somebodys_stop_is_never_overridden(make: MakePlan) -> None:
     table = make('\n[faults]\nrefused = "retry"\n').schedule.file.faults
-    assert FaultPolicies(table).policy_for(Interrupted("beta", "go", "a stop has come first")) == "stop"
+    assert FaultPolicies(table).policy_for(Interrupted("beta", "go", "not sent because a stop was requested")) == "stop"
