@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.reduction import Reduced
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.campaign.reduction.reduction import reduce_journal as reduce_open_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.samples import parse_sample
@@ -22,7 +22,7 @@ def open_journal(path: str | Path) -> Journal:
     return Journal.open(Path(path))
 
 
-def reduce_journal(journal: Journal | str | Path) -> Reduced:
+def reduce_journal(journal: Journal | str | Path) -> BsdfDataset:
     """Reduce a journal to the BSDF of each sample (1/sr), its standard uncertainty (1/sr), flags and directions (deg).
 
     Takes an open journal or a path. Raises UserError for a file that is not a journal, or has no readings of the etalon.

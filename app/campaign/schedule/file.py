@@ -18,30 +18,30 @@ from pydantic import (
 
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
-from goniotwin.app.campaign.schedule.grids import Grid, grid_values, without_twins
+from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
 from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
-NESTED = ("gamma", "sigma", "beta", "shift", "wavelength")
+LOOP_NAMES = ("gamma", "sigma", "beta", "shift", "wavelength")
 """What the loops of a measurement go over."""
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[^/\s][^/\r\n\t]*$")]
-Gains = Annotated[
+GainsSetting = Annotated[
     Annotated[Literal["automatic"], Tag("automatic")]
-    | Annotated[list[PositiveFloat], Field(min_length=1), AfterValidator(without_twins), Tag("list")],
+    | Annotated[list[PositiveFloat], Field(min_length=1), AfterValidator(refuse_duplicates), Tag("list")],
     Discriminator(lambda value: "automatic" if isinstance(value, str) else "list"),
 ]
-Nesting = Annotated[
+OrderSetting = Annotated[
     Annotated[Literal["fastest"], Tag("fastest")]
     | Annotated[list[Literal["gamma", "sigma", "beta", "shift", "wavelength"]], Tag("list")],
     Discriminator(lambda value: "fastest" if isinstance(value, str) else "list"),
 ]
 
-Share = Annotated[float, Field(gt=0.0, lt=1.0)]
+Fraction = Annotated[float, Field(gt=0.0, lt=1.0)]
 Policy = Literal["retry", "reconnect", "skip", "ask", "stop"]
 
-WORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_per_a": ("automatic", "gains")}
+KEYWORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_per_a": ("automatic", "gains")}
 """What may stand in place of a list."""
 
 
@@ -50,7 +50,7 @@ class AveragingTable(TomlTable):
     (standard, of noise alone), or for `longest_s`. The schedule's `readings` are then the fewest.
     """
 
-    relative_uncertainty: Share
+    relative_uncertainty: Fraction
     longest_s: PositiveFloat = 10.0
 
 
@@ -74,7 +74,7 @@ class DriftTable(TomlTable):
     shift_deg: float = 0.0
     gamma_deg: float = 0.0
     wavelength_nm: PositiveFloat
-    limit: Share = 0.005
+    limit: Fraction = 0.005
     on_excess: Literal["flag", "stop"] = "flag"
 
 
@@ -87,7 +87,7 @@ class StopTable(TomlTable):
 
     longest_s: PositiveFloat | None = None
     skipped_rows: PositiveInt | None = None
-    lamp_below: Share | None = None
+    lamp_below: Fraction | None = None
 
 
 class FaultsTable(TomlTable):
@@ -114,7 +114,7 @@ class ScheduleFile(TomlTable):
     name: Name
     side: Literal["front", "back", "both"] = "front"
     light: Literal["reflected", "transmitted", "both"] = "reflected"
-    samples: Annotated[list[Name], Field(min_length=1), AfterValidator(without_twins)]
+    samples: Annotated[list[Name], Field(min_length=1), AfterValidator(refuse_duplicates)]
     etalon: Name
     symmetry: Symmetry = "isotropic"
     sigma_deg: Grid
@@ -128,9 +128,9 @@ class ScheduleFile(TomlTable):
     signature: bool = False
     open_beam: bool = False
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
-    order: Nesting = "fastest"
+    order: OrderSetting = "fastest"
     back_and_forth: bool = True
-    gains_v_per_a: Gains
+    gains_v_per_a: GainsSetting
     readings: Annotated[int, Field(ge=1, le=10_000)] = 4
     dark_every_s: PositiveFloat = 60.0
     dark_readings: Annotated[int, Field(ge=4, le=10_000)] = 16
@@ -163,16 +163,16 @@ class ScheduleFile(TomlTable):
     @field_validator("order", "gains_v_per_a", mode="before")
     @classmethod
     def _word_or_list(cls, value: object, info: ValidationInfo) -> object:
-        word, listed = WORDS[str(info.field_name)]
+        word, listed = KEYWORDS[str(info.field_name)]
         if isinstance(value, str) and value != word:
             raise ValueError(f"should be {word!r} or a list of {listed}, not {value!r}")
         return value
 
     @field_validator("order")
     @classmethod
-    def _every_loop_once(cls, value: Nesting) -> Nesting:
-        if value != "fastest" and sorted(value) != sorted(NESTED):
-            raise ValueError(f"must name each of {', '.join(NESTED)} once, the innermost first")
+    def _every_loop_once(cls, value: OrderSetting) -> OrderSetting:
+        if value != "fastest" and sorted(value) != sorted(LOOP_NAMES):
+            raise ValueError(f"must name each of {', '.join(LOOP_NAMES)} once, the innermost first")
         return value
 
     @model_validator(mode="after")

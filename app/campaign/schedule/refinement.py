@@ -7,7 +7,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from goniotwin.app.campaign.schedule.grids import Grid
 from goniotwin.app.toml_file import TomlTable
 
-ANGLE_DEG = 0.05
+DEFAULT_ANGLE_UNCERTAINTY_DEG = 0.05
 """As far as counter and encoder of an axis may be apart at rest where nobody has said otherwise."""
 Symmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
 
@@ -34,7 +34,7 @@ class SymmetryCheckTable(TomlTable):
     """
 
     points: PositiveInt
-    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = ANGLE_DEG
+    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = DEFAULT_ANGLE_UNCERTAINTY_DEG
 
 
 class OverlapTable(TomlTable):
@@ -47,4 +47,4 @@ class OverlapTable(TomlTable):
 
     points: PositiveInt
     calibrate: bool = False
-    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = ANGLE_DEG
+    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = DEFAULT_ANGLE_UNCERTAINTY_DEG
