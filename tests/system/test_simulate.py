@@ -120,7 +120,7 @@ def test_the_back_stray_light_and_the_regular_component_are_said(call: Call, tmp
         (["--sample", "gaussian:width_deg=5", "--out", "a.xyz"], "a.xyz"),
         (["--sample", "table:absent.bsdf", "--out", "a.ddr"], "absent.bsdf"),
         (["--sample", "gaussian:width_deg=5", "table3"], "table3"),
-        (["--sample", "gaussian:width_deg=5", "--side", "back", "--out", "a.ddr"], "nothing of light on its back"),
+        (["--sample", "gaussian:width_deg=5", "--side", "back", "--out", "a.ddr"], "reflects no light from its back"),
         (["--sample", "lambertian", "--source", "absent.h5", "--out", "a.ddr"], "absent.h5"),
         (["--sample", "lambertian", "--bandwidth", "5", "--out", "a.ddr"], "--bandwidth"),
         (["illumination", "--out", "a.png", "--rays", "100"], "--rayset"),
