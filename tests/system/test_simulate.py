@@ -70,7 +70,7 @@ def test_table3_is_shown_to_a_person() -> None:
     text = goniotwin("simulate", "table3")
     assert text.returncode == 0
     assert "SIMULATED" in text.stdout
-    assert "what explains the paper's numbers" in text.stdout
+    assert "explanations of the paper's values" in text.stdout
 
 
 @pytest.mark.parametrize("call", CALLS)
