@@ -15,7 +15,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
-from goniotwin.app.campaign.schedule.refinement import Symmetry
+from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.arrays import Floats
 
 Columns = dict[str, Floats]
@@ -73,7 +73,7 @@ class SymmetryCheck:
     relative one that all points of a row share.
     """
 
-    def __init__(self, stated: Symmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
+    def __init__(self, stated: StatedSymmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
         self._stated = stated
         self._poses = {tuple(pose) for pose in np.unique(canonical_poses(mirrored, stated), axis=0).tolist()}
         self._angle_deg = angle_deg
