@@ -1,4 +1,4 @@
-"""A monochromator's driver, the unit behind it, and a wire between them that may fail."""
+"""Test bench: the monochromator driver, its virtual unit, and a wire with faults between them."""
 
 from dataclasses import replace
 
@@ -11,8 +11,8 @@ from tests.conftest import RigOpener
 DIALECTS = [(echo, handshake) for echo in (True, False) for handshake in (True, False)]
 
 
-class Bench:
-    """In one of the DIALECTS: with and without echo, with and without handshake mode."""
+class MonochromatorBench:
+    """A monochromator in one of the DIALECTS: with or without echo, with or without handshake mode."""
 
     def __init__(self, opened: RigOpener, echo: bool = True, handshake: bool = True) -> None:
         rig = opened()
@@ -27,10 +27,10 @@ class Bench:
         self.driver = rig.rig.monochromator
         self.driver.connect()
 
-    def misfortune(self, misfortune: Misfortune, late_s: float = 0.1) -> None:
+    def set_faults(self, misfortune: Misfortune, late_s: float = 0.1) -> None:
         self.line.misfortune, self.line._late_s = misfortune, late_s
 
-    def light_nm(self) -> float:
+    def true_wavelength_nm(self) -> float:
         return self.plant.wavelength_nm.at(self.clock.now())
 
     def go(self, wavelength_nm: float) -> None:

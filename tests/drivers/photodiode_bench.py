@@ -1,4 +1,4 @@
-"""The array of converter modules on either wire, and how its wires are broken."""
+"""Test bench: the photodiode array on Modbus TCP or RTU, and faults of its wires."""
 
 from collections.abc import Callable
 
@@ -14,18 +14,18 @@ from goniotwin.twin.devices.line import SerialDevice
 from tests.conftest import Change, RigOpener
 
 QUIET: Change = ("noise = true", "noise = false")
-NARROW: Change = ("gain_uncertainty", f"range_code = {0x0142}\ngain_uncertainty")  # not what a module has after power-on
+NARROW: Change = ("gain_uncertainty", f"range_code = {0x0142}\ngain_uncertainty")  # not the power-on range of a module
 SERIAL: tuple[Change, ...] = (
     ('kind = "adam-6017"', 'kind = "adam-4117"'),
     ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e11]"),
     ("[twin.light]", '[twin.electronics]\nmodule = "adam-4117"\ngains_v_per_a = [1e11]\n\n[twin.light]'),
 )
-Bench = Callable[[bool], OpenRig]
-"""Opens a rig whose converters are on a serial line, or over TCP."""
+BenchOpener = Callable[[bool], OpenRig]
+"""Opens a rig with the converters on a serial line (True) or over TCP."""
 
 
 @pytest.fixture
-def bench(opened: RigOpener) -> Bench:
+def bench(opened: RigOpener) -> BenchOpener:
     return lambda serial: opened(QUIET, NARROW, *(SERIAL if serial else ()), clock=VirtualClock(10.0))
 
 
@@ -37,8 +37,8 @@ def read(array: PhotodiodeArray, clock: Clock, gain: int = 0, readings: int = 1)
     return taken.counts.astype(int)
 
 
-def break_wires(rig: OpenRig, misfortune: Misfortune, late_s: float = 0.1) -> None:
-    """From the next connection on."""
+def insert_faults(rig: OpenRig, misfortune: Misfortune, late_s: float = 0.1) -> None:
+    """Insert faults into the wires, from the next connection on."""
     virtual = rig.virtual
     assert virtual is not None
     rig.rig.photodiodes.close()

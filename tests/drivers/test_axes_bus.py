@@ -1,4 +1,4 @@
-"""Four TMCM-1240 on one RS485 bus instead of one TMCM-6214: the same drivers, by the rig file."""
+"""Four TMCM-1240 on one RS485 bus instead of one TMCM-6214: the same drivers with another rig file."""
 
 import pytest
 
@@ -22,7 +22,7 @@ BUS = (
 )
 
 
-def test_axes_on_a_bus_go_where_they_are_sent(opened: RigOpener) -> None:
+def test_axes_on_a_bus_reach_their_targets(opened: RigOpener) -> None:
     rig = opened(*BUS)
     assert rig.virtual is not None
     targets = {"gamma": 90.0, "sigma": 45.0, "beta": 123.0, "shift": 2.5}
@@ -33,7 +33,7 @@ def test_axes_on_a_bus_go_where_they_are_sent(opened: RigOpener) -> None:
     assert rig.rig.identities["axes"] == "TMCM-1240"
 
 
-def test_all_are_stopped(opened: RigOpener) -> None:
+def test_a_stop_stops_all_axes_of_the_bus(opened: RigOpener) -> None:
     rig = opened(*BUS).rig
     for name in rig.axes:
         rig.axes[name].start(5.0 if name == "shift" else 150.0)
@@ -47,7 +47,7 @@ def test_all_are_stopped(opened: RigOpener) -> None:
     assert [axis.position_deg() for axis in rig.axes.values()] == rest
 
 
-def test_one_modules_reset_is_its_axis_own(opened: RigOpener) -> None:
+def test_a_reset_of_one_module_affects_its_own_axis_only(opened: RigOpener) -> None:
     rig = opened(*BUS)
     assert rig.virtual is not None
     line = rig.virtual.serial["axes"]
@@ -64,8 +64,8 @@ def test_one_modules_reset_is_its_axis_own(opened: RigOpener) -> None:
     assert axes["sigma"].position_deg() == 0.0
 
 
-def test_the_heartbeat_is_minded_by_each_module_for_itself(opened: RigOpener) -> None:
-    """Only what is said to a module keeps its own motor turning."""
+def test_each_module_has_its_own_heartbeat(opened: RigOpener) -> None:
+    """Only requests to a module keep its own motor turning."""
     rig = opened(*BUS).rig
     rig.axes["sigma"].start(150.0)
     rig.axes["beta"].start(150.0)

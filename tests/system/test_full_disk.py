@@ -16,7 +16,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import RigInUse, RigLock
 from goniotwin.mocks.control import Control
-from tests.app.campaign.test_resume import MORE, STEADY, values
+from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_values
 from tests.conftest import Writer
 from tests.system.conftest import Serve, at
 from tests.system.killable import FORKED, Fate, Killable, check_told
@@ -65,7 +65,7 @@ class Bench:
             if resumed.ended() == 0:
                 break
         check_told(path, process.told | resumed.told)
-        assert values(path) == values(self.undisturbed), resumed.errors
+        assert planned_values(path) == planned_values(self.undisturbed), resumed.errors
         return len(process.told)
 
     def _at_rest(self) -> bool:
@@ -83,7 +83,7 @@ def remove(path: Path) -> None:
 
 @pytest.fixture
 def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path) -> Iterator[Bench]:
-    here, there, schedule = write_rig(*STEADY), tmp_path / "served.toml", write_schedule(MORE)
+    here, there, schedule = write_rig(*QUIET), tmp_path / "served.toml", write_schedule(THREE_SHIFTS)
     _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
     run_campaign(make_plan(read_schedule(schedule), read_rig(here)), tmp_path / "undisturbed.journal")
     control = Control(at(lines, "control", "port")["port"])

@@ -18,7 +18,7 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.mocks.control import Control
-from tests.app.campaign.test_resume import MORE, STEADY, as_of_schema_1, stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.system.conftest import Serve, at
 from tests.system.killable import FORKED, Fate, Killable, check_told
@@ -113,7 +113,7 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
 
     def make(seed: int, *changes: tuple[str, str]) -> Bench:
         here, there = write_rig(*changes), tmp_path / "served.toml"
-        schedule = write_schedule(MORE, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
+        schedule = write_schedule(THREE_SHIFTS, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
         _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
         plan = make_plan(read_schedule(schedule), read_rig(here))
         control = Control(at(lines, "control", "port")["port"])
@@ -130,12 +130,12 @@ def test_without_noise_a_killed_campaign_comes_to_the_very_same(
     bench: MakeBench, write_rig: Writer, campaigns: int, tmp_path: Path
 ) -> None:
     """Counts, gains, flags, positions and the monitor of every planned row. Every third campaign is killed twice."""
-    killed = bench(campaigns, *STEADY)
-    undisturbed = values(killed.run_undisturbed(write_rig(*STEADY), "undisturbed"))
+    killed = bench(campaigns, *QUIET)
+    undisturbed = planned_values(killed.run_undisturbed(write_rig(*QUIET), "undisturbed"))
     for k in range(campaigns):
         path = tmp_path / f"{k}.journal"
         killed.carry_through(path, 2 if k % 3 == 2 else 1)
-        assert values(path) == undisturbed
+        assert planned_values(path) == undisturbed
     print(f"\n{campaigns} campaigns, in the way when they were to be finished:", *killed.complaints, sep="\n  ")
 
 
@@ -167,7 +167,7 @@ def test_of_a_killed_campaign_its_list_says_so_and_what_was_measured_is_exported
     """The -wal file that the program has left is read with it, and all is left as it was."""
     path = tmp_path / "a.journal"
     fate = Fate(rows=9)
-    killed = Killable(tmp_path, "run", write_schedule(MORE), "--rig", write_rig(), "--out", path, fate=fate)
+    killed = Killable(tmp_path, "run", write_schedule(THREE_SHIFTS), "--rig", write_rig(), "--out", path, fate=fate)
     assert killed.ended() < 0
     before = {file: file.read_bytes() for file in (path, Path(f"{path}-wal"))}
     listed = Killable(tmp_path, "runs", tmp_path, "--json")
@@ -202,7 +202,7 @@ def test_killed_while_its_journal_is_made_it_leaves_none_or_one_to_go_on_with(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, times: int
 ) -> None:
     """At steps of SQLite's machine, one drawn by lot from each stretch between its first statement and the first rows."""
-    rig, schedule = write_rig(*STEADY), write_schedule()
+    rig, schedule = write_rig(*QUIET), write_schedule()
     plan = make_plan(read_schedule(schedule), read_rig(rig))
     run_campaign(plan, tmp_path / "undisturbed.journal")
     outcomes = []
@@ -219,7 +219,7 @@ def test_killed_while_its_journal_is_made_it_leaves_none_or_one_to_go_on_with(
         else:
             again = Killable(tmp_path, *command)
             assert again.ended() == 0, again.errors
-        assert values(path) == values(tmp_path / "undisturbed.journal")
+        assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
     assert (outcomes[0], outcomes[-1]) == (False, True)
     assert not list(tmp_path.glob(".*.new*"))
 
@@ -228,18 +228,18 @@ def test_killed_while_its_journal_is_made_it_leaves_none_or_one_to_go_on_with(
 def test_killed_while_a_journal_of_an_older_schema_is_brought_up_to_date_it_has_lost_nothing(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, times: int
 ) -> None:
-    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET)))
     run_campaign(plan, tmp_path / "undisturbed.journal")
     for k, part in enumerate(np.random.default_rng(times).uniform(size=times)):
         path = tmp_path / f"{k}.journal"
-        stopped_at(plan, path, 0.6 * plan.seconds)
+        run_until(plan, path, 0.6 * plan.seconds)
         done = campaign_summary(path).rows
-        as_of_schema_1(path)
+        convert_to_schema_1(path)
         fate = Fate(steps=1 + int((k + part) / times * STEPS_OF_AN_OLDER_ONE))
         assert Killable(tmp_path, "run", "--resume", path, "--rig", plan.rig.name, fate=fate).ended() < 0
         assert campaign_summary(path).rows >= done
         assert resume_campaign(path, plan.rig).state is State.DONE
-        assert values(path) == values(tmp_path / "undisturbed.journal")
+        assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
 
 
 @pytest.mark.parametrize("resumed", [False, True])
@@ -248,7 +248,7 @@ def test_of_two_processes_on_one_journal_the_second_is_told_who_has_it(
 ) -> None:
     """One that runs or resumes it, and one that would resume it; and one that would begin it anew."""
     rig, path, schedule = tmp_path / "served.toml", tmp_path / "a.journal", write_schedule()
-    serve(write_rig(*STEADY), "--write-rig", rig)  # in real time it takes long enough
+    serve(write_rig(*QUIET), "--write-rig", rig)  # in real time it takes long enough
     first = Killable(tmp_path, "run", schedule, "--rig", rig, "--out", path)
     first.has_told(1)
     if resumed:

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import OpenRig, read_rig
-from tests.app.campaign.measuring_bench import carried_out
+from tests.app.campaign.campaign_bench import run_plan
 from tests.app.campaign.test_export import points_of
 from tests.conftest import SMALL, Writer
 
@@ -41,7 +41,7 @@ def measured(write_rig: Writer, write_schedule: Writer, path: Path, *, share: fl
             assert rigs[0].virtual is not None
             rigs[0].virtual.plant.fade(FADED, share)
 
-    carried_out(make_plan(read_schedule(schedule), read_rig(rig)), path, rigs.append, listeners=[fades])
+    run_plan(make_plan(read_schedule(schedule), read_rig(rig)), path, rigs.append, listeners=[fades])
     return path
 
 

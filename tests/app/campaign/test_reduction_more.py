@@ -17,7 +17,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.twin.optics import from_specular
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out
+from tests.app.campaign.campaign_bench import QUIET, RunResult, run_plan
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 GREY = '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.03\n\n'
@@ -82,7 +82,7 @@ def test_without_it_the_same_light_is_in_the_value_and_nothing_says_otherwise(
 # ---- drift ----
 
 
-def drifting(write_rig: Writer, write_schedule: Writer, tmp_path: Path, tables: str, share: float) -> tuple[Plan, Run]:
+def drifting(write_rig: Writer, write_schedule: Writer, tmp_path: Path, tables: str, share: float) -> tuple[Plan, RunResult]:
     """After the sample's first interval all photodiodes give less: a change of which the monitor knows nothing."""
     longer = ("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 5, step = 0.5 }")
     plan = grey_plan(write_rig, write_schedule, tables, longer)
@@ -95,7 +95,7 @@ def drifting(write_rig: Writer, write_schedule: Writer, tmp_path: Path, tables: 
             for k in range(36):
                 rigs[0].virtual.plant.fade(k, share)
 
-    return plan, carried_out(plan, tmp_path / "a.journal", rigs.append, listeners=[fades])
+    return plan, run_plan(plan, tmp_path / "a.journal", rigs.append, listeners=[fades])
 
 
 def test_a_change_of_1_percent_is_found_within_one_interval_and_what_it_spoils_is_flagged(
@@ -144,7 +144,7 @@ def test_a_photodiode_that_dies_is_flagged(after: str, write_rig: Writer, write_
             rigs[0].virtual.plant.fade(5, 0.0)
 
     plan = grey_plan(write_rig, write_schedule)
-    carried_out(plan, tmp_path / "a.journal", rigs.append, listeners=[dies])
+    run_plan(plan, tmp_path / "a.journal", rigs.append, listeners=[dies])
     points = reduced(tmp_path / "a.journal").samples["grey"]
     wrong = ~np.isfinite(points.bsdf) | (np.abs(points.bsdf - 0.03 / np.pi) > 4.0 * points.u_bsdf)
     assert set(points.photodiode[wrong & ~points.shadowed]) == {5}
@@ -160,7 +160,7 @@ def test_a_photodiode_that_was_dead_from_the_beginning_is_flagged(
         assert opened.virtual is not None
         opened.virtual.plant.fade(5, 0.0)
 
-    carried_out(grey_plan(write_rig, write_schedule), tmp_path / "a.journal", dead)
+    run_plan(grey_plan(write_rig, write_schedule), tmp_path / "a.journal", dead)
     points = reduced(tmp_path / "a.journal").samples["grey"]
     assert set(points.photodiode[points.dead]) == {5}
     assert points.no_etalon[points.dead].all()

@@ -15,7 +15,7 @@ from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journ
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import read_rig
-from tests.app.campaign.measuring_bench import QUIET
+from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import REPOSITORY, RIG, Writer
 
 EXAMPLE = REPOSITORY / "examples" / "schedules" / "transmission.toml"

@@ -13,7 +13,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import OpenRig, read_rig
-from tests.app.campaign.measuring_bench import carried_out
+from tests.app.campaign.campaign_bench import run_plan
 from tests.conftest import RIG
 
 TEXT = """
@@ -46,7 +46,7 @@ def fading(text: str, photodiode: int, path: Path) -> BsdfDataset:
             assert rigs[0].virtual is not None
             rigs[0].virtual.plant.fade(photodiode, 0.8)
 
-    carried_out(planned(text), path, rigs.append, listeners=[fade])
+    run_plan(planned(text), path, rigs.append, listeners=[fade])
     with Journal.open(path) as journal:
         return reduce_journal(journal)
 

@@ -15,7 +15,7 @@ from goniotwin.app.rig.served_file import served_rig
 from goniotwin.drivers import OrderFilter
 from goniotwin.mocks.served import Endpoint
 from goniotwin.twin.plant import OrderSorting, WheelFilter
-from tests.app.campaign.filter_bench import BELIEVED, FILTERS, THERE, second_order
+from tests.app.campaign.filter_rig import BELIEVED, FILTERS, THERE, second_order
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 

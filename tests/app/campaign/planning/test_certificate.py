@@ -21,7 +21,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_sched
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import calendar_stamp
-from tests.app.campaign.measuring_bench import QUIET
+from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import RIG, SMALL, Change, Writer
 
 GRID = """# Spectralon, by its maker

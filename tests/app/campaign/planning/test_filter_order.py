@@ -6,7 +6,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.check import check_plan, describe_check
-from tests.app.campaign.filter_bench import BELIEVED, plan_with, rig_with
+from tests.app.campaign.filter_rig import BELIEVED, plan_with, rig_with
 from tests.conftest import Change
 
 MANY = "{ start = 400, stop = 780, step = 20 }"

@@ -17,9 +17,9 @@ from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from tests.app.campaign.disk import Doing, Told, after_the_power_came_back
-from tests.app.campaign.test_resume import MORE, STEADY, values
-from tests.app.campaign.watched_sqlite import Connection, WatchedDisk
+from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_values
+from tests.app.campaign.journal.recorded_sqlite import Connection, WatchedDisk
+from tests.app.campaign.journal.simulated_disk import Doing, Told, after_the_power_came_back
 from tests.conftest import Writer
 from tests.system.killable import digest_of
 
@@ -33,7 +33,7 @@ Watch = Callable[..., list[Doing]]
 
 @pytest.fixture
 def steady(write_rig: Writer, write_schedule: Writer) -> Plan:
-    return make_plan(read_schedule(write_schedule(MORE)), read_rig(write_rig(*STEADY)))
+    return make_plan(read_schedule(write_schedule(THREE_SHIFTS)), read_rig(write_rig(*QUIET)))
 
 
 def as_it_is(statement: str) -> str:
@@ -141,7 +141,7 @@ def test_when_the_power_goes_nothing_that_was_told_is_lost(
         check_whole(path, steady)
         if k % GONE_ON_WITH == 0 and len(there(path)) < len(steady.rows):
             assert resume_campaign(path).state is State.DONE
-            assert values(path) == values(tmp_path / "undisturbed.journal")
+            assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
             gone_on_with += 1
     assert gone_on_with > cuts // 10
 

@@ -16,8 +16,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
 from goniotwin.drivers.errors import Interrupted, Unreferenced
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, RunResult, planned_values, run_plan, run_until
 from tests.conftest import SMALL, Writer
 
 ROW = 3
@@ -63,8 +62,8 @@ class Silence:
         return [event.state for event in self.events if isinstance(event, StateChanged)]
 
 
-def carried(plan: Plan, path: Path, silence: Silence, operator: "Mender | None" = None) -> Run:
-    return carried_out(plan, path, silence.prepare, operator, [silence.heed])
+def carried(plan: Plan, path: Path, silence: Silence, operator: "Mender | None" = None) -> RunResult:
+    return run_plan(plan, path, silence.prepare, operator, [silence.heed])
 
 
 class Mender:
@@ -94,11 +93,11 @@ class Mender:
 @pytest.mark.parametrize("policy", ["retry", "reconnect"])
 def test_a_row_is_done_again_and_the_data_are_those_of_an_undisturbed_run(policy: str, make: MakePlan, tmp_path: Path) -> None:
     plan = make(f'\n[faults]\nwire = "{policy}"\n')
-    carried_out(plan, tmp_path / "whole.journal")
+    run_plan(plan, tmp_path / "whole.journal")
     silence = Silence(2)
     run = carried(plan, tmp_path / "a.journal", silence)
     assert run.state is State.DONE
-    assert values(tmp_path / "a.journal") == values(tmp_path / "whole.journal")
+    assert planned_values(tmp_path / "a.journal") == planned_values(tmp_path / "whole.journal")
     told = [text for kind, text in run.events if kind == "fault"]
     assert len([text for text in told if "photodiodes module 2" in text and plan.rows[ROW].identity in text]) >= 2
     recovered = [State.RECOVERING, State.RUNNING]
@@ -152,7 +151,7 @@ def test_without_the_table_the_first_fault_stops_the_run_and_closes_the_shutter(
             virtual = silence.opened.virtual
             open_at_the_end.append(virtual.plant.shutter_open.at(virtual.clock.now()))
 
-    run = carried_out(make(""), tmp_path / "a.journal", silence.prepare, None, [silence.heed, look])
+    run = run_plan(make(""), tmp_path / "a.journal", silence.prepare, None, [silence.heed, look])
     assert run.state is State.FAILED
     assert open_at_the_end == [False]
 
@@ -165,7 +164,7 @@ def test_so_many_skipped_rows_end_the_run(make: MakePlan, tmp_path: Path) -> Non
 
 def test_the_longest_time_ends_the_run_in_good_order(make: MakePlan, tmp_path: Path) -> None:
     plan = make("\n[stop]\nlongest_s = 12\n")
-    run = carried_out(plan, tmp_path / "a.journal")
+    run = run_plan(plan, tmp_path / "a.journal")
     assert run.state is State.IDLE
     assert 0 < len(run.rows) < len(plan.rows)
     assert 12.0 <= run.rows[-1].data.ended_s < 12.0 + max(row.seconds for row in plan.rows)
@@ -177,7 +176,7 @@ def test_a_failing_lamp_ends_the_run(make: MakePlan, tmp_path: Path) -> None:
         plant = opened.virtual.plant
         opened.rig.clock.at(12.0, lambda: plant.set_lamp(12.0, level=0.4))
 
-    run = carried_out(make("\n[stop]\nlamp_below = 0.5\n"), tmp_path / "a.journal", fails)
+    run = run_plan(make("\n[stop]\nlamp_below = 0.5\n"), tmp_path / "a.journal", fails)
     assert run.state is State.IDLE
     assert any(kind == "stop" and "the lamp is at 40.0 %" in text for kind, text in run.events)
 
@@ -188,7 +187,7 @@ def test_after_a_break_the_lamp_is_compared_with_what_it_was_at_first(
     """It loses a thirtieth of its light in a second, so that half of it is left after 15 s; the break is at 8 s."""
     rig = read_rig(write_rig(QUIET[0], ("drift_per_hour = 0.02", "drift_per_hour = -120.0")))
     plan = make_plan(read_schedule(write_schedule(text=SMALL + "\n[stop]\nlamp_below = 0.6\n")), rig)
-    stopped_at(plan, tmp_path / "a.journal", 11.5)
+    run_until(plan, tmp_path / "a.journal", 11.5)
     assert resume_campaign(tmp_path / "a.journal").state is State.IDLE
     with Journal.open(tmp_path / "a.journal") as journal:
         before, after = (each for each in journal.rows() if each.data.positions)
@@ -214,4 +213,4 @@ def test_the_kinds_of_faults(error: DeviceError, kind: str) -> None:
 
 def test_somebodys_stop_is_never_overridden(make: MakePlan) -> None:
     table = make('\n[faults]\nrefused = "retry"\n').schedule.file.faults
-    assert FaultPolicies(table).policy_for(Interrupted("beta", "go", "a stop has come first")) == "stop"
+    assert FaultPolicies(table).policy_for(Interrupted("beta", "go", "not sent because a stop was requested")) == "stop"

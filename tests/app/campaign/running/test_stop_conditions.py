@@ -15,7 +15,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import RigInUse, RigLock
-from tests.app.campaign.test_resume import STEADY, stopped_at
+from tests.app.campaign.campaign_bench import QUIET, run_until
 from tests.conftest import SMALL, Writer
 from tests.system.test_command import CALLS, Call, answer
 
@@ -32,7 +32,7 @@ def test_a_session_that_the_schedule_ends_says_why_and_has_its_own_status(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call
 ) -> None:
     journal = tmp_path / "a.journal"
-    done = call("run", write_schedule(text=SHORT), "--rig", write_rig(*STEADY), "--out", journal)
+    done = call("run", write_schedule(text=SHORT), "--rig", write_rig(*QUIET), "--out", journal)
     assert done.returncode == 3
     assert "ended by the schedule: the session has lasted" in " ".join(done.stderr.split())
     assert "to continue: goniotwin run --resume" in done.stderr
@@ -42,7 +42,7 @@ def test_a_session_that_the_schedule_ends_says_why_and_has_its_own_status(
 
 
 def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    found = rehearsed(write_schedule(text=SHORT), write_rig(*STEADY), tmp_path / "a.journal")
+    found = rehearsed(write_schedule(text=SHORT), write_rig(*QUIET), tmp_path / "a.journal")
     assert found.done
     assert found.result["rows"] == found.result["planned"]
     assert found.result["sessions"] >= 3
@@ -52,7 +52,7 @@ def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write
 
 def test_a_rehearsal_that_comes_no_further_says_so(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     """Its lamp loses a thirtieth of its light in a second, and nobody changes it."""
-    rig = write_rig(STEADY[0], ("drift_per_hour = 0.02", "drift_per_hour = -120.0"))
+    rig = write_rig(QUIET[0], ("drift_per_hour = 0.02", "drift_per_hour = -120.0"))
     found = rehearsed(write_schedule(text=DIM), rig, tmp_path / "a.journal")
     assert (found.done, found.result["state"]) == (False, "stopped")
     assert found.result["rows"] < found.result["planned"]
@@ -62,9 +62,9 @@ def test_a_rehearsal_that_comes_no_further_says_so(write_rig: Writer, write_sche
 
 @pytest.mark.skipif(not hasattr(os, "link"), reason="this system has no hard links")
 def test_a_journal_is_one_under_all_its_names(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET)))
     first, second = tmp_path / "a.journal", tmp_path / "b.journal"
-    stopped_at(plan, first, 0.5 * plan.seconds)
+    run_until(plan, first, 0.5 * plan.seconds)
     os.link(first, second)
     about = first.stat()
     held = RigLock([f"/goniotwin-journal/{about.st_dev}/{about.st_ino}"], "small (a.journal)")
@@ -79,9 +79,9 @@ def test_a_journal_is_one_under_all_its_names(write_rig: Writer, write_schedule:
 def test_a_damaged_journal_is_not_gone_on_with_and_stays_as_it_is(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
-    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET)))
     path = tmp_path / "a.journal"
-    stopped_at(plan, path, 0.5 * plan.seconds)
+    run_until(plan, path, 0.5 * plan.seconds)
     database = sqlite3.connect(path)
     with database:
         database.execute("UPDATE reading SET counts = x'00' WHERE number = (SELECT MIN(number) FROM reading)")

@@ -15,8 +15,7 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols import adam
-from tests.app.campaign.measuring_bench import QUIET, carried_out, with_rows
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, change_rows, planned_values, run_plan, run_until
 from tests.conftest import Writer
 
 ALL_GAINS = ("[1e8, 1e10]", "[1e6, 1e8, 1e10, 1e11]")
@@ -29,11 +28,11 @@ def automatic(row: Row) -> Row:
 
 @pytest.fixture
 def plan(write_rig: Writer, write_schedule: Writer) -> Plan:
-    return with_rows(make_plan(read_schedule(write_schedule(ALL_GAINS)), read_rig(write_rig(*QUIET))), automatic)
+    return change_rows(make_plan(read_schedule(write_schedule(ALL_GAINS)), read_rig(write_rig(*QUIET))), automatic)
 
 
 def test_the_etalon_needs_the_highest_gain_alone_and_a_lobe_the_lower_ones_too(plan: Plan, tmp_path: Path) -> None:
-    run = carried_out(plan, tmp_path / "a.journal")
+    run = run_plan(plan, tmp_path / "a.journal")
     gains = {
         sample: [[reading.gain_v_per_a for reading in each.data.readings] for each in run.of("measure", sample)]
         for sample in ("etalon", "gaussian-5")
@@ -45,14 +44,14 @@ def test_the_etalon_needs_the_highest_gain_alone_and_a_lobe_the_lower_ones_too(p
 
 
 def test_every_gain_but_the_last_left_some_photodiode_clipped_and_the_last_none(plan: Plan, tmp_path: Path) -> None:
-    for each in carried_out(plan, tmp_path / "a.journal").of("measure"):
+    for each in run_plan(plan, tmp_path / "a.journal").of("measure"):
         lowest, *higher = each.data.readings
         assert not saturation(lowest.counts).any()
         assert all(saturation(reading.counts).any() for reading in higher)
 
 
 def test_the_bsdf_is_that_of_all_gains(plan: Plan, tmp_path: Path) -> None:
-    everything = with_rows(plan, lambda row: replace(row, automatic=False))
+    everything = change_rows(plan, lambda row: replace(row, automatic=False))
     found = []
     for name, each in (("some", plan), ("all", everything)):
         run_campaign(each, tmp_path / f"{name}.journal")
@@ -67,7 +66,7 @@ def test_what_is_over_the_range_at_the_lowest_gain_too_is_flagged(
 ) -> None:
     rig = write_rig(*QUIET, (BRIGHT[0], BRIGHT[1].format(radiance="2e5")))
     schedule = write_schedule(("[1e8, 1e10]", "[1e8, 1e10, 1e11]"))
-    run = carried_out(with_rows(make_plan(read_schedule(schedule), read_rig(rig)), automatic), tmp_path / "a.journal")
+    run = run_plan(change_rows(make_plan(read_schedule(schedule), read_rig(rig)), automatic), tmp_path / "a.journal")
     assert [each.data.flags for each in run.of("measure", "gaussian-5")] == [(SATURATED,)] * 2
     assert [each.data.flags for each in run.of("measure", "etalon")] == [()] * 2
 
@@ -75,10 +74,10 @@ def test_what_is_over_the_range_at_the_lowest_gain_too_is_flagged(
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
 def test_a_resumed_campaign_takes_the_same_gains(plan: Plan, tmp_path: Path, share: float) -> None:
     run_campaign(plan, tmp_path / "whole.journal")
-    whole = values(tmp_path / "whole.journal")
-    stopped_at(plan, tmp_path / "a.journal", share * plan.seconds)
+    whole = planned_values(tmp_path / "whole.journal")
+    run_until(plan, tmp_path / "a.journal", share * plan.seconds)
     resume_campaign(tmp_path / "a.journal")
-    assert values(tmp_path / "a.journal") == whole
+    assert planned_values(tmp_path / "a.journal") == whole
 
 
 def test_with_700_times_the_light_a_lobe_is_read_at_all_gains_and_unclipped(
@@ -86,8 +85,8 @@ def test_with_700_times_the_light_a_lobe_is_read_at_all_gains_and_unclipped(
 ) -> None:
     """A peak of 2 uA beside photodiodes in the dark."""
     rig = write_rig(*QUIET, (BRIGHT[0], BRIGHT[1].format(radiance="1.4e6")))
-    run = carried_out(
-        with_rows(make_plan(read_schedule(write_schedule(ALL_GAINS)), read_rig(rig)), automatic), tmp_path / "a.journal"
+    run = run_plan(
+        change_rows(make_plan(read_schedule(write_schedule(ALL_GAINS)), read_rig(rig)), automatic), tmp_path / "a.journal"
     )
     lobe = run.of("measure", "gaussian-5")
     assert [[reading.gain_v_per_a for reading in each.data.readings] for each in lobe] == [[1e6, 1e8, 1e10, 1e11]] * 2
@@ -114,7 +113,7 @@ def test_automatic_gains_and_averaging_go_downwards_whatever_is_set(now: int | N
 
 
 def test_from_row_to_row_the_amplifiers_are_switched_once(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    run = carried_out(make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET))), tmp_path / "a.journal")
+    run = run_plan(make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET))), tmp_path / "a.journal")
     firsts = [
         min(each.data.readings, key=lambda reading: reading.first_s).gain_v_per_a for each in run.of("measure", "gaussian-5")
     ]
@@ -125,6 +124,6 @@ def test_a_row_without_light_is_flagged(write_rig: Writer, write_schedule: Write
     """The sample reflects so little that its highest gain shows nothing of it."""
     black = ("[twin.samples.etalon]", '[twin.samples.black]\nmodel = "lambertian"\nreflectance = 1e-5\n\n[twin.samples.etalon]')
     schedule = write_schedule(("[1e8, 1e10]", "[1e6, 1e8]"), ("gaussian-5", "black"))
-    run = carried_out(make_plan(read_schedule(schedule), read_rig(write_rig(*QUIET, black))), tmp_path / "a.journal")
+    run = run_plan(make_plan(read_schedule(schedule), read_rig(write_rig(*QUIET, black))), tmp_path / "a.journal")
     assert [each.data.flags for each in run.of("measure", "black")] == [(UNDER_RANGE,)] * 2
     assert [each.data.flags for each in run.of("measure", "etalon")] == [()] * 2

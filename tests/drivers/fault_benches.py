@@ -1,4 +1,4 @@
-"""Each driver of a virtual rig on a wire that can be made to fail, with a piece of work whose result is known."""
+"""Test benches: each driver of a virtual rig on a wire with faults, and a task with a known result."""
 
 from abc import ABC, abstractmethod
 from functools import cache
@@ -27,7 +27,7 @@ from goniotwin.twin.devices.line import SerialDevice
 
 RIG = Path(__file__).resolve().parents[2] / "examples" / "rigs" / "virtual.toml"
 RANGE = ("gain_uncertainty", "range_code = 0x0142\ngain_uncertainty")
-"""Not the range that a module has after power-on, so that a reset changes something."""
+"""Not the power-on range of a module, so that a reset changes it."""
 QUIET = (("noise = true", "noise = false"), RANGE)
 ON_RTU = (
     ('kind = "adam-6017"', 'kind = "adam-4117"'),
@@ -37,11 +37,11 @@ ON_RTU = (
 
 
 class WrongValueError(Exception):
-    """A driver has returned what is not so."""
+    """A driver returned a wrong value."""
 
 
-class Bench(ABC):
-    """One driver of a virtual rig, and its wire. `undetectable` are faults that the wire does not let one detect."""
+class FaultBench(ABC):
+    """One driver of a virtual rig, and its wire. `undetectable` are faults that cannot be detected on this wire."""
 
     name: ClassVar[str]
     devices: ClassVar[tuple[str, ...]]
@@ -55,80 +55,80 @@ class Bench(ABC):
         assert self.opened.virtual is not None
         self.rig, self.virtual = self.opened.rig, self.opened.virtual
         self.clock = self.virtual.clock
-        self.break_wire()
-        self.work()
+        self.insert_faulty_wire()
+        self.run_task()
 
     @abstractmethod
-    def break_wire(self) -> None:
-        """Puts the wire that may fail between driver and device, and connects again."""
+    def insert_faulty_wire(self) -> None:
+        """Insert the faulty wire between driver and device, and connect again."""
 
     @abstractmethod
-    def suffer(self, misfortune: Misfortune) -> None:
-        """From now on this happens to the wire."""
+    def set_faults(self, misfortune: Misfortune) -> None:
+        """Set the faults of the wire from now on."""
 
     @abstractmethod
-    def work(self) -> None:
-        """A piece of work. Raises DeviceError, WrongValueError."""
+    def run_task(self) -> None:
+        """Carry out the task. Raises DeviceError, WrongValueError."""
 
-    def mend(self) -> None:
-        """What an engine or a person does after an error; a driver that mends itself needs nothing. Raises DeviceError."""
+    def recover(self) -> None:
+        """Recover from an error as the engine or the operator does; by default nothing is needed. Raises DeviceError."""
         return
 
-    def noticed(self) -> bool:
-        """Whether the driver says that its device has reset, though no call has raised Forgotten."""
+    def reset_noticed(self) -> bool:
+        """True if the driver has detected a reset of its device without raising Forgotten."""
         return False
 
 
-class Axes(Bench):
+class AxesFaultBench(FaultBench):
     """TMCL over USB or RS485: a move of one axis, its counter, its encoder."""
 
     name, devices = "axes (TMCL)", ("axes", "sigma")
     faults = ON_A_SERIAL_LINE
 
-    def break_wire(self) -> None:
+    def insert_faulty_wire(self) -> None:
         self._target = 10.0
         self._line = FaultyLine(self.virtual.serial["axes"], Script(()), 0.1, foreign_tmcl)
         plug_in(self._line, self.clock, lambda end: self.virtual.serial.update(axes=end))
         self.rig.reconnect_axes()
 
-    def suffer(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: Misfortune) -> None:
         self._line.misfortune = misfortune
 
-    def work(self) -> None:
+    def run_task(self) -> None:
         self._target = 30.0 - self._target
         axis = self.rig.axes["sigma"]
         wait(self.clock, [axis.start(self._target)])
         truth = self._truth("sigma")
         _compare([truth, axis.position_deg(), axis.encoder_deg() or 0.0], self._target, 2e-3)
 
-    def mend(self) -> None:
+    def recover(self) -> None:
         self.rig.reconnect_axes()
         for name, axis in self.rig.axes.items():
             axis.set_position(self._truth(name))
 
-    def noticed(self) -> bool:
+    def reset_noticed(self) -> bool:
         return any("reset" in axis.unreferenced_reason for axis in self.rig.axes.values())
 
     def _truth(self, name: str) -> float:
         return self.virtual.plant.angle_deg(name, self.clock.now())
 
 
-class Monochromator(Bench):
-    """Cornerstone: a slew, the shutter, and the wavelength asked for."""
+class MonochromatorFaultBench(FaultBench):
+    """Cornerstone: a slew, the shutter, and the wavelength read back."""
 
     name, devices = "monochromator (ASCII)", ("monochromator",)
     faults = ON_A_TEXT_LINE
 
-    def break_wire(self) -> None:
+    def insert_faulty_wire(self) -> None:
         self._target = 600.0
         self._line = FaultyLine(self.virtual.serial["mono"], Script(()), 1.5)
         plug_in(self._line, self.clock, lambda end: self.virtual.serial.update(mono=end))
         self.rig.monochromator.connect()
 
-    def suffer(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: Misfortune) -> None:
         self._line.misfortune = misfortune
 
-    def work(self) -> None:
+    def run_task(self) -> None:
         self._target = 1233.1 - self._target
         driver, plant = self.rig.monochromator, self.virtual.plant
         wait(self.clock, [driver.start_wavelength(self._target)])
@@ -138,14 +138,14 @@ class Monochromator(Bench):
         _compare([plant.shutter_open.at(self.clock.now())], opened, 0)
 
 
-class PhotodiodesTcp(Bench):
+class TcpPhotodiodesFaultBench(FaultBench):
     """ADAM-6017: a gain, two readings of all channels, the canary."""
 
     name, devices = "photodiodes (Modbus TCP)", ("photodiodes",)
     faults = (*ON_MODBUS, Fault.GARBLED)
     undetectable: ClassVar[tuple[Fault, ...]] = (Fault.CORRUPTED, Fault.GARBLED, Fault.NOISE)
 
-    def break_wire(self) -> None:
+    def insert_faulty_wire(self) -> None:
         self.rig.photodiodes.close()
         self._gain = 0
         self._expected: dict[int, Ints] = {}
@@ -154,7 +154,7 @@ class PhotodiodesTcp(Bench):
         self._connect()
         self.rig.photodiodes.connect()
         for _ in self.rig.photodiodes.settings.gains_v_per_a[:2]:
-            self.work()
+            self.run_task()
 
     def _connect(self) -> None:
         def connection(station: SerialDevice) -> SerialDevice:
@@ -163,12 +163,12 @@ class PhotodiodesTcp(Bench):
 
         self.virtual.modbus_wires = dict.fromkeys(self.virtual.modbus, connection)
 
-    def suffer(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: Misfortune) -> None:
         self._misfortune = misfortune
         for line in self._lines:
             line.misfortune = misfortune
 
-    def work(self) -> None:
+    def run_task(self) -> None:
         array = self.rig.photodiodes
         self._gain = (self._gain + 1) % min(2, len(array.settings.gains_v_per_a))
         wait(self.clock, [array.start_gain(self._gain)])
@@ -177,11 +177,11 @@ class PhotodiodesTcp(Bench):
         expected = self._expected.setdefault(self._gain, taken.counts[1].astype(int))
         _compare(taken.counts.astype(int), expected, 1)
 
-    def mend(self) -> None:
+    def recover(self) -> None:
         self.rig.photodiodes.reconnect()
 
 
-class PhotodiodesRtu(PhotodiodesTcp):
+class RtuPhotodiodesFaultBench(TcpPhotodiodesFaultBench):
     """ADAM-4117 on one serial line."""
 
     name = "photodiodes (Modbus RTU)"
@@ -194,13 +194,13 @@ class PhotodiodesRtu(PhotodiodesTcp):
         plug_in(self._lines[0], self.clock, lambda end: self.virtual.serial.update(adcs=end))
 
 
-class Monitor(Bench):
+class MonitorFaultBench(FaultBench):
     """USBTMC: a mean."""
 
     name, devices = "monitor (USBTMC)", ("monitor",)
     faults = ON_USB
 
-    def break_wire(self) -> None:
+    def insert_faulty_wire(self) -> None:
         self.virtual.plant.shutter_open.set(0.0, True)
         self.rig.monitor.close()
         self._wire = FaultyUsb(self.virtual.usb["monitor"], Script(()), self.clock)
@@ -208,17 +208,19 @@ class Monitor(Bench):
         self.rig.monitor.connect()
         self._expected: float | None = None
 
-    def suffer(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: Misfortune) -> None:
         self._wire.misfortune = misfortune
 
-    def work(self) -> None:
+    def run_task(self) -> None:
         mean = self.rig.monitor.start_mean(0.1)
         wait(self.clock, [mean])
         self._expected = self._expected or mean.current_a
         _compare([mean.current_a], self._expected, 2e-3 * self._expected)  # the lamp drifts by 2 % an hour
 
 
-BENCHES: tuple[type[Bench], ...] = (Axes, Monochromator, PhotodiodesTcp, PhotodiodesRtu, Monitor)
+BENCHES: tuple[type[FaultBench], ...] = (
+    AxesFaultBench, MonochromatorFaultBench, TcpPhotodiodesFaultBench, RtuPhotodiodesFaultBench, MonitorFaultBench,
+)  # fmt: skip
 
 
 @cache

@@ -3,7 +3,7 @@
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigDescription, parse_rig
-from tests.app.campaign.measuring_bench import QUIET
+from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import RIG, SMALL, Change, changed
 
 FILTERS = """

@@ -22,7 +22,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.drivers import NoAnswer, wait
-from tests.app.campaign.test_resume import STEADY, stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, planned_values, run_until
 from tests.app.test_referencing import HOMES
 from tests.conftest import SMALL, Writer
 
@@ -82,12 +82,12 @@ def half_done(plan: Plan, path: Path) -> None:
     """Stopped in the middle of the sample, the last that is mounted."""
     seconds = np.cumsum([row.seconds for row in plan.rows])
     last = [k for k, row in enumerate(plan.rows) if row.kind == "measure"][-2]
-    stopped_at(plan, path, float(seconds[last - 1]) + 0.5 * plan.rows[last].seconds)
+    run_until(plan, path, float(seconds[last - 1]) + 0.5 * plan.rows[last].seconds)
 
 
 @pytest.fixture(params=[MORE, CHECKED], ids=["without drift checks", "with drift checks"])
 def plan(request: pytest.FixtureRequest, write_rig: Writer, write_schedule: Writer) -> Plan:
-    return make_plan(read_schedule(write_schedule(text=request.param)), read_rig(write_rig(*STEADY)))
+    return make_plan(read_schedule(write_schedule(text=request.param)), read_rig(write_rig(*QUIET)))
 
 
 def test_light_that_has_changed_meanwhile_is_told_and_what_comes_after_flagged(plan: Plan, tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_an_axis_that_is_lost_is_homed_before_it_goes_on(write_rig: Writer, writ
         "settling_s = 0.2\npower_up_at_reference = true\n\n" + HOMES[0][1],
         "settling_s = 0.2\nhoming_required = true\n\n" + HOMES[0][1],
     )
-    plan = make_plan(read_schedule(write_schedule(text=MORE)), read_rig(write_rig(*STEADY, *HOMES, needs_homing)))
+    plan = make_plan(read_schedule(write_schedule(text=MORE)), read_rig(write_rig(*QUIET, *HOMES, needs_homing)))
     path = tmp_path / "a.journal"
     with pytest.raises(UserError, match="sigma"):
         run_campaign(plan, path)  # a campaign that begins asks first
@@ -147,7 +147,7 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
 ) -> None:
     """Of the etalon and of the sample: each is mounted again for its own."""
     policy = MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n'
-    plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*QUIET)))
     run_campaign(plan, tmp_path / "whole.journal")
     failing = [row.number for row in plan.rows if row.kind == "measure" and row.pose is not None and row.pose[3] in (1.0, 3.0)]
     execute = RowExecutor.execute
@@ -174,7 +174,7 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows), 0)
     with Journal.open(path) as journal:
         assert not [note for note in reduce_journal(journal).notes if "skipped" in note or "etalon was not" in note]
-    assert values(path) == values(tmp_path / "whole.journal")
+    assert planned_values(path) == planned_values(tmp_path / "whole.journal")
     with Journal.open(path) as journal:
         mounted = [each.row.sample for each in journal.rows() if each.row.kind == "mount" and each.row.unplanned]
     assert mounted == ["etalon", "gaussian-5"]
@@ -186,7 +186,7 @@ def test_values_that_lack_their_etalon_are_told(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = make_plan(
-        read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*STEADY))
+        read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*QUIET))
     )
     execute = RowExecutor.execute
 
@@ -205,7 +205,7 @@ def test_values_that_lack_their_etalon_are_told(
 
 def test_a_warm_up_is_done_again(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     text = MORE + "\n[warm_up]\npercent_per_10min = 50\nlongest_s = 600\n"
-    plan = make_plan(read_schedule(write_schedule(text=text)), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule(text=text)), read_rig(write_rig(*QUIET)))
     half_done(plan, tmp_path / "a.journal")
     assert resume_campaign(tmp_path / "a.journal").state is State.DONE
     with Journal.open(tmp_path / "a.journal") as journal:
@@ -219,7 +219,7 @@ def test_a_virtual_rig_whose_samples_have_changed_is_refused(write_rig: Writer, 
     block = "TIS\t0.628\n" + 3 * "0.2\t0.2\t0.2\n"
     table.write_text(PAPER + 3 * block + "DataEnd\n", encoding="utf-8")
     sample = '[twin.samples.paper]\nmodel = "zemax"\nfile = "paper.bsdf"\n\n[twin.samples.etalon]'
-    rig = write_rig(*STEADY, ("[twin.samples.etalon]", sample))
+    rig = write_rig(*QUIET, ("[twin.samples.etalon]", sample))
     plan = make_plan(read_schedule(write_schedule(("gaussian-5", "paper"), text=MORE)), read_rig(rig))
     half_done(plan, tmp_path / "a.journal")
     table.write_text(table.read_text(encoding="utf-8").replace("0.2", "0.1"), encoding="utf-8")

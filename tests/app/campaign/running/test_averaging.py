@@ -14,8 +14,7 @@ from goniotwin.app.campaign.reduction.signals import middle_s
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, photodiode_settings, read_rig
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out, with_rows
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import QUIET, RunResult, change_rows, planned_values, run_plan, run_until
 from tests.conftest import Writer
 
 ONE_GAIN = ("[1e8, 1e10]", "[1e11]")
@@ -42,10 +41,10 @@ def dim_plan(write_rig: Writer, write_schedule: Writer, target: float, longest_s
     """A hundredth of the light, so that noise matters."""
     rig = write_rig(("[twin.light]", f"[twin.light]\nradiance = {radiance}"))
     plan = make_plan(read_schedule(write_schedule(ONE_GAIN)), read_rig(rig))
-    return with_rows(plan, averaged(target, longest_s))
+    return change_rows(plan, averaged(target, longest_s))
 
 
-def uncertainties(run: Run, plan: Plan) -> list[np.ndarray]:
+def uncertainties(run: RunResult, plan: Plan) -> list[np.ndarray]:
     """Relative, of the etalon's upper photodiodes in each row, by their scatter."""
     dark = run.of("dark")[0].data.readings[0].counts.mean(axis=0)[:17]
     found = []
@@ -59,7 +58,7 @@ def test_a_row_is_averaged_until_its_photodiodes_are_known_well_enough(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.01, 20.0)
-    run = carried_out(plan, tmp_path / "a.journal")
+    run = run_plan(plan, tmp_path / "a.journal")
     settings = photodiode_settings(plan.rig.file)
     for each, found in zip(run.of("measure", "etalon"), uncertainties(run, plan), strict=True):
         taken = len(each.data.readings[0].counts)
@@ -70,13 +69,13 @@ def test_a_row_is_averaged_until_its_photodiodes_are_known_well_enough(
 def test_the_time_ends_it_where_the_uncertainty_does_not(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.005, 2.0)
     settings = photodiode_settings(plan.rig.file)
-    for each in carried_out(plan, tmp_path / "a.journal").of("measure"):
+    for each in run_plan(plan, tmp_path / "a.journal").of("measure"):
         assert len(each.data.readings[0].counts) <= 2.0 / settings.period_s
 
 
 def test_bright_photodiodes_take_the_fewest_readings(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.01, 20.0, 2000.0)
-    run = carried_out(plan, tmp_path / "a.journal")
+    run = run_plan(plan, tmp_path / "a.journal")
     assert [len(each.data.readings[0].counts) for each in run.of("measure", "etalon")] == [
         MIN_AVERAGED_READINGS,
         MIN_AVERAGED_READINGS,
@@ -93,7 +92,7 @@ def test_a_clipped_photodiode_and_a_dark_one_keep_nobody_waiting() -> None:
 
 
 def test_a_joined_reading_has_the_middle_of_its_lots(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    run = carried_out(dim_plan(write_rig, write_schedule, 0.01, 20.0), tmp_path / "a.journal")
+    run = run_plan(dim_plan(write_rig, write_schedule, 0.01, 20.0), tmp_path / "a.journal")
     for each in run.of("measure", "etalon"):
         reading = each.data.readings[0]
         assert each.data.started_s < reading.first_s < middle_s(reading) < each.data.ended_s - reading.period_s
@@ -102,11 +101,11 @@ def test_a_joined_reading_has_the_middle_of_its_lots(write_rig: Writer, write_sc
 def test_a_resumed_campaign_averages_alike(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     rig = write_rig(*QUIET)
     plan = make_plan(read_schedule(write_schedule(ONE_GAIN)), read_rig(rig))
-    plan = with_rows(plan, averaged(1e-3, 3.0))
+    plan = change_rows(plan, averaged(1e-3, 3.0))
     run_campaign(plan, tmp_path / "whole.journal")
-    stopped_at(plan, tmp_path / "a.journal", 0.5 * plan.seconds)
+    run_until(plan, tmp_path / "a.journal", 0.5 * plan.seconds)
     resume_campaign(tmp_path / "a.journal")
-    assert values(tmp_path / "a.journal") == values(tmp_path / "whole.journal")
+    assert planned_values(tmp_path / "a.journal") == planned_values(tmp_path / "whole.journal")
 
 
 # ---- a warm lamp ----
@@ -118,7 +117,7 @@ def warmed(plan: Plan, target: float, longest_s: float) -> Plan:
             return row
         return [row, Row(0, "warm-up", "warm-up", row.sample, wavelength_nm=550.0, target=target, longest_s=longest_s)]
 
-    return with_rows(plan, change)
+    return change_rows(plan, change)
 
 
 def test_a_lamp_that_drifts_is_waited_for(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
@@ -130,7 +129,7 @@ def test_a_lamp_that_drifts_is_waited_for(write_rig: Writer, write_schedule: Wri
         plant = opened.virtual.plant
         opened.rig.clock.at(300.0, lambda: plant.set_lamp(300.0, drift_per_hour=0.0))
 
-    run = carried_out(warmed(plan, 0.002, 3600.0), tmp_path / "a.journal", settles)
+    run = run_plan(warmed(plan, 0.002, 3600.0), tmp_path / "a.journal", settles)
     (row,) = run.of("warm-up")
     assert row.data.flags == ()
     # Ten minutes after it has settled the line through the last ten minutes is level; a little earlier it is nearly so.
@@ -143,7 +142,7 @@ def test_a_lamp_that_drifts_is_waited_for(write_rig: Writer, write_schedule: Wri
 
 def test_a_lamp_that_never_settles_is_flagged(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(QUIET[0], ("= 0.02", "= 0.18"))))
-    run = carried_out(warmed(plan, 0.002, 200.0), tmp_path / "a.journal")
+    run = run_plan(warmed(plan, 0.002, 200.0), tmp_path / "a.journal")
     (row,) = run.of("warm-up")
     assert row.data.flags == (NOT_WARM,)
     assert row.data.ended_s - row.data.started_s == pytest.approx(200.0, abs=15.0)

@@ -1,4 +1,4 @@
-"""What a failing Modbus wire is called."""
+"""Texts for faults of a Modbus wire."""
 
 import pytest
 from pymodbus.exceptions import ConnectionException, ModbusIOException
@@ -7,7 +7,7 @@ from goniotwin.drivers.photodiodes.modbus import describe_fault
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "text"),
     [
         (
             ModbusIOException("ERROR: No response received of the last requests (default: retries+3), CLOSING CONNECTION."),
@@ -23,5 +23,5 @@ from goniotwin.drivers.photodiodes.modbus import describe_fault
         (ValueError(), "ValueError"),
     ],
 )
-def test_a_wire_fault_is_told_without_advice_to_programmers(error: Exception, told: str) -> None:
-    assert describe_fault(error) == told
+def test_a_wire_fault_is_described_without_advice_to_programmers(error: Exception, text: str) -> None:
+    assert describe_fault(error) == text

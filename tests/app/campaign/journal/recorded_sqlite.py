@@ -16,7 +16,7 @@ from typing import Any
 
 import apsw
 
-from tests.app.campaign.disk import Doing, FolderSynced, Named, Renamed, Resized, Synced, Written
+from tests.app.campaign.journal.simulated_disk import Doing, FolderSynced, Named, Renamed, Resized, Synced, Written
 
 CHANGING = ("INSERT", "UPDATE", "DELETE", "REPLACE")
 DIRECTORY_SYNCED = apsw.SQLITE_OPEN_WAL | apsw.SQLITE_OPEN_MAIN_JOURNAL

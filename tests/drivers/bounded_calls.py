@@ -1,4 +1,4 @@
-"""What every driver owes on a wire that fails, checked at each of its calls: an end in bounded time, an error that names it."""
+"""Checks of every call of a driver on a failing wire: it ends in bounded time, and its error names the device."""
 
 import contextlib
 from collections.abc import Iterator
@@ -7,10 +7,10 @@ from goniotwin.drivers import DeviceError, Pending, wait
 from goniotwin.protocols.clock import Clock
 
 
-class Calls:
-    """Calls of one driver: `most_s` is what one may take, `device` what its errors begin with.
+class BoundedCalls:
+    """Calls of one driver: `most_s` is the longest duration of a call, `device` the start of the device name in its errors.
 
-    `errors` are those there were, `good` is how many attempts had none.
+    `errors` are the errors so far, `good` is the number of attempts without error.
     """
 
     def __init__(self, clock: Clock, device: str, most_s: float) -> None:
@@ -22,35 +22,35 @@ class Calls:
 
     @contextlib.contextmanager
     def attempt(self) -> Iterator[None]:
-        """Some calls, each in `call` or `wait`, and what is asserted of their values; a DeviceError ends them."""
+        """A block of calls, each in `call` or `wait`, and assertions on their values; a DeviceError ends the block."""
         before = len(self.errors)
         try:
             yield
             self.good += 1
         except DeviceError as error:
             self.errors.append(error)
-        for told in self.errors[before:]:
-            assert told.device.startswith(self._device)
-            assert str(told).startswith(f"{told.device}: {told.doing}: {told.happened}")
-            assert told.doing
-            assert told.happened
+        for each in self.errors[before:]:
+            assert each.device.startswith(self._device)
+            assert str(each).startswith(f"{each.device}: {each.doing}: {each.happened}")
+            assert each.doing
+            assert each.happened
 
     @contextlib.contextmanager
     def call(self) -> Iterator[None]:
         """One call."""
-        begun = self._clock.now()
+        started = self._clock.now()
         try:
             yield
         finally:
-            assert self._clock.now() - begun < self._most_s
+            assert self._clock.now() - started < self._most_s
 
     def wait(self, pending: Pending) -> None:
-        """Until something under way is done; each poll is a call."""
-        wait(self._clock, [_Polled(pending, self)])
+        """Wait for an action; each poll is a call."""
+        wait(self._clock, [_BoundedPolls(pending, self)])
 
 
-class _Polled:
-    def __init__(self, pending: Pending, calls: Calls) -> None:
+class _BoundedPolls:
+    def __init__(self, pending: Pending, calls: BoundedCalls) -> None:
         self._pending, self._calls = pending, calls
         self.due = pending.due
 

@@ -19,7 +19,7 @@ from goniotwin.app.campaign.running.events import Event, RowStarted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import OpenRig, parse_rig
 from goniotwin.twin.plant import Plant
-from tests.app.campaign.measuring_bench import Run, carried_out
+from tests.app.campaign.campaign_bench import RunResult, run_plan
 from tests.conftest import RIG, Change, changed
 
 SCHEDULE = """
@@ -114,7 +114,7 @@ class Found:
     """What came of it: points that are good and flagged, and those that are good and wrong by five standard uncertainties."""
 
     case: Case
-    run: Run
+    run: RunResult
     good: int
     flagged: int
     within: float
@@ -157,7 +157,7 @@ def met(case: Case, grid: tuple[str, str], folder: Path) -> Found:
             at = clock.now() + 0.6 * event.row.seconds
             clock.at(at, lambda: case.done(plant, at))
 
-    run = carried_out(plan, folder / "trouble.journal", rigs.append, listeners=[trouble])
+    run = run_plan(plan, folder / "trouble.journal", rigs.append, listeners=[trouble])
     points = points_of(folder / "trouble.journal", case) if run.state is State.DONE else None
     if points is None:
         return Found(case, run, 0, 0, 0.0, 0.0, 0)

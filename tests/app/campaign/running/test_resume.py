@@ -3,7 +3,6 @@
 import itertools
 import sqlite3
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,40 +19,14 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, parse_rig, read_rig
 from goniotwin.app.rig.lock import RigLock
+from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.golden import contents
-
-STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
-MORE = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2]")
-VALUES = """
-SELECT plan.identity, plan.kind, attempt.positions, attempt.flags, gain_v_per_a, monitor_a, readings, channels, counts
-FROM plan JOIN attempt USING (number) LEFT JOIN reading USING (number, attempt)
-WHERE plan.session IS NULL AND attempt.attempt = (SELECT MAX(attempt) FROM attempt latest WHERE latest.number = plan.number)
-ORDER BY plan.number, gain_v_per_a
-"""
-
-
-def values(journal: Path) -> list[tuple[Any, ...]]:
-    connection = sqlite3.connect(journal)
-    try:
-        return connection.execute(VALUES).fetchall()
-    finally:
-        connection.close()
-
-
-def stopped_at(plan: Plan, path: Path, t: float) -> None:
-    """A run that somebody stops at a time of the rig's clock."""
-    with open_rig(plan.rig, clock_for(plan.rig.file)) as opened:
-        opened.connect()
-        with Journal.create(path, plan, {}) as journal:
-            engine = Engine(opened.rig, plan, journal, operator_for(opened, plan.rig.file, None))
-            opened.rig.clock.at(t, engine.stop)
-            assert engine.run() is State.IDLE
 
 
 @pytest.fixture
 def steady(write_rig: Writer, write_schedule: Writer) -> Plan:
-    return make_plan(read_schedule(write_schedule(MORE)), read_rig(write_rig(*STEADY)))
+    return make_plan(read_schedule(write_schedule(THREE_SHIFTS)), read_rig(write_rig(*QUIET)))
 
 
 @pytest.fixture
@@ -64,22 +37,22 @@ def journals(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_wherever_it_was_stopped_the_planned_rows_are_those_of_an_undisturbed_run(steady: Plan, tmp_path: Path) -> None:
     run_campaign(steady, tmp_path / "whole.journal")
-    whole = values(tmp_path / "whole.journal")
+    whole = planned_values(tmp_path / "whole.journal")
     for k, share in enumerate((0.02, 0.3, 0.45, 0.5, 0.8, 0.98)):
         path = tmp_path / f"{k}.journal"
-        stopped_at(steady, path, share * steady.seconds)
+        run_until(steady, path, share * steady.seconds)
         assert campaign_summary(path).state == "stopped"
-        assert len(values(path)) < len(whole)
+        assert len(planned_values(path)) < len(whole)
         outcome = resume_campaign(path)
         assert (outcome.state, outcome.rows, outcome.planned) == (State.DONE, len(steady.rows), len(steady.rows))
-        assert values(path) == whole
+        assert planned_values(path) == whole
         assert campaign_summary(path).state == "done"
 
 
 def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) -> None:
     run_campaign(steady, tmp_path / "whole.journal")
     path = tmp_path / "a.journal"
-    stopped_at(steady, path, 10.0)
+    run_until(steady, path, 10.0)
     before = -1
     for _ in range(30):
         with Journal.open(path) as journal:
@@ -91,7 +64,7 @@ def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) 
         before = done
         _resumed_and_stopped(path, start + 14.0)
     assert done == of
-    assert values(path) == values(tmp_path / "whole.journal")
+    assert planned_values(path) == planned_values(tmp_path / "whole.journal")
     with Journal.open(path) as journal:
         sessions = journal.sessions()
         assert len(sessions) > 3
@@ -116,8 +89,8 @@ def _resumed_and_stopped(path: Path, t: float) -> None:
 
 def test_before_it_goes_on_the_sample_is_mounted_a_dark_taken_and_the_light_compared(steady: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
-    stopped_at(steady, path, 0.9 * steady.seconds)
-    done, planned = values(path), len(steady.rows)
+    run_until(steady, path, 0.9 * steady.seconds)
+    done, planned = planned_values(path), len(steady.rows)
     resume_campaign(path)
     database = sqlite3.connect(path)
     added = database.execute(
@@ -153,7 +126,7 @@ def test_a_rig_that_has_changed_is_refused_and_nothing_is_lost(
     plan: Plan, tmp_path: Path, write_rig: Writer, change: tuple[str, str], told: str
 ) -> None:
     path = tmp_path / "a.journal"
-    stopped_at(plan, path, 10.0)
+    run_until(plan, path, 10.0)
     before = path.read_bytes()
     with pytest.raises(UserError, match=told):
         resume_campaign(path, read_rig(write_rig(change, name="changed.toml")))
@@ -162,14 +135,14 @@ def test_a_rig_that_has_changed_is_refused_and_nothing_is_lost(
 
 def test_ports_may_change(plan: Plan, tmp_path: Path, write_rig: Writer) -> None:
     path = tmp_path / "a.journal"
-    stopped_at(plan, path, 10.0)
+    run_until(plan, path, 10.0)
     other = read_rig(write_rig(("twin://virtual/", "twin://elsewhere/"), name="other.toml"))
     assert resume_campaign(path, other).state is State.DONE
 
 
 def test_a_journal_that_another_program_works_on_is_refused_with_who_has_it(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
-    stopped_at(plan, path, 10.0)
+    run_until(plan, path, 10.0)
     held = RigLock([str(path.absolute())], "measuring paint")
     try:
         assert campaign_summary(path).state == "running"
@@ -182,8 +155,8 @@ def test_a_journal_that_another_program_works_on_is_refused_with_who_has_it(plan
 def test_a_journal_of_the_first_schema_is_read_and_gone_on_with(steady: Plan, tmp_path: Path) -> None:
     run_campaign(steady, tmp_path / "whole.journal")
     path = tmp_path / "old.journal"
-    stopped_at(steady, path, 0.6 * steady.seconds)
-    as_of_schema_1(path)
+    run_until(steady, path, 0.6 * steady.seconds)
+    convert_to_schema_1(path)
     before = path.read_bytes()
     with Journal.open(path) as journal:
         done, of = journal.row_counts()
@@ -192,54 +165,15 @@ def test_a_journal_of_the_first_schema_is_read_and_gone_on_with(steady: Plan, tm
         assert len(list(journal.rows())) == done
     assert path.read_bytes() == before  # to be looked at it is not changed
     assert resume_campaign(path, steady.rig).state is State.DONE
-    assert values(path) == values(tmp_path / "whole.journal")
-
-
-SCHEMA_1 = """
-CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-CREATE TABLE plan (
-    number INTEGER PRIMARY KEY, identity TEXT NOT NULL UNIQUE, kind TEXT NOT NULL, sample TEXT NOT NULL,
-    wavelength_nm REAL, gamma_deg REAL, sigma_deg REAL, beta_deg REAL, shift_deg REAL, seconds REAL NOT NULL
-) STRICT;
-CREATE TABLE attempt (
-    number INTEGER NOT NULL REFERENCES plan, attempt INTEGER NOT NULL, started_s REAL NOT NULL, ended_s REAL NOT NULL,
-    positions TEXT, flags TEXT NOT NULL, PRIMARY KEY (number, attempt)
-) STRICT;
-CREATE TABLE reading (
-    number INTEGER NOT NULL, attempt INTEGER NOT NULL, gain_v_per_a REAL NOT NULL, first_s REAL NOT NULL,
-    period_s REAL NOT NULL, monitor_a REAL NOT NULL, readings INTEGER NOT NULL, channels INTEGER NOT NULL,
-    counts BLOB NOT NULL, PRIMARY KEY (number, attempt, gain_v_per_a),
-    FOREIGN KEY (number, attempt) REFERENCES attempt
-) STRICT;
-CREATE TABLE event (id INTEGER PRIMARY KEY, t_s REAL NOT NULL, kind TEXT NOT NULL, text TEXT NOT NULL) STRICT;
-CREATE TABLE session (
-    id INTEGER PRIMARY KEY, started_s REAL NOT NULL, ended_s REAL, outcome TEXT, wall_started TEXT NOT NULL, wall_ended TEXT
-) STRICT;
-"""
-
-
-def as_of_schema_1(path: Path) -> None:
-    """The same as an older goniotwin wrote it."""
-    now = path.rename(path.with_suffix(".now"))
-    database = sqlite3.connect(path)
-    database.executescript(SCHEMA_1)
-    database.execute("ATTACH ? AS now", (str(now),))
-    for table in ("campaign", "plan", "attempt", "reading", "event", "session"):
-        columns = ", ".join(name for _, name, *_ in database.execute(f"PRAGMA main.table_info({table})"))
-        database.execute(f"INSERT INTO main.{table} SELECT {columns} FROM now.{table}")
-    database.execute("DELETE FROM campaign WHERE key = 'rig_folder'")
-    database.commit()
-    database.execute("PRAGMA application_id = 0x474F4E49")
-    database.execute("PRAGMA user_version = 1")
-    database.close()
+    assert planned_values(path) == planned_values(tmp_path / "whole.journal")
 
 
 def test_with_noise_the_differences_to_an_undisturbed_run_are_standard_normal(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
-    plan = make_plan(read_schedule(write_schedule(MORE, ("readings = 2", "readings = 8"))), read_rig(write_rig()))
+    plan = make_plan(read_schedule(write_schedule(THREE_SHIFTS, ("readings = 2", "readings = 8"))), read_rig(write_rig()))
     run_campaign(plan, tmp_path / "whole.journal")
-    stopped_at(plan, tmp_path / "a.journal", 0.7 * plan.seconds)
+    run_until(plan, tmp_path / "a.journal", 0.7 * plan.seconds)
     with Journal.open(tmp_path / "a.journal") as journal:
         before = journal.row_counts()[0]
     resume_campaign(tmp_path / "a.journal")

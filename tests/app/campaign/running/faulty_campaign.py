@@ -29,7 +29,7 @@ from goniotwin.mocks.faulty_line import (
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.line import SerialDevice
-from tests.app.campaign.measuring_bench import QUIET, Run, carried_out, with_rows
+from tests.app.campaign.campaign_bench import QUIET, RunResult, change_rows, run_plan
 from tests.conftest import RIG, SMALL, Change, changed
 
 RTU: tuple[Change, ...] = (
@@ -126,7 +126,7 @@ def failing_plan(rtu: bool, tables: str = POLICIES) -> Plan:
     gains = "[1e11]" if rtu else "[1e8, 1e10, 1e11]"
     text = changed(SMALL, (("[550]", "[550, 600]"), ("[1e8, 1e10]", gains))) + tables
     schedule: ScheduleDescription = parse_schedule(text, "failing schedule")
-    return with_rows(make_plan(schedule, rig), lambda row: replace(row, automatic=not rtu and row.kind == "measure"))
+    return change_rows(make_plan(schedule, rig), lambda row: replace(row, automatic=not rtu and row.kind == "measure"))
 
 
 def run_with(
@@ -136,7 +136,7 @@ def run_with(
     listeners: list[Listener] | None = None,
     made: Callable[[Engine], Any] = lambda _: None,
     broken: Callable[[Wires], Any] = lambda _: None,
-) -> tuple[Run, Wires]:
+) -> tuple[RunResult, Wires]:
     """The plan, with what happens to its wires from the beginning on."""
     found: list[Wires] = []
 
@@ -148,7 +148,7 @@ def run_with(
         found.append(wires)
         broken(wires)
 
-    return carried_out(plan, path, prepare, listeners=listeners, made=made), found[0]
+    return run_plan(plan, path, prepare, listeners=listeners, made=made), found[0]
 
 
 def wrong(found: CommittedRow, right: CommittedRow, *, homed: bool) -> str:

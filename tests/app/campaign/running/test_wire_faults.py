@@ -11,13 +11,13 @@ from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State, StateChanged
 from goniotwin.mocks.faults import Fault, Misfortune, Script
-from tests.app.campaign.failing_campaign import FAULTS, POLICIES, Wires, failing_plan, run_with, wrong
-from tests.app.campaign.measuring_bench import Run
+from tests.app.campaign.campaign_bench import RunResult
+from tests.app.campaign.running.faulty_campaign import FAULTS, POLICIES, Wires, failing_plan, run_with, wrong
 
 KINDS = [(wire, rtu, fault) for (wire, rtu), faults in FAULTS.items() for fault in faults]
 QUICK = KINDS[::2]
 LONG = 8
-Undisturbed = dict[bool, tuple[Run, dict[str, int]]]
+Undisturbed = dict[bool, tuple[RunResult, dict[str, int]]]
 
 
 @cache
@@ -26,7 +26,7 @@ def plan_of(rtu: bool, tables: str = POLICIES) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[Run, dict[str, int]]]:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[RunResult, dict[str, int]]]:
     """By whether the photodiodes are on a serial line: the run, and how many exchanges each wire has had."""
     found = {}
     for rtu in (False, True):
@@ -36,14 +36,14 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[Ru
     return found
 
 
-def right(run: Run, well: Run, told: str, *, homed: bool) -> None:
+def right(run: RunResult, well: RunResult, told: str, *, homed: bool) -> None:
     """Each row that is there is as in the undisturbed run, or flagged and empty."""
     by_number = {each.row.number: each for each in well.rows}
     for each in run.rows:
         assert wrong(each, by_number[each.row.number], homed=homed) == "", f"{told}: {each.row.identity}"
 
 
-def single_fault(wire: str, rtu: bool, fault: Fault, seed: int, undisturbed: Undisturbed, path: Path) -> Run:
+def single_fault(wire: str, rtu: bool, fault: Fault, seed: int, undisturbed: Undisturbed, path: Path) -> RunResult:
     well, exchanges = undisturbed[rtu]
     at = int(np.random.default_rng([seed, KINDS.index((wire, rtu, fault))]).integers(exchanges[wire]))
     run, wires = run_with(plan_of(rtu), path, {wire: Script([Fault.NONE] * at + [fault], seed)})

@@ -19,10 +19,9 @@ from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices import Cornerstone260
 from goniotwin.twin.optics import apply_spectrum, lambertian
-from tests.app.campaign.failing_campaign import POLICIES, Wires, run_with, wrong
-from tests.app.campaign.filter_bench import BELIEVED, THERE, plan_with, rig_with, second_order
-from tests.app.campaign.measuring_bench import Run, carried_out
-from tests.app.campaign.test_resume import stopped_at, values
+from tests.app.campaign.campaign_bench import RunResult, planned_values, run_plan, run_until
+from tests.app.campaign.filter_rig import BELIEVED, THERE, plan_with, rig_with, second_order
+from tests.app.campaign.running.faulty_campaign import POLICIES, Wires, run_with, wrong
 
 POSITION = {500.0: 1.0, 600.0: 4.0, 700.0: 2.0, 760.0: 2.0}
 """By wavelength, as the bench's rig file says it."""
@@ -44,7 +43,7 @@ def heard(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def test_the_wheel_turns_with_the_wavelength_and_each_row_says_where_it_is(heard: list[str], tmp_path: Path) -> None:
     plan = plan_with()
-    run = carried_out(plan, tmp_path / "a.journal")
+    run = run_plan(plan, tmp_path / "a.journal")
     assert run.state is State.DONE
     measured = run.of("measure")
     assert {each.row.wavelength_nm for each in measured} == {500.0, 600.0, 700.0}
@@ -61,14 +60,14 @@ def test_the_wheel_turns_with_the_wavelength_and_each_row_says_where_it_is(heard
 
 
 def test_it_is_asked_before_and_after_it_is_turned(heard: list[str], tmp_path: Path) -> None:
-    carried_out(plan_with(), tmp_path / "a.journal")
+    run_plan(plan_with(), tmp_path / "a.journal")
     for k, line in enumerate(heard):
         if line.startswith("FILTER "):
             assert heard[k - 1] == heard[k + 1] == "FILTER?"
 
 
 def test_without_the_table_nothing_asks_for_the_wheel_or_turns_it(heard: list[str], tmp_path: Path) -> None:
-    run = carried_out(plan_with(rig=rig_with()), tmp_path / "a.journal")
+    run = run_plan(plan_with(rig=rig_with()), tmp_path / "a.journal")
     assert not [line for line in heard if "FILTER" in line]
     assert all("filter" not in (each.data.positions or {}) for each in run.rows)
 
@@ -85,7 +84,7 @@ def test_a_wheel_that_is_somewhere_else_is_not_believed(tmp_path: Path) -> None:
     def looked(_: object) -> None:
         wheels.append(rigs[0].plant.filter_position(rigs[0].clock.now()))
 
-    run = carried_out(plan_with(wavelengths="[500]"), tmp_path / "a.journal", turned_by_hand, listeners=[looked])
+    run = run_plan(plan_with(wavelengths="[500]"), tmp_path / "a.journal", turned_by_hand, listeners=[looked])
     assert run.state is State.DONE
     assert wheels[0] == 6
     assert wheels[-1] == 1
@@ -93,11 +92,11 @@ def test_a_wheel_that_is_somewhere_else_is_not_believed(tmp_path: Path) -> None:
 
 def test_a_position_that_the_wheel_does_not_have_ends_the_run_with_what_the_unit_says(tmp_path: Path) -> None:
     small = ("[twin.samples.etalon]", "[twin.monochromator]\nfilters = 3\n\n[twin.samples.etalon]")
-    run = carried_out(plan_with(rig=rig_with(BELIEVED, small)), tmp_path / "a.journal")
+    run = run_plan(plan_with(rig=rig_with(BELIEVED, small)), tmp_path / "a.journal")
     assert run.state is State.FAILED
     assert run.faults[0].startswith("monochromator: FILTER 4: error 3, destination not allowed")
     without = ("[twin.samples.etalon]", "[twin.monochromator]\nfilters = 0\n\n[twin.samples.etalon]")
-    run = carried_out(plan_with(rig=rig_with(BELIEVED, without)), tmp_path / "b.journal")
+    run = run_plan(plan_with(rig=rig_with(BELIEVED, without)), tmp_path / "b.journal")
     assert run.faults == [
         "monochromator: turn the filter wheel to 1: it has no filter wheel; remove monochromator.filters from the rig file"
     ]
@@ -110,7 +109,7 @@ def test_a_unit_that_calls_it_an_error_to_be_there_already_is_never_sent_there(t
         assert isinstance(unit, Cornerstone260)
         unit._statements._drive = replace(unit._statements._drive, already_there_is_error=True)
 
-    run = carried_out(plan_with(tables=POLICIES), tmp_path / "a.journal", strict)
+    run = run_plan(plan_with(tables=POLICIES), tmp_path / "a.journal", strict)
     assert run.state is State.DONE
     assert not run.events
 
@@ -138,14 +137,14 @@ def test_a_stop_while_the_wheel_turns_has_it_stop_there_and_the_campaign_goes_on
 
         monkeypatch.setattr(wheel, "slew", stopped)
 
-    run = carried_out(plan, path, half_way, made=engines.append)
+    run = run_plan(plan, path, half_way, made=engines.append)
     assert run.state is State.IDLE
     assert heard[-1] == "ABORT"
     plant, now = rigs[0].plant, rigs[0].clock.now()
     begun, target = ways[-1]
     assert plant.wheel.at(now) == plant.wheel.at(now + 100.0) == round(begun + 0.4 * (target - begun)) != target
     assert resume_campaign(path).state is State.DONE
-    assert values(path) == values(tmp_path / "whole.journal")
+    assert planned_values(path) == planned_values(tmp_path / "whole.journal")
 
 
 def test_a_resumed_campaign_sets_the_filter_anew(tmp_path: Path) -> None:
@@ -154,9 +153,9 @@ def test_a_resumed_campaign_sets_the_filter_anew(tmp_path: Path) -> None:
     run_campaign(plan, tmp_path / "whole.journal")
     for share in (0.3, 0.45, 0.8):
         path = tmp_path / f"{share}.journal"
-        stopped_at(plan, path, share * plan.seconds)
+        run_until(plan, path, share * plan.seconds)
         assert resume_campaign(path).state is State.DONE
-        assert values(path) == values(tmp_path / "whole.journal")
+        assert planned_values(path) == planned_values(tmp_path / "whole.journal")
         positions = _positions(path)
         assert {position for position, _ in positions} == {1.0, 2.0, 4.0}
         assert all(position == POSITION[wavelength] for position, wavelength in positions)
@@ -204,7 +203,7 @@ def test_a_fault_while_the_filter_changes_changes_nothing(
         _as_well(run, well, told)
 
 
-def _as_well(run: Run, well: Run, told: str) -> None:
+def _as_well(run: RunResult, well: RunResult, told: str) -> None:
     assert [each.row.number for each in run.rows] == [each.row.number for each in well.rows], told
     for mine, right in zip(run.rows, well.rows, strict=True):
         assert wrong(mine, right, homed=False) == "", f"{told}: {mine.row.identity}"
@@ -237,7 +236,7 @@ def _bsdf_at_760(tmp_path: Path, *changes: tuple[str, str]) -> float:
 
     path = tmp_path / "a.journal"
     path.unlink(missing_ok=True)
-    run = carried_out(plan_with(wavelengths="[760]", rig=rig_with(*changes)), path, coloured)
+    run = run_plan(plan_with(wavelengths="[760]", rig=rig_with(*changes)), path, coloured)
     assert run.state is State.DONE
     with Journal.open(path) as journal:
         points = reduce_journal(journal).samples["gaussian-5"]
