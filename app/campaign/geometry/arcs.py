@@ -103,7 +103,9 @@ def arc_views(rig: RigFile, pose: PoseAngles) -> list[ArcView]:
     upper = np.arange(len(rig.photodiodes.upper_deg))
     lower = len(upper) + np.arange(len(rig.photodiodes.lower_deg))
     arcs: list[tuple[Arc, Ints]] = [("upper", upper), ("lower", lower)]
-    return [_arc_view(channels, np.array(polar_deg(rig, arc), dtype=float), pose, arc) for arc, channels in arcs if len(channels)]
+    return [
+        _arc_view(channels, np.array(polar_deg(rig, arc), dtype=float), pose, arc) for arc, channels in arcs if len(channels)
+    ]
 
 
 def _arc_view(channels: Ints, polar_at_rest: Floats, pose: PoseAngles, arc: Arc) -> ArcView:
@@ -124,9 +126,9 @@ def _arc_view(channels: Ints, polar_at_rest: Floats, pose: PoseAngles, arc: Arc)
 class ArcDirections:
     """The directions that one arc measures at one sigma of the rig in a plan.
 
-    `angles_deg` (n, 2): the distinct directions, polar angle from the arc's own pole and azimuth. `shared`: how many of them two
-    photodiodes measure. `blocked_at_sample` (n,) and `blocked_at_etalon` (n,): blocked by the mirror unit in the pose of the
-    sample, and of the etalon that scales it. `specular_blocked`: whether the specular direction is blocked or, on the far
+    `angles_deg` (n, 2): the distinct directions, polar angle from the arc's own pole and azimuth. `shared`: how many of them
+    two photodiodes measure. `blocked_at_sample` (n,) and `blocked_at_etalon` (n,): blocked by the mirror unit in the pose of
+    the sample, and of the etalon that scales it. `specular_blocked`: whether the specular direction is blocked or, on the far
     arc, the direction straight through.
     """
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
@@ -107,7 +108,6 @@ LEAST_SINE = 0.1
 SURE = 3.0
 AT_ONCE = 20_000
 """Points, or more where they are of one wavelength and incidence."""
-DECIMALS = 6
 
 
 def field_variance(instrument: Instrument) -> float:

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
+from goniotwin.app.campaign.schedule.grids import HALF_TURN_DEG
 from goniotwin.arrays import Flags, Floats, Ints
 
 KNOWN_TO = 0.01
@@ -215,7 +216,6 @@ def _huber(z: Floats) -> Floats:
     return np.asarray(HUBER / np.maximum(np.abs(z), HUBER))
 
 
-HALF_TURN_DEG = 180.0
 RESOLVED = 0.1
 """A pair with a value that is known no better than this says nothing of a ratio: its logarithm would be that of noise."""
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
+from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.arrays import Floats
 
 Columns = dict[str, Floats]
 RESOLVED = 0.05
 """Pairs whose relative difference is known to so much, or better, say within what a symmetry holds."""
-DECIMALS = 6
 OF_PAIR = ("wavelength_nm", "sigma_deg", "shift_deg", "gamma", "beta", "photodiode")
 
 
@@ -33,7 +33,7 @@ class SymmetryResult:
     the symmetry does not hold, the worst.
     """
 
-    stated: Symmetry
+    stated: StatedSymmetry
     pairs: int
     chi_square: float
     worst: float

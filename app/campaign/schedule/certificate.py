@@ -59,7 +59,9 @@ class Certificate:
     ) -> tuple[Floats, Floats]:
         """Radiance factor and relative uncertainty for directions of observation (n,); NaN outside the table."""
         n = np.shape(zenith_deg)
-        coordinates = [np.broadcast_to(each, n) for each in (wavelength_nm, incidence_deg, zenith_deg, fold_azimuth(azimuth_deg))]
+        coordinates = [
+            np.broadcast_to(each, n) for each in (wavelength_nm, incidence_deg, zenith_deg, fold_azimuth(azimuth_deg))
+        ]
         factor, relative = np.zeros(n), np.zeros(n)
         for index, weight in _corners(self.grid, coordinates):
             factor += weight * self.factor[index]

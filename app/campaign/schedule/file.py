@@ -161,7 +161,9 @@ class ScheduleFile(TomlTable):
     @model_validator(mode="after")
     def _check_names(self) -> "ScheduleFile":
         if self.etalon in self.samples:
-            raise ValueError(f"samples: the etalon {self.etalon!r} is among the samples; it is always measured, so remove it there")
+            raise ValueError(
+                f"samples: the etalon {self.etalon!r} is among the samples; it is always measured, so remove it there"
+            )
         if NO_SAMPLE in (self.etalon, *self.samples):
             raise ValueError(f"{NO_SAMPLE!r} is the name of the empty sample unit; give the sample another name")
         return self
@@ -184,7 +186,9 @@ class ScheduleFile(TomlTable):
     @model_validator(mode="after")
     def _check_symmetry(self) -> "ScheduleFile":
         if self.symmetry_check is not None and self.symmetry == "anisotropic":
-            raise ValueError("symmetry_check: an anisotropic sample has no symmetry to check; remove [symmetry_check], or change symmetry")
+            raise ValueError(
+                "symmetry_check: an anisotropic sample has no symmetry to check; remove [symmetry_check], or change symmetry"
+            )
         return self
 
 
