@@ -93,7 +93,7 @@ def test_check_warns_of_those_that_no_light_can_reach_at_the_checks_pose() -> No
     assert "a [drift] sigma_deg of 165 lights them" in dark
     assert told(through.replace("sigma_deg = 15\n", "sigma_deg = 165\n")) == []
     (hidden,) = told(TEXT.replace("sigma_deg = 15\nbeta_deg = 180", "sigma_deg = 15\nbeta_deg = 0"))
-    assert "the mirror unit hides photodiodes 3" in hidden
+    assert "the mirror unit blocks photodiodes 3" in hidden
 
 
 def test_numbers_are_told_in_runs() -> None:

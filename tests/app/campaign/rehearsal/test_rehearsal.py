@@ -177,8 +177,8 @@ def test_it_warns_of_a_dark_sample_on_a_coarse_gain(write_rig: Writer, write_sch
 
 
 def test_it_warns_of_a_hidden_specular_direction(write_rig: Writer, write_schedule: Writer) -> None:
-    assert not warned(rehearsed(write_schedule(), write_rig()), "hides the specular")
-    assert warned(rehearsed(write_schedule(("[30]", "[0, 30]")), write_rig()), "hides the specular")
+    assert not warned(rehearsed(write_schedule(), write_rig()), "blocks the specular")
+    assert warned(rehearsed(write_schedule(("[30]", "[0, 30]")), write_rig()), "blocks the specular")
 
 
 def test_it_warns_of_values_over_the_range(write_rig: Writer, write_schedule: Writer) -> None:
