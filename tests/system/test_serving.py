@@ -14,8 +14,8 @@ from goniotwin.mocks.control import ControlClient, OrderRefused
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RIG
+from tests.system.command import CALLS, Call, goniotwin
 from tests.system.conftest import Serve, Served, at, until
-from tests.system.test_command import CALLS, Call, goniotwin
 
 
 @pytest.fixture
