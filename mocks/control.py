@@ -1,4 +1,4 @@
-"""The back door of a served virtual rig: one JSON object a line, over TCP on loopback; no wire of the instrument.
+"""The simulation control port of a served virtual rig: one JSON object a line, over TCP on loopback; no wire of the instrument.
 
     {"do": "mount", "sample": "etalon"}         {"do": "lamp", "drift_per_hour": 0.1, "level": 0.9}
     {"do": "tilt", "deg": 0.05}                 {"do": "jam", "axis": "beta", "jammed": true}
@@ -25,7 +25,7 @@ AXES = ("gamma", "sigma", "beta", "shift")
 
 
 class OrderRefused(ValueError):
-    """An order that cannot be carried out, in words."""
+    """An order that cannot be carried out; the message has the reason."""
 
 
 Order = dict[str, Any]
@@ -33,7 +33,7 @@ Action = Callable[[Order], dict[str, Any] | None]
 
 
 class ControlPort:
-    """What can be done to a virtual rig from outside its wires; `others` are the orders of whoever serves it."""
+    """Orders to a virtual rig from outside its wires; `others` are those that concern the served endpoints."""
 
     def __init__(self, rig: VirtualRig, others: dict[str, Action] | None = None) -> None:
         self._rig = rig
@@ -54,7 +54,7 @@ class ControlPort:
             what = order.get("do")
             if not isinstance(what, str) or what not in self._actions:
                 raise OrderRefused(f'an order is {{"do": ...}} with one of: {", ".join(sorted(self._actions))}')
-            # the others' orders wait for threads that need the rig themselves
+            # the other orders wait for threads that need the rig themselves
             with self._rig.lock if what in self._own else contextlib.nullcontext():
                 return {"ok": True, **(self._actions[what](order) or {})}
         except OSError as error:
@@ -103,7 +103,7 @@ class ControlPort:
 
 
 def number(order: Order, key: str) -> float:
-    """A finite number of an order. Raises Refused."""
+    """Finite number of an order. Raises OrderRefused."""
     value = order.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not -1e9 < value < 1e9:
         raise OrderRefused(f"{key} is a number, not {reprlib.repr(value)}")
@@ -111,7 +111,7 @@ def number(order: Order, key: str) -> float:
 
 
 def truth_value(order: Order, key: str, *, default: bool) -> bool:
-    """True or false of an order. Raises Refused."""
+    """True or false of an order. Raises OrderRefused."""
     value = order.get(key, default)
     if not isinstance(value, bool):
         raise OrderRefused(f"{key} is true or false, not {reprlib.repr(value)}")
@@ -119,7 +119,7 @@ def truth_value(order: Order, key: str, *, default: bool) -> bool:
 
 
 def parse_order(line: bytes) -> Order:
-    """The order of a line, whatever stands in it. Raises Refused."""
+    """Order in a line of any content. Raises OrderRefused."""
     try:
         order = json.loads(line)
     except RecursionError:
@@ -130,12 +130,12 @@ def parse_order(line: bytes) -> Order:
 
 
 def refusal(error: str) -> dict[str, Any]:
-    """The answer that says why not."""
+    """The answer to a refused order, with the reason."""
     return {"ok": False, "error": error}
 
 
 class ControlServer(LoopbackServer):
-    """Serves a back door on a port of loopback, a thread a client."""
+    """Server of the control port on loopback, one thread for each client."""
 
     def __init__(self, door: ControlPort, port: int = 0) -> None:
         class Handler(socketserver.StreamRequestHandler):
@@ -163,22 +163,22 @@ class ControlClient:
         self._file = self._socket.makefile("rwb")
 
     def do(self, what: str, **order: object) -> dict[str, Any]:
-        """Carries an order out. Raises Refused where it cannot be, OSError where nobody serves any more."""
+        """Carry out an order. Raises OrderRefused where it cannot be, OSError after the end of the server."""
         self._file.write(json.dumps({"do": what, **order}).encode() + b"\n")
         self._file.flush()
         line = self._file.readline()
         if not line:
-            raise ConnectionResetError("nobody serves the rig any more")
+            raise ConnectionResetError("the rig is not served any more")
         answer: dict[str, Any] = json.loads(line)
         if not answer.pop("ok"):
             raise OrderRefused(answer["error"])
         return answer
 
     def mount(self, sample: str) -> None:
-        """Puts a sample into the sample unit of the served rig."""
+        """Mount a sample in the served rig."""
         self.do("mount", sample=sample)
 
     def close(self) -> None:
-        """Hangs up."""
+        """Close the connection."""
         self._file.close()
         self._socket.close()

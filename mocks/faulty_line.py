@@ -1,6 +1,6 @@
-"""A serial line or a Modbus connection that fails: it stands in for the device at the door or at the endpoint.
+"""A serial line or a Modbus connection that fails: it takes the place of the device at the door or at the endpoint.
 
-    line = FaultyLine(rig.serial["axes"], Misfortune(seed, ON_A_SERIAL_LINE), foreign=foreign_tmcl)
+    line = FaultyLine(rig.serial["axes"], FaultPlan(seed, ON_A_SERIAL_LINE), foreign=foreign_tmcl)
     plug_in(line, rig.clock, lambda end: rig.serial.update(axes=end))             # in this process
     rig.modbus_wires["adc-0"] = lambda station: End(FaultyLine(station, ...))     # a connection each
 
@@ -20,7 +20,7 @@ from goniotwin.protocols.tmcl import checksum
 from goniotwin.twin.devices.line import SerialDevice
 
 ForeignReply = Callable[[bytes], bytes]
-"""Makes of a reply one of another address, with a checksum that is right."""
+"""Turns a reply into one of another address, with a correct checksum."""
 ExceptionReply = Callable[[bytes, int], bytes]
 """The exception response of a code to a request."""
 MBAP = 7
@@ -28,7 +28,7 @@ CODES = (adam.ILLEGAL_FUNCTION, adam.ILLEGAL_ADDRESS, adam.ILLEGAL_VALUE, adam.D
 
 
 class FaultyLine:
-    """`device` behind a bad wire. `late_s` is how much too late a late reply is.
+    """`device` behind a bad wire. `late_s` is the delay of a late reply.
 
     A wire without addresses has no `foreign` replies, one that is not Modbus no `refusal`. `unplug` is called when the plug
     is pulled. `plugs` counts how often it was.
@@ -55,7 +55,7 @@ class FaultyLine:
         self._held: list[bytes] = []
 
     def receive(self, data: bytes, t: float) -> None:
-        """Brings the bytes to the device, or not, and does to its replies what is to happen to them."""
+        """Pass bytes to the device and its replies back, with the fault of this exchange."""
         fault = self.misfortune.next()
         if fault in (Fault.UNHEARD, Fault.HANG):
             return
@@ -76,14 +76,14 @@ class FaultyLine:
             self.outbox.extend(self._failed(fault, ready, reply))
 
     def pull(self) -> None:
-        """Pulls the plug. What the device was about to say is said to nobody."""
+        """Pull the plug. Replies that were not sent yet are lost."""
         self.plugs += 1
         self.outbox.clear()
         self._held = []
         self.unplug()
 
     def reset(self, t: float) -> None:
-        """Of the device behind it."""
+        """Reset the device behind the line."""
         self.device.reset(t)
 
     def _failed(self, fault: Fault, ready: float, reply: bytes) -> list[tuple[float, bytes]]:
@@ -110,7 +110,7 @@ class FaultyLine:
 
 
 class FaultyEnd:
-    """What a port in this process has open of a faulty line: once the plug has been out it is dead for good.
+    """Open end of a faulty line in this process: dead for good once the plug has been out.
 
     Everything then raises SerialException, as a real port does.
     """
@@ -131,12 +131,12 @@ class FaultyEnd:
         raise AttributeError("the outbox is the device's own")
 
     def receive(self, data: bytes, t: float) -> None:
-        """Brings the bytes to the line."""
+        """Pass bytes to the line."""
         self._check()
         self._line.receive(data, t)
 
     def reset(self, t: float) -> None:
-        """Of the device behind it all."""
+        """Reset the device behind the line."""
         self._line.reset(t)
 
     def _check(self) -> None:

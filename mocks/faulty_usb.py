@@ -1,6 +1,6 @@
 """A USB instrument behind a bus that fails: it stands in for the instrument on the virtual bus.
 
-    rig.usb["monitor"] = FaultyUsb(rig.usb["monitor"], Misfortune(seed, ON_USB), rig.clock)
+    rig.usb["monitor"] = FaultyUsb(rig.usb["monitor"], FaultPlan(seed, ON_USB), rig.clock)
 
 What fails is an exchange: what the host writes to bulk OUT, and what comes back until it writes again. A payload is never
 damaged in silence, because the bus has checksums of its own and repeats by itself; what is damaged (CORRUPTED) is a header,

@@ -1,4 +1,4 @@
-"""The wires of a served rig, which break when they are told to: the back door's orders about faults and plugs.
+"""Wires of a served rig with faults on demand: the orders of the control port about faults and plugs.
 
     {"do": "faults", "device": "axes", "kinds": ["late", "lost"], "share": 0.2, "seed": 3, "exchanges": 100}
     {"do": "faults", "device": "adc-0", "script": ["none", "exception"]}
@@ -6,8 +6,8 @@
     {"do": "unplug", "device": "monitor"}          {"do": "replug", "device": "monitor", "reset": true}
 
 Without `kinds` a wire has all faults that its bus can have; their names are those of `mocks.faults.Fault`, in small
-letters. Of `exchanges` from now on the `share` fails. The answer says what the order before it has `met`. A late reply comes
-after the driver has given up, and a plug that a fault has pulled is out for a second.
+letters. Of `exchanges` from now on the `share` fails. The answer lists the faults that the order before it has `met`. A late reply
+comes after the driver has given up, and a plug that a fault has pulled is out for a second.
 """
 
 from collections.abc import Callable
@@ -51,14 +51,14 @@ LATE_S = 1.5
 
 
 class CurrentOrder(FaultPlan):
-    """What is ordered now; another order takes its place while the wire is in use."""
+    """The current order; another one replaces it while the wire is in use."""
 
     def __init__(self) -> None:
         super().__init__(0, ())
         self.order: FaultPlan = ScriptedFaults(())
 
     def next(self) -> Fault:
-        """What happens to this exchange."""
+        """Fault of the next exchange."""
         return self.order.next()
 
     def draw(self, number: int, below: int) -> int:
@@ -67,13 +67,13 @@ class CurrentOrder(FaultPlan):
 
     @property
     def exchanges(self) -> int:
-        """How many there have been since the order."""
+        """Number of exchanges since the order."""
         return self.order.exchanges
 
 
 @dataclass
 class ServedWire:
-    """One of them: the faults it can have, and its plug."""
+    """A served wire: the faults that it can have, and its plug."""
 
     kinds: tuple[Fault, ...]
     unplug: Callable[[], None]
@@ -83,7 +83,7 @@ class ServedWire:
 
 
 class FaultyWires:
-    """Each wire by its device's name. They are well until an order comes."""
+    """The wires by device. Without an order they have no faults."""
 
     def __init__(self, rig: VirtualRig, clock: Clock) -> None:
         self._rig, self._clock = rig, clock
@@ -107,7 +107,7 @@ class FaultyWires:
 
     @property
     def orders(self) -> dict[str, Callable[[Order], dict[str, Any] | None]]:
-        """For the back door."""
+        """Orders for the control port."""
         return {"faults": self._faults, "unplug": self._unplug, "replug": self._replug}
 
     def _faults(self, order: Order) -> dict[str, Any]:
@@ -145,7 +145,7 @@ class FaultyWires:
         return [NAMES[each] for each in names]
 
     def _powered(self, device: Any, replug: Callable[[], None]) -> Callable[[bool], None]:
-        """What puts a plug in again, with or without a loss of power meanwhile."""
+        """Action that plugs a device in again, with or without a loss of power in between."""
 
         def again(reset: bool) -> None:
             if reset:

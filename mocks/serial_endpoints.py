@@ -1,6 +1,6 @@
 """Twin devices with a serial line, on real endpoints: pseudo-terminals with stable names, and TCP.
 
-One thread serves them all. A device is asked when bytes arrive and when it has said that it will have something to
+One thread serves them all. A device is polled when bytes arrive and when it has announced that it will have something to
 send; nothing polls. Pseudo-terminals exist on Linux and macOS; on Windows there is TCP.
 """
 
@@ -229,7 +229,7 @@ class SerialEndpoints:
             self._forgive(end.line)
 
     def _forgive(self, line: Line) -> None:
-        """What has been asked by those who have gone is told to nobody, if nobody else is there."""
+        """Discard replies to clients that have gone, where no other client is connected."""
         if not line.pty_asked and all(end.connection is None for end in line.ends):
             with self._lock:
                 unasked = [each for each in line.device.outbox if isinstance(each[1], UnsolicitedReply)]

@@ -44,7 +44,7 @@ class Endpoint:
 
 
 class ServedRig:
-    """Serial lines on pseudo-terminals and TCP, Modbus modules on TCP, the monitor over USB/IP, the back door beside them."""
+    """Serial lines on pseudo-terminals and TCP, Modbus modules on TCP, the monitor over USB/IP, and the control port."""
 
     def __init__(self, model: TwinModel, speed: float, folder: Path, *, control: bool = True) -> None:
         self.clock = RealClock(speed)
@@ -59,7 +59,7 @@ class ServedRig:
 
     @property
     def endpoints(self) -> list[Endpoint]:
-        """All of them, once started; the back door, where there is one, is the last."""
+        """All of them, once started; the control port, where there is one, is the last."""
         return list(self._endpoints)
 
     def start(self) -> None:
@@ -68,7 +68,7 @@ class ServedRig:
         self._lines.start()
         if self._control is not None:
             self._control.start()
-            self._endpoints.append(Endpoint(CONTROL, "back door", host=LOOPBACK, port=self._control.port))
+            self._endpoints.append(Endpoint(CONTROL, "simulation control port", host=LOOPBACK, port=self._control.port))
 
     def stop(self) -> None:
         """Closes everything; ports and names are free again."""

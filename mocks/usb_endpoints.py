@@ -44,7 +44,7 @@ BUS = 1
 
 
 class UsbEndpoints:
-    """All USB devices of a rig on one port. `bus_ids` says which is which."""
+    """All USB devices of a rig on one port. `bus_ids` has the id of each."""
 
     def __init__(self, rig: VirtualRig, port: int = 0) -> None:
         self._rig = rig
@@ -108,7 +108,7 @@ class UsbEndpoints:
                 bus_id = request.bus_id
                 _Import(connection, self._backend, self._rig, name, buffer).serve()
         except (OSError, usbip.UsbIpError):
-            return  # whoever speaks something else, or no more, is hung up on
+            return  # a client that does not speak USB/IP, or has gone, is disconnected
         finally:
             with self._lock:
                 self._open.discard(connection)

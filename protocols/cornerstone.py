@@ -42,7 +42,7 @@ class ErrorCode(IntEnum):
 
 
 class WavelengthUnit(Enum):
-    """What a wavelength is told in: nm, um or 1/cm, with the decimals that the unit writes."""
+    """Unit of wavelengths: nm, um or 1/cm, with the decimals that the device writes."""
 
     NM = 3
     UM = 6

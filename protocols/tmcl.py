@@ -4,7 +4,7 @@ Source: Trinamic, "TMCM-6214 TMCL Firmware Manual" V1.06 (frames, commands, axis
 Programming Manual" 2.22. The parameters' numbers are in `tmcl_parameters`.
 
 The sum finds every error that changes one byte. Of errors that change two bytes at random it passes one in 255, and it
-passes an exchange of two bytes always: who decodes has to look at addresses, command and echoed value as well.
+always passes an exchange of two bytes: a decoder has to check addresses, command and echoed value as well.
 """
 
 import struct
@@ -51,7 +51,7 @@ class Command(IntEnum):
 
 
 class ReplyStatus(IntEnum):
-    """What a module says of a request."""
+    """Status of a reply."""
 
     OK = 100
     LOADED = 101

@@ -71,7 +71,7 @@ def test_merged_transcripts_keep_all_and_each_its_order(lists: list[list[tuple[f
     line = merge_transcripts(files)
     assert [each.t for each in line] == sorted(each.t for file in files for each in file)
     assert [[each for each in line if each.file == str(name)] for name in range(len(files))] == files
-    assert [each for one in exchanges(line) for each in ([one.told] if one.told else []) + one.answers] == line
+    assert [each for one in exchanges(line) for each in ([one.sent] if one.sent else []) + one.answers] == line
 
 
 def test_where_times_are_equal_an_answer_comes_before_the_next_question() -> None:

@@ -109,7 +109,7 @@ class Statements:
         }  # fmt: skip
 
     def perform(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
-        """Carries one out at `t`. Raises Refused."""
+        """Carries one out at `t`. Raises StatementRefused."""
         if statement.query:
             return self._ask(state, statement, t)
         action = self._commands.get(statement.word)
@@ -296,7 +296,7 @@ class Statements:
 
 
 def _numbered(word: str, state: UnitState, filters: int) -> tuple[str, int, str]:
-    """`GRAT2LABEL` taken apart. Raises Refused."""
+    """`GRAT2LABEL` taken apart. Raises StatementRefused."""
     match = re.fullmatch(r"(GRAT)(\d)(LABEL|LINES|ZERO|FACTOR)|(FILTER)(\d)(LABEL)|(SLIT)(\d)(MICRONS)", word)
     if match is None:
         raise StatementRefused(ErrorCode.NOT_UNDERSTOOD)

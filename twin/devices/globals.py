@@ -62,7 +62,7 @@ class Globals:
         self._status = states[Command(command)]
 
     def get(self, bank: int, number: int, t: float) -> int:
-        """GGP. Raises Rejected."""
+        """GGP. Raises CommandRejected."""
         held = self._values.get((bank, number))
         if held is not None:
             return held
@@ -80,7 +80,7 @@ class Globals:
         return 0
 
     def set(self, bank: int, number: int, value: int, t: float) -> None:
-        """SGP. Raises Rejected."""
+        """SGP. Raises CommandRejected."""
         if (bank, number) == (0, GlobalParameter.TICK_TIMER):
             self._ticks_from = t - value / 1000.0
             return
@@ -100,7 +100,7 @@ class Globals:
             self._eeprom[bank, number] = value
 
     def store(self, bank: int, number: int, *, restore: bool) -> None:
-        """STGP and RSGP. Raises Rejected for what EEPROM does not keep."""
+        """STGP and RSGP. Raises CommandRejected for what EEPROM does not keep."""
         self._check(bank, number)
         if bank == 3 or (bank == USER_BANK and number >= USER_STORED):
             raise CommandRejected(ReplyStatus.WRONG_TYPE)

@@ -60,7 +60,7 @@ class TcpStation:
                 self.outbox.append((self._free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
 
     def reset(self, t: float) -> None:
-        """The module loses its power for a moment, and with it what has been half said and half heard."""
+        """The module loses its power for a moment, and with it incomplete requests and replies."""
         self.device.reset(t)
         self._buffer = b""
 
@@ -104,7 +104,7 @@ class RtuStation:
         if len(self._buffer) < FramerRTU.MIN_SIZE:
             return None
         size = self._size()
-        if size is None:  # only the checksum tells where a function ends that pymodbus does not know
+        if size is None:  # only the checksum shows the end of a function that pymodbus does not know
             whole = checked(self._buffer)
             if not whole and len(self._buffer) > LONGEST_RTU:
                 self._buffer, self._deaf = b"", True
@@ -120,7 +120,7 @@ class RtuStation:
         return frame
 
     def _size(self) -> int | None:
-        """Of the frame that begins the buffer: 0 while its count is missing, None where only its end will tell."""
+        """Of the frame that begins the buffer: 0 while its count is missing, None where only its end decides."""
         function = self._buffer[1]
         if function in (15, 16):
             return 9 + self._buffer[6] if len(self._buffer) > 6 else 0

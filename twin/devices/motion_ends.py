@@ -24,8 +24,8 @@ class MotionEnd:
 
 @dataclass(frozen=True)
 class Guards:
-    """What a motor heeds: its switches where they are enabled, the speed (pps) above which a stall stops it (0: never), by
-    how much the encoder may deviate (0: at all), and what the encoder says at an angle."""
+    """Limits that a motor obeys: its switches where they are enabled, the speed (pps) above which a stall stops it (0: never),
+    by how much the encoder may deviate (0: at all), and the encoder's reading at an angle."""
 
     right: Switch | None
     left: Switch | None

@@ -1,4 +1,4 @@
-"""One motor of a motion module: its axis parameters, what it is asked and what it is told."""
+"""One motor of a motion module: its axis parameters and commands."""
 
 from goniotwin.protocols.tmcl import ReplyStatus
 from goniotwin.protocols.tmcl_parameters import AxisParameter, DriverFlag, ErrorFlag
@@ -69,7 +69,7 @@ class Motor(RampGenerator):
         ]
 
     def get(self, number: int, t: float) -> int:
-        """GAP. Raises Rejected for a parameter that is not there."""
+        """GAP. Raises CommandRejected for a parameter that is not there."""
         self.catch_up(t)
         if number in COMPUTED:
             return signed(self._computed(number, t))
@@ -117,7 +117,7 @@ class Motor(RampGenerator):
         return DriverFlag(0) if self.is_moving(t) else DriverFlag.STANDSTILL
 
     def set(self, number: int, value: int, t: float) -> None:
-        """SAP. Raises Rejected for a parameter that is not there or a value out of its range."""
+        """SAP. Raises CommandRejected for a parameter that is not there or a value out of its range."""
         self.catch_up(t)
         match number:
             case AxisParameter.TARGET_POSITION:
@@ -146,7 +146,7 @@ class Motor(RampGenerator):
             self.refresh(t)
 
     def store(self, number: int, *, restore: bool, t: float) -> None:
-        """STAP and RSAP. Raises Rejected for a parameter that EEPROM does not keep."""
+        """STAP and RSAP. Raises CommandRejected for a parameter that EEPROM does not keep."""
         parameter = self._table.get(number)
         if parameter is None or not parameter.stored:
             raise CommandRejected(ReplyStatus.WRONG_TYPE)
@@ -156,7 +156,7 @@ class Motor(RampGenerator):
             self._eeprom[number] = self._values[number]
 
     def move_by(self, offset: int, t: float) -> int:
-        """MVP REL: from the last target, from where it is or from the encoder, as AP 127 says; returns the target."""
+        """MVP REL: from the last target, from where it is or from the encoder, as AP 127 selects; returns the target."""
         reference = self._values[AxisParameter.RELATIVE_REFERENCE]
         start = (AxisParameter.TARGET_POSITION, AxisParameter.ACTUAL_POSITION, AxisParameter.ENCODER_POSITION)[reference]
         return self.move_to(self.get(start, t) + offset, t)

@@ -73,7 +73,7 @@ class Pm100d(ScpiInstrument):
         return max(ends, default=float("-inf"))
 
     def refresh(self, t: float) -> None:
-        """Ends a zero that is over; says in the status groups what goes on."""
+        """End a zero that is over; update the status groups."""
         if self._zeroing is not None and self._zeroing[1] <= t:
             self._end_zero(*self._zeroing)
         operation = self.groups["OPERation"]

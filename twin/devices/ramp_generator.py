@@ -23,7 +23,7 @@ UNCOUPLED = Mechanics(motor=0, gear=1.0, encoder=False)
 
 
 class CommandRejected(Exception):
-    """A request that the module refuses, with the status that says so."""
+    """A request that the module refuses, with its status."""
 
     def __init__(self, status: ReplyStatus) -> None:
         super().__init__(status.name)
@@ -84,7 +84,7 @@ class RampGenerator:
         self._follow(ramp_to_velocity(t, position, now, velocity * self._unit(), *self._slopes()), t)
 
     def search(self, kind: int, t: float) -> int:
-        """RFS. Raises Rejected for a type that there is not."""
+        """RFS. Raises CommandRejected for a type that there is not."""
         self.catch_up(t)
         if kind == SearchCommand.STATUS:
             if self._search is not None:
@@ -140,7 +140,7 @@ class RampGenerator:
             self._search, self._cancelled = None, t
 
     def _follow(self, wanted: Trajectory, t: float, *, switches: bool = True) -> None:
-        """Begins a movement, up to what will end it; a reference search (no `switches`) heeds those by itself."""
+        """Begins a movement, up to what will end it; a reference search (no `switches`) checks those by itself."""
         down = self._slopes()[1]
         drive = self.shaft.driven(t, wanted)
         guards = self._guards() if switches else replace(self._guards(), right=None, left=None)

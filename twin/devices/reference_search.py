@@ -32,7 +32,7 @@ class ReferenceSearch:
     distance: float | None = None
 
     def state(self, t: float) -> int:
-        """What RFS status says: 0 when it is over, else how far it is."""
+        """RFS status: 0 when it is over, else its state."""
         if self.end is not None and t >= self.end:
             return 0
         return min(LAST_STATE, max(1, sum(begun <= t for begun in self.phases)))
@@ -55,7 +55,7 @@ class Means:
 
 
 class _NothingFound(Exception):
-    """It runs on, or stands at a switch, until somebody stops it."""
+    """It runs on, or stands at a switch, until it is stopped."""
 
 
 def search(mode: int, start: Trajectory, t: float, means: Means) -> ReferenceSearch:

@@ -30,7 +30,7 @@ class StatusGroup:
         self.falling = 0
 
     def set(self, bit: int, on: bool) -> None:
-        """A condition comes or goes; its edges become events as the filters say."""
+        """A condition comes or goes; its edges become events by the filters."""
         mask = 1 << bit
         if on and not self.condition & mask:
             self.event |= mask & self.rising
@@ -88,7 +88,7 @@ class ScpiInstrument:
                 self._commands[header, query] = action
         self.preset()
 
-    # ---- what an instrument says of itself ----
+    # ---- identity and status of an instrument ----
 
     def commands(self) -> Iterator[Command]:
         """Its own commands: pattern, query or not, what to do."""
@@ -150,7 +150,7 @@ class ScpiInstrument:
         self.preset()
 
     def report(self, code: int, text: str) -> None:
-        """Puts an error into the queue; the last place of a full queue says that it overflowed."""
+        """Puts an error into the queue; the last place of a full queue reports the overflow."""
         if len(self._errors) >= ERRORS_KEPT:
             self._errors[-1] = (-350, "Queue overflow")
         else:

@@ -61,7 +61,7 @@ KINDS = {
 
 
 class MotionModule:
-    """One module. `strict` has it answer to its own address and to 0 only; `post` sends what nobody has just asked for,
+    """One module. `strict` has it answer to its own address and to 0 only; `post` sends unsolicited replies,
     `withdraw` takes it back."""
 
     def __init__(self, plant: Plant, kind: ModuleKind, address: int, post: Post, withdraw: Withdraw, *, strict: bool) -> None:
@@ -106,7 +106,7 @@ class MotionModule:
             motor.reset(t)
 
     def answer(self, frame: bytes, t: float) -> Answers:
-        """What it says to a frame that has arrived at `t`: nothing or one answer, each with how long it waits before it."""
+        """Reply to a frame that arrived at `t`: none or one, with its delay."""
         host, address = self.globals.get(0, GlobalParameter.HOST_ADDRESS, t), self.globals.get(0, GlobalParameter.ADDRESS, t)
         if t < self._dead_until or (self._strict and frame[0] not in (0, address)):
             return []
@@ -265,7 +265,7 @@ class MotionModule:
         return self._outputs[number] if bank == 2 else 0
 
     def _plan_event(self, t: float, host: int, address: int) -> None:
-        """The one frame that says that all motors of the mask are where they were sent, when they will be."""
+        """The one frame that reports the arrival of all motors of the mask, with its time."""
         if not self._event_mask and self._event is None:
             return
         planned, self._event_due = self._event_due, math.inf
@@ -276,6 +276,6 @@ class MotionModule:
         if not arrivals or any(arrival is None for arrival in arrivals):
             return
         self._event_due = max(min(planned, t + EVENT_AFTER_S), *(arrival for arrival in arrivals if arrival is not None))
-        told = ReplyFrame(host, address, ReplyStatus.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, self._event_mask)
-        self._event = UnsolicitedReply(told.encode())
+        reply = ReplyFrame(host, address, ReplyStatus.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, self._event_mask)
+        self._event = UnsolicitedReply(reply.encode())
         self._post(self._event_due, self._event)

@@ -112,7 +112,7 @@ class UsbTmcDevice(Transfers):
         self._fifo = fifo
         self._notices.clear()
         self._reported = 0
-        self._halted.add(BULK_OUT)  # until the host has seen the end of the clear, and says so
+        self._halted.add(BULK_OUT)  # until the host has seen the end of the clear, and confirms it
         self._clear_until = t + self.clear_s
         self.instrument.clear(t)
         return bytes((RequestStatus.SUCCESS,))

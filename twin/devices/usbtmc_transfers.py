@@ -50,7 +50,7 @@ class Transfers:
         self._clear()
 
     def unplug(self) -> None:
-        """The cable is out: who has it open has nothing any more."""
+        """The cable is out: open handles are dead."""
         self.plugged = False
         self.plugs += 1
         self.reset()
@@ -78,7 +78,7 @@ class Transfers:
     # ---- bulk ----
 
     def bulk_out(self, data: bytes, t: float) -> None:
-        """What one write brings to bulk OUT. Raises Stall where the endpoint is halted, or where the class says to halt it.
+        """What one write brings to bulk OUT. Raises Stall where the endpoint is halted, or where the class halts it.
 
         A transfer may come in several writes, each but the last of whole packets.
         """
@@ -237,7 +237,7 @@ class Transfers:
         return bytes((RequestStatus.SUCCESS, tag, 0))
 
     def halt(self, endpoint: int) -> None:
-        """Halts an endpoint for no reason: a back door."""
+        """Halts an endpoint without a cause; for tests."""
         self._halted.add(endpoint)
 
     def clear_halt(self, endpoint: int) -> None:
@@ -245,5 +245,5 @@ class Transfers:
         self._halted.discard(endpoint)
 
     def new_host(self) -> None:
-        """Somebody has opened it: the bTags begin anew."""
+        """The device was opened: the bTags begin anew."""
         self._last_out = 0
