@@ -15,16 +15,25 @@ from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.rig import OpenRig, RigDescription, parse_rig
-from goniotwin.mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faults import (
+    ON_A_SERIAL_LINE,
+    ON_A_TEXT_LINE,
+    ON_MODBUS,
+    ON_MODBUS_RTU,
+    ON_USB,
+    Fault,
+    FaultPlan,
+    ScriptedFaults,
+)
 from goniotwin.mocks.faulty_line import (
-    End,
+    FaultyEnd,
     FaultyLine,
+    exception_rtu,
+    exception_tcp,
     foreign_rtu,
     foreign_tcp,
     foreign_tmcl,
     plug_in,
-    refusal_rtu,
-    refusal_tcp,
 )
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.twin import VirtualRig
@@ -56,8 +65,8 @@ class Wires:
     """All of a rig's, well until they are told to suffer."""
 
     opened: OpenRig
-    misfortunes: dict[str, Misfortune] = field(default_factory=dict)
-    _set: dict[str, Callable[[Misfortune], None]] = field(default_factory=dict)
+    misfortunes: dict[str, FaultPlan] = field(default_factory=dict)
+    _set: dict[str, Callable[[FaultPlan], None]] = field(default_factory=dict)
     _tcp: list[FaultyLine] = field(default_factory=list)
 
     @property
@@ -66,7 +75,7 @@ class Wires:
         assert self.opened.virtual is not None
         return self.opened.virtual
 
-    def suffer(self, wire: str, misfortune: Misfortune) -> None:
+    def suffer(self, wire: str, misfortune: FaultPlan) -> None:
         """From now on."""
         self.misfortunes[wire] = misfortune
         self._set[wire](misfortune)
@@ -75,30 +84,30 @@ class Wires:
         """Puts what may fail between the devices and the drivers, which are connected anew."""
         virtual, clock = self.virtual, self.virtual.clock
         for name, late_s, foreign in (("axes", 0.1, foreign_tmcl), ("mono", 1.5, None)):
-            line = FaultyLine(virtual.serial[name], Script(()), late_s, foreign)
+            line = FaultyLine(virtual.serial[name], ScriptedFaults(()), late_s, foreign)
             plug_in(line, clock, partial(virtual.serial.__setitem__, name))
             self._set[name] = partial(setattr, line, "misfortune")
         if "adcs" in virtual.serial:
-            line = FaultyLine(virtual.serial["adcs"], Script(()), 1.05, foreign_rtu, refusal_rtu)
+            line = FaultyLine(virtual.serial["adcs"], ScriptedFaults(()), 1.05, foreign_rtu, exception_rtu)
             plug_in(line, clock, lambda end: virtual.serial.update(adcs=end))
             self._set["adc"] = lambda misfortune: setattr(line, "misfortune", misfortune)
         else:
             virtual.modbus_wires = dict.fromkeys(virtual.modbus, self._connection)
             self._set["adc"] = self._all_connections
-        bus = FaultyUsb(virtual.usb["monitor"], Script(()), clock)
+        bus = FaultyUsb(virtual.usb["monitor"], ScriptedFaults(()), clock)
         virtual.usb["monitor"] = bus
         self._set["monitor"] = lambda misfortune: setattr(bus, "misfortune", misfortune)
         for device, error in self.opened.rig.connect().items():
             assert error is None, (device, error)
         for wire in self._set:
-            self.suffer(wire, Script(()))
+            self.suffer(wire, ScriptedFaults(()))
 
     def _connection(self, station: SerialDevice) -> SerialDevice:
-        misfortune = self.misfortunes.get("adc", Script(()))
-        self._tcp.append(FaultyLine(station, misfortune, 1.05, foreign_tcp, refusal_tcp))
-        return End(self._tcp[-1])
+        misfortune = self.misfortunes.get("adc", ScriptedFaults(()))
+        self._tcp.append(FaultyLine(station, misfortune, 1.05, foreign_tcp, exception_tcp))
+        return FaultyEnd(self._tcp[-1])
 
-    def _all_connections(self, misfortune: Misfortune) -> None:
+    def _all_connections(self, misfortune: FaultPlan) -> None:
         for line in self._tcp:
             line.misfortune = misfortune
 
@@ -132,7 +141,7 @@ def failing_plan(rtu: bool, tables: str = POLICIES) -> Plan:
 def run_with(
     plan: Plan,
     path: Path,
-    misfortunes: dict[str, Misfortune],
+    misfortunes: dict[str, FaultPlan],
     listeners: list[Listener] | None = None,
     made: Callable[[Engine], Any] = lambda _: None,
     broken: Callable[[Wires], Any] = lambda _: None,

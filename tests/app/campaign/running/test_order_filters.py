@@ -15,7 +15,7 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.rig import OpenRig
-from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
+from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, ScriptedFaults
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices import Cornerstone260
 from goniotwin.twin.optics import apply_spectrum, lambertian
@@ -195,7 +195,7 @@ def test_a_fault_while_the_filter_changes_changes_nothing(
     turned = heard.index("FILTER 4")
     for at in (turned - 1, turned, turned + 1):  # the question before, the order, the question after
         run, wires = run_with(
-            failing, tmp_path / f"{at}.journal", {"mono": Script([Fault.NONE] * at + [fault], at)}, broken=connected
+            failing, tmp_path / f"{at}.journal", {"mono": ScriptedFaults([Fault.NONE] * at + [fault], at)}, broken=connected
         )
         told = f"{fault} at {at}"
         assert wires.misfortunes["mono"].met == [fault], told
@@ -213,7 +213,7 @@ def _as_well(run: RunResult, well: RunResult, told: str) -> None:
 def test_a_wheel_of_which_nobody_hears_any_more_ends_the_run(failing: Plan, heard: list[str], tmp_path: Path) -> None:
     run_with(failing, tmp_path / "well.journal", {}, broken=lambda _: heard.clear())
     turned = heard.index("FILTER 4")
-    hang = Script([Fault.NONE] * turned + [Fault.HANG] * 100_000)
+    hang = ScriptedFaults([Fault.NONE] * turned + [Fault.HANG] * 100_000)
     run, _ = run_with(failing, tmp_path / "a.journal", {"mono": hang})
     assert run.state is State.FAILED
     assert run.faults[0].startswith("monochromator: ")

@@ -10,7 +10,7 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State, StateChanged
-from goniotwin.mocks.faults import Fault, Misfortune, Script
+from goniotwin.mocks.faults import Fault, FaultPlan, ScriptedFaults
 from tests.app.campaign.campaign_bench import RunResult
 from tests.app.campaign.running.faulty_campaign import FAULTS, POLICIES, Wires, failing_plan, run_with, wrong
 
@@ -46,7 +46,7 @@ def right(run: RunResult, well: RunResult, told: str, *, homed: bool) -> None:
 def single_fault(wire: str, rtu: bool, fault: Fault, seed: int, undisturbed: Undisturbed, path: Path) -> RunResult:
     well, exchanges = undisturbed[rtu]
     at = int(np.random.default_rng([seed, KINDS.index((wire, rtu, fault))]).integers(exchanges[wire]))
-    run, wires = run_with(plan_of(rtu), path, {wire: Script([Fault.NONE] * at + [fault], seed)})
+    run, wires = run_with(plan_of(rtu), path, {wire: ScriptedFaults([Fault.NONE] * at + [fault], seed)})
     told = f"{fault} at exchange {at} of {exchanges[wire]} on {wire}"
     assert wires.misfortunes[wire].met == [fault], told
     assert run.state is State.DONE, (told, run.faults, run.events)
@@ -95,7 +95,9 @@ def test_a_wire_that_stays_dead_stops_the_run_and_what_is_committed_is_right(
 ) -> None:
     well, exchanges = undisturbed[rtu]
     path = tmp_path / "a.journal"
-    run, _ = run_with(plan_of(rtu), path, {wire: Script([Fault.NONE] * (exchanges[wire] // 2) + [Fault.HANG] * 100_000)})
+    run, _ = run_with(
+        plan_of(rtu), path, {wire: ScriptedFaults([Fault.NONE] * (exchanges[wire] // 2) + [Fault.HANG] * 100_000)}
+    )
     assert run.state is State.FAILED
     assert 0 < len(run.rows) < len(well.rows)
     right(run, well, wire, homed=False)
@@ -106,7 +108,7 @@ def test_a_wire_that_stays_dead_stops_the_run_and_what_is_committed_is_right(
 def test_with_skip_a_dead_wire_yields_flagged_rows_without_a_value(undisturbed: Undisturbed, tmp_path: Path) -> None:
     well, exchanges = undisturbed[False]
     plan = plan_of(False, POLICIES.replace("attempts = 6", 'attempts = 2\nthen = "skip"'))
-    misfortune = Script([Fault.NONE] * (exchanges["monitor"] // 2) + [Fault.HANG] * 100_000)
+    misfortune = ScriptedFaults([Fault.NONE] * (exchanges["monitor"] // 2) + [Fault.HANG] * 100_000)
     run, _ = run_with(plan, tmp_path / "a.journal", {"monitor": misfortune})
     assert run.state is State.DONE
     assert len(run.rows) == len(well.rows)
@@ -121,7 +123,7 @@ def test_a_mounting_is_never_skipped_for_what_follows_would_be_another_samples(
     """The shutter cannot be closed for it, so that nobody is asked to mount."""
     _, exchanges = undisturbed[False]
     plan = plan_of(False, POLICIES.replace("attempts = 6", 'attempts = 2\nthen = "skip"'))
-    script = Script([Fault.NONE] * (exchanges["mono"] // 2) + [Fault.HANG] * 100_000)
+    script = ScriptedFaults([Fault.NONE] * (exchanges["mono"] // 2) + [Fault.HANG] * 100_000)
     run, _ = run_with(plan, tmp_path / "a.journal", {"mono": script})
     assert run.state is State.FAILED
     assert not [each for each in run.rows if each.row.kind == "mount" and each.row.sample != "etalon"]
@@ -144,7 +146,7 @@ def test_stop_works_in_the_middle_of_a_recovery_and_nothing_moves_on(undisturbed
             clock = wires[0].virtual.clock
             clock.at(clock.now() + 3.0, stop)
 
-    script = Script([Fault.NONE] * (exchanges["axes"] // 2) + [Fault.RESET])
+    script = ScriptedFaults([Fault.NONE] * (exchanges["axes"] // 2) + [Fault.RESET])
     run, _ = run_with(plan_of(False), tmp_path / "a.journal", {"axes": script}, [heed], engines.append, wires.append)
     assert run.state is State.IDLE
     assert moving == [True]
@@ -161,7 +163,7 @@ def test_a_pause_closes_the_shutter_though_the_wire_fails(undisturbed: Undisturb
     def heed(event: Event) -> None:
         if isinstance(event, RowCommitted) and event.row.kind == "measure" and not paused:
             engines[0].pause()
-            wires[0].suffer("mono", Script([Fault.UNHEARD]))
+            wires[0].suffer("mono", ScriptedFaults([Fault.UNHEARD]))
         if event == StateChanged(State.PAUSED):
             virtual = wires[0].virtual
             paused.append(virtual.plant.shutter_open.at(virtual.clock.now()))
@@ -182,7 +184,7 @@ def test_on_wires_that_all_fail_now_and_then_no_value_is_wrong(seed: int, undist
     rtu = bool(seed % 2)
     well, _ = undisturbed[rtu]
     kinds = {wire: faults for (wire, over_rtu), faults in FAULTS.items() if wire != "adc" or over_rtu is rtu}
-    storms = {wire: Misfortune(seed, faults, 0.01) for wire, faults in kinds.items()}
+    storms = {wire: FaultPlan(seed, faults, 0.01) for wire, faults in kinds.items()}
     run, _ = run_with(plan_of(rtu), tmp_path / "a.journal", storms)
     assert run.state in (State.DONE, State.FAILED)
     if run.state is State.DONE:
