@@ -236,10 +236,10 @@ def _measured_across(values: Directions, y: Floats, window: float, along: Parabo
     order = np.lexsort((azimuth, polar, values.setting))
     order = order[np.sin(polar[order]) > max(MIN_SINE, 2.0 * window)]
     circle = np.cumsum((np.diff(polar[order], prepend=-1.0) != 0.0) | (np.diff(values.setting[order], prepend=-1) != 0))
-    found = local_parabola(circle, (azimuth * np.sin(polar))[order], y[order], window, MAX_DISTANCE_RAD)
+    circles = local_parabola(circle, (azimuth * np.sin(polar))[order], y[order], window, MAX_DISTANCE_RAD)
     result = np.full(polar.size, np.nan)
     bent = along.first[order] / np.tan(values.polar[order])
-    result[order] = found.second + bent + (found.first**2 if square else 0.0)
+    result[order] = circles.second + bent + (circles.first**2 if square else 0.0)
     return result
 
 
