@@ -54,7 +54,7 @@ ON_USB = (
 
 
 @dataclass
-class Misfortune:
+class FaultPlan:
     """Decides, exchange by exchange. `share` of them fail, each with one of `kinds`; after `until` of them none does.
 
     A hang lasts `hang` exchanges.
@@ -97,7 +97,7 @@ class Misfortune:
         return self._count
 
 
-class Script(Misfortune):
+class ScriptedFaults(FaultPlan):
     """Given faults, one an exchange, in order; then none. The seed says which byte is changed, where a reply is cut."""
 
     def __init__(self, faults: Iterable[Fault], seed: int = 0) -> None:
@@ -113,7 +113,7 @@ class Script(Misfortune):
         return fault
 
 
-def corrupted(data: bytes, misfortune: Misfortune) -> bytes:
+def corrupt(data: bytes, misfortune: FaultPlan) -> bytes:
     """One byte of them changed: in one bit, which leaves a digit a digit more often, or in any."""
     if not data:
         return data
@@ -123,12 +123,12 @@ def corrupted(data: bytes, misfortune: Misfortune) -> bytes:
     return data[:place] + bytes((data[place] ^ change,)) + data[place + 1 :]
 
 
-def truncated(data: bytes, misfortune: Misfortune) -> bytes:
+def truncate(data: bytes, misfortune: FaultPlan) -> bytes:
     """The beginning of them, not all."""
     return data[: misfortune.draw(misfortune.exchanges + (1 << 35), max(1, len(data)))]
 
 
-def noise(misfortune: Misfortune) -> bytes:
+def noise(misfortune: FaultPlan) -> bytes:
     """One to four bytes of anything."""
     length = 1 + misfortune.draw(misfortune.exchanges + (1 << 36), 4)
     return bytes(misfortune.draw(misfortune.exchanges + (1 << 37) + k, 256) for k in range(length))

@@ -13,15 +13,15 @@ from collections.abc import Callable
 from pymodbus.framer import FramerRTU
 from serial import SerialException
 
-from goniotwin.mocks.faults import Fault, Misfortune, corrupted, noise, truncated
+from goniotwin.mocks.faults import Fault, FaultPlan, corrupt, noise, truncate
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import checksum
 from goniotwin.twin.devices.line import SerialDevice
 
-Foreign = Callable[[bytes], bytes]
+ForeignReply = Callable[[bytes], bytes]
 """Makes of a reply one of another address, with a checksum that is right."""
-Refusal = Callable[[bytes, int], bytes]
+ExceptionReply = Callable[[bytes, int], bytes]
 """The exception response of a code to a request."""
 MBAP = 7
 CODES = (adam.ILLEGAL_FUNCTION, adam.ILLEGAL_ADDRESS, adam.ILLEGAL_VALUE, adam.DEVICE_FAILURE, adam.BUSY)
@@ -37,10 +37,10 @@ class FaultyLine:
     def __init__(
         self,
         device: SerialDevice,
-        misfortune: Misfortune,
+        misfortune: FaultPlan,
         late_s: float = 0.1,
-        foreign: Foreign | None = None,
-        refusal: Refusal | None = None,
+        foreign: ForeignReply | None = None,
+        refusal: ExceptionReply | None = None,
         unplug: Callable[[], object] = lambda: None,
     ) -> None:
         self.device = device
@@ -67,7 +67,7 @@ class FaultyLine:
             self.device.reset(t)
         there = len(self.outbox)
         if fault is not Fault.UNPLUGGED or self.misfortune.draw(self.misfortune.exchanges + (1 << 39), 2):
-            self.device.receive(corrupted(data, self.misfortune) if fault is Fault.GARBLED else data, t)
+            self.device.receive(corrupt(data, self.misfortune) if fault is Fault.GARBLED else data, t)
         if fault is Fault.UNPLUGGED:
             self.pull()
             return
@@ -94,12 +94,12 @@ class FaultyLine:
             case Fault.LOST:
                 return []
             case Fault.TRUNCATED:
-                return [(ready, held + truncated(reply, self.misfortune))]
+                return [(ready, held + truncate(reply, self.misfortune))]
             case Fault.MERGED:
                 self._held = [held + reply]
                 return []
             case Fault.CORRUPTED:
-                return [(ready, held + corrupted(reply, self.misfortune))]
+                return [(ready, held + corrupt(reply, self.misfortune))]
             case Fault.REPEATED:
                 return [(ready, held + reply + reply)]
             case Fault.FOREIGN if self._foreign is not None:
@@ -109,7 +109,7 @@ class FaultyLine:
         return [(ready, held + reply)]
 
 
-class End:
+class FaultyEnd:
     """What a port in this process has open of a faulty line: once the plug has been out it is dead for good.
 
     Everything then raises SerialException, as a real port does.
@@ -149,10 +149,10 @@ def plug_in(line: FaultyLine, clock: Clock, put: Callable[[SerialDevice], object
 
     def again() -> None:
         line.outbox.clear()
-        put(End(line))
+        put(FaultyEnd(line))
 
     line.unplug = lambda: clock.at(clock.now() + away_s, again)
-    put(End(line))
+    put(FaultyEnd(line))
 
 
 def foreign_tmcl(reply: bytes) -> bytes:
@@ -171,12 +171,12 @@ def foreign_rtu(reply: bytes) -> bytes:
     return _with_crc(bytes((reply[0] + 1,)) + reply[1:-2])
 
 
-def refusal_tcp(request: bytes, code: int) -> bytes:
+def exception_tcp(request: bytes, code: int) -> bytes:
     """An exception response over TCP."""
     return request[:4] + b"\0\3" + bytes((request[MBAP - 1], request[MBAP] | 0x80, code))
 
 
-def refusal_rtu(request: bytes, code: int) -> bytes:
+def exception_rtu(request: bytes, code: int) -> bytes:
     """An exception response on a serial line."""
     return _with_crc(bytes((request[0], request[1] | 0x80, code)))
 

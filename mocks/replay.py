@@ -7,8 +7,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Protocol
 
-from goniotwin.mocks.replay_difference import Difference, compared, told_otherwise
-from goniotwin.mocks.transcript import Passed, exchanges
+from goniotwin.mocks.replay_difference import Difference, compare_exchanges, describe_differences
+from goniotwin.mocks.transcript import Transfer, exchanges
 from goniotwin.twin.devices.line import SerialDevice
 
 BITS_A_BYTE = 10.0
@@ -43,7 +43,7 @@ def replay_all(replays: Iterable[Replay]) -> None:
 class LineReplay:
     """On a serial line or a Modbus connection. `way_s` is how long bytes are on their way, besides their own length."""
 
-    def __init__(self, device: SerialDevice, transcript: list[Passed], way_s: float = 0.0) -> None:
+    def __init__(self, device: SerialDevice, transcript: list[Transfer], way_s: float = 0.0) -> None:
         self._device = device
         self._way_s = way_s
         self._exchanges = exchanges(transcript)
@@ -72,7 +72,7 @@ class LineReplay:
     def differences(self) -> list[Difference]:
         """Between what was recorded and what the device has said."""
         self._hear(float("inf"))
-        return compared(self._exchanges[: len(self._said)], self._said)
+        return compare_exchanges(self._exchanges[: len(self._said)], self._said)
 
     def _hear(self, until: float) -> None:
         outbox = self._device.outbox
@@ -82,7 +82,7 @@ class LineReplay:
                 self._said[-1] += data
 
 
-def replay_to_device(device: SerialDevice, transcript: list[Passed], way_s: float = 0.0) -> list[Difference]:
+def replay_to_device(device: SerialDevice, transcript: list[Transfer], way_s: float = 0.0) -> list[Difference]:
     """Tells the device what it was told, at the same times, and compares what it says."""
     told = LineReplay(device, transcript, way_s)
     replay_all([told])
@@ -97,7 +97,7 @@ class RecordedDevice:
     there and back, besides their own length. Of a line with several units it takes the merged transcript.
     """
 
-    def __init__(self, transcript: list[Passed], baudrate: int = 0, way_s: float = 0.0) -> None:
+    def __init__(self, transcript: list[Transfer], baudrate: int = 0, way_s: float = 0.0) -> None:
         self.baudrate = baudrate
         self.outbox: deque[tuple[float, bytes]] = deque()
         self.differences: list[Difference] = []
@@ -119,7 +119,7 @@ class RecordedDevice:
             expected = told.data if told is not None else b""
             if not self._heard.startswith(expected):
                 if not expected.startswith(self._heard):
-                    self.differences.append(told_otherwise(told, self._heard[: len(expected)], self._end))
+                    self.differences.append(describe_differences(told, self._heard[: len(expected)], self._end))
                 return
             if not self._heard and expected:
                 return
@@ -133,7 +133,7 @@ class RecordedDevice:
             if not self._heard:
                 return
         if self._heard and not self._left:
-            self.differences.append(told_otherwise(None, self._heard, self._end))
+            self.differences.append(describe_differences(None, self._heard, self._end))
             self._heard = b""
 
     def reset(self, t: float) -> None:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from itertools import takewhile, zip_longest
 
-from goniotwin.mocks.transcript import FROM_DEVICE, TO_DEVICE, Exchange, Passed
+from goniotwin.mocks.transcript import FROM_DEVICE, TO_DEVICE, Exchange, Transfer
 
 SHOWN = 48
 
@@ -33,20 +33,20 @@ class Difference:
         return f"{file}line {self.line}, {who}: " + "; ".join(places[:SHOWN]) + more
 
 
-def told_otherwise(recorded: Passed | None, now: bytes, end: Passed | None) -> Difference:
+def describe_differences(recorded: Transfer | None, now: bytes, end: Transfer | None) -> Difference:
     """What a driver says instead of what it said; without `recorded`, after the `end` of the transcript."""
     at = recorded or end
     line, file = (at.line, at.file) if at is not None else (0, "")
     return Difference(line, TO_DEVICE, recorded.data if recorded is not None else b"", now, file=file)
 
 
-def compared(recorded: list[Exchange], said: list[bytes]) -> list[Difference]:
+def compare_exchanges(recorded: list[Exchange], said: list[bytes]) -> list[Difference]:
     """Exchange by exchange. Bytes may come one exchange sooner or later: drivers read them when they please.
 
     What the device says after the last recorded byte is no difference: the recording had ended.
     """
     found: list[Difference] = []
-    late: list[Passed] = []  # recorded, and not said yet
+    late: list[Transfer] = []  # recorded, and not said yet
     early = b""  # said, and not recorded yet
     before = None
     for number, (exchange, new) in enumerate(zip(recorded, said, strict=True)):
@@ -69,11 +69,11 @@ def compared(recorded: list[Exchange], said: list[bytes]) -> list[Difference]:
     return found + _differing(late, b"", before)
 
 
-def _joined(pieces: list[Passed]) -> bytes:
+def _joined(pieces: list[Transfer]) -> bytes:
     return b"".join(piece.data for piece in pieces)
 
 
-def _from(pieces: list[Passed], start: int) -> list[Passed]:
+def _from(pieces: list[Transfer], start: int) -> list[Transfer]:
     """What is left of recorded bytes after the first `start`."""
     left = []
     for piece in pieces:
@@ -83,7 +83,7 @@ def _from(pieces: list[Passed], start: int) -> list[Passed]:
     return left
 
 
-def _up_to(pieces: list[Passed], size: int) -> list[Passed]:
+def _up_to(pieces: list[Transfer], size: int) -> list[Transfer]:
     first = []
     for piece in pieces:
         if size > 0:
@@ -97,7 +97,7 @@ def _agree(one: bytes, other: bytes) -> bool:
     return one.startswith(other) or other.startswith(one)
 
 
-def _surplus(then: list[Passed], now: bytes, next_recorded: bytes, next_said: bytes) -> tuple[list[Passed], bytes]:
+def _surplus(then: list[Transfer], now: bytes, next_recorded: bytes, next_said: bytes) -> tuple[list[Transfer], bytes]:
     """Of an exchange that differs: what belongs to the next, on one of the sides, because that fits there."""
     late, early = _from(then, len(now)), now[len(_joined(then)) :]
     fits = _alike(_joined(late) + next_recorded, early + next_said) > _alike(next_recorded, next_said)
@@ -109,7 +109,7 @@ def _alike(one: bytes, other: bytes) -> int:
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
 
 
-def _differing(recorded: list[Passed], now: bytes, asked: Passed | None) -> list[Difference]:
+def _differing(recorded: list[Transfer], now: bytes, asked: Transfer | None) -> list[Difference]:
     """Line by line of the transcript as long as lengths agree; one difference for all from where they do not."""
     question = asked.data if asked is not None else b""
     if not recorded:

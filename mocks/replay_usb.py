@@ -11,9 +11,9 @@ import struct
 from collections import deque
 
 from goniotwin.mocks.replay import ROUNDING_S, replay_all
-from goniotwin.mocks.replay_difference import Difference, told_otherwise
-from goniotwin.mocks.transcript import FROM_DEVICE, Exchange, Passed, exchanges
-from goniotwin.protocols.usbtmc import Request
+from goniotwin.mocks.replay_difference import Difference, describe_differences
+from goniotwin.mocks.transcript import FROM_DEVICE, Exchange, Transfer, exchanges
+from goniotwin.protocols.usbtmc import ClassRequest
 from goniotwin.twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
 
 SETUP = struct.Struct("<BBHHH")
@@ -24,7 +24,7 @@ NOBODY = float("inf")
 class UsbReplay:
     """What an instrument was told, told to a twin device."""
 
-    def __init__(self, device: UsbTmcDevice, transcript: list[Passed]) -> None:
+    def __init__(self, device: UsbTmcDevice, transcript: list[Transfer]) -> None:
         self._device = device
         self._left = deque(exchanges(transcript))
         self._found: list[Difference] = []
@@ -59,7 +59,7 @@ class UsbReplay:
         """Between what was recorded and what the device has said."""
         return self._found
 
-    def _compare(self, told: Passed | None, answer: Passed | None, now: bytes) -> None:
+    def _compare(self, told: Transfer | None, answer: Transfer | None, now: bytes) -> None:
         recorded = answer.data if answer is not None else b""
         at = answer if answer is not None else told
         if now != recorded and at is not None:
@@ -94,7 +94,7 @@ class UsbReplay:
             return b""
 
 
-def replay_to_usb(device: UsbTmcDevice, transcript: list[Passed]) -> list[Difference]:
+def replay_to_usb(device: UsbTmcDevice, transcript: list[Transfer]) -> list[Difference]:
     """Tells the device what it was told, at the same times, and compares what it says."""
     told = UsbReplay(device, transcript)
     replay_all([told])
@@ -110,7 +110,7 @@ class RecordedUsb(UsbTmcDevice):
     the others. No transcript has the descriptors: they are those of `device`.
     """
 
-    def __init__(self, device: UsbTmcDevice, transcript: list[Passed]) -> None:
+    def __init__(self, device: UsbTmcDevice, transcript: list[Transfer]) -> None:
         super().__init__(device.instrument, device.latency_s)
         self.differences: list[Difference] = []
         self._recorded = deque(exchanges(transcript))
@@ -172,7 +172,7 @@ class RecordedUsb(UsbTmcDevice):
         expected = self._recorded.popleft() if self._recorded else Exchange(None)
         told = expected.told
         if told is None or told.data != data:
-            self.differences.append(told_otherwise(told, data, self._end))
+            self.differences.append(describe_differences(told, data, self._end))
             return []
         return [(t + each.t - told.t - 0.5 * self.latency_s - ROUNDING_S, each.data) for each in expected.answers]
 
@@ -182,4 +182,4 @@ def _is_setup(data: bytes) -> bool:
 
 
 def _asks_for_status(data: bytes) -> bool:
-    return _is_setup(data) and data[1] == Request.READ_STATUS_BYTE
+    return _is_setup(data) and data[1] == ClassRequest.READ_STATUS_BYTE

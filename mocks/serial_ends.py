@@ -21,7 +21,7 @@ class Line:
 
     name: str
     device: SerialDevice
-    ends: list["End"] = field(default_factory=list)
+    ends: list["OpenEnd"] = field(default_factory=list)
     links: list[Path] = field(default_factory=list)
     plugged: bool = True
     pty_asked: bool = False
@@ -29,7 +29,7 @@ class Line:
 
 
 @dataclass
-class End:
+class OpenEnd:
     """One open end of a line: a file descriptor, the bytes that could not be written yet."""
 
     line: Line

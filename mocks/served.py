@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from goniotwin.mocks.bad_wires import BadWires
-from goniotwin.mocks.control import BackDoor, ControlServer
+from goniotwin.mocks.control import ControlPort, ControlServer
+from goniotwin.mocks.faulty_wires import FaultyWires
 from goniotwin.mocks.modbus_endpoints import GAP_S, ModbusEndpoints
 from goniotwin.mocks.serial_endpoints import LOOPBACK, SerialEndpoints, ptys_exist
 from goniotwin.mocks.usb_endpoints import UsbEndpoints
@@ -50,11 +50,11 @@ class ServedRig:
         self.clock = RealClock(speed)
         self.rig = VirtualRig.build(model, self.clock)
         self._folder = folder
-        self._wires = BadWires(self.rig, self.clock)
+        self._wires = FaultyWires(self.rig, self.clock)
         self._lines = SerialEndpoints(self.clock, self.rig.lock)
         self._modules = ModbusEndpoints(self.rig)
         self._usb = UsbEndpoints(self.rig)
-        self._control = ControlServer(BackDoor(self.rig, self._wires.orders)) if control else None
+        self._control = ControlServer(ControlPort(self.rig, self._wires.orders)) if control else None
         self._endpoints: list[Endpoint] = []
 
     @property

@@ -16,7 +16,7 @@ class TranscriptError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class Transfer:
     """Bytes that passed at a time, s; `line` of `file` is where they stand."""
 
     t: float
@@ -30,8 +30,8 @@ class Passed:
 class Exchange:
     """What the device was told, and what it said until it was told the next thing; before the first it was told nothing."""
 
-    told: Passed | None
-    answers: list[Passed] = field(default_factory=list)
+    told: Transfer | None
+    answers: list[Transfer] = field(default_factory=list)
 
     @property
     def said(self) -> bytes:
@@ -39,7 +39,7 @@ class Exchange:
         return b"".join(answer.data for answer in self.answers)
 
 
-def read_transcript(path: Path) -> list[Passed]:
+def read_transcript(path: Path) -> list[Transfer]:
     """All that passed, in order. Raises TranscriptError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -59,11 +59,11 @@ def read_transcript(path: Path) -> list[Passed]:
             raise TranscriptError(f"{path}, line {number}: is no line of a transcript: {line[:60]!a}")
         if abs(t := float(match["t"])) > LATEST_S:
             raise TranscriptError(f"{path}, line {number}: {match['t'][:60]} s is no time")
-        found.append(Passed(t, match["direction"], bytes.fromhex(match["bytes"]), number, path.name))
+        found.append(Transfer(t, match["direction"], bytes.fromhex(match["bytes"]), number, path.name))
     return found
 
 
-def merged(transcripts: Iterable[list[Passed]]) -> list[Passed]:
+def merge_transcripts(transcripts: Iterable[list[Transfer]]) -> list[Transfer]:
     """The transcripts of several units on one line, as the line saw them: in order of time, each in its own order.
 
     Where times are equal an answer comes first: nobody asks before it is there.
@@ -71,7 +71,7 @@ def merged(transcripts: Iterable[list[Passed]]) -> list[Passed]:
     return list(heapq.merge(*transcripts, key=lambda passed: (passed.t, passed.direction == TO_DEVICE)))
 
 
-def exchanges(transcript: list[Passed], byte_s: float = 0.0) -> list[Exchange]:
+def exchanges(transcript: list[Transfer], byte_s: float = 0.0) -> list[Exchange]:
     """What was told, each with what the device said until the next thing.
 
     Where a byte takes `byte_s`, what must have begun to come before the first byte of a question was there does not

@@ -242,7 +242,7 @@ def _hang_up(connection: socket.socket) -> None:
 
 
 @contextmanager
-def installed(backend: IBackend) -> Iterator[None]:
+def install_backend(backend: IBackend) -> Iterator[None]:
     """Meanwhile `usb.core.find()` without a backend of its own finds the devices of `backend`, in this process."""
     real: Callable[..., IBackend | None] = usb.backend.libusb1.get_backend
     usb.backend.libusb1.get_backend = lambda find_library=None: backend  # noqa: ARG005  (pyusb's own signature)

@@ -139,7 +139,7 @@ class ModbusFault(Exception):
         self.code = code
 
 
-class AdamModule:
+class ConverterModule:
     """Module `index` of the plant: registers and coils at a time t.
 
     The back door, which is no wire: `silent`, `reset`, and `refusals`, exception codes for the next requests.
@@ -273,13 +273,13 @@ class AdamModule:
         return held
 
 
-class Adam6017(AdamModule):
+class Adam6017(ConverterModule):
     """Eight inputs, two outputs, Modbus TCP."""
 
     model = adam.ADAM_6017
 
 
-class Adam4117(AdamModule):
+class Adam4117(ConverterModule):
     """Eight inputs, Modbus RTU."""
 
     model = adam.ADAM_4117

@@ -4,7 +4,7 @@ import math
 from collections import deque
 
 from goniotwin.protocols.tmcl import FRAME_BYTES, split
-from goniotwin.twin.devices.tmcm6214 import KINDS, MotionModule, Unasked
+from goniotwin.twin.devices.tmcm6214 import KINDS, MotionModule, UnsolicitedReply
 from goniotwin.twin.plant import Plant
 
 IDLE_GAP_S = 0.05
@@ -58,7 +58,7 @@ class TmclLine:
     def _post(self, t: float, data: bytes) -> None:
         """An answer leaves after those before it, and before what is only to be told later."""
         later: list[tuple[float, bytes]] = []
-        while self.outbox and isinstance(self.outbox[-1][1], Unasked) and self.outbox[-1][0] > t:
+        while self.outbox and isinstance(self.outbox[-1][1], UnsolicitedReply) and self.outbox[-1][0] > t:
             later.append(self.outbox.pop())
         self.outbox.append((t, data))
         self.outbox.extend(reversed(later))

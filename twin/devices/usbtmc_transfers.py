@@ -6,7 +6,7 @@ is in `complaints`; every transfer is in `log`. Source: USB-IF, USBTMC 1.0 secti
 
 from collections import deque
 
-from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Status, StatusByte, message, next_tag
+from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, RequestStatus, StatusByte, message, next_tag
 from goniotwin.twin.devices.scpi_instrument import OUTPUT_QUEUE_BYTES, ScpiInstrument
 from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, MAX_PACKET
 
@@ -227,14 +227,14 @@ class Transfers:
 
     def _read_status(self, tag: int, t: float) -> bytes:
         if not 2 <= tag <= 127:
-            return bytes((Status.FAILED, tag & 0xFF, 0))
+            return bytes((RequestStatus.FAILED, tag & 0xFF, 0))
         if self._notices:
-            return bytes((Status.INTERRUPT_IN_BUSY, tag, 0))
+            return bytes((RequestStatus.INTERRUPT_IN_BUSY, tag, 0))
         status = self._summary(t)
         enabled = status & self.instrument.service_enable
         self._reported &= enabled  # what has gone away may ask for service again
         self._notices.append(bytes((0x80 | tag, status | (StatusByte.SRQ if enabled else 0))))
-        return bytes((Status.SUCCESS, tag, 0))
+        return bytes((RequestStatus.SUCCESS, tag, 0))
 
     def halt(self, endpoint: int) -> None:
         """Halts an endpoint for no reason: a back door."""

@@ -15,16 +15,25 @@ from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.rig import OpenRig, RigDescription, parse_rig
-from goniotwin.mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faults import (
+    ON_A_SERIAL_LINE,
+    ON_A_TEXT_LINE,
+    ON_MODBUS,
+    ON_MODBUS_RTU,
+    ON_USB,
+    Fault,
+    FaultPlan,
+    ScriptedFaults,
+)
 from goniotwin.mocks.faulty_line import (
-    End,
+    FaultyEnd,
     FaultyLine,
+    exception_rtu,
+    exception_tcp,
     foreign_rtu,
     foreign_tcp,
     foreign_tmcl,
     plug_in,
-    refusal_rtu,
-    refusal_tcp,
 )
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.twin import VirtualRig
@@ -53,11 +62,11 @@ UNDETECTABLE_OVER_TCP = (Fault.CORRUPTED, Fault.NOISE)
 
 @dataclass
 class Wires:
-    """All wires of a rig, without faults until `set_faults`."""
+    """All wires of a rig, without faults until `set_fault_plan`."""
 
     opened: OpenRig
-    misfortunes: dict[str, Misfortune] = field(default_factory=dict)
-    _set: dict[str, Callable[[Misfortune], None]] = field(default_factory=dict)
+    fault_plans: dict[str, FaultPlan] = field(default_factory=dict)
+    _set: dict[str, Callable[[FaultPlan], None]] = field(default_factory=dict)
     _tcp: list[FaultyLine] = field(default_factory=list)
 
     @property
@@ -66,41 +75,41 @@ class Wires:
         assert self.opened.virtual is not None
         return self.opened.virtual
 
-    def set_faults(self, wire: str, misfortune: Misfortune) -> None:
+    def set_fault_plan(self, wire: str, fault_plan: FaultPlan) -> None:
         """Set the faults of a wire, from its next exchange on."""
-        self.misfortunes[wire] = misfortune
-        self._set[wire](misfortune)
+        self.fault_plans[wire] = fault_plan
+        self._set[wire](fault_plan)
 
     def insert_faulty_lines(self) -> None:
         """Insert lines that can fail between devices and drivers, and connect the drivers again."""
         virtual, clock = self.virtual, self.virtual.clock
         for name, late_s, foreign in (("axes", 0.1, foreign_tmcl), ("mono", 1.5, None)):
-            line = FaultyLine(virtual.serial[name], Script(()), late_s, foreign)
+            line = FaultyLine(virtual.serial[name], ScriptedFaults(()), late_s, foreign)
             plug_in(line, clock, partial(virtual.serial.__setitem__, name))
             self._set[name] = partial(setattr, line, "misfortune")
         if "adcs" in virtual.serial:
-            line = FaultyLine(virtual.serial["adcs"], Script(()), 1.05, foreign_rtu, refusal_rtu)
+            line = FaultyLine(virtual.serial["adcs"], ScriptedFaults(()), 1.05, foreign_rtu, exception_rtu)
             plug_in(line, clock, lambda end: virtual.serial.update(adcs=end))
-            self._set["adc"] = lambda misfortune: setattr(line, "misfortune", misfortune)
+            self._set["adc"] = lambda fault_plan: setattr(line, "misfortune", fault_plan)
         else:
             virtual.modbus_wires = dict.fromkeys(virtual.modbus, self._connection)
             self._set["adc"] = self._all_connections
-        bus = FaultyUsb(virtual.usb["monitor"], Script(()), clock)
+        bus = FaultyUsb(virtual.usb["monitor"], ScriptedFaults(()), clock)
         virtual.usb["monitor"] = bus
-        self._set["monitor"] = lambda misfortune: setattr(bus, "misfortune", misfortune)
+        self._set["monitor"] = lambda fault_plan: setattr(bus, "misfortune", fault_plan)
         for device, error in self.opened.rig.connect().items():
             assert error is None, (device, error)
         for wire in self._set:
-            self.set_faults(wire, Script(()))
+            self.set_fault_plan(wire, ScriptedFaults(()))
 
     def _connection(self, station: SerialDevice) -> SerialDevice:
-        misfortune = self.misfortunes.get("adc", Script(()))
-        self._tcp.append(FaultyLine(station, misfortune, 1.05, foreign_tcp, refusal_tcp))
-        return End(self._tcp[-1])
+        fault_plan = self.fault_plans.get("adc", ScriptedFaults(()))
+        self._tcp.append(FaultyLine(station, fault_plan, 1.05, foreign_tcp, exception_tcp))
+        return FaultyEnd(self._tcp[-1])
 
-    def _all_connections(self, misfortune: Misfortune) -> None:
+    def _all_connections(self, fault_plan: FaultPlan) -> None:
         for line in self._tcp:
-            line.misfortune = misfortune
+            line.misfortune = fault_plan
 
 
 FAULTS: dict[tuple[str, bool], tuple[Fault, ...]] = {
@@ -132,7 +141,7 @@ def faulty_plan(rtu: bool, tables: str = POLICIES) -> Plan:
 def run_with_faults(
     plan: Plan,
     path: Path,
-    misfortunes: dict[str, Misfortune],
+    fault_plans: dict[str, FaultPlan],
     listeners: list[Listener] | None = None,
     use_engine: Callable[[Engine], Any] = lambda _: None,
     use_wires: Callable[[Wires], Any] = lambda _: None,
@@ -143,8 +152,8 @@ def run_with_faults(
     def prepare(opened: OpenRig) -> None:
         wires = Wires(opened)
         wires.insert_faulty_lines()
-        for wire, misfortune in misfortunes.items():
-            wires.set_faults(wire, misfortune)
+        for wire, fault_plan in fault_plans.items():
+            wires.set_fault_plan(wire, fault_plan)
         found.append(wires)
         use_wires(wires)
 

@@ -15,7 +15,7 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.rig import OpenRig
-from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
+from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, ScriptedFaults
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices import Cornerstone260
 from goniotwin.twin.optics import apply_spectrum, lambertian
@@ -195,10 +195,10 @@ def test_a_fault_during_a_filter_change_changes_no_row(
     turned = received.index("FILTER 4")
     for at in (turned - 1, turned, turned + 1):  # the query before, the command, the query after
         run, wires = run_with_faults(
-            two_filters, tmp_path / f"{at}.journal", {"mono": Script([Fault.NONE] * at + [fault], at)}, use_wires=start
+            two_filters, tmp_path / f"{at}.journal", {"mono": ScriptedFaults([Fault.NONE] * at + [fault], at)}, use_wires=start
         )
         context = f"{fault} at {at}"
-        assert wires.misfortunes["mono"].met == [fault], context
+        assert wires.fault_plans["mono"].met == [fault], context
         assert run.state is State.DONE, (context, run.faults)
         _check_rows(run, undisturbed, context)
 
@@ -213,7 +213,7 @@ def _check_rows(run: RunResult, undisturbed: RunResult, context: str) -> None:
 def test_a_wheel_that_does_not_respond_ends_the_run(two_filters: Plan, received: list[str], tmp_path: Path) -> None:
     run_with_faults(two_filters, tmp_path / "undisturbed.journal", {}, use_wires=lambda _: received.clear())
     turned = received.index("FILTER 4")
-    hang = Script([Fault.NONE] * turned + [Fault.HANG] * 100_000)
+    hang = ScriptedFaults([Fault.NONE] * turned + [Fault.HANG] * 100_000)
     run, _ = run_with_faults(two_filters, tmp_path / "a.journal", {"mono": hang})
     assert run.state is State.FAILED
     assert run.faults[0].startswith("monochromator: ")

@@ -10,7 +10,7 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State, StateChanged
-from goniotwin.mocks.faults import Fault, Misfortune, Script
+from goniotwin.mocks.faults import Fault, FaultPlan, ScriptedFaults
 from tests.app.campaign.campaign_bench import RunResult
 from tests.app.campaign.running.faulty_campaign import FAULTS, POLICIES, Wires, faulty_plan, row_difference, run_with_faults
 
@@ -32,7 +32,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[Ru
     for rtu in (False, True):
         run, wires = run_with_faults(plan_of(rtu), tmp_path_factory.mktemp("undisturbed") / "a.journal", {})
         assert run.state is State.DONE
-        found[rtu] = (run, {wire: misfortune.exchanges for wire, misfortune in wires.misfortunes.items()})
+        found[rtu] = (run, {wire: fault_plan.exchanges for wire, fault_plan in wires.fault_plans.items()})
     return found
 
 
@@ -46,9 +46,9 @@ def check_rows(run: RunResult, expected: RunResult, context: str, *, homed: bool
 def run_with_one_fault(wire: str, rtu: bool, fault: Fault, seed: int, undisturbed: Undisturbed, path: Path) -> RunResult:
     expected, exchanges = undisturbed[rtu]
     at = int(np.random.default_rng([seed, KINDS.index((wire, rtu, fault))]).integers(exchanges[wire]))
-    run, wires = run_with_faults(plan_of(rtu), path, {wire: Script([Fault.NONE] * at + [fault], seed)})
+    run, wires = run_with_faults(plan_of(rtu), path, {wire: ScriptedFaults([Fault.NONE] * at + [fault], seed)})
     context = f"{fault} at exchange {at} of {exchanges[wire]} on {wire}"
-    assert wires.misfortunes[wire].met == [fault], context
+    assert wires.fault_plans[wire].met == [fault], context
     assert run.state is State.DONE, (context, run.faults, run.events)
     assert [each.row.number for each in run.rows] == [each.row.number for each in expected.rows], context
     check_rows(run, expected, context, homed=wire == "axes")
@@ -93,7 +93,9 @@ def test_a_dead_wire_stops_the_run_and_committed_rows_are_right(
 ) -> None:
     expected, exchanges = undisturbed[rtu]
     path = tmp_path / "a.journal"
-    run, _ = run_with_faults(plan_of(rtu), path, {wire: Script([Fault.NONE] * (exchanges[wire] // 2) + [Fault.HANG] * 100_000)})
+    run, _ = run_with_faults(
+        plan_of(rtu), path, {wire: ScriptedFaults([Fault.NONE] * (exchanges[wire] // 2) + [Fault.HANG] * 100_000)}
+    )
     assert run.state is State.FAILED
     assert 0 < len(run.rows) < len(expected.rows)
     check_rows(run, expected, wire, homed=False)
@@ -104,8 +106,8 @@ def test_a_dead_wire_stops_the_run_and_committed_rows_are_right(
 def test_with_skip_a_dead_wire_gives_flagged_rows_without_values(undisturbed: Undisturbed, tmp_path: Path) -> None:
     expected, exchanges = undisturbed[False]
     plan = plan_of(False, POLICIES.replace("attempts = 6", 'attempts = 2\nthen = "skip"'))
-    misfortune = Script([Fault.NONE] * (exchanges["monitor"] // 2) + [Fault.HANG] * 100_000)
-    run, _ = run_with_faults(plan, tmp_path / "a.journal", {"monitor": misfortune})
+    fault_plan = ScriptedFaults([Fault.NONE] * (exchanges["monitor"] // 2) + [Fault.HANG] * 100_000)
+    run, _ = run_with_faults(plan, tmp_path / "a.journal", {"monitor": fault_plan})
     assert run.state is State.DONE
     assert len(run.rows) == len(expected.rows)
     skipped = [each for each in run.rows if each.data.flags == (SKIPPED,)]
@@ -119,7 +121,7 @@ def test_a_mount_is_never_skipped_because_the_next_rows_would_have_the_wrong_sam
     """The shutter cannot be closed for the mount, so that the operator is not asked to mount."""
     _, exchanges = undisturbed[False]
     plan = plan_of(False, POLICIES.replace("attempts = 6", 'attempts = 2\nthen = "skip"'))
-    script = Script([Fault.NONE] * (exchanges["mono"] // 2) + [Fault.HANG] * 100_000)
+    script = ScriptedFaults([Fault.NONE] * (exchanges["mono"] // 2) + [Fault.HANG] * 100_000)
     run, _ = run_with_faults(plan, tmp_path / "a.journal", {"mono": script})
     assert run.state is State.FAILED
     assert not [each for each in run.rows if each.row.kind == "mount" and each.row.sample != "etalon"]
@@ -142,7 +144,7 @@ def test_a_stop_during_a_recovery_stops_all_axes(undisturbed: Undisturbed, tmp_p
             clock = wires[0].virtual.clock
             clock.at(clock.now() + 3.0, stop)
 
-    script = Script([Fault.NONE] * (exchanges["axes"] // 2) + [Fault.RESET])
+    script = ScriptedFaults([Fault.NONE] * (exchanges["axes"] // 2) + [Fault.RESET])
     run, _ = run_with_faults(plan_of(False), tmp_path / "a.journal", {"axes": script}, [listen], engines.append, wires.append)
     assert run.state is State.IDLE
     assert moving == [True]
@@ -159,7 +161,7 @@ def test_a_pause_closes_the_shutter_although_the_wire_fails(undisturbed: Undistu
     def listen(event: Event) -> None:
         if isinstance(event, RowCommitted) and event.row.kind == "measure" and not paused:
             engines[0].pause()
-            wires[0].set_faults("mono", Script([Fault.UNHEARD]))
+            wires[0].set_fault_plan("mono", ScriptedFaults([Fault.UNHEARD]))
         if event == StateChanged(State.PAUSED):
             virtual = wires[0].virtual
             paused.append(virtual.plant.shutter_open.at(virtual.clock.now()))
@@ -180,7 +182,7 @@ def test_with_random_faults_on_all_wires_no_value_is_wrong(seed: int, undisturbe
     rtu = bool(seed % 2)
     expected, _ = undisturbed[rtu]
     kinds = {wire: faults for (wire, over_rtu), faults in FAULTS.items() if wire != "adc" or over_rtu is rtu}
-    storms = {wire: Misfortune(seed, faults, 0.01) for wire, faults in kinds.items()}
+    storms = {wire: FaultPlan(seed, faults, 0.01) for wire, faults in kinds.items()}
     run, _ = run_with_faults(plan_of(rtu), tmp_path / "a.journal", storms)
     assert run.state in (State.DONE, State.FAILED)
     if run.state is State.DONE:
