@@ -69,6 +69,6 @@ class HumanOperator:
         self._ask(f"{what}, then confirm.")
 
     def confirm_fix(self, fault: str, /) -> bool:
-        """Ask for a fault to be fixed. A person who cannot fix it stops the run instead of confirming."""
+        """Ask for a fault to be fixed. To end the run instead, stop it without confirming."""
         self._ask(f"{fault}. Fix the fault, then confirm: the row is retried.")
         return True
