@@ -69,9 +69,10 @@ def main() -> None:
         return
     for each in results["orders"]:
         plan, paper = (duration_text(each[key]) for key in ("plan_s", "paper_s"))
+        back_and_forth = f"{each['paper_back_and_forth_ratio']:.2f} back and forth"
         print(
             f"{each['schedule']:20} {each['rows']:7} rows {plan:>16}, {each['over_bound']:.4f} of the lower bound; "
-            f"the paper's order {paper:>16}, {each['paper_ratio']:.2f} times as long ({each['paper_back_and_forth_ratio']:.2f} back and forth)"
+            f"the paper's order {paper:>16}, {each['paper_ratio']:.2f} times as long ({back_and_forth})"
         )
     for each in results["checks"]:
         print(f"{each['schedule']:20} {each['rows']:7} rows checked in {each['check_s']:.2f} s")
