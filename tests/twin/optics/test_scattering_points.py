@@ -117,7 +117,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         ({"theta_deg": (3, 95.0)}, r"theta_deg\[3\] is 95.0: keep it in 0 to 90"),
         ({"phi_deg": (3, math.nan)}, r"phi_deg\[3\] is nan"),
         ({"phi_deg": [1.0, 2.0]}, r"phi_deg has the shape \(2,\)"),
-        ({"values": []}, "give a list, one value a point"),
+        ({"values": []}, "give a list, one value per point"),
         ({"sigma_deg": (5, 10.0)}, "values has a hole at sigma 10"),
         ({"gap_deg": 2.0}, "no point within 2 deg of it"),
         ({"gap_deg": -1.0}, "gap_deg is -1.0"),

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from goniotwin.app.rig import read_rig
 from goniotwin.twin import TwinModel
 from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
+from goniotwin.twin.plant.history import History
 from goniotwin.twin.plant.motion import ramp_to_target
 from goniotwin.twin.plant.shaft import Heartbeat
-from goniotwin.twin.plant.timeline import History
 from tests.conftest import RIG
 
 STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
@@ -66,7 +66,7 @@ def test_every_reading_is_that_of_a_plant_that_remembers_nothing(
         t += step
         for plant in (kept, fresh):
             disturb(plant, t, kind, choice)
-        fresh._lit = ((), np.zeros(0))
+        fresh._settled_currents = ((), np.zeros(0))
         module = choice % kept.modules
         np.testing.assert_array_equal(kept.volts(module, t), fresh.volts(module, t))
 

@@ -1,6 +1,6 @@
 """A quantity that passes from one value to another."""
 
-from goniotwin.twin.plant.timeline import SlewHistory
+from goniotwin.twin.plant.history import SlewHistory
 
 
 def test_it_passes_linearly_and_stops_where_it_is_told_to() -> None:

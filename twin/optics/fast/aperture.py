@@ -52,6 +52,8 @@ ROWS = 56
 
 CLOSER = 1.1
 """With deviations a detector may be so much nearer to some of the hole than the arc's radius."""
+WIDE = 0.7
+"""From here on, radius of the cone where the disc is over that of the disc, this is the better one (held against 400 nodes)."""
 
 
 def aperture_sizes(instrument: Instrument) -> Floats:
@@ -174,10 +176,6 @@ def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Flo
             w[k + MPP] += s * p * p
             w[k + MPQ] += s * p * q
             w[k + MQQ] += s * q * q
-
-
-WIDE = 0.7
-"""From here on, radius of the cone where the disc is over that of the disc, this is the better one (held against 400 nodes)."""
 
 
 def hole_nodes(count: int) -> Floats:

@@ -37,6 +37,15 @@ A0, A1, A2, A3, A4 = 0.999999999999943, 0.16666666671090202, 0.07499999428106169
 A5, A6, A7, A8, A9 = 0.0224765358692889, 0.0164461237675982, 0.018744129431705087, -0.0030822990518015654, 0.03214532705777029
 E0, E1, E2, E3, E4 = 0.9999999999997623, 0.6931471805465146, 0.24022650698880404, 0.05550410939341342, 0.00961812854285181
 E5, E6, E7, E8 = 0.001333345206273817, 0.00015403851761890063, 1.5309737273786115e-05, 1.3175854503915213e-06
+CHUNK = 8192
+Rule = tuple[Floats, Floats, Floats, int]
+"""Nodes over the cone, over a side of the hole, and over it where the cone is wide; rays where a mirror cuts into the view."""
+FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
+"""For fluxes: what the aperture takes is exact to 0.3 %."""
+COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
+"""For ratios, in which it cancels: exact to 3 %."""
+TABLE_KINDS = (TABLE, ANISOTROPIC)
+HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 
 
 @kernel(inline="always")
@@ -79,17 +88,6 @@ def gaussian_values(
         value = rays[0, i] * peak * power_of_two(max(scale * theta * theta, FARTHEST))
         value = value / dz if intensity else value
         values[i] = value if lit & (lz > 0.0) & (dz > 0.0) else 0.0
-
-
-CHUNK = 8192
-Rule = tuple[Floats, Floats, Floats, int]
-"""Nodes over the cone, over a side of the hole, and over it where the cone is wide; rays where a mirror cuts into the view."""
-FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
-"""For fluxes: what the aperture takes is exact to 0.3 %."""
-COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
-"""For ratios, in which it cancels: exact to 3 %."""
-TABLE_KINDS = (TABLE, ANISOTROPIC)
-HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 
 
 @kernel(nogil=True)

@@ -84,7 +84,7 @@ def forward_throughput(
     if (paths is None) == (relative_error is None):
         raise ValueError("give either paths or relative_error")
     if paths is not None and paths < 2:
-        raise ValueError(f"paths is {paths}: give at least 2, for an error needs two")
+        raise ValueError(f"paths is {paths}: give at least 2; a standard error needs two")
     if max_interactions < 1:
         raise ValueError(f"max_interactions is {max_interactions}: give at least 1, the first scattering")
     if source is not None and wavelength_nm is None:

@@ -30,6 +30,7 @@ SHAPE_SHARE = 0.875
 LEAST = 16
 """Paths of a block for each stratum; all have a multiple of it, which suits vectors."""
 MM2_TO_M2 = 1e-6
+OPEN_BEAM = regular(transmits=True, side="both")
 
 
 def make_strata(pupil_radius_mm: float, beam: Beam, lobes: Lobes, frames: SampleFrames, beside: float, stray: bool) -> Strata:
@@ -89,9 +90,6 @@ def _counts(shares: list[float]) -> list[int]:
         counts = [LEAST * (BLOCK // LEAST // len(shares))] * len(shares)
         counts[0] += BLOCK - sum(counts)
     return counts
-
-
-OPEN_BEAM = regular(transmits=True, side="both")
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,7 +67,7 @@ def stray_map(
     instrument = instrument.simplified()
     check_seed(seed)
     if paths < 2:
-        raise ValueError(f"paths is {paths}: give at least 2, for an error needs two")
+        raise ValueError(f"paths is {paths}: give at least 2; a standard error needs two")
     setting = set_up(
         instrument, sigma_deg, np.zeros((0, 3)), scatterer, gamma_deg, wavelength_nm, source, max_interactions,
         sample_frames or SampleFrames(), spread=True,

@@ -23,6 +23,10 @@ U64 = np.uint64
 FIRST_RAYS = 512
 DARK_RAYS = 1 << 18
 MOST_RAYS = 1 << 30
+# The map shows the slit's image with its edges: so much wider than the field.
+MARGIN = 2.0
+# Rays of a cell of the map, at least: its error is then below 1 %.
+CELL_RAYS = 256
 
 
 @kernel(forceinline=True)
@@ -139,12 +143,6 @@ def adjoint_illumination(
         return found.flux, found.flux_error, found
 
     return run_until(trace, estimate, rays, relative_error, first_rays, DARK_RAYS, MOST_RAYS)
-
-
-# The map shows the slit's image with its edges: so much wider than the field.
-MARGIN = 2.0
-# Rays of a cell of the map, at least: its error is then below 1 %.
-CELL_RAYS = 256
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
-"""What a quantity was, and when: a converter asks for the light of a moment ago, after a command has changed it.
+"""History of a quantity: a converter needs the light of a moment ago, after a command has changed it.
 
-A quantity that passes linearly from one value to another: the wavelength while the grating turns.
+Also quantities that change linearly from one value to another, such as the wavelength while the grating turns.
 """
 
 from bisect import bisect_right
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class ChangingQuantity(Protocol):
-    """A quantity that changes now and then: what it is now, and from when on it has been at rest there, s."""
+    """Quantity with a newest value, and the time `last_change`, s, since which it is constant."""
 
     @property
     def newest(self) -> object: ...
@@ -21,7 +21,7 @@ class ChangingQuantity(Protocol):
 
 
 class History(Generic[T]):
-    """The last `keep` values of a quantity, each with the time from which it holds; `newest` holds from `last_change` on."""
+    """The last `keep` values of a quantity, each with its start time; `newest` holds from `last_change` on."""
 
     def __init__(self, value: T, keep: int = 64) -> None:
         self.newest, self.last_change = value, float("-inf")
@@ -30,7 +30,7 @@ class History(Generic[T]):
         self._keep = keep
 
     def set(self, t: float, value: T) -> None:
-        """From `t` on it is `value`; what was to hold later than `t` is forgotten."""
+        """Set the value from `t` on. Values set for later times are dropped."""
         self.newest, self.last_change = value, t
         index = bisect_right(self._times, t)
         self._times[index:] = [t]
@@ -39,24 +39,24 @@ class History(Generic[T]):
             del self._times[0], self._values[0]
 
     def at(self, t: float) -> T:
-        """The value at `t`; for a time before the oldest kept, the oldest."""
+        """Value at `t`; before the oldest stored time, the oldest value."""
         if t >= self.last_change:
             return self.newest
         return self._values[max(0, bisect_right(self._times, t) - 1)]
 
     def before(self, t: float) -> tuple[T, float]:
-        """The value before the last change up to `t`, and how long ago that change was, s."""
+        """Value before the last change up to `t`, and the time since that change, s."""
         index = max(0, bisect_right(self._times, t) - 1)
         return self._values[max(0, index - 1)], t - self._times[index]
 
     def held_since(self, t: float) -> float:
-        """From when on the value at `t` holds, s; for a time before the oldest kept, when that was set."""
+        """Start time of the value at `t`, s; before the oldest stored time, that time."""
         return self._times[max(0, bisect_right(self._times, t) - 1)]
 
 
 @dataclass(frozen=True, slots=True)
 class Slew:
-    """From `first` at `start` to `last` at `end`, and there from then on."""
+    """Linear change from `first` at `start` to `last` at `end`, constant afterwards."""
 
     start: float
     end: float
@@ -64,7 +64,7 @@ class Slew:
     last: float
 
     def at(self, t: float) -> float:
-        """The value at `t`."""
+        """Value at `t`."""
         if t >= self.end:
             return self.last
         if t <= self.start:
@@ -73,33 +73,33 @@ class Slew:
 
 
 class SlewHistory:
-    """What the quantity was at any recent time; jumps and passes."""
+    """History of a quantity that jumps or changes linearly."""
 
     def __init__(self, value: float) -> None:
-        self._passes = History(Slew(float("-inf"), float("-inf"), value, value))
+        self._slews = History(Slew(float("-inf"), float("-inf"), value, value))
 
     def at(self, t: float) -> float:
-        """The value at `t`."""
-        return self._passes.at(t).at(t)
+        """Value at `t`."""
+        return self._slews.at(t).at(t)
 
     def set(self, t: float, value: float) -> None:
-        """It is `value` from `t` on."""
-        self._passes.set(t, Slew(t, t, value, value))
+        """Set the value from `t` on."""
+        self._slews.set(t, Slew(t, t, value, value))
 
     def slew(self, start: float, end: float, value: float) -> None:
-        """From where it is at `start` it passes linearly to `value`, which it reaches at `end`."""
-        self._passes.set(start, Slew(start, end, self.at(start), value))
+        """Change linearly from the value at `start` to `value`, reached at `end`."""
+        self._slews.set(start, Slew(start, end, self.at(start), value))
 
     def stop(self, t: float) -> None:
-        """It stays where it is at `t`."""
+        """Keep the value that the quantity has at `t`."""
         self.set(t, self.at(t))
 
     @property
     def newest(self) -> Slew:
-        """The last pass."""
-        return self._passes.newest
+        """The last linear change."""
+        return self._slews.newest
 
     @property
     def last_change(self) -> float:
-        """When the last pass ends, s."""
-        return max(self._passes.last_change, self._passes.newest.end)
+        """End of the last linear change, s."""
+        return max(self._slews.last_change, self._slews.newest.end)

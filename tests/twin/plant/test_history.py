@@ -1,6 +1,6 @@
 """What was when."""
 
-from goniotwin.twin.plant.timeline import History
+from goniotwin.twin.plant.history import History
 
 
 def test_the_past_is_known() -> None:
