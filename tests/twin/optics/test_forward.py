@@ -195,7 +195,7 @@ def test_a_sample_that_scatters_nothing_of_this_light_gives_nothing() -> None:
         (dict(max_interactions=0), "max_interactions is 0"),
         (dict(directions=[[0.0, 0.0, 0.0]]), "a finite vector with a length"),
         (dict(directions=[[math.nan, 0.0, 1.0]]), "a finite vector with a length"),
-        (dict(directions=[0.0, 0.0, 1.0]), "one row a detector"),
+        (dict(directions=[0.0, 0.0, 1.0]), "one row per detector"),
         (dict(sigma_deg=math.nan), "sigma_deg is nan"),
         (dict(gamma_deg=math.inf), "gamma_deg inf"),
     ],

@@ -96,5 +96,5 @@ def test_its_wavelength_is_the_mean_of_its_rays() -> None:
 def test_rays_that_never_arrive_are_refused() -> None:
     source = uniform_rays(100)
     elsewhere = replace(source, rays=source.rays + np.array([50.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="none of its rays comes over the mirrors into the hole"):
+    with pytest.raises(ValueError, match="none of its rays reaches the hole over the mirrors"):
         forward_throughput(WIDE, 30.0, around(30.0), lambertian(), 1000, source=elsewhere)

@@ -63,7 +63,7 @@ def test_coordinates_keep_the_shape_and_take_any_length() -> None:
 def test_what_is_no_direction_is_refused() -> None:
     with pytest.raises(ValueError, match="shape"):
         to_specular(30.0, [1.0, 0.0])
-    with pytest.raises(ValueError, match="one row a detector"):
+    with pytest.raises(ValueError, match="one row per detector"):
         direction_rows([0.0, 0.0, 1.0])
     with pytest.raises(ValueError, match=r"directions\[1\]"):
         direction_rows([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])

@@ -100,7 +100,7 @@ def test_both_estimators_know_mounts() -> None:
 @pytest.mark.parametrize("mirror", [0, 1, 2])
 def test_light_that_meets_a_mount_ends_there(mirror: int) -> None:
     instrument = Instrument(mirror_mount_mm=5.0)
-    stage = set_up(instrument, SIGMA, [[0.0, 0.0, 1.0]], lambertian(), 0.0, None, None, 8, SampleFrames()).stage
-    centre, _, along, across = stage.mirrors[mirror]
+    surfaces = set_up(instrument, SIGMA, [[0.0, 0.0, 1.0]], lambertian(), 0.0, None, None, 8, SampleFrames()).surfaces
+    centre, _, along, across = surfaces.mirrors[mirror]
     for u, v, mount in ((0.0, 0.0, False), (9.9, -9.9, False), (10.1, 0.0, True), (0.0, -10.1, True), (-14.9, 14.9, True)):
-        assert is_on_mount(stage, mirror, *(centre + u * along + v * across)) is mount
+        assert is_on_mount(surfaces, mirror, *(centre + u * along + v * across)) is mount

@@ -90,7 +90,7 @@ def test_a_regular_component_has_no_finite_value_and_follows_its_list() -> None:
         ({"width_deg": 5.0, "peak": -1.0}, "peak"),
         ({"width_deg": 5.0, "reflectance": 1.2}, "reflectance is 1.2"),
         ({"width_deg": 5.0, "peak": 1.0, "reflectance": 0.5}, "both"),
-        ({"width_deg": 5.0, "refraction": 1.5}, "only a transmitted lobe is bent"),
+        ({"width_deg": 5.0, "refraction": 1.5}, "only a transmitted lobe is refracted"),
         ({"width_deg": 5.0, "refraction": 0.0, "transmits": True}, "refraction is 0.0"),
         ({"width_deg": 5.0, "side": "top"}, "side is 'top'"),
     ],

@@ -188,5 +188,5 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         table_sample([10.0], [0.0], [0.0, 1.0], np.ones((1, 1, 2)), psi_deg=[0.0, 90.0])
     with pytest.raises(ValueError, match="values has nan at psi 90, sigma 10, phi 0, theta 1"):
         table_sample([10.0], [0.0], [0.0, 1.0], np.array([1.0, 1.0, 1.0, math.nan]).reshape(2, 1, 1, 2), psi_deg=[0.0, 90.0])
-    with pytest.raises(ValueError, match="there is no psi_deg"):
+    with pytest.raises(ValueError, match="psi_deg is missing"):
         table_sample([10.0], [0.0], [0.0], [[[1.0]]], symmetry="half_turn")

@@ -53,10 +53,10 @@ def test_every_ray_is_counted_by_those_that_see_it(field_deg: float, count: int)
     for c in range(2):
         buffer[PX + c * BLOCK : PX + (c + 1) * BLOCK] = places[:, c]
     cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(found.starts).max()) + 1
-    room = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
     sums = np.zeros((count, 4))
     find_cells(buffer, BLOCK, found.cells, cells)
-    score(buffer, BLOCK, cells, found, room, sums)
+    score(buffer, BLOCK, cells, found, hit_buffer, sums)
     unsure = np.count_nonzero(~surely, axis=0)
     assert np.all(np.abs(sums[:, 0] - expected.sum(axis=0)) <= unsure)
     for k in range(BLOCK):

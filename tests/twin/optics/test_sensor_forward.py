@@ -166,9 +166,9 @@ def test_every_ray_is_counted_by_the_sensors_that_it_passes(sensor: RealSensor) 
     buffer[WEIGHT : WEIGHT + BLOCK], buffer[STOP : STOP + BLOCK] = 1.0, np.inf
     buffer[DX : DX + 3 * BLOCK], buffer[PX : PX + 2 * BLOCK] = rays.T.ravel(), places[:, :2].T.ravel()
     cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(found.starts).max()) + 1
-    room = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
     find_cells(buffer, BLOCK, found.cells, cells)
-    score(buffer, BLOCK, cells, found, room, sums)
+    score(buffer, BLOCK, cells, found, hit_buffer, sums)
     for (px, py, pz), (dx, dy, dz) in zip(places, rays, strict=True):
         score_segment(found, px, py, pz, dx, dy, dz, math.inf, 1.0, sums)
     for column in (0, 2):

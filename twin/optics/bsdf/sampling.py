@@ -32,8 +32,9 @@ LOBE_SHARE = 0.75
 def analytic_density(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
 ) -> float:
-    """`density` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one; l is from `refract`, as in
-    `analytic_value`.
+    """`density` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one.
+
+    l is from `refract`, as in `analytic_value`.
     """
     cosine = max(dz, 0.0) / math.pi
     if kind != GAUSSIAN or lz <= 0.0:
@@ -49,8 +50,9 @@ def analytic_density(
 def analytic_sample(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, u: float, v: float, choice: float
 ) -> tuple[float, float, float]:
-    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one; l is from `refract`, as in
-    `analytic_value`.
+    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one.
+
+    l is from `refract`, as in `analytic_value`.
     """
     turn = 2.0 * math.pi * v
     if kind != GAUSSIAN or choice >= LOBE_SHARE or lz <= 0.0:
