@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Floats, Ints, Keys
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.plant.lamp import lamp_level
 from goniotwin.twin.plant.noise import normal, wandering
@@ -16,7 +15,6 @@ SETTLED = 12.0
 """Time constants after which an amplifier is at rest. Its exponential tail is then a fifth of a count at full scale and is cut
 off there, so that later readings do not depend on the time.
 """
-Keys = npt.NDArray[np.uint64]
 
 
 @kernel()

@@ -3,16 +3,15 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Keys
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.plant.model import LightSource
 from goniotwin.twin.plant.noise import normal, process_key, wandering
 
 
 @kernel()
-def lamp_level(t: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> float:
+def lamp_level(t: float, constants: Floats, keys: Keys) -> float:
     """Radiance at the time `t` relative to the nominal radiance. `constants` and `keys` are from `lamp_constants`."""
     level: float = constants[6] + constants[0] * (t - constants[5]) / 3600.0
     if constants[1] > 0.0:
@@ -23,7 +22,7 @@ def lamp_level(t: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> flo
 
 
 @kernel()
-def lamp_mean(start: float, end: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> float:
+def lamp_mean(start: float, end: float, constants: Floats, keys: Keys) -> float:
     """Mean level over [start, end), sampled at least once in each flicker period."""
     count = max(1, math.ceil((end - start) / constants[2]))
     total: float = 0.0
@@ -33,7 +32,7 @@ def lamp_mean(start: float, end: float, constants: Floats, keys: npt.NDArray[np.
     return mean
 
 
-def lamp_constants(light: LightSource, seed: int, noise: bool) -> tuple[Floats, npt.NDArray[np.uint64]]:
+def lamp_constants(light: LightSource, seed: int, noise: bool) -> tuple[Floats, Keys]:
     """Arguments of the kernels: constants (7,) and keys (2,).
 
     Constants: drift per hour, flicker, flicker period, wander, wander period, start time of the drift, level at that time.

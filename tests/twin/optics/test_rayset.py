@@ -116,7 +116,7 @@ def test_columns_and_numbers_that_do_not_fit_are_refused() -> None:
     rayset = record(UNIT, 10, seed=0)
     for wrong, what in (
         (dict(flux=rayset.flux[:9]), r"positions_mm has the shape \(10, 3\): 9 rays need \(9, 3\)"),
-        (dict(flux=np.zeros(0)), "no rays"),
+        (dict(flux=np.zeros(0)), "a rayset without rays"),
         (dict(unit="mW"), "unit is 'mW'"),
         (dict(plane_mm=math.nan), "plane_mm is nan"),
         (dict(emitted_flux=0.0), "emitted_flux is 0.0"),

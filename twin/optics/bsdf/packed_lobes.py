@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe
 from goniotwin.twin.optics.bsdf.models import from_canonical, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter
@@ -23,13 +23,13 @@ class Lobes(NamedTuple):
     `flat`; these start at `starts` (lobes, 6).
     """
 
-    heads: np.ndarray
+    heads: Ints
     params: Floats
     weights: Floats
     albedos: Floats
     sines: Floats
     flat: Floats
-    starts: np.ndarray
+    starts: Ints
 
 
 def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
@@ -104,10 +104,10 @@ def scatter_at_sample(
         return 0.0, 0.0, 1.0, 0.0
     rest, which, share = uniform(key, counter) * total, -1, 0.0
     for k in range(count):
-        mine = lobe_share(lobes, k, above, sine)
-        if mine > 0.0:
-            which, share = k, mine
-        rest -= mine
+        probability = lobe_share(lobes, k, above, sine)
+        if probability > 0.0:
+            which, share = k, probability
+        rest -= probability
         if rest < 0.0:
             break
     transmits, side = lobes.heads[which, TRANSMITS] == 1, 1 if above else -1

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     BLOCK,
     DX,
@@ -190,7 +190,7 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
 @kernel(nogil=True)
 def fill_nodes(
     centres: Floats, axes: Floats, sizes: Floats, wide: bool, cone: Floats, side: Floats, hole: Floats, hexagon: Floats,
-    pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
+    pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: Ints,
 ) -> None:  # fmt: skip
     """Fill `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
 

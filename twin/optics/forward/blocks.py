@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints, Singles, Words
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes
 from goniotwin.twin.optics.forward.bounces import Surfaces, cosine_direction, trace_bounces
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, trace_to_sample
@@ -46,13 +46,13 @@ class Strata(NamedTuple):
     width of the lit square relative to the hole.
     """
 
-    ways: np.ndarray
+    ways: Ints
     gains: Floats
     lit: float
 
 
 @kernel(nogil=True)
-def scatter_stratum(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.ndarray, lobes: Lobes) -> None:
+def scatter_stratum(buffer: Singles, strata: Strata, k: int, key: np.uint64, keys: Words, lobes: Lobes) -> None:
     """Directions and weights of the paths of stratum k that have arrived at the sample."""
     way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
     gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.heads[which, TRANSMITS] == 1

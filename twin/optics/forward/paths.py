@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Singles, Words
 from goniotwin.twin.optics.forward.elementary import cosine_and_sine
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import high_16, low_16, word
@@ -48,7 +48,7 @@ class Beam(NamedTuple):
 
 
 @kernel(fastmath={"contract"})
-def aim_at_hole(buffer: np.ndarray, count: int, key: np.uint32) -> None:
+def aim_at_hole(buffer: Singles, count: int, key: np.uint32) -> None:
     """Fill PX, PY with points of the hole, in units of its half side, and slightly beyond."""
     for i in range(count):
         bits = word(key, i)
@@ -57,7 +57,7 @@ def aim_at_hole(buffer: np.ndarray, count: int, key: np.uint32) -> None:
 
 
 @kernel()
-def aim_beside_hole(buffer: np.ndarray, count: int, key: np.uint32, lit: float) -> None:
+def aim_beside_hole(buffer: Singles, count: int, key: np.uint32, lit: float) -> None:
     """Fill PX, PY with points of the square `lit` times as wide, without the hole: four equal rectangles like a windmill."""
     for i in range(count):
         bits = word(key, i)
@@ -71,7 +71,7 @@ def aim_beside_hole(buffer: np.ndarray, count: int, key: np.uint32, lit: float) 
 
 
 @kernel(fastmath={"contract"})
-def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, aim: Floats) -> None:
+def leave_pupil(buffer: Singles, count: int, key: np.uint32, pupil: Floats, aim: Floats) -> None:
     """Rays from uniform points of the pupil to PX, PY; FLUX is the cosine at the pupil over the squared length, 1/mm^2."""
     p00, p01, p02 = F32(pupil[0, 0]), F32(pupil[0, 1]), F32(pupil[0, 2])
     p10, p11, p12 = F32(pupil[1, 0]), F32(pupil[1, 1]), F32(pupil[1, 2])
@@ -95,7 +95,7 @@ def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, a
 
 
 @kernel()
-def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flux: Floats) -> None:
+def leave_rays(buffer: Singles, count: int, key: np.uint32, rays: Floats, flux: Floats) -> None:
     """Rays of a rayset, each with the same probability; FLUX is the ray's own."""
     for i in range(count):
         k = (np.int64(word(key, i)) * np.int64(rays.shape[0])) >> 32
@@ -105,7 +105,7 @@ def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flu
 
 
 @kernel(fastmath={"contract"})
-def reflect_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
+def reflect_at_mirror(buffer: Singles, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
     """Propagate the rays to a mirror and reflect them; one that misses it has no flux from then on."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
     nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
@@ -127,7 +127,7 @@ def reflect_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: floa
 
 
 @kernel(fastmath={"contract"})
-def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, inside: bool, project: bool) -> None:
+def land(buffer: Singles, count: int, hole: float, frame: float, gap: float, inside: bool, project: bool) -> None:
     """Propagate the rays to the frame's plane, and those in the hole on to the sample: PX, PY are their points there.
 
     `inside` keeps the rays through the hole; without it the rays that land on the frame are kept, at their points there. With
@@ -152,7 +152,7 @@ def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, 
 
 
 @kernel()
-def trace_to_sample(buffer: np.ndarray, count: int, keys: np.ndarray, beam: Beam, inside: bool, lit: float) -> None:
+def trace_to_sample(buffer: Singles, count: int, keys: Words, beam: Beam, inside: bool, lit: float) -> None:
     """All steps: rays into the hole or, without `inside`, onto the frame around it; `keys` (2,) for the two words of a path."""
     uniform_pupil = beam.rays.shape[0] == 0
     if not uniform_pupil:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Singles, Words
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes, lobe_arrays
 from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
@@ -25,7 +25,7 @@ TINY = np.float32(1e-30)
 
 
 @kernel(fastmath={"contract"})
-def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits: bool, gain: float) -> None:
+def leave_by_cosine(buffer: Singles, count: int, keys: Words, transmits: bool, gain: float) -> None:
     """Draw directions by Lambert's law, with the two words of `keys` (2,); the weight is FLUX times `gain`."""
     factor, way = F32(gain), F32(-1.0 if transmits else 1.0)
     for i in range(count):
@@ -37,9 +37,7 @@ def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits:
 
 
 @kernel(fastmath={"contract"})
-def leave_by_lobe(
-    buffer: np.ndarray, count: int, keys: np.ndarray, params: Floats, share: float, transmits: bool, gain: float
-) -> None:
+def leave_by_lobe(buffer: Singles, count: int, keys: Words, params: Floats, share: float, transmits: bool, gain: float) -> None:
     """Draw directions by the shape of a Gaussian lobe (twin.optics.bsdf.models); `share` of its paths do.
 
     The weight is as in the module.
@@ -74,7 +72,7 @@ def leave_by_lobe(
 
 
 @kernel(fastmath={"contract"})
-def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, transmits: bool, gain: float) -> None:
+def weigh_lobe(buffer: Singles, count: int, params: Floats, share: float, transmits: bool, gain: float) -> None:
     """Weights for a Gaussian lobe of paths that were drawn by the cosine; `share` of the lobe's paths follow its shape."""
     peak, exponent = F32(params[0] * gain), F32(params[1])
     intensity, ratio = params[2] == 1.0, F32(1.0 / params[4])
@@ -99,7 +97,7 @@ def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, tra
 
 
 @kernel(fastmath={"contract"})
-def stop_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> None:
+def stop_at_mirror(buffer: Singles, count: int, mirror: Floats, half: float) -> None:
     """Set STOP to the distance to a mirror if that is smaller."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
     nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
@@ -117,7 +115,7 @@ def stop_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) 
 
 
 @kernel(fastmath={"contract"})
-def stop_at_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
+def stop_at_frame(buffer: Singles, count: int, hole: float, gap: float) -> None:
     """Set STOP to the distance to the frame's side that faces the sample, if that is smaller."""
     limit, height = F32(hole), F32(gap)
     for i in range(count):
@@ -129,7 +127,7 @@ def stop_at_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> No
 
 
 @kernel()
-def reset_stops(buffer: np.ndarray, count: int) -> None:
+def reset_stops(buffer: Singles, count: int) -> None:
     """Set STOP to infinity."""
     for i in range(count):
         buffer[i + STOP] = F32(np.inf)
@@ -142,7 +140,7 @@ def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
 
 
 @kernel()
-def leave_by_model(buffer: np.ndarray, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
+def leave_by_model(buffer: Singles, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
     """Draw directions of any lobe, one path after the other: number `which` of the packed ones."""
     arrays = lobe_arrays(lobes, which)
     transmits = lobes.heads[which, TRANSMITS] == 1

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Indices, Singles
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
 from goniotwin.twin.optics.geometry.sensor import RealSensor, passes_sensor
 from goniotwin.twin.optics.kernel import kernel
@@ -44,9 +44,9 @@ class Targets(NamedTuple):
     it have it as an argument of its own. A test inside the kernels would cost virtual detectors 3 to 9 % of their speed.
     """
 
-    starts: np.ndarray
-    numbers: np.ndarray
-    frames: np.ndarray
+    starts: Indices
+    numbers: Indices
+    frames: Singles
     cells: int
     chord2: float
     radius2: float
@@ -54,7 +54,7 @@ class Targets(NamedTuple):
 
 
 @kernel()
-def _fill_lists(axes: Floats, half: float, cells: int, starts: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+def _fill_lists(axes: Floats, half: float, cells: int, starts: Indices, numbers: Indices) -> Indices:
     """Number of detectors in each cell; also fills `numbers`, if it is not empty.
 
     Projected along the normal the cone of a detector is an ellipse along and across its own azimuth, cut by the horizon.
@@ -117,7 +117,7 @@ def make_sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: Re
 
 
 @kernel(fastmath={"contract"})
-def find_cells(buffer: np.ndarray, count: int, cells: int, found: np.ndarray) -> None:
+def find_cells(buffer: Singles, count: int, cells: int, path_cells: Indices) -> None:
     """Cell of each path of a block."""
     scale, last, nowhere = F32(0.5 * cells), I32(cells - 1), I32(2 * cells * cells)
     row, below = I32(cells), I32(cells * cells)
@@ -125,15 +125,15 @@ def find_cells(buffer: np.ndarray, count: int, cells: int, found: np.ndarray) ->
         a, b = I32((buffer[i + DX] + ONE) * scale), I32((buffer[i + DY] + ONE) * scale)
         cell = I32(I32(min(max(a, I32(0)), last) * row) + min(max(b, I32(0)), last))
         cell = cell if buffer[i + DZ] >= ZERO else I32(cell + below)
-        found[i] = cell if buffer[i + WEIGHT] > ZERO else nowhere
+        path_cells[i] = cell if buffer[i + WEIGHT] > ZERO else nowhere
 
 
 class HitBuffer(NamedTuple):
     """Buffer for HITS and one list of detectors: index in the lists, path, and the weight of those that count."""
 
-    places: np.ndarray
-    paths: np.ndarray
-    weights: np.ndarray
+    places: Indices
+    paths: Indices
+    weights: Singles
 
 
 @kernel(forceinline=True)
@@ -157,7 +157,7 @@ def is_counted(
 
 
 @kernel()
-def add_sensor_hits(buffer: np.ndarray, hits: int, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
+def add_sensor_hits(buffer: Singles, hits: int, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
     """`add_hits` of real sensors."""
     for h in range(hits):
         i, j = hit_buffer.paths[h], hit_buffer.places[h]
@@ -170,15 +170,13 @@ def add_sensor_hits(buffer: np.ndarray, hits: int, targets: Targets, hit_buffer:
 
 
 @kernel(fastmath={"contract"})
-def add_hits(
-    buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | None, hit_buffer: HitBuffer, sums: Floats
-) -> None:
+def add_hits(buffer: Singles, hits: int, targets: Targets, sensor: Floats | None, hit_buffer: HitBuffer, sums: Floats) -> None:
     """Add hits that cross the detector's disc, or pass its sensor, to the first two columns of `sums` (n, 4)."""
     if sensor is not None:
         add_sensor_hits(buffer, hits, targets, hit_buffer, sums)
         return
     frames, places, paths, weights = targets.frames, hit_buffer.places, hit_buffer.paths, hit_buffer.weights
-    radius2, kept = F32(targets.radius2), 0
+    radius2, accepted = F32(targets.radius2), 0
     for h in range(hits):
         i, j = paths[h], places[h]
         dx, dy, dz = buffer[i + DX], buffer[i + DY], buffer[i + DZ]
@@ -187,21 +185,21 @@ def add_hits(
         distance = -(x * ex + y * ey + z * ez) / (dx * ex + dy * ey + dz * ez)
         x, y, z = x + distance * dx, y + distance * dy, z + distance * dz
         inside = (x * x + y * y + z * z <= radius2) & (distance > ZERO) & (distance < buffer[i + STOP])
-        places[kept], weights[kept] = targets.numbers[j], buffer[i + WEIGHT]
-        kept += 1 if inside else 0
-    for h in range(kept):
+        places[accepted], weights[accepted] = targets.numbers[j], buffer[i + WEIGHT]
+        accepted += 1 if inside else 0
+    for h in range(accepted):
         k, weight = places[h], np.float64(weights[h])
         sums[k, 0] += weight
         sums[k, 1] += weight * weight
 
 
 @kernel(fastmath={"contract"})
-def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
+def score(buffer: Singles, count: int, path_cells: Indices, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
     """Add the paths of a block to the first two columns of `sums`: first select the paths within the detectors' cones."""
     starts, frames, places, paths = targets.starts, targets.frames, hit_buffer.places, hit_buffer.paths
     chord2, hits = F32(targets.chord2), 0
     for i in range(count):
-        first, last = starts[found[i]], starts[found[i] + 1]
+        first, last = starts[path_cells[i]], starts[path_cells[i] + 1]
         if first == last:
             continue
         dx, dy, dz = buffer[i + DX], buffer[i + DY], buffer[i + DZ]

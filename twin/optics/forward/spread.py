@@ -64,7 +64,7 @@ def spread_segment(
 
 
 @kernel()
-def projected_solid_angles() -> np.ndarray:
+def projected_solid_angles() -> Floats:
     """Projected solid angle in sr of the bins of each polar angle, (18,)."""
     result = np.empty(POLAR_BINS)
     for i in range(POLAR_BINS):
