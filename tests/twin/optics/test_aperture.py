@@ -1,4 +1,4 @@
-"""What a detector's aperture takes: two ways of integration that share nothing, held against each other and a closed form."""
+"""Moments of a detector's accepted rays: two independent integrations, compared with each other and with a closed form."""
 
 import math
 
@@ -40,7 +40,7 @@ SECOND = [5, 7, 12, 14]
 
 
 def moments(instrument: Instrument, *, wide: bool, nodes: int, rings: int = 0) -> Floats:
-    """(zeniths, 15) by one of the two ways."""
+    """Moments (zeniths, 15) by one of the two integrations."""
     sizes = aperture_sizes(instrument)
     centres, axes = scene_at(instrument, 30.0).detectors(instrument, arc_direction(ZENITHS_DEG, 30.0))
     count, w = ZENITHS_DEG.size, np.empty(ROWS * BLOCK)
@@ -55,7 +55,7 @@ def moments(instrument: Instrument, *, wide: bool, nodes: int, rings: int = 0) -
 
 
 @pytest.mark.parametrize("field_deg", [0.1, 0.5, 1.0, 2.5])
-def test_slopes_first_and_hole_first_converge_to_the_same(field_deg: float) -> None:
+def test_both_integrations_converge_to_the_same_moments(field_deg: float) -> None:
     instrument = Instrument(field_deg=field_deg)
     by_slopes = moments(instrument, wide=False, nodes=60, rings=60)
     by_hole = moments(instrument, wide=True, nodes=300)
@@ -64,7 +64,7 @@ def test_slopes_first_and_hole_first_converge_to_the_same(field_deg: float) -> N
 
 
 @pytest.mark.parametrize(("field_deg", "wide"), [(0.25, False), (0.5, False), (1.0, True), (2.5, True)])
-def test_the_few_nodes_of_each_are_enough_where_it_is_used(field_deg: float, wide: bool) -> None:
+def test_the_nodes_of_each_integration_are_enough_in_its_range(field_deg: float, wide: bool) -> None:
     instrument = Instrument(field_deg=field_deg)
     many = moments(instrument, wide=True, nodes=300)
     few = moments(instrument, wide=wide, nodes=8 if wide else 6, rings=3)
@@ -76,8 +76,8 @@ def test_the_few_nodes_of_each_are_enough_where_it_is_used(field_deg: float, wid
     ("radius", "x", "y", "other"),
     [(2.5, 3.0, 1.0, 1.5), (2.5, 0.3, -0.4, 1.0), (1.0, 0.3, -0.4, 2.5), (2.0, -1.5, 0.2, 2.1), (2.0, 9.0, 0.0, 1.0)],
 )
-def test_what_two_discs_have_in_common(radius: float, x: float, y: float, other: float) -> None:
-    """Against counting points of a grid."""
+def test_the_intersection_of_two_discs(radius: float, x: float, y: float, other: float) -> None:
+    """Compared with the count of points of a grid."""
     a, b = np.meshgrid(*[np.linspace(-radius, radius, 2001)] * 2)
     both = (a * a + b * b <= radius * radius) & ((a - x) ** 2 + (b - y) ** 2 <= other * other)
     a, b = a[both], b[both]
@@ -88,7 +88,7 @@ def test_what_two_discs_have_in_common(radius: float, x: float, y: float, other:
 @pytest.mark.parametrize(
     ("field_deg", "diameter_mm"), [(0.1, 5.0), (0.8, 5.0), (1.5, 5.0), (2.5, 5.0), (6.0, 5.0), (3.0, 12.0), (1.5, 1.0)]
 )
-def test_any_field_and_disc_gives_the_lobe_of_a_whole_bundle(field_deg: float, diameter_mm: float) -> None:
+def test_seven_rays_agree_with_a_bundle_for_any_field_and_disc(field_deg: float, diameter_mm: float) -> None:
     instrument = Instrument(field_deg=field_deg, detector_diameter_mm=diameter_mm, obstruction=False)
     directions = arc_direction(np.linspace(15.0, 75.0, 40), 180.0)
     few, many = (luminance_factor(instrument, 45.0, directions, gaussian(5.0), rays) for rays in (None, 1 << 14))
@@ -97,21 +97,21 @@ def test_any_field_and_disc_gives_the_lobe_of_a_whole_bundle(field_deg: float, d
 
 @parted(16)
 @pytest.mark.parametrize("field_deg", [0.5, 2.5])
-def test_the_flux_of_a_wide_field_is_the_forward_estimators(field_deg: float, part: int) -> None:
+def test_the_flux_of_a_wide_field_agrees_with_the_forward_estimator(field_deg: float, part: int) -> None:
     instrument = Instrument(field_deg=field_deg, detector_diameter_mm=10.0)
     directions = arc_direction(np.arange(10.0, 86.0, 15.0), 90.0)
     found = throughput(instrument, 30.0, directions, lambertian(1.0))
     traced = forward_throughput(instrument, 30.0, directions, lambertian(1.0), relative_error=0.01 * math.sqrt(part), seed=3)
     standard = (found - traced.single_m2sr) / traced.single_error
     assert np.abs(standard).max() < 4.5
-    assert np.sum(standard**2) < 30.0  # chi-square of 6: one in 25,000 is beyond
+    assert np.sum(standard**2) < 30.0  # chi-square of 6 degrees of freedom: exceeded once in 25,000
 
 
-def test_a_field_wider_than_hole_and_disc_see_of_each_other_changes_nothing() -> None:
+def test_a_field_wider_than_the_angle_between_hole_and_disc_has_no_effect() -> None:
     directions = arc_direction(np.arange(10.0, 86.0, 15.0), 90.0)
     wide, wider = (throughput(Instrument(field_deg=field), 30.0, directions, lambertian(1.0)) for field in (4.0, 40.0))
     np.testing.assert_allclose(wider, wide, rtol=1e-12)
-    # All of the disc sees all of the hole: areas, the cosines of light and detector, and the distances (paper, 3.1).
+    # All of the disc sees all of the hole: areas, cosines of light and detector, and distances (paper, 3.1).
     beam = math.pi * 5.0**2 / 800.0**2
     seen = 0.95**3 * beam * math.cos(math.radians(30.0)) * 25.0 * np.cos(np.radians(np.arange(10.0, 86.0, 15.0)))
     np.testing.assert_allclose(wide, seen * 1e-6 / math.pi * math.pi * 2.5**2 / 300.0**2, rtol=2e-3)

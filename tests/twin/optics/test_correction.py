@@ -1,4 +1,4 @@
-"""The beam splitter shares the light between monitor and mirrors."""
+"""The beam splitter divides the light between monitor and mirrors."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from goniotwin.twin.optics.illumination.unit import CorrectionUnit
 
 
-def test_the_monitor_gets_its_share_and_the_rest_goes_on_less_what_is_absorbed() -> None:
+def test_the_monitor_receives_its_share_and_the_mirrors_the_rest_without_absorption() -> None:
     split = CorrectionUnit().split(2.0)
     assert split.monitor == pytest.approx(0.16)
     assert split.onwards == pytest.approx(1.82)
@@ -15,7 +15,7 @@ def test_the_monitor_gets_its_share_and_the_rest_goes_on_less_what_is_absorbed()
     assert lossless.monitor + lossless.onwards == pytest.approx(2.0)
 
 
-def test_shares_and_fluxes_that_are_none_are_refused() -> None:
+def test_invalid_shares_and_fluxes_are_refused() -> None:
     with pytest.raises(ValueError, match="monitor_share is"):
         CorrectionUnit(monitor_share=-0.1)
     with pytest.raises(ValueError, match="absorptance is nan"):

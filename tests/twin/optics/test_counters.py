@@ -15,7 +15,7 @@ COUNT = 1 << 20
 
 @njit
 def numbers(block: int, count: int) -> Any:
-    """Three words of paths of a block, as the numbers that are made of them."""
+    """Numbers made of the three words of a block's paths."""
     key = scramble(np.uint64(block))
     keys = word_key(key, 0), word_key(key, 1)
     result = np.empty((count, 4))
@@ -35,18 +35,18 @@ def chi_square(counts: Any) -> float:
 
 
 @pytest.mark.parametrize("block", [0, 1, 12345])
-def test_a_paths_numbers_are_uniform_and_know_nothing_of_each_other(block: int) -> None:
+def test_the_numbers_of_a_path_are_uniform_and_independent(block: int) -> None:
     found = numbers(block, COUNT)
     assert np.all((found >= 0.0) & (found < 1.0))
     for a in range(4):
         assert abs(chi_square(np.histogram(found[:, a], 4096, (0.0, 1.0))[0])) < 4.5
         for b in range(a):
             assert abs(chi_square(np.histogram2d(found[:, a], found[:, b], 64, [[0, 1], [0, 1]])[0])) < 4.5
-        # Nor do neighbouring paths.
+        # Neighbouring paths are independent too.
         assert abs(chi_square(np.histogram2d(found[1:, a], found[:-1, a], 64, [[0, 1], [0, 1]])[0])) < 4.5
 
 
-def test_neither_do_blocks() -> None:
+def test_blocks_are_independent() -> None:
     found = np.array([numbers(block, 2) for block in range(20_000)])
     for a in range(4):
         assert abs(chi_square(np.histogram2d(found[:, 0, a], found[:, 1, a], 32, [[0, 1], [0, 1]])[0])) < 4.5
@@ -85,14 +85,16 @@ def applied(which: int, values: Any) -> Any:
     ],
     ids=["sine", "cosine", "log", "exp", "arcsine", "turn"],
 )
-def test_functions_are_as_good_as_single_precision(which: int, function: Any, low: float, high: float, relative: float) -> None:
+def test_functions_are_accurate_to_single_precision(
+    which: int, function: Any, low: float, high: float, relative: float
+) -> None:
     values = np.concatenate([np.linspace(low, high, 20_001), np.geomspace(max(low, 1e-6), high, 20_001)]).astype(np.float32)
     values = np.clip(values, np.float32(low), np.float32(high))
     exact = function(values.astype(np.float64))
     assert np.max(np.abs(applied(which, values) - exact) / np.abs(exact)) < relative
 
 
-def test_what_is_far_below_a_peak_is_nothing_rather_than_not_normal() -> None:
+def test_values_far_below_a_peak_are_zero_instead_of_denormal() -> None:
     found = applied(3, np.array([55.0, 56.0, 200.0, 1e9, np.inf], dtype=np.float32))
     assert found[0] == pytest.approx(math.exp(-55.0), rel=1e-5)
     assert not np.any(found[1:])

@@ -10,13 +10,13 @@ from goniotwin.twin.optics.geometry.deviation import Deviation, check_deviations
 ANGLE = st.floats(-180.0, 180.0)
 
 
-def test_nothing_deviates_by_default() -> None:
+def test_the_default_deviation_is_zero() -> None:
     matrix, shift = rotation_and_shift(Deviation())
     assert np.array_equal(matrix, np.eye(3))
     assert not np.any(shift)
 
 
-def test_each_angle_turns_right_handed_about_its_own_axis() -> None:
+def test_each_angle_is_a_right_handed_turn_about_its_own_axis() -> None:
     x, y, z = np.eye(3)
     assert rotation_and_shift(Deviation(rx_deg=90.0))[0] @ y == pytest.approx(z, abs=1e-15)
     assert rotation_and_shift(Deviation(ry_deg=90.0))[0] @ z == pytest.approx(x, abs=1e-15)
@@ -24,7 +24,7 @@ def test_each_angle_turns_right_handed_about_its_own_axis() -> None:
 
 
 @given(ANGLE, ANGLE, ANGLE)
-def test_the_three_turns_follow_each_other_about_axes_that_stay(rx: float, ry: float, rz: float) -> None:
+def test_the_three_turns_are_about_fixed_axes_in_the_order_x_y_z(rx: float, ry: float, rz: float) -> None:
     matrix, shift = rotation_and_shift(Deviation(rx, ry, rz, 1.0, 2.0, 3.0))
     one_by_one = [
         rotation_and_shift(Deviation(**{name: angle}))[0] for name, angle in (("rx_deg", rx), ("ry_deg", ry), ("rz_deg", rz))
@@ -34,7 +34,7 @@ def test_the_three_turns_follow_each_other_about_axes_that_stay(rx: float, ry: f
     assert np.array_equal(shift, [1.0, 2.0, 3.0])
 
 
-def test_what_is_no_deviation_is_refused() -> None:
+def test_invalid_deviations_are_refused() -> None:
     with pytest.raises(ValueError, match="ry_deg is nan"):
         Deviation(ry_deg=float("nan"))
     with pytest.raises(ValueError, match="'lens': no such element; known are mirror_1, mirror_2"):

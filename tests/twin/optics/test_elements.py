@@ -1,4 +1,4 @@
-"""What each element of the illumination unit does to a ray, against geometry."""
+"""Effect of each element of the illumination unit on a ray, compared with geometry."""
 
 import math
 from typing import Any
@@ -17,9 +17,9 @@ def directions(count: int) -> Any:
     return drawn / np.linalg.norm(drawn, axis=1)[:, None]
 
 
-def test_the_mean_chord_of_the_arc_is_four_volumes_over_its_surface() -> None:
+def test_the_mean_chord_of_the_arc_is_four_volumes_over_its_surface_area() -> None:
     radius, half, ball = 0.5, 1.1, 1.3
-    # Lines that are uniform over all places and directions: across a disc about the origin, normal to each direction.
+    # Lines uniform over all positions and directions: through a disc about the origin, normal to each direction.
     rays = directions(400_000)
     place = np.cross(rays, directions(len(rays)))
     place *= (ball * np.sqrt(COUNTER.random(len(rays))) / np.linalg.norm(place, axis=1))[:, None]
@@ -28,7 +28,7 @@ def test_the_mean_chord_of_the_arc_is_four_volumes_over_its_surface() -> None:
     volume, surface = math.pi * radius**2 * 2 * half, 2 * math.pi * radius * (2 * half + radius)
     # Cauchy: 4 V / S for any convex body.
     assert hit.mean() == pytest.approx(4.0 * volume / surface, abs=4.0 * hit.std() / math.sqrt(hit.size))
-    # And the share of the lines that meet it is its mean shadow, S / 4, over the disc.
+    # The share of the lines that meet the body is its mean projected area, S / 4, over the disc's area.
     share = 0.25 * surface / (math.pi * ball**2)
     assert hit.size / len(rays) == pytest.approx(share, abs=4.0 * math.sqrt(share / len(rays)))
 
@@ -45,11 +45,11 @@ def test_the_mean_chord_of_the_arc_is_four_volumes_over_its_surface() -> None:
         ([0.0, 3.0, 0.0], [0.0, 1.0, 0.0], 1.0),
     ],
 )
-def test_chords_that_are_known(place: list[float], direction: list[float], length: float) -> None:
+def test_known_chords(place: list[float], direction: list[float], length: float) -> None:
     assert chord(FRAME, 0.5, 1.1, np.array(place), np.array(direction)) == pytest.approx(length)
 
 
-def test_an_ideal_lens_unites_all_rays_of_a_point_and_keeps_their_flux() -> None:
+def test_an_ideal_lens_images_a_point_and_conserves_the_flux() -> None:
     source, near, far = np.array([1.0, -50.0, 0.7]), 50.0, 250.0
     focal = near * far / (near + far)
     for u, v in ((0.0, 0.0), (20.0, 3.0), (-7.0, -22.0)):
@@ -60,13 +60,13 @@ def test_an_ideal_lens_unites_all_rays_of_a_point_and_keeps_their_flux() -> None
         gain = bend(FRAME, u, v, 1.0 / focal, w)
         assert gain == pytest.approx((before / w[1]) ** 4)
         assert x + far / w[1] * w == pytest.approx([-5.0, 250.0, -3.5])
-        # And back again.
+        # Backwards.
         back = -w
         assert bend(FRAME, u, v, -1.0 / focal, back) == pytest.approx(1.0 / gain)
         assert x + near / abs(back[1]) * back == pytest.approx(source)
 
 
-def test_the_reflector_sends_what_comes_from_its_centre_back_there() -> None:
+def test_the_reflector_images_its_centre_onto_itself() -> None:
     frame = FRAME.copy()
     frame[0] = [0.0, -50.0, 0.0]
     for angle, on in ((0.0, True), (59.0, True), (61.0, False)):

@@ -1,4 +1,4 @@
-"""Directions in the rig's frame and in specular coordinates are the same directions."""
+"""Directions in the rig's frame and in specular coordinates: conversions are inverse to each other."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,13 @@ from goniotwin.twin.optics.geometry.coordinates import direction_rows
 SIGMA = st.floats(0.0, 180.0)
 
 
-def test_a_golden_direction() -> None:
-    # Worked out by hand from R_y(30 deg) (0, sin 10 deg, cos 10 deg).
+def test_a_direction_calculated_by_hand() -> None:
+    # Calculated by hand: R_y(30 deg) (0, sin 10 deg, cos 10 deg).
     assert from_specular(30.0, 10.0, 90.0) == pytest.approx([-0.492404, 0.173648, 0.852869], abs=1e-6)
 
 
 @given(SIGMA, st.floats(1e-4, 179.999), st.floats(0.0, 360.0, exclude_max=True))
-def test_specular_coordinates_come_back(sigma: float, theta: float, phi: float) -> None:
+def test_specular_coordinates_survive_a_round_trip(sigma: float, theta: float, phi: float) -> None:
     theta_back, phi_back = to_specular(sigma, from_specular(sigma, theta, phi))
     assert theta_back == pytest.approx(theta, abs=1e-9)
     assert np.sin(np.radians(theta)) * ((phi_back - phi + 180.0) % 360.0 - 180.0) == pytest.approx(0.0, abs=1e-9)
@@ -25,7 +25,7 @@ def test_specular_coordinates_come_back(sigma: float, theta: float, phi: float) 
 
 
 @given(SIGMA, st.floats(0.0, 180.0), st.floats(-360.0, 360.0))
-def test_directions_come_back(sigma: float, polar: float, azimuth: float) -> None:
+def test_directions_survive_a_round_trip(sigma: float, polar: float, azimuth: float) -> None:
     direction = arc_direction(polar, azimuth)
     assert np.linalg.norm(direction) == pytest.approx(1.0)
     assert from_specular(sigma, *to_specular(sigma, direction)) == pytest.approx(direction, abs=1e-12)
@@ -53,14 +53,14 @@ def test_the_lower_arc_is_the_upper_one_mirrored_in_the_samples_plane() -> None:
     assert lower == pytest.approx(upper * [1.0, 1.0, -1.0])
 
 
-def test_coordinates_keep_the_shape_and_take_any_length() -> None:
+def test_coordinates_keep_the_shape_and_accept_any_length() -> None:
     theta, phi = to_specular(30.0, 7.0 * from_specular(30.0, np.full((2, 5), 3.0), 45.0))
     assert theta.shape == phi.shape == (2, 5)
     assert theta == pytest.approx(3.0)
     assert phi == pytest.approx(45.0)
 
 
-def test_what_is_no_direction_is_refused() -> None:
+def test_invalid_directions_are_refused() -> None:
     with pytest.raises(ValueError, match="shape"):
         to_specular(30.0, [1.0, 0.0])
     with pytest.raises(ValueError, match="one row per detector"):

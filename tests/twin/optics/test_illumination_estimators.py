@@ -1,4 +1,4 @@
-"""The illumination of the sample, forward and backwards: the two hold each other, and closed forms hold both."""
+"""Illumination of the sample by the forward and the adjoint estimator: compared with each other and with closed forms."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ from tests.sizes import parted
 from tests.twin.optics.agreement import agree
 
 UNIT = IlluminationUnit()
-# Far beyond what is permitted, so that every element cuts or moves the light, and none the same way.
+# Far beyond the tolerances, so that every element clips or moves the light, each in a different way.
 AWRY = IlluminationUnit(
     deviations={
         "arc": Deviation(3.0, 2.0, 1.0, 0.15, 0.2, -0.3),
@@ -33,7 +33,7 @@ AWRY = IlluminationUnit(
 BOTH = [forward_illumination, adjoint_illumination]
 
 
-def hold_each_other(forward: Illumination, adjoint: Illumination) -> None:
+def check_agreement(forward: Illumination, adjoint: Illumination) -> None:
     agree(forward.irradiance, forward.irradiance_error, adjoint.irradiance, adjoint.irradiance_error)
     agree(forward.angular_flux, forward.angular_flux_error, adjoint.angular_flux, adjoint.angular_flux_error)
     assert abs(forward.flux - adjoint.flux) < 4.0 * math.hypot(forward.flux_error, adjoint.flux_error)
@@ -44,22 +44,22 @@ def hold_each_other(forward: Illumination, adjoint: Illumination) -> None:
 @pytest.mark.parametrize("unit", [UNIT, AWRY], ids=["straight", "awry"])
 def test_forward_and_adjoint_agree(unit: IlluminationUnit) -> None:
     forward = forward_illumination(unit, rays=12_000_000, seed=11)
-    hold_each_other(forward, adjoint_illumination(unit, rays=200_000, seed=12))
+    check_agreement(forward, adjoint_illumination(unit, rays=200_000, seed=12))
 
 
 @parted(4)
-def test_they_agree_over_all_of_the_slits_image_and_its_edges(part: int) -> None:
+def test_both_agree_over_the_whole_image_of_the_slit_and_its_edges(part: int) -> None:
     forward = forward_illumination(AWRY, rays=8_000_000 // part, side_mm=12.0, cells=8, seed=13)
     adjoint = adjoint_illumination(AWRY, rays=400_000 // part, side_mm=12.0, cells=8, seed=14)
     assert np.count_nonzero(adjoint.irradiance == 0.0) > 10
-    hold_each_other(forward, adjoint)
+    check_agreement(forward, adjoint)
 
 
-def test_they_agree_where_the_reflector_and_the_condenser_are_too_small() -> None:
+def test_both_agree_with_a_small_reflector_and_condenser() -> None:
     small = replace(UNIT, reflector_half_angle_deg=15.0, input_condenser_radius_mm=15.0)
     adjoint = adjoint_illumination(small, rays=100_000, seed=16)
     assert adjoint.flux < 0.7 * adjoint_illumination(UNIT, rays=10_000).flux
-    hold_each_other(forward_illumination(small, rays=8_000_000, seed=15), adjoint)
+    check_agreement(forward_illumination(small, rays=8_000_000, seed=15), adjoint)
 
 
 @pytest.mark.parametrize(
@@ -68,36 +68,36 @@ def test_they_agree_where_the_reflector_and_the_condenser_are_too_small() -> Non
     ids=["adjoint", "forward"],
 )
 def test_the_flux_is_radiance_times_etendue(estimate: Any, opening_mm: float, pupil_mm: float, error: float) -> None:
-    # Slit and pupil so small that the light is that of the arc's middle, and every cosine nearly one; no losses.
+    # Slit and pupil are so small that the light is that of the arc's centre, and every cosine almost one; no losses.
     unit = IlluminationUnit(
         slit_width_mm=opening_mm, height_stop_mm=opening_mm, exit_pupil_radius_mm=pupil_mm, input_condenser_magnification=1.0,
         reflector_reflectance=0.0, bulb_transmittance=1.0, monochromator_transmittance=1.0,
     )  # fmt: skip
     found = estimate(unit, relative_error=error, cells=1, side_mm=16.0 * opening_mm)
-    # What the arc emits per volume and solid angle, along its cylinder's chords, averaged over the slit's image in it.
+    # Emission of the arc per volume and solid angle, along its cylinder's chords, averaged over the slit's image in it.
     chord_mm = 2.0 * unit.arc_radius_mm * (1.0 - (0.5 * opening_mm / unit.arc_radius_mm) ** 2 / 6.0)
     radiance_mm2sr = unit.band_flux / (4.0 * math.pi * unit.arc_volume_mm3) * chord_mm
     etendue_mm2sr = opening_mm**2 * math.pi * math.sin(math.atan(pupil_mm / unit.slit_distance_mm)) ** 2
-    # The cosines left out: of the pupil's rim as the arc sees it.
+    # The neglected cosines: those of the pupil's rim as seen from the arc.
     left_out = 2.0 * (pupil_mm / unit.slit_distance_mm) ** 2
     assert found.flux == pytest.approx(radiance_mm2sr * etendue_mm2sr, abs=4.0 * found.flux_error + left_out * found.flux)
 
 
-def test_the_reflector_adds_what_its_light_has_left() -> None:
+def test_the_reflector_adds_its_light_after_all_losses() -> None:
     without = adjoint_illumination(replace(UNIT, reflector_reflectance=0.0), rays=50_000)
     share = adjoint_illumination(UNIT, rays=50_000).flux / without.flux - 1.0
     # Reflectance, the bulb twice more, arc and electrodes; its image of the arc is the arc.
     assert share == pytest.approx(0.95 * 0.9**2 * 0.8, rel=5e-3)
 
 
-def test_the_efficiency_is_the_very_small_one_that_is_known() -> None:
-    # 3e-5 to 1.3e-4 of what is emitted arrives on the 5 x 5 mm.
+def test_the_efficiency_has_the_known_small_value() -> None:
+    # 3e-5 to 1.3e-4 of the emitted flux arrives on the 5 x 5 mm.
     assert 3e-5 < adjoint_illumination(UNIT, rays=10_000).efficiency < 1.3e-4
     lossless = replace(UNIT, reflector_reflectance=0.0, bulb_transmittance=1.0, monochromator_transmittance=1.0)
     assert 3e-5 < adjoint_illumination(lossless, rays=10_000).efficiency < 1.3e-4
 
 
-def test_the_sample_gets_the_irradiance_that_the_signals_are_reckoned_with() -> None:
+def test_the_irradiance_of_the_sample_agrees_with_the_signal_estimate() -> None:
     # 0.22 W/m^2 at 5 nm behind three mirrors and the beam splitter, from 2.0e3 W m^-2 sr^-1 nm^-1 in the arc.
     on_sample = adjoint_illumination(UNIT, rays=10_000).flux / 25e-6 * 0.95**3 * 0.91
     assert on_sample == pytest.approx(0.22, rel=0.1)
@@ -105,11 +105,11 @@ def test_the_sample_gets_the_irradiance_that_the_signals_are_reckoned_with() -> 
     assert per_mm3_sr_nm * 1e6 == pytest.approx(2.0e3, rel=0.1)
 
 
-def test_the_divergence_is_that_of_the_pupil_seen_from_all_over_the_field() -> None:
+def test_the_divergence_is_that_of_the_pupil_averaged_over_the_field() -> None:
     found = adjoint_illumination(UNIT, rays=2_000_000)
-    # No rays, but evenly spread points (Roberts' sequence) of pupil and field. How bright a point of the pupil is, seen from a
-    # point of the field, follows from the tangents before the condenser, by similar triangles (slit 57.1 mm behind the pupil,
-    # condenser 250 mm behind that, arc 50 mm): by the fourth power of the cosine, and the slanted chord of an upright arc.
+    # Without rays, from evenly spread points (Roberts' sequence) of pupil and field. The radiance of a point of the pupil, seen
+    # from a point of the field, follows from the tangents before the condenser, by similar triangles (slit 57.1 mm behind the
+    # pupil, condenser 250 mm behind that, arc 50 mm): the fourth power of the cosine, and the oblique chord of an upright arc.
     even = (np.arange(1, 1_000_001)[:, None] * 0.8566748838545029 ** np.arange(1, 5)) % 1.0
     ring, turn = 5.0 * np.sqrt(even[:, 0]), 2.0 * np.pi * even[:, 1]
     pupil, field = np.array([ring * np.cos(turn), ring * np.sin(turn)]), 5.0 * (even[:, 2:].T - 0.5)
@@ -120,14 +120,14 @@ def test_the_divergence_is_that_of_the_pupil_seen_from_all_over_the_field() -> N
     angle = np.degrees(np.arctan(np.hypot(*(pupil - field)) / 800.0))
     expected = np.histogram(angle, found.angle_edges_deg, weights=bright)[0]
     apart = np.abs(found.angular_flux / found.flux - expected / expected.sum())
-    # Its own error, and that of the points.
+    # The estimator's error, and that of the points.
     assert np.all(apart < 5.5 * found.angular_flux_error / found.flux + 1e-4)
     assert replace(found, angular_flux=expected).full_width_deg[0] == pytest.approx(found.full_width_deg[0], abs=0.005)
     # The paper's 0.5 to 1 deg.
     assert 0.5 < found.full_width_deg[0] < 1.0
 
 
-def test_a_straight_unit_lights_the_field_evenly_and_symmetrically() -> None:
+def test_a_unit_without_deviations_lights_the_field_uniformly_and_symmetrically() -> None:
     field = adjoint_illumination(UNIT, rays=1_000_000)
     even = field.irradiance / field.irradiance.mean()
     assert np.max(np.abs(even - 1.0)) < 2e-3
@@ -136,17 +136,17 @@ def test_a_straight_unit_lights_the_field_evenly_and_symmetrically() -> None:
         agree(field.irradiance[:2], field.irradiance_error[:2], mirrored[:2], field.irradiance_error[:2])
 
 
-def test_the_unit_of_the_lamp_is_carried() -> None:
+def test_the_result_has_the_unit_of_the_lamp() -> None:
     watts = adjoint_illumination(UNIT, rays=1000)
     lumens = adjoint_illumination(replace(UNIT, lamp=luminous_spectrum(xenon_spectrum())), rays=1000)
     assert (watts.unit, lumens.unit) == ("W", "lm")
     assert watts.efficiency == pytest.approx(lumens.efficiency)
-    # V(555 nm) is nearly 1.
+    # V(555 nm) is almost 1.
     assert lumens.flux / watts.flux == pytest.approx(683.0, rel=0.01)
 
 
 @pytest.mark.parametrize("estimate", BOTH)
-def test_an_error_can_be_asked_for(estimate: Any) -> None:
+def test_a_relative_error_can_be_requested(estimate: Any) -> None:
     target = 0.02 if estimate is forward_illumination else 0.001
     found = estimate(UNIT, relative_error=target, cells=3)
     assert 0.0 < found.flux_error <= target * found.flux
@@ -162,14 +162,14 @@ def test_the_standard_errors_are_those_of_repeated_runs() -> None:
             scatter = np.std([getattr(run, value) for run in runs], axis=0, ddof=1)
             stated = np.sqrt(np.mean([getattr(run, f"{value}_error") ** 2 for run in runs], axis=0))
             lit = stated > 0.05 * stated.max()
-            # 60 runs tell a standard deviation to 9 %. That the cells take turns can only make the rings' smaller.
+            # 60 runs give a standard deviation to 9 %. Equal numbers of rays in all cells can only reduce that of the rings.
             assert 0.8 < np.mean(scatter[lit] / stated[lit]) < 1.08
         scatter = np.std([run.flux for run in runs], ddof=1)
         assert scatter == pytest.approx(np.mean([run.flux_error for run in runs]), rel=0.35)
 
 
 @pytest.mark.parametrize("estimate", BOTH)
-def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads(estimate: Any) -> None:
+def test_results_are_bit_identical_for_one_seed_and_any_number_of_threads(estimate: Any) -> None:
     rays, threads = 5 * CHUNK + 75, numba.get_num_threads()
     try:
         numba.set_num_threads(1)
@@ -184,7 +184,7 @@ def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads(estimate: A
 
 
 @pytest.mark.parametrize("estimate", BOTH)
-def test_what_cannot_be_estimated_is_refused(estimate: Any) -> None:
+def test_invalid_arguments_are_refused(estimate: Any) -> None:
     for wrong, what in (
         (dict(), "either rays or relative_error"),
         (dict(rays=100, relative_error=0.1), "either rays or relative_error"),
@@ -200,7 +200,7 @@ def test_what_cannot_be_estimated_is_refused(estimate: Any) -> None:
             estimate(UNIT, **wrong)
 
 
-def test_where_no_light_arrives_there_is_none_and_no_error_of_it_to_ask_for() -> None:
+def test_without_light_the_flux_is_zero_and_a_relative_error_is_refused() -> None:
     blocked = replace(UNIT, deviations={"slit": Deviation(x_mm=3.0)})
     found = adjoint_illumination(blocked, rays=1000)
     assert (found.flux, found.flux_error) == (0.0, 0.0)
@@ -214,7 +214,7 @@ def test_where_no_light_arrives_there_is_none_and_no_error_of_it_to_ask_for() ->
 
 @pytest.mark.parametrize("name", ELEMENTS)
 @pytest.mark.parametrize("part", ["rx_deg", "ry_deg", "rz_deg", "x_mm", "y_mm", "z_mm"])
-def test_each_permitted_deviation_keeps_the_flux_on_the_field(name: str, part: str) -> None:
+def test_each_deviation_within_tolerance_keeps_the_flux_on_the_field(name: str, part: str) -> None:
     # Table 1 of the paper: +-0.05 deg, +-0.025 mm; within 5 to 10 % of the undisturbed flux.
     undisturbed = adjoint_illumination(UNIT, rays=20_000).flux
     for sign in (-1.0, 1.0):
@@ -223,9 +223,9 @@ def test_each_permitted_deviation_keeps_the_flux_on_the_field(name: str, part: s
         assert adjoint_illumination(deviating, rays=20_000).flux == pytest.approx(undisturbed, rel=0.05)
 
 
-def test_the_worst_corner_of_all_permitted_deviations_moves_the_slits_image_off_the_field() -> None:
-    # Unit turned 0.05 deg 800 mm from the sample, lens and slit shifted: 0.70 + 15 * 0.025 + 14 * 0.025 + 0.025 mm in x and
-    # in z, of which the 7 mm image has 1 mm to spare.
+def test_the_worst_case_of_all_tolerances_moves_the_image_of_the_slit_off_the_field() -> None:
+    # Unit turned by 0.05 deg at 800 mm from the sample, lens and slit shifted: 0.70 + 15 * 0.025 + 14 * 0.025 + 0.025 mm in x
+    # and in z; the 7 mm image has a margin of 1 mm.
     off = 800.0 * math.radians(0.05) + (15.0 + 14.0 + 1.0) * 0.025 - 1.0
     corner = {
         "unit": Deviation(rx_deg=0.05, rz_deg=-0.05, x_mm=0.025, z_mm=0.025),
@@ -238,7 +238,7 @@ def test_the_worst_corner_of_all_permitted_deviations_moves_the_slits_image_off_
     assert share == pytest.approx((1.0 - off / 5.0) ** 2, abs=0.01)
 
 
-def test_the_figure_shows_the_slits_image_14_times_larger_and_the_divergence() -> None:
+def test_the_figure_has_the_enlarged_image_of_the_slit_and_the_divergence() -> None:
     figure = illumination_figure(UNIT, cells=20)
     half = 0.5 * (figure.edges_mm[1:] + figure.edges_mm[:-1])
     lit, dark = np.abs(half) < 3.25, np.abs(half) > 3.75

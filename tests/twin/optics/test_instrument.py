@@ -1,4 +1,4 @@
-"""An instrument that cannot be is refused, by the name of what is wrong with it."""
+"""Validation of an instrument's dimensions, with the name of the invalid field."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from goniotwin.twin.optics import Instrument
 
 
-def test_the_beam_of_the_default_has_the_divergence_that_the_paper_asks_for() -> None:
+def test_the_default_beam_has_the_divergence_of_the_paper() -> None:
     # paper, section 3.1: 0.5 to 1 deg.
     assert 0.5 < Instrument().divergence_deg < 1.0
     assert Instrument().pupil_distance_mm == 800.0
@@ -20,7 +20,7 @@ def test_a_dimension_must_be_positive_and_finite(name: str, value: float) -> Non
         Instrument(**{name: value})  # type: ignore[arg-type]
 
 
-def test_a_mirror_reflects_at_most_all_and_a_cone_is_narrower_than_a_plane() -> None:
+def test_a_reflectance_is_at_most_one_and_a_field_below_180_deg() -> None:
     with pytest.raises(ValueError, match="mirror_reflectance"):
         Instrument(mirror_reflectance=1.01)
     with pytest.raises(ValueError, match="field_deg"):

@@ -1,4 +1,4 @@
-"""The beam comes round over three mirrors to the sample, at every sigma."""
+"""The beam reaches the sample over three mirrors, at every sigma."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ EVERY_SIGMA = np.arange(0.0, 180.1, 7.5)
 
 
 @pytest.mark.parametrize("sigma_deg", EVERY_SIGMA)
-def test_the_axis_closes_at_the_sample(sigma_deg: float) -> None:
+def test_the_axis_of_the_beam_ends_at_the_sample(sigma_deg: float) -> None:
     unit = mirrors_at(Instrument(), sigma_deg)
     point, direction = np.array([0.0, -400.0, 0.0]), np.array([0.0, 1.0, 0.0])
     for mirror in range(3):
@@ -23,7 +23,7 @@ def test_the_axis_closes_at_the_sample(sigma_deg: float) -> None:
 
 
 @pytest.mark.parametrize("sigma_deg", EVERY_SIGMA)
-def test_the_pupil_appears_800_mm_away_along_the_light(sigma_deg: float) -> None:
+def test_the_image_of_the_pupil_is_800_mm_away_along_the_light(sigma_deg: float) -> None:
     centre, axis_u, axis_v = pupil_image(Instrument(), sigma_deg)
     light = light_direction(sigma_deg)
     assert centre == pytest.approx(800.0 * light, abs=1e-9)
@@ -32,7 +32,7 @@ def test_the_pupil_appears_800_mm_away_along_the_light(sigma_deg: float) -> None
 
 
 def test_the_beams_section_turns_with_the_mirror_unit() -> None:
-    # Against the plane of incidence, whose normal is y: once round by 90 deg for a mirror unit turned by 90 deg.
+    # Relative to the plane of incidence, whose normal is y: turned by 90 deg for a mirror unit turned by 90 deg.
     turned = [np.degrees(np.arctan2(axis[1], abs(axis[0]) + abs(axis[2]))) for axis in (
         pupil_image(Instrument(), 0.0)[1], pupil_image(Instrument(), 90.0)[1]
     )]  # fmt: skip
@@ -47,6 +47,6 @@ def test_unfolded_mirrors_lie_along_the_light(sigma_deg: float) -> None:
     assert abs(images.normals @ light) == pytest.approx(np.sqrt(0.5))
 
 
-def test_a_sigma_that_is_no_angle_is_refused() -> None:
+def test_an_invalid_sigma_is_refused() -> None:
     with pytest.raises(ValueError, match="sigma_deg"):
         mirrors_at(Instrument(), float("nan"))

@@ -1,10 +1,11 @@
-"""What the mirrors hide: a zone round the way back to the light, and one 45 degrees from it."""
+"""Directions hidden by the mirrors: a zone about the retro-direction, and one 45 deg from it."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, forward_throughput, from_specular, light_direction, throughput, visible_fraction
 from goniotwin.twin.optics.bsdf.analytic_samples import lambertian
 from goniotwin.twin.optics.forward.bounces import is_on_mount
@@ -16,14 +17,14 @@ from tests.twin.optics.agreement import agree
 SIGMA = 30.0
 
 
-def retro_cut(offset_deg: np.ndarray[tuple[int], np.dtype[np.float64]], side_mm: float = 20.0) -> list[float]:
-    """Visible fractions along the plane of incidence, at offsets from the way back to the light."""
+def retro_cut(offset_deg: Floats, side_mm: float = 20.0) -> list[float]:
+    """Visible fractions along the plane of incidence, at offsets from the retro-direction."""
     directions = from_specular(SIGMA, 2.0 * SIGMA + offset_deg, 0.0)
     return [float(v) for v in visible_fraction(Instrument(mirror_side_mm=side_mm), SIGMA, directions)]
 
 
 @pytest.mark.parametrize(("side_mm", "edge_deg"), [(20.0, 3.5), (40.0, 6.3)])
-def test_mirror_3_hides_the_way_back_to_the_light(side_mm: float, edge_deg: float) -> None:
+def test_mirror_3_hides_the_retro_direction(side_mm: float, edge_deg: float) -> None:
     # The mirror's half side at 200 mm (2.9 or 5.7 deg) and the bundle's half width there.
     dark = 0.55 * edge_deg
     assert retro_cut(np.array([-dark, 0.0, dark]), side_mm) == [0.0, 0.0, 0.0]
@@ -34,7 +35,7 @@ def test_mirror_3_hides_the_way_back_to_the_light(side_mm: float, edge_deg: floa
     assert 0.8 < retro_cut(np.array([edge_deg - 0.2]), side_mm)[0] < 1.0
 
 
-def test_at_normal_incidence_the_specular_peak_itself_is_hidden() -> None:
+def test_at_normal_incidence_the_specular_peak_is_hidden() -> None:
     assert visible_fraction(Instrument(), 0.0, [[0.0, 0.0, 1.0]])[0] == 0.0
     hidden = throughput(Instrument(), 0.0, [[0.0, 0.0, 1.0]], lambertian())[0]
     shown = throughput(Instrument(obstruction=False), 0.0, [[0.0, 0.0, 1.0]], lambertian())[0]
@@ -49,29 +50,29 @@ def test_mirror_2_hides_a_zone_45_deg_from_the_light() -> None:
     assert visible_fraction(Instrument(), SIGMA, [towards, away]).tolist() == [0.0, 1.0]
 
 
-def test_half_of_the_arcs_turn_is_free() -> None:
-    # Nothing of the mirror unit but mirror 3 stands at y > 0: beta 0 to 180 is free, but for the zone round the light.
+def test_half_a_turn_of_the_arc_is_free() -> None:
+    # Only mirror 3 of the mirror unit reaches y > 0: beta 0 to 180 is free except for the zone about the light.
     polar, beta = np.meshgrid(np.arange(0.0, 86.0, 5.0), np.arange(0.0, 181.0, 10.0))
     directions = from_specular(0.0, polar.ravel(), beta.ravel())
     far = directions @ light_direction(SIGMA) < np.cos(np.radians(6.0))
     assert np.all(visible_fraction(Instrument(), SIGMA, directions[far]) == 1.0)
 
 
-def test_a_detector_in_the_samples_plane_sees_nothing() -> None:
+def test_a_detector_in_the_samples_plane_receives_nothing() -> None:
     assert visible_fraction(Instrument(), SIGMA, [[1.0, 0.0, 0.0]])[0] == 0.0
 
 
-def test_what_is_hidden_is_missing_from_the_throughput() -> None:
+def test_hidden_rays_are_missing_from_the_throughput() -> None:
     offsets = np.array([2.6, 2.9, 3.1, 5.0])
     directions = from_specular(SIGMA, 2.0 * SIGMA + offsets, 0.0)
     share = visible_fraction(Instrument(), SIGMA, directions, rays=1024)
     with_mirrors = throughput(Instrument(), SIGMA, directions, lambertian(), rays=1024)
     without = throughput(Instrument(obstruction=False), SIGMA, directions, lambertian(), rays=1024)
-    # The same rays; what the two differ by is how a beam of 0.7 deg weighs them, at most 1 % of a ray.
+    # The same rays; the two differ by the weights over a beam of 0.7 deg, at most 1 % of a ray.
     assert with_mirrors / without == pytest.approx(share, abs=3e-3)
 
 
-def test_a_mount_hides_as_a_larger_mirror_does_and_neither_adds_to_the_beam_nor_takes_from_it() -> None:
+def test_a_mount_hides_as_a_larger_mirror_and_does_not_change_the_beam() -> None:
     mounted, larger = Instrument(mirror_mount_mm=10.0), Instrument(mirror_side_mm=40.0)
     directions = from_specular(SIGMA, 2.0 * SIGMA + np.arange(-8.0, 8.0, 0.5), 0.0)
     seen = visible_fraction(mounted, SIGMA, directions)
@@ -86,7 +87,7 @@ def test_a_mount_hides_as_a_larger_mirror_does_and_neither_adds_to_the_beam_nor_
     np.testing.assert_array_equal(throughput(small, SIGMA, far, lambertian()), throughput(bare, SIGMA, far, lambertian()))
 
 
-def test_both_estimators_know_mounts() -> None:
+def test_both_estimators_include_mounts() -> None:
     mounted = Instrument(mirror_mount_mm=15.0, detector_diameter_mm=20.0, field_deg=4.0)
     directions = from_specular(SIGMA, 2.0 * SIGMA + np.arange(-16.0, 16.1, 4.0), 0.0)
     traced = forward_throughput(mounted, SIGMA, directions, lambertian(), 8_000_000, seed=5)
@@ -98,7 +99,7 @@ def test_both_estimators_know_mounts() -> None:
 
 
 @pytest.mark.parametrize("mirror", [0, 1, 2])
-def test_light_that_meets_a_mount_ends_there(mirror: int) -> None:
+def test_a_mount_absorbs_light(mirror: int) -> None:
     instrument = Instrument(mirror_mount_mm=5.0)
     surfaces = set_up(instrument, SIGMA, [[0.0, 0.0, 1.0]], lambertian(), 0.0, None, None, 8, SampleFrames()).surfaces
     centre, _, along, across = surfaces.mirrors[mirror]

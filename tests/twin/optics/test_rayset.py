@@ -1,4 +1,4 @@
-"""Raysets: what is recorded is what the unit sends out, and what is not a rayset is refused."""
+"""Raysets: recorded rays agree with the unit's light, and invalid raysets are refused."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ AWRY = replace(UNIT, deviations={"output_condenser": Deviation(5.0, 0.0, 2.0, 0.
 
 
 @pytest.mark.parametrize("unit", [UNIT, AWRY], ids=["straight", "awry"])
-def test_replayed_rays_light_the_sample_as_rays_from_the_arc_do(unit: IlluminationUnit) -> None:
+def test_replayed_rays_light_the_sample_as_rays_from_the_arc(unit: IlluminationUnit) -> None:
     forward = forward_illumination(unit, rays=8_000_000, seed=5)
     source = replay(record(unit, 100_000, seed=6), unit)
     place, along = source.rays[:, :3], source.rays[:, 3:]
@@ -42,7 +42,7 @@ def test_replayed_rays_light_the_sample_as_rays_from_the_arc_do(unit: Illuminati
     agree(flux, error, forward.angular_flux, forward.angular_flux_error)
 
 
-def test_all_the_light_that_leaves_is_in_it() -> None:
+def test_a_rayset_contains_all_light_that_leaves_the_unit() -> None:
     rayset = record(AWRY, 50_000, seed=1)
     leaving = forward_illumination(AWRY, rays=4_000_000, side_mm=40.0, cells=1)
     error = math.hypot(rayset.total_flux_error, leaving.flux_error)
@@ -51,21 +51,21 @@ def test_all_the_light_that_leaves_is_in_it() -> None:
     assert rayset.unit == "W"
 
 
-def test_the_wavelengths_are_those_that_the_monochromator_passes() -> None:
+def test_the_wavelengths_are_those_of_the_passband() -> None:
     rayset = record(replace(UNIT, wavelength_nm=450.0, bandwidth_nm=8.0), 20_000, seed=2)
     assert 442.0 < rayset.wavelength_nm.min() < 443.0
     assert 457.0 < rayset.wavelength_nm.max() < 458.0
     assert rayset.wavelength_nm.mean() == pytest.approx(450.0, abs=0.3)
 
 
-def test_the_same_seed_records_the_same_rays_and_more_rays_begin_with_fewer() -> None:
+def test_one_seed_gives_the_same_rays_and_a_longer_rayset_starts_with_them() -> None:
     few, many = record(UNIT, 100, seed=9), record(UNIT, 200, seed=9)
     assert np.array_equal(few.positions_mm, many.positions_mm[:100])
     assert np.array_equal(few.wavelength_nm, record(UNIT, 100, seed=9).wavelength_nm)
     assert not np.array_equal(few.positions_mm, record(UNIT, 100, seed=10).positions_mm)
 
 
-def test_a_source_stands_where_the_instrument_has_its_exit_pupil() -> None:
+def test_a_source_is_at_the_instruments_exit_pupil() -> None:
     centre = pupil(Instrument())[0]
     rayset = record(UNIT, 1000, seed=0)
     # Directions need not be unit vectors: the source's are.
@@ -85,7 +85,7 @@ def test_a_rayset_of_another_geometry_is_refused() -> None:
         replay(rayset, AWRY)
 
 
-def spoilt(column: str, ray: Any, value: Any) -> Rayset:
+def invalid_rayset(column: str, ray: Any, value: Any) -> Rayset:
     rayset = record(UNIT, 10, seed=0)
     changed = getattr(rayset, column).copy()
     changed[ray] = value
@@ -107,12 +107,12 @@ def spoilt(column: str, ray: Any, value: Any) -> Rayset:
         ("flux", 1.0, "of 0.2052 emitted"),
     ],
 )
-def test_rays_that_are_none_are_refused(column: str, value: Any, wrong: str) -> None:
+def test_invalid_rays_are_refused(column: str, value: Any, wrong: str) -> None:
     with pytest.raises(ValueError, match=wrong):
-        spoilt(column, 4, value)
+        invalid_rayset(column, 4, value)
 
 
-def test_columns_and_numbers_that_do_not_fit_are_refused() -> None:
+def test_invalid_columns_and_numbers_are_refused() -> None:
     rayset = record(UNIT, 10, seed=0)
     for wrong, what in (
         (dict(flux=rayset.flux[:9]), r"positions_mm has the shape \(10, 3\): 9 rays need \(9, 3\)"),

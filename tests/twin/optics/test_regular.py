@@ -1,4 +1,4 @@
-"""Light that is reflected regularly or passes straight through: the pupil's image, against closed forms and drawn rays."""
+"""Regular reflection and transmission: the pupil's image compared with closed forms and with monte_carlo rays."""
 
 import math
 
@@ -25,8 +25,10 @@ REFLECTED = 0.95**3
 RAYS = 2_000_000
 
 
-def drawn(instrument: Instrument, sigma_deg: float, directions: Floats, transmits: bool, rays: int) -> tuple[Floats, Floats]:
-    """Throughputs and their standard errors by rays from the pupil through the hole, each followed to the detectors."""
+def monte_carlo(
+    instrument: Instrument, sigma_deg: float, directions: Floats, transmits: bool, rays: int
+) -> tuple[Floats, Floats]:
+    """Throughputs and their standard errors from rays through pupil and hole, each traced to the detectors."""
     scene, random = scene_at(instrument, sigma_deg), np.random.Generator(np.random.Philox(2026))
     radius, turn = np.sqrt(random.random(rays)), 2.0 * np.pi * random.random(rays)
     start = scene.pupil[0] + np.outer(radius * np.cos(turn), scene.pupil[1]) + np.outer(radius * np.sin(turn), scene.pupil[2])
@@ -51,20 +53,20 @@ def drawn(instrument: Instrument, sigma_deg: float, directions: Floats, transmit
 
 @parted(8)
 @pytest.mark.parametrize(("sigma_deg", "transmits"), [(0.0, False), (30.0, False), (60.0, False), (30.0, True), (150.0, True)])
-def test_the_image_of_the_pupil_against_rays_that_are_followed(sigma_deg: float, transmits: bool, part: int) -> None:
+def test_the_image_of_the_pupil_agrees_with_traced_rays(sigma_deg: float, transmits: bool, part: int) -> None:
     centre = -light_direction(sigma_deg) if transmits else specular_direction(sigma_deg)
     directions = centre + np.array([[0, 0, 0], [4e-3, 0, 0], [0, 6e-3, 0], [0, 0, 8e-3], [0, 1.1e-2, 0], [0.05, 0, 0]])
     mirror = regular(1.0, transmits=transmits, side="both")
     exact = throughput(OPEN, sigma_deg, directions, mirror)
-    mean, error = drawn(OPEN, sigma_deg, directions, transmits, RAYS // part)
+    mean, error = monte_carlo(OPEN, sigma_deg, directions, transmits, RAYS // part)
     seen = error > 0.0
     deviation = (exact[seen] - mean[seen]) / error[seen]
     assert np.sum(seen) >= 4
-    assert np.sum(deviation**2) < 20.0  # of 4 or 5: one in a thousand is larger
+    assert np.sum(deviation**2) < 20.0  # 4 or 5 degrees of freedom: exceeded once in a thousand
     assert exact[-1] == 0.0
 
 
-def test_a_wide_detector_gets_the_whole_beam() -> None:
+def test_a_wide_detector_receives_the_whole_beam() -> None:
     """Closed form: the beam's etendue, two coaxial apertures of 5 mm radius and 5 mm side at 800 mm."""
     wide = Instrument(detector_diameter_mm=60.0, field_deg=20.0, obstruction=False)
     etendue_m2sr = math.pi * 0.005**2 * 0.005**2 / 0.8**2
@@ -75,12 +77,12 @@ def test_a_wide_detector_gets_the_whole_beam() -> None:
 
 
 def test_a_mirror_in_front_hides_the_image() -> None:
-    """At normal incidence mirror 3 stands in the specular direction."""
+    """At normal incidence mirror 3 is in the specular direction."""
     assert throughput(Instrument(), 0.0, specular_direction(0.0)[None], regular(1.0))[0] == 0.0
     assert throughput(Instrument(), 30.0, specular_direction(30.0)[None], regular(1.0))[0] > 0.0
 
 
-def test_a_sum_is_the_sum_and_each_wavelength_is_weighed() -> None:
+def test_a_sum_of_samples_adds_up_with_the_weights_of_each_wavelength() -> None:
     directions = specular_direction(30.0)[None]
     lobe, mirror = gaussian(5.0, reflectance=0.4), regular(0.05)
     both = apply_spectrum([400.0, 700.0], [1.0, 0.5], sum_samples(lobe, mirror))

@@ -1,4 +1,4 @@
-"""The models of a formula: the ideal diffuser, the Gaussian, the regular component; what cannot be one is refused."""
+"""Analytic models: ideal diffuser, Gaussian, regular component; invalid arguments are refused."""
 
 import math
 from typing import Any
@@ -42,7 +42,7 @@ def test_as_an_intensity_the_gaussian_is_divided_by_the_observers_cosine() -> No
     assert intensity == pytest.approx(luminance / observer[2])
 
 
-def test_theta_follows_the_light_that_actually_comes() -> None:
+def test_theta_is_measured_from_the_actual_light() -> None:
     light = light_direction(30.0) + np.array([0.0, 0.02, 0.0])
     light /= np.linalg.norm(light)
     assert evaluate(gaussian(1.0, peak=1.0), light, light * [-1.0, -1.0, 1.0]) == pytest.approx(1.0)
@@ -51,7 +51,7 @@ def test_theta_follows_the_light_that_actually_comes() -> None:
 
 @settings(deadline=None)
 @given(st.floats(0.0, 89.0), st.floats(0.0, 360.0), st.floats(0.3, 3.0))
-def test_a_refracted_lobe_is_about_the_direction_that_snells_law_gives(sigma: float, azimuth: float, ratio: float) -> None:
+def test_the_axis_of_a_refracted_lobe_follows_snells_law(sigma: float, azimuth: float, ratio: float) -> None:
     lobe = gaussian(3.0, peak=1.0, transmits=True, refraction=ratio)
     turn, sine = math.radians(azimuth), math.sin(math.radians(sigma)) / ratio
     light = [math.sin(math.radians(sigma)) * math.cos(turn), math.sin(math.radians(sigma)) * math.sin(turn)]
@@ -66,12 +66,12 @@ def test_a_refracted_lobe_is_about_the_direction_that_snells_law_gives(sigma: fl
 
 
 @pytest.mark.parametrize("model", SINGLE, ids=named)
-def test_nothing_is_scattered_to_or_from_behind(model: Scatterer) -> None:
+def test_light_and_observers_behind_the_sample_give_zero(model: Scatterer) -> None:
     up, down = light_direction(30.0), light_direction(150.0)
     assert evaluate(model, up, down) == evaluate(model, down, up) == evaluate(model, down, down) == 0.0
 
 
-def test_a_regular_component_has_no_finite_value_and_follows_its_list() -> None:
+def test_a_regular_component_has_no_finite_value_and_the_albedo_of_its_list() -> None:
     mirror = regular([0.04, 0.05, 0.2, 1.0], sigma_deg=[0.0, 40.0, 70.0, 90.0])
     assert evaluate(mirror, light_direction(20.0), from_specular(20.0, 0.0, 0.0)) == 0.0
     assert [albedo(mirror, sigma) for sigma in (0.0, 40.0, 70.0)] == pytest.approx([0.04, 0.05, 0.2])
@@ -81,7 +81,7 @@ def test_a_regular_component_has_no_finite_value_and_follows_its_list() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         ({"width_deg": -5.0}, "width_deg"),
         ({"width_deg": math.nan}, "width_deg"),
@@ -95,13 +95,13 @@ def test_a_regular_component_has_no_finite_value_and_follows_its_list() -> None:
         ({"width_deg": 5.0, "side": "top"}, "side is 'top'"),
     ],
 )
-def test_a_gaussian_that_cannot_be_is_refused(arguments: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_invalid_arguments_of_a_gaussian_are_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         gaussian(**arguments)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         ({"reflectance": 1.1}, "reflectance is 1.1"),
         ({"reflectance": 0.0}, "reflectance is 0.0"),
@@ -113,13 +113,13 @@ def test_a_gaussian_that_cannot_be_is_refused(arguments: dict[str, Any], says: s
         ({"side": "left"}, "side is 'left'"),
     ],
 )
-def test_a_diffuser_gives_back_at_most_all_the_light(arguments: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_a_diffuser_scatters_at_most_all_the_light(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         lambertian(**arguments)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         ({"reflectance": 1.1}, "reflectance is 1.1"),
         ({"reflectance": 0.0}, "reflectance is 0"),
@@ -130,11 +130,11 @@ def test_a_diffuser_gives_back_at_most_all_the_light(arguments: dict[str, Any], 
         ({"reflectance": [0.1, 0.2], "sigma_deg": [0.0, 100.0]}, "sigma_deg runs from 0 to 100"),
     ],
 )
-def test_a_regular_component_that_cannot_be_is_refused(arguments: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_invalid_arguments_of_a_regular_component_are_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         regular(**arguments)
 
 
-def test_shapes_that_do_not_fit_are_refused() -> None:
+def test_inconsistent_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match="last axis"):
         evaluate(lambertian(), [0.0, 1.0], [0.0, 1.0])

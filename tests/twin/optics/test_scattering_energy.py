@@ -1,4 +1,4 @@
-"""No sample gives back more light than it gets; what it gives back is what its closed form says."""
+"""No sample scatters more light than it receives; albedos agree with closed forms."""
 
 import math
 from typing import Any
@@ -29,24 +29,24 @@ DEFAULTS = [
 
 
 @pytest.mark.parametrize("model", DEFAULTS, ids=named)
-def test_in_a_furnace_no_default_sample_shines(model: Scatterer) -> None:
+def test_in_a_furnace_no_default_sample_is_brighter_than_the_walls(model: Scatterer) -> None:
     for sigma in INCIDENCES:
         assert albedo(model, sigma) <= 1.0 + 1e-9
         assert albedo(model, sigma, transmitted=True) == 0.0
 
 
 @pytest.mark.parametrize("sigma_deg", [*INCIDENCES, 91.0, 120.0, 180.0])
-def test_in_a_furnace_a_white_diffuser_cannot_be_seen(sigma_deg: float) -> None:
+def test_in_a_furnace_a_white_diffuser_is_as_bright_as_the_walls(sigma_deg: float) -> None:
     white = lambertian(0.4, 0.6, side="both")
     assert albedo(lambertian(side="both"), sigma_deg) == pytest.approx(1.0, rel=1e-6)
     assert albedo(white, sigma_deg) + albedo(white, sigma_deg, transmitted=True) == pytest.approx(1.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 40.0, 75.0])
-def test_a_uniform_furnace_shows_a_reciprocal_sample_at_its_albedo(sigma_deg: float) -> None:
-    # Radiance 1 from everywhere: what leaves towards d is the integral of f(l, d) cos(l) over l, the albedo of light from d.
+def test_in_a_furnace_a_reciprocal_sample_has_the_radiance_of_its_albedo(sigma_deg: float) -> None:
+    # Radiance 1 from everywhere: the radiance towards d is the integral of f(l, d) cos(l) over l, the albedo of light from d.
     height, azimuth = np.meshgrid((np.arange(1200) + 0.5) / 1200, (np.arange(1200) + 0.5) * (2.0 * math.pi / 1200))
-    # Uniform over the squared sine of the zenith angle, as the cosine law has it.
+    # Uniform over the squared sine of the zenith angle: the cosine law.
     sine = np.sqrt(height)
     lights = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.sqrt(1.0 - height)], axis=-1)
     for model in (lambertian(0.8), gaussian(20.0), gaussian(40.0, "half_width")):
@@ -61,14 +61,14 @@ def test_the_albedo_of_a_sum_is_the_sum_of_the_albedos() -> None:
         assert albedo(sum_samples(*parts), sigma, gamma_deg=30.0) == pytest.approx(sum(each), rel=1e-12)
 
 
-def test_the_albedo_follows_the_spectrum() -> None:
+def test_the_albedo_depends_on_the_spectrum() -> None:
     sample = sum_samples(apply_spectrum([400.0, 700.0], [0.2, 0.8], lambertian(0.5)), regular(0.1))
     assert [albedo(sample, 30.0, wavelength_nm=nm) for nm in (400.0, 550.0, 700.0)] == pytest.approx([0.2, 0.35, 0.5])
 
 
 @pytest.mark.parametrize("quantity", ["luminance", "intensity"])
 @pytest.mark.parametrize("width_deg", [0.05, 2.0, 30.0, 200.0])
-def test_a_stated_reflectance_is_what_comes_back_at_normal_incidence(width_deg: float, quantity: Any) -> None:
+def test_a_stated_reflectance_is_the_albedo_at_normal_incidence(width_deg: float, quantity: Any) -> None:
     assert albedo(gaussian(width_deg, quantity=quantity), 0.0) == pytest.approx(0.9, rel=1e-6)
     assert albedo(gaussian(width_deg, quantity=quantity, reflectance=0.3), 0.0) == pytest.approx(0.3, rel=1e-6)
     passed = gaussian(width_deg, quantity=quantity, reflectance=0.3, transmits=True, refraction=1.5)
@@ -85,14 +85,14 @@ def test_the_albedo_of_a_narrow_lobe_is_its_volume_times_the_cosine() -> None:
     assert albedo(lambertian(0.7), 75.0) == pytest.approx(0.7, rel=1e-6)
 
 
-def test_the_albedo_of_a_table_is_that_of_the_function_it_is_made_of() -> None:
-    # Half of it by the cosine law: f = a cos(zenith), whose albedo is 2 pi a / 3 at every incidence, here at normal.
+def test_the_albedo_of_a_table_is_that_of_its_function() -> None:
+    # f = a cos(zenith), whose albedo is 2 pi a / 3 at every incidence, here at normal.
     theta = np.arange(0.0, 91.0, 1.0)
     table = table_sample([0.0], [0.0], theta, 0.4 * np.cos(np.radians(theta))[None, None])
     assert albedo(table, 0.0) == pytest.approx(0.8 * math.pi / 3.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("sigma_deg", [90.0, -1.0, 181.0, math.nan])
-def test_an_incidence_that_is_none_is_refused(sigma_deg: float) -> None:
+def test_an_invalid_incidence_is_refused(sigma_deg: float) -> None:
     with pytest.raises(ValueError, match="sigma_deg"):
         albedo(lambertian(), sigma_deg)

@@ -1,4 +1,4 @@
-"""Front and back, reflected and transmitted, turned and exchanged: how values go over into each other."""
+"""Front and back, reflection and transmission, turned samples, exchanged directions: relations between values."""
 
 import math
 
@@ -35,14 +35,14 @@ models = st.sampled_from(FRONT)
 
 @settings(deadline=None)
 @given(models, directions, directions)
-def test_light_from_the_back_meets_the_sample_turned_about_x(model: Scatterer, light: Floats, observer: Floats) -> None:
+def test_light_from_the_back_is_light_on_the_sample_turned_about_x(model: Scatterer, light: Floats, observer: Floats) -> None:
     turned = evaluate(combine_sides(back_reflection=model), flipped(light, -1, False), flipped(observer, -1, False))
     assert turned == evaluate(model, light, observer)
 
 
 @settings(deadline=None)
 @given(models, directions, directions)
-def test_a_transmitted_direction_is_a_reflected_one_mirrored_in_the_sheet(
+def test_a_transmitted_direction_is_a_reflected_one_mirrored_in_the_sample(
     model: Scatterer, light: Floats, observer: Floats
 ) -> None:
     front = combine_sides(front_transmission=model)
@@ -54,21 +54,21 @@ def test_a_transmitted_direction_is_a_reflected_one_mirrored_in_the_sheet(
 
 @settings(deadline=None)
 @given(models, directions, directions, st.floats(0.0, 360.0))
-def test_a_turned_sample_under_turned_light_is_the_same(
+def test_a_turned_sample_with_turned_directions_has_the_same_value(
     model: Scatterer, light: Floats, observer: Floats, gamma: float
 ) -> None:
     cos, sin = math.cos(math.radians(gamma)), math.sin(math.radians(gamma))
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     if abs(light[2]) > 1.0 - 1e-9 or min(abs(light[2]), abs(observer[2])) < 1e-9:
-        # The azimuth of light on the normal is nobody's, and rounding may move a direction through the sample's plane.
+        # Light along the normal has no azimuth, and rounding may move a direction through the sample's plane.
         return
     if min(abs(light[0]), abs(light[1])) < 1e-9:
-        return  # on an axis of symmetry, on either side of which a table of random numbers contradicts itself
+        return  # on an axis of symmetry a table of random numbers is discontinuous
     there = evaluate(model, turn @ light, turn @ observer, gamma_deg=gamma)
     assert there == pytest.approx(float(evaluate(model, light, observer)), rel=1e-6, abs=1e-9)
 
 
-def test_gamma_changes_what_an_anisotropic_sample_shows_and_nothing_of_the_others() -> None:
+def test_gamma_changes_anisotropic_samples_only() -> None:
     light, observer = light_direction(30.0), from_specular(30.0, 20.0, [10.0, 130.0, 250.0])
     for model in FRONT:
         changed = not np.allclose(evaluate(model, light, observer, gamma_deg=50.0), evaluate(model, light, observer))
@@ -89,7 +89,7 @@ RECIPROCAL = [
 
 @settings(deadline=None)
 @given(st.sampled_from(RECIPROCAL), directions, directions)
-def test_light_may_go_either_way(model: Scatterer, light: Floats, observer: Floats) -> None:
+def test_reciprocal_models_are_symmetric_in_light_and_observer(model: Scatterer, light: Floats, observer: Floats) -> None:
     forth, back = float(evaluate(model, light, observer)), float(evaluate(model, observer, light))
     assert forth == pytest.approx(back, rel=1e-6, abs=1e-30)
 
@@ -98,14 +98,14 @@ def test_light_may_go_either_way(model: Scatterer, light: Floats, observer: Floa
     "model", [gaussian(20.0, quantity="intensity"), gaussian(20.0, transmits=True, refraction=1.5, side="both"), TABLE],
     ids=named,
 )  # fmt: skip
-def test_of_other_models_this_cannot_be_said(model: Scatterer) -> None:
+def test_other_models_are_not_reciprocal(model: Scatterer) -> None:
     light, observer = from_specular(0.0, 20.0, 0.0), from_specular(0.0, 50.0, 180.0)
     if model.lobes[0].transmits:
         observer = observer * [1.0, 1.0, -1.0]
     assert evaluate(model, light, observer) != pytest.approx(float(evaluate(model, observer, light)), rel=1e-3)
 
 
-def test_each_way_of_the_light_has_its_own_model() -> None:
+def test_each_pair_of_sides_has_its_own_model() -> None:
     sheet = combine_sides(lambertian(0.1), lambertian(0.2), lambertian(0.3), lambertian(0.4))
     shares = [albedo(sheet, sigma, transmitted) for sigma in (20.0, 160.0) for transmitted in (False, True)]
     assert shares == pytest.approx([0.1, 0.2, 0.3, 0.4], rel=1e-6)
@@ -114,13 +114,13 @@ def test_each_way_of_the_light_has_its_own_model() -> None:
     assert values == pytest.approx([0.1, 0.2, 0.3, 0.4])
 
 
-def test_a_lobe_that_transmits_goes_straight_through_from_either_side() -> None:
+def test_a_transmitted_lobe_goes_straight_through_from_either_side() -> None:
     sheet = gaussian(1.0, peak=1.0, transmits=True, side="both")
     for sigma in (0.0, 25.0, 60.0, 100.0, 150.0, 180.0):
         assert evaluate(sheet, light_direction(sigma), -light_direction(sigma)) == pytest.approx(1.0)
 
 
-def test_a_model_of_another_side_is_not_moved_in_silence() -> None:
+def test_a_model_of_another_side_is_refused() -> None:
     bent = gaussian(5.0, transmits=True, refraction=1.5)
     assert albedo(combine_sides(back_transmission=bent), 150.0, transmitted=True) > 0.0
     with pytest.raises(ValueError, match="front_reflection has a lobe that transmits light from the front"):

@@ -1,4 +1,4 @@
-"""Samples in colour: linear between the wavelengths, each part of a sum with its own spectrum."""
+"""Samples with spectra: linear between the wavelengths, each part of a sum with its own spectrum."""
 
 import math
 from typing import Any
@@ -31,7 +31,7 @@ def seen(model: Scatterer, wavelength_nm: float | None = None) -> float:
 
 @settings(deadline=None)
 @given(wavelengths)
-def test_a_coloured_sample_is_the_grey_one_times_its_factor(wavelength_nm: float) -> None:
+def test_a_spectral_sample_is_the_grey_one_times_its_factor(wavelength_nm: float) -> None:
     nm, factors = [400.0, 500.0, 700.0], [0.2, 1.0, 0.5]
     factor = np.interp(wavelength_nm, nm, factors)
     assert seen(apply_spectrum(nm, factors, GREY), wavelength_nm) == pytest.approx(factor * seen(GREY))
@@ -39,7 +39,7 @@ def test_a_coloured_sample_is_the_grey_one_times_its_factor(wavelength_nm: float
 
 @settings(deadline=None)
 @given(wavelengths)
-def test_in_a_sum_each_part_keeps_its_spectrum(wavelength_nm: float) -> None:
+def test_each_part_of_a_sum_keeps_its_spectrum(wavelength_nm: float) -> None:
     red, blue = (
         apply_spectrum([600.0, 700.0], [0.0, 1.0], lambertian(0.3)),
         apply_spectrum([450.0, 650.0], [1.0, 0.2], gaussian(9.0)),
@@ -50,7 +50,7 @@ def test_in_a_sum_each_part_keeps_its_spectrum(wavelength_nm: float) -> None:
 
 @settings(deadline=None)
 @given(wavelengths)
-def test_a_spectral_table_is_linear_between_its_wavelengths_and_holds_its_ends(wavelength_nm: float) -> None:
+def test_a_spectral_table_is_linear_between_wavelengths_and_constant_beyond(wavelength_nm: float) -> None:
     values = np.array([1.0, 3.0, 2.0])[:, None, None, None] * np.ones((3, 2, 1, 2))
     table = spectral_table([400.0, 500.0, 700.0], [0.0, 60.0], [0.0], [0.0, 90.0], values)
     assert seen(table, wavelength_nm) == pytest.approx(np.interp(wavelength_nm, [400.0, 500.0, 700.0], [1.0, 3.0, 2.0]))
@@ -74,7 +74,7 @@ def test_weights_are_one_without_a_spectrum_and_given_for_many_wavelengths_at_on
     assert coloured.weights([400.0, 450.0, 800.0]) == pytest.approx(np.array([[0.0, 0.25, 1.0], [1.0, 1.0, 1.0]]))
 
 
-def test_a_coloured_sample_has_to_be_told_the_wavelength() -> None:
+def test_a_spectral_sample_needs_a_wavelength() -> None:
     with pytest.raises(ValueError, match="wavelength_nm is missing"):
         seen(apply_spectrum([400.0, 700.0], [0.1, 0.2], GREY))
     for wrong in (-5.0, 0.0, math.nan):
@@ -83,7 +83,7 @@ def test_a_coloured_sample_has_to_be_told_the_wavelength() -> None:
 
 
 @pytest.mark.parametrize(
-    ("nm", "factors", "says"),
+    ("nm", "factors", "message"),
     [
         ([500.0, 400.0], [1.0, 1.0], "wavelengths_nm is not ascending"),
         ([400.0, 400.0], [1.0, 1.0], "wavelengths_nm is not ascending"),
@@ -95,17 +95,17 @@ def test_a_coloured_sample_has_to_be_told_the_wavelength() -> None:
         ([], [], "give a list of at least one"),
     ],
 )
-def test_a_spectrum_that_is_none_is_refused(nm: Any, factors: Any, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_an_invalid_spectrum_is_refused(nm: Any, factors: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         apply_spectrum(nm, factors, GREY)
 
 
-def test_what_has_a_spectrum_gets_no_second_one() -> None:
+def test_a_second_spectrum_is_refused() -> None:
     with pytest.raises(ValueError, match="depends on the wavelength already"):
         apply_spectrum([400.0], [0.5], apply_spectrum([400.0], [0.5], GREY))
 
 
-def test_a_hole_in_a_spectral_table_is_named_with_its_wavelength() -> None:
+def test_a_hole_in_a_spectral_table_is_reported_with_its_wavelength() -> None:
     values = np.ones((2, 1, 1, 2))
     values[1, 0, 0, 1] = math.nan
     with pytest.raises(ValueError, match="at 500 nm: values has nan at sigma 0, phi 0, theta 90"):
@@ -116,6 +116,6 @@ def test_a_hole_in_a_spectral_table_is_named_with_its_wavelength() -> None:
         spectral_table([500.0, 400.0], [0.0], [0.0], [0.0, 90.0], np.ones((2, 1, 1, 2)))
 
 
-def test_a_sum_of_nothing_is_no_sample() -> None:
+def test_a_sum_of_no_samples_is_refused() -> None:
     with pytest.raises(ValueError, match="scatterers is empty"):
         sum_samples()

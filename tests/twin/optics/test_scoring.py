@@ -1,4 +1,4 @@
-"""The look-up from directions to detectors finds every detector that counts a ray, and no other."""
+"""The look-up from directions to detectors finds exactly the detectors that count a ray."""
 
 import math
 from typing import Any
@@ -17,8 +17,8 @@ def random_directions(count: int, seed: int) -> Floats:
     return unit
 
 
-def counted(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float, places: Floats, rays: Floats) -> Any:
-    """For rays (m, 3) from `places`, whether each of the detectors (n,) counts it: (m, n), plainly."""
+def expected_counts(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float, places: Floats, rays: Floats) -> Any:
+    """For rays (m, 3) from `places`, whether each of the detectors (n,) counts it, by direct evaluation: (m, n)."""
     along = rays @ axes.T
     distance = ((centres - places[:, None]) * axes).sum(axis=2) / along
     off = places[:, None] + distance[..., None] * rays[:, None] - centres
@@ -30,19 +30,19 @@ def counted(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float,
     ("field_deg", "count"),
     [(0.5, 1000), pytest.param(0.5, 4000, marks=pytest.mark.long), (2.5, 400), (20.0, 100), (90.0, 40), (179.0, 10)],
 )
-def test_every_ray_is_counted_by_those_that_see_it(field_deg: float, count: int) -> None:
+def test_every_ray_is_counted_by_the_detectors_in_whose_cone_and_disc_it_is(field_deg: float, count: int) -> None:
     axes = random_directions(count, 1)
     axes[:6] = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0.6, -0.8, 0]])
     centres, diameter_mm = 300.0 * axes, 6.0 + 12.0 * field_deg
-    # Half of the rays go about where a detector looks.
+    # Half of the rays are close to the axis of a detector.
     rays = random_directions(BLOCK, 2)
     rays[::2] = axes[np.arange(BLOCK // 2) % count] + 0.6 * math.radians(field_deg) * random_directions(BLOCK // 2, 3)
     rays = (rays / np.linalg.norm(rays, axis=1)[:, None]).astype(np.float32).astype(np.float64)
     places = np.column_stack([np.random.default_rng(4).uniform(-2.5, 2.5, (BLOCK, 2)).astype(np.float32), np.zeros(BLOCK)])
     found = make_targets(centres, axes, field_deg, diameter_mm)
-    expected = counted(centres, axes, field_deg, diameter_mm, places, rays)
-    surely = expected == counted(centres, axes, field_deg * 0.99999, diameter_mm - 1e-3, places, rays)
-    surely &= expected == counted(centres, axes, field_deg * 1.00001, diameter_mm + 1e-3, places, rays)
+    expected = expected_counts(centres, axes, field_deg, diameter_mm, places, rays)
+    surely = expected == expected_counts(centres, axes, field_deg * 0.99999, diameter_mm - 1e-3, places, rays)
+    surely &= expected == expected_counts(centres, axes, field_deg * 1.00001, diameter_mm + 1e-3, places, rays)
     assert np.count_nonzero(expected) > 200
     assert np.mean(surely) > 0.999
 
@@ -65,7 +65,7 @@ def test_every_ray_is_counted_by_those_that_see_it(field_deg: float, count: int)
     assert np.all(np.abs(sums[:, 2] - expected.sum(axis=0)) <= unsure)
 
 
-def test_a_ray_that_is_stopped_before_a_detector_is_not_counted() -> None:
+def test_a_ray_that_is_blocked_before_a_detector_is_not_counted() -> None:
     axes = np.array([[0.0, 0.0, 1.0]])
     found, sums = make_targets(300.0 * axes, axes, 1.0, 5.0), np.zeros((1, 4))
     for stop, counts in ((299.0, 0.0), (301.0, 1.0)):

@@ -1,4 +1,6 @@
-"""The forward estimator with real sensors: against the simplified detectors, and against plain Monte Carlo written here."""
+"""The forward estimator with real sensors: compared with the simplified detectors, and with a plain Monte Carlo in
+this file.
+"""
 
 import math
 from dataclasses import replace
@@ -7,7 +9,7 @@ import numba
 import numpy as np
 import pytest
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import (
     Deviation,
     Estimate,
@@ -41,14 +43,14 @@ POLAR_DEG, AZIMUTH_DEG = np.linspace(8.0, 70.0, 24), np.arange(24) * 137.5077640
 
 
 def sides_of(directions: Floats) -> tuple[Floats, Floats]:
-    """Along the arc, away from the sample's normal, and across it, (n, 3) each."""
+    """Unit vectors along the arc, away from the sample's normal, and across it, (n, 3) each."""
     across = np.cross([0.0, 0.0, 1.0], directions)
     across /= np.linalg.norm(across, axis=1)[:, None]
     return np.cross(across, directions), across
 
 
-def taken(sensor: RealSensor, place: Floats, slope: Floats) -> np.ndarray:
-    """Whether rays (..., 2) reach the detector, told by where in the focal plane all rays of their slope meet."""
+def accepted(sensor: RealSensor, place: Floats, slope: Floats) -> Flags:
+    """Whether rays (..., 2) reach the detector, from the common point in the focal plane of all rays of their slope."""
     focus = sensor.focal_length_mm * slope
     aside = {z: place + (focus - place) * (z / sensor.focal_length_mm) for z in (sensor.diaphragm_mm, sensor.detector_mm)}
     through = np.hypot(*np.moveaxis(aside[sensor.diaphragm_mm], -1, 0)) <= 0.5 * sensor.aperture_mm
@@ -62,10 +64,10 @@ def on_a_disc(random: np.random.Generator, count: int) -> Floats:
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
-def plainly(
+def plain_monte_carlo(
     instrument: Instrument, sensor: RealSensor, sigma_deg: float, directions: Floats, scatterer: Scatterer, count: int = 60_000
 ) -> tuple[Floats, Floats]:
-    """Throughput (n,), m^2 sr, and its error, of detectors in `directions` (n, 3): points of pupil, hole and lens at random."""
+    """Throughput (n,), m^2 sr, and its error, of detectors in `directions` (n, 3): random points of pupil, hole and lens."""
     random = np.random.Generator(np.random.Philox(17))
     towards = light_direction(sigma_deg)
     across = np.stack([np.array([0.0, 1.0, 0.0]), np.cross(towards, [0.0, 1.0, 0.0])])
@@ -82,7 +84,7 @@ def plainly(
         light, view = light / far[:, None], view / near[:, None]
         slope = np.stack([view @ side, view @ other], axis=1) / (view @ axis)[:, None]
         weight = light[:, 2] * (light @ towards) / far**2 * view[:, 2] * (view @ axis) / near**2
-        weight = weight * evaluate(scatterer, light, view) * taken(sensor, place, slope)
+        weight = weight * evaluate(scatterer, light, view) * accepted(sensor, place, slope)
         means.append(weight.mean())
         errors.append(weight.std() / math.sqrt(count))
     scale = instrument.mirror_reflectance**3 * areas * 1e-6  # type: ignore[operator]
@@ -90,7 +92,7 @@ def plainly(
 
 
 def directions(scatterer: Scatterer, sigma_deg: float) -> Floats:
-    """Where a lobe has its light, or all over."""
+    """Directions about a lobe, or over the hemisphere."""
     if scatterer.name == lambertian().name:
         return arc_direction(POLAR_DEG, AZIMUTH_DEG)
     return from_specular(sigma_deg, np.linspace(2.0, 16.0, 24), np.arange(24) * 50.0)
@@ -100,7 +102,7 @@ def directions(scatterer: Scatterer, sigma_deg: float) -> Floats:
 @pytest.mark.parametrize("sigma_deg", [30.0, 60.0])
 @pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=named)
 @pytest.mark.parametrize("sensor", [WIDE, RealSensor()], ids=["wide", "default"])
-def test_simple_sensors_get_what_the_simplified_detectors_get(
+def test_simple_sensors_agree_with_the_simplified_detectors(
     sensor: RealSensor, scatterer: Scatterer, sigma_deg: float, part: int
 ) -> None:
     instrument, seen = Instrument(sensor=sensor), directions(scatterer, sigma_deg)
@@ -114,12 +116,12 @@ def test_simple_sensors_get_what_the_simplified_detectors_get(
 @parted(2)
 @pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=named)
 @pytest.mark.parametrize("sensor", NOT_SIMPLE.values(), ids=NOT_SIMPLE)
-def test_what_is_not_simple_gets_what_plain_monte_carlo_says(sensor: RealSensor, scatterer: Scatterer, part: int) -> None:
+def test_other_sensors_agree_with_plain_monte_carlo(sensor: RealSensor, scatterer: Scatterer, part: int) -> None:
     instrument = Instrument(sensor=sensor, obstruction=False)
     seen = directions(scatterer, 30.0)
     found = forward_throughput(instrument, 30.0, seen, scatterer, 10_000_000 // part, seed=3)
-    agree(found.single_m2sr, found.single_error, *plainly(instrument, sensor, 30.0, seen, scatterer, 60_000 // part))
-    # The disc and cone that one might take it for are another thing.
+    agree(found.single_m2sr, found.single_error, *plain_monte_carlo(instrument, sensor, 30.0, seen, scatterer, 60_000 // part))
+    # A disc and cone of the same dimensions give another result.
     virtual = forward_throughput(replace(instrument, sensor=None), 30.0, seen, scatterer, 10_000_000 // part, seed=4)
     error = math.hypot(*(np.linalg.norm(each.single_error) for each in (found, virtual)))
     assert abs(found.single_m2sr.sum() - virtual.single_m2sr.sum()) > 10.0 * error
@@ -129,23 +131,23 @@ def test_plain_monte_carlo_agrees_with_the_simplified_detectors_too() -> None:
     instrument = Instrument(sensor=WIDE, obstruction=False)
     seen = directions(lambertian(), 60.0)
     virtual = forward_throughput(instrument.simplified(), 60.0, seen, lambertian(), 6_000_000, seed=5)
-    agree(virtual.single_m2sr, virtual.single_error, *plainly(instrument, WIDE, 60.0, seen, lambertian()))
+    agree(virtual.single_m2sr, virtual.single_error, *plain_monte_carlo(instrument, WIDE, 60.0, seen, lambertian()))
 
 
 @pytest.mark.parametrize("sensor", ALL.values(), ids=ALL)
-def test_every_ray_is_counted_by_the_sensors_that_it_passes(sensor: RealSensor) -> None:
+def test_every_ray_is_counted_by_exactly_the_sensors_that_it_passes(sensor: RealSensor) -> None:
     random = np.random.Generator(np.random.Philox(2))
     axes = arc_direction(POLAR_DEG, AZIMUTH_DEG)
     axes[::2] *= -1.0
     along, level = sides_of(axes)
-    # From the hole to a sensor, so near that all its field is needed.
+    # From the hole to a sensor, so close that its whole field is needed.
     centres, which = 120.0 * axes, np.arange(BLOCK) % len(axes)
     places = np.column_stack([random.uniform(-2.5, 2.5, (BLOCK, 2)), np.zeros(BLOCK)]).astype(np.float32).astype(np.float64)
     on_the_lens = 7.0 * random.uniform(-1.0, 1.0, (2, BLOCK, 1)) ** 3
     rays = centres[which] + on_the_lens[0] * along[which] + on_the_lens[1] * level[which] - places
     rays = (rays / np.linalg.norm(rays, axis=1)[:, None]).astype(np.float32).astype(np.float64)
 
-    def expected(change: float) -> np.ndarray:
+    def expected(change: float) -> Flags:
         changed = replace(
             sensor, lens_diameter_mm=sensor.lens_diameter_mm + change, aperture_mm=sensor.aperture_mm + change,
             detector_side_mm=sensor.detector_side_mm + change,
@@ -155,7 +157,7 @@ def test_every_ray_is_counted_by_the_sensors_that_it_passes(sensor: RealSensor) 
         off = places[:, None] + distance[..., None] * rays[:, None] - centres
         place = np.stack([(off * side).sum(axis=2) for side in (along, level)], axis=2)
         slope = np.stack([rays @ side.T / ahead for side in (along, level)], axis=2)
-        return np.asarray(taken(changed, place, slope) & (distance > 0.0))
+        return np.asarray(accepted(changed, place, slope) & (distance > 0.0))
 
     surely, unsure = expected(0.0), np.count_nonzero(expected(1e-4) != expected(-1e-4), axis=0)
     assert np.count_nonzero(surely) > 100
@@ -175,7 +177,7 @@ def test_every_ray_is_counted_by_the_sensors_that_it_passes(sensor: RealSensor) 
         assert np.all(np.abs(sums[:, column] - surely.sum(axis=0)) <= unsure)
 
 
-def test_what_stops_a_ray_before_the_lens_stops_it() -> None:
+def test_a_ray_that_is_blocked_before_the_lens_is_not_counted() -> None:
     axes, sums = np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 4))
     found = make_sensor_targets(300.0 * axes, axes, np.array([[1.0, 0.0, 0.0]]), RealSensor())
     for stop, counts in ((299.0, 0.0), (301.0, 1.0)):
@@ -199,8 +201,8 @@ def test_the_sides_of_the_square_lie_along_and_across_the_arc(sigma_deg: float, 
     assert setting.targets.frames[listed, 6:9] == pytest.approx(expected[numbers[listed]], abs=1e-6)
 
 
-def test_a_sensor_that_is_shifted_sees_another_part_of_the_spot() -> None:
-    # By half of the spot and all of the lens' radius: nothing on the axis is left.
+def test_a_shifted_sensor_sees_another_part_of_the_spot() -> None:
+    # By half of the spot and the lens' radius: no light on the axis is left.
     aside = {"sensor": Deviation(x_mm=30.0)}
     found = forward_throughput(
         Instrument(sensor=SMALL, deviations=aside), 30.0, arc_direction([50.0], [90.0]), lambertian(), 200_000
@@ -208,7 +210,7 @@ def test_a_sensor_that_is_shifted_sees_another_part_of_the_spot() -> None:
     assert found.single_m2sr[0] == 0.0
 
 
-def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads() -> None:
+def test_results_are_bit_identical_for_one_seed_and_any_number_of_threads() -> None:
     instrument, seen = Instrument(sensor=SMALL), directions(gaussian(8.0), 30.0)
     threads, found = numba.get_num_threads(), list[Estimate]()
     try:
@@ -222,7 +224,7 @@ def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads() -> None:
     assert np.any(found[0].stray_m2sr > 0.0)
 
 
-def test_no_detectors_get_nothing() -> None:
+def test_without_detectors_the_result_is_empty() -> None:
     assert forward_throughput(Instrument(sensor=WIDE), 30.0, np.zeros((0, 3)), lambertian(), BLOCK).throughput_m2sr.shape == (
         0,
     )

@@ -1,4 +1,4 @@
-"""Spectra and what a monochromator lets pass of them."""
+"""Spectra of lamps and the passband of a monochromator."""
 
 import numpy as np
 import pytest
@@ -22,14 +22,14 @@ def test_the_xenon_lamp_has_its_luminous_flux_and_a_flat_visible_spectrum() -> N
     assert visible.max() / visible.mean() < 1.25
 
 
-def test_without_an_interval_the_band_is_a_triangle_as_wide_at_half_its_height_as_the_bandwidth() -> None:
+def test_without_an_interval_the_band_is_a_triangle_with_the_bandwidth_as_its_half_width() -> None:
     band = Passband(555.0, 0.0, 5.0)
     assert list(band.transmittance([549.0, 550.0, 552.5, 555.0, 557.5, 560.0])) == [0.0, 0.0, 0.5, 1.0, 0.5, 0.0]
     # The area of a triangle.
     assert band.flux(Spectrum(np.array([300.0, 900.0]), np.array([2.0, 2.0]))) == pytest.approx(10.0)
 
 
-def test_an_interval_is_passed_whole() -> None:
+def test_the_transmittance_of_an_interval_is_one() -> None:
     band = Passband(580.0, 400.0, 1.0)
     flat = Spectrum(np.array([300.0, 900.0]), np.array([2.0, 2.0]))
     assert band.flux(flat) == pytest.approx(2.0 * 401.0)
@@ -44,9 +44,9 @@ def test_the_flux_that_passes_is_the_integral(centre: float, interval: float, wi
     assert band.flux(lamp) == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
-def test_wavelengths_are_distributed_as_what_passes() -> None:
+def test_wavelengths_are_distributed_as_the_passing_flux() -> None:
     drawn = Passband(555.0, 0.0, 5.0).sample(xenon_spectrum(), (np.arange(10_000) + 0.5) / 10_000)
-    # A triangle's variance is a sixth of the square of its half width.
+    # The variance of a triangle is the square of its half width over six.
     assert drawn.mean() == pytest.approx(555.0, abs=0.01)
     assert drawn.std() == pytest.approx(5.0 / np.sqrt(6.0), rel=1e-3)
 
@@ -63,7 +63,7 @@ def test_wavelengths_are_distributed_as_what_passes() -> None:
         ([np.nan, 500.0], [1.0, 1.0], "ascend"),
     ],
 )
-def test_a_table_that_is_no_spectrum_is_refused(wavelength: list[float], flux: list[float], wrong: str) -> None:
+def test_an_invalid_spectrum_is_refused(wavelength: list[float], flux: list[float], wrong: str) -> None:
     with pytest.raises(ValueError, match=wrong):
         Spectrum(np.array(wavelength), np.array(flux))
 

@@ -1,9 +1,9 @@
-"""What was when."""
+"""History of a quantity: values in the past, overwritten values, limited memory."""
 
 from goniotwin.twin.plant.history import History
 
 
-def test_the_past_is_known() -> None:
+def test_values_at_earlier_times_are_available() -> None:
     line = History("a")
     line.set(1.0, "b")
     line.set(2.0, "c")
@@ -12,16 +12,16 @@ def test_the_past_is_known() -> None:
     assert line.before(1.5) == ("a", 0.5)
 
 
-def test_a_new_command_takes_back_what_was_to_come() -> None:
+def test_a_new_value_replaces_values_set_for_later_times() -> None:
     line = History(0.0)
     line.set(5.0, 500.0)
     line.set(3.0, 300.0)
     assert line.at(10.0) == 300.0
 
 
-def test_memory_is_bounded() -> None:
+def test_the_number_of_stored_values_is_limited() -> None:
     line = History(0, keep=8)
     for k in range(1000):
         line.set(float(k), k)
     assert line.at(999.0) == 999
-    assert line.at(0.0) == 992  # the oldest kept
+    assert line.at(0.0) == 992  # the oldest stored value
