@@ -15,7 +15,7 @@ from goniotwin.mocks.transcript import read_transcript
 from tests.conftest import Change, Writer
 from tests.mocks.replay_bench import RTU, TCP, RigMaker, session, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
-from tests.system.test_command import CALLS, Call
+from tests.system.command import CALLS, Call
 
 # Units 20 to 24, where the twin's are 1 to 5.
 REAL_LINE: tuple[Change, ...] = tuple((f'"twin://virtual/adc-{k}"', f'"rtu:COM7?unit={k + 20}"') for k in range(5))
@@ -54,7 +54,7 @@ def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, writ
     first, request, was, now, last = done.stdout.splitlines()
     byte = r"byte \d+: [0-9a-f]{2} recorded, [0-9a-f]{2} now"
     assert re.fullmatch(rf"monitor.txt, line \d+, from the device: {byte}(; {byte})*", first)
-    assert re.fullmatch(r" +request +02 .* 00  \| transfer \d+: up to 4096 bytes, please", request)
+    assert re.fullmatch(r" +request +02 .* 00  \| transfer \d+: up to 4096 bytes requested", request)
     assert re.fullmatch(r" +recorded +02 .*  \| transfer \d+: '1\.\d{8}E-07\\n'", was)
     assert re.fullmatch(r" +now +02 .*  \| transfer \d+: '1\.\d{8}E-11\\n'", now)
     assert re.fullmatch(r"1 difference in \d+ requests: monitor.txt", last)

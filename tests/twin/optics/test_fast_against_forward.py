@@ -193,10 +193,10 @@ def test_both_agree_for_a_mirror_and_the_open_beam(sigma_deg: float, scatterer: 
 def measured_paint() -> Scatterer:
     """Table of the black paint, for light from either side; the data are not in this repository."""
     if not MEASURED.is_file():
-        pytest.skip(f"the measured_paint paint is not there: {MEASURED}")
-    from goniotwin.app.rig.samples import MeasuredTable, scatterer
+        pytest.skip(f"the measured paint is not there: {MEASURED}")
+    from goniotwin.app.rig.samples import MeasuredTable, sample_scatterer
 
-    return scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
+    return sample_scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
 
 
 @parted(16)

@@ -1,4 +1,4 @@
-"""Regular reflection and transmission: the pupil's image compared with closed forms and with monte_carlo rays."""
+"""Regular reflection and transmission: the pupil's image compared with closed forms and with drawn rays."""
 
 import math
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
@@ -71,7 +71,7 @@ def test_no_plan_beats_the_least(text: str, rig: RigDescription) -> None:
     try:
         plan = planned(text, rig)
     except UserError as error:
-        assert "the arc would meet the incoming beam" in str(error)  # noqa: PT017
+        assert "the arc would collide with the incoming beam" in str(error)  # noqa: PT017
         return
     assert plan.lower_bound_s <= plan.seconds
     previous = None
@@ -120,7 +120,7 @@ def ages(plan: Plan) -> dict[str, float]:
 
 
 def warned(plan: Plan) -> bool:
-    return any("a dark gets" in each for each in checked_plan(plan)["warnings"])
+    return any("a dark gets" in each for each in check_plan(plan)["warnings"])
 
 
 def test_before_the_first_dark_none_gets_old() -> None:

@@ -1,0 +1,81 @@
+"""Summaries of campaigns: how each journal of a folder ended, and how many rows are left."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.lock import holder_of
+
+SUFFIX = ".journal"
+
+
+@dataclass(frozen=True)
+class CampaignSummary:
+    """A journal in short; the fields are the keys of the JSON output.
+
+    `state`: "done", "stopped" or "failed" as the last session recorded it; "killed" where the last session has no end;
+    "running" while a program has the journal open; "empty" before the first session. `rows` counts the measured planned rows,
+    `skipped` those that were skipped because of faults and not repeated since. `seconds` is the duration so far and
+    `seconds_left` the estimated duration of the rows that are left, skipped ones included; both on the rig's clock.
+    """
+
+    journal: str
+    name: str
+    state: str
+    rows: int
+    skipped: int
+    planned: int
+    seconds: float
+    seconds_left: float
+    simulated: bool
+    begun: str | None
+    ended: str | None
+    sessions: int
+    faults: list[str]
+
+    def as_dict(self) -> dict[str, object]:
+        """The summary as a dictionary, for JSON."""
+        return asdict(self)
+
+
+def campaign_summary(path: Path) -> CampaignSummary:
+    """The summary of one journal. Raises UserError for a file that is not a journal, or is damaged."""
+    held = holder_of(str(path.absolute()))
+    with Journal.open(path) as journal:
+        sessions = journal.sessions()
+        done = journal.committed_numbers()
+        planned = journal.planned_rows()
+        left = [row for row in planned if row.number not in done]
+        last = sessions[-1] if sessions else None
+        return CampaignSummary(
+            journal=str(path),
+            name=journal.value("name"),
+            state="running" if held else "empty" if last is None else last.outcome or "killed",
+            rows=len(planned) - len(left),
+            skipped=len(journal.skipped_numbers()),
+            planned=len(planned),
+            seconds=journal.seconds,
+            seconds_left=sum(row.seconds for row in left),
+            simulated=journal.simulated,
+            begun=sessions[0].wall_started if sessions else None,
+            ended=last.wall_ended if last is not None and not held else None,
+            sessions=len(sessions),
+            faults=journal.faults(),
+        )
+
+
+def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
+    """Summaries of all `.journal` files of a folder, by name, and an error message for each that cannot be read.
+
+    Raises UserError where the folder does not exist.
+    """
+    if not folder.is_dir():
+        raise UserError(f"{folder}: there is no such folder; give the folder of the journals")
+    summaries, errors = [], []
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        try:
+            summaries.append(campaign_summary(path))
+        except UserError as error:
+            errors.append(str(error))
+    return summaries, errors
