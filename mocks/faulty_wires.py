@@ -6,8 +6,8 @@
     {"do": "unplug", "device": "monitor"}          {"do": "replug", "device": "monitor", "reset": true}
 
 Without `kinds` a wire has all faults that its bus can have; their names are those of `mocks.faults.Fault`, in small
-letters. Of `exchanges` from now on the `share` fails. The answer lists the faults that the order before it has `met`. A late reply
-comes after the driver has given up, and a plug that a fault has pulled is out for a second.
+letters. Of `exchanges` from now on the `share` fails. The answer lists the faults that the order before it has `met`. A late
+reply comes after the driver has given up, and a plug that a fault has pulled is out for a second.
 """
 
 from collections.abc import Callable
