@@ -61,12 +61,12 @@ COMBINED = [
 MODELS = [*SINGLE, *COMBINED]
 
 
-def named(scatterer: Scatterer) -> str:
+def model_name(scatterer: Scatterer) -> str:
     """Name of a model, for pytest."""
     return scatterer.name
 
 
-def flipped(vectors: Floats, incident: int, transmits: bool) -> Floats:
+def canonical_directions(vectors: Floats, incident: int, transmits: bool) -> Floats:
     """Observers' directions as seen by a reflecting lobe lit from the front (optics.md, section 2)."""
     turned = vectors * [1.0, incident, incident]
     return turned * [1.0, 1.0, -1.0] if transmits else turned

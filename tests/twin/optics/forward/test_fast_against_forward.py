@@ -24,7 +24,7 @@ from tests.sizes import parted
 from tests.twin.optics.agreement import agree
 from tests.twin.optics.models import ANISOTROPIC, TABLE
 
-MEASURED = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
+MEASURED = Path(__file__).resolve().parents[5] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
 SIGMA = [0.0, 30.0, 60.0, 80.0, 150.0]
 # Wide detectors, for many hits from few paths; mirrors and beam are the instrument's own.
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0, obstruction=False)

@@ -18,7 +18,7 @@ from goniotwin.twin.optics import (
     sum_samples,
     table_sample,
 )
-from tests.twin.optics.models import BRUSHED, TABLE, named
+from tests.twin.optics.models import BRUSHED, TABLE, model_name
 
 INCIDENCES = [0.0, 15.0, 45.0, 70.0, 85.0, 89.0]
 DEFAULTS = [
@@ -28,7 +28,7 @@ DEFAULTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("model", DEFAULTS, ids=named)
+@pytest.mark.parametrize("model", DEFAULTS, ids=model_name)
 def test_in_a_furnace_no_default_sample_is_brighter_than_the_walls(model: Scatterer) -> None:
     for sigma in INCIDENCES:
         assert albedo(model, sigma) <= 1.0 + 1e-9

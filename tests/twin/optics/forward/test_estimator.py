@@ -27,7 +27,7 @@ from goniotwin.twin.optics import (
 from goniotwin.twin.optics.forward.paths import BLOCK
 from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.sizes import parted
-from tests.twin.optics.models import MODELS, named
+from tests.twin.optics.models import MODELS, model_name
 
 REFLECTED = 0.95**3
 PUPIL_SINE2 = math.sin(math.atan(5.0 / 800.0)) ** 2
@@ -71,7 +71,7 @@ def test_a_small_detector_in_the_open_beam_receives_the_pupils_radiance(part: in
 
 
 @parted(4)
-@pytest.mark.parametrize("scatterer", MODELS, ids=named)
+@pytest.mark.parametrize("scatterer", MODELS, ids=model_name)
 @pytest.mark.parametrize("sigma_deg", [25.0, 140.0])
 def test_the_scattered_flux_is_the_albedo_times_the_incident_flux(scatterer: Scatterer, sigma_deg: float, part: int) -> None:
     arriving = forward_throughput(ALL, sigma_deg, [UP, DOWN], None, 300_000 // part, seed=4).single_m2sr.sum()
@@ -151,7 +151,7 @@ def fields(found: Any) -> list[Floats]:
     return [found.throughput_m2sr, found.standard_error, found.stray_m2sr, found.stray_error]
 
 
-@pytest.mark.parametrize("scatterer", [gaussian(5.0), MODELS[-1]], ids=named)
+@pytest.mark.parametrize("scatterer", [gaussian(5.0), MODELS[-1]], ids=model_name)
 def test_results_are_bit_identical_for_one_seed_and_any_number_of_threads(scatterer: Scatterer) -> None:
     directions, paths = spread_out(100), 4 * CHUNK + 77
     threads, found = numba.get_num_threads(), []

@@ -18,7 +18,7 @@ from goniotwin.twin.optics import (
     light_direction,
     regular,
 )
-from tests.twin.optics.models import SINGLE, named
+from tests.twin.optics.models import SINGLE, model_name
 
 
 def test_the_ideal_diffuser_has_a_luminance_factor_of_one_everywhere() -> None:
@@ -65,7 +65,7 @@ def test_the_axis_of_a_refracted_lobe_follows_snells_law(sigma: float, azimuth: 
     assert evaluate(lobe, light, axis) == pytest.approx(1.0, rel=1e-9)
 
 
-@pytest.mark.parametrize("model", SINGLE, ids=named)
+@pytest.mark.parametrize("model", SINGLE, ids=model_name)
 def test_light_and_observers_behind_the_sample_give_zero(model: Scatterer) -> None:
     up, down = light_direction(30.0), light_direction(150.0)
     assert evaluate(model, up, down) == evaluate(model, down, up) == evaluate(model, down, down) == 0.0

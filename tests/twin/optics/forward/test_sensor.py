@@ -31,7 +31,7 @@ from goniotwin.twin.optics.forward.setting import set_up
 from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.sizes import parted
 from tests.twin.optics.agreement import agree
-from tests.twin.optics.models import named
+from tests.twin.optics.models import model_name
 
 WIDE = RealSensor(lens_diameter_mm=12.0, aperture_mm=1.05)
 OUT_OF_FOCUS = replace(WIDE, diaphragm_mm=15.0)
@@ -100,7 +100,7 @@ def directions(scatterer: Scatterer, sigma_deg: float) -> Floats:
 
 @parted(4)
 @pytest.mark.parametrize("sigma_deg", [30.0, 60.0])
-@pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=named)
+@pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=model_name)
 @pytest.mark.parametrize("sensor", [WIDE, RealSensor()], ids=["wide", "default"])
 def test_simple_sensors_agree_with_the_simplified_detectors(
     sensor: RealSensor, scatterer: Scatterer, sigma_deg: float, part: int
@@ -114,7 +114,7 @@ def test_simple_sensors_agree_with_the_simplified_detectors(
 
 
 @parted(2)
-@pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=named)
+@pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=model_name)
 @pytest.mark.parametrize("sensor", NOT_SIMPLE.values(), ids=NOT_SIMPLE)
 def test_other_sensors_agree_with_plain_monte_carlo(sensor: RealSensor, scatterer: Scatterer, part: int) -> None:
     instrument = Instrument(sensor=sensor, obstruction=False)

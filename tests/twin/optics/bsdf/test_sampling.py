@@ -24,7 +24,7 @@ from goniotwin.twin.optics import (
     to_specular,
 )
 from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
-from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, flipped, named
+from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, canonical_directions, model_name
 
 # At the edges of the tables' cells, where the density is discontinuous.
 THETA_EDGES = np.array([0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 90.0, 130.0, 180.0])
@@ -66,7 +66,7 @@ def too_large(chi2: float, freedom: int) -> bool:
     return (math.pow(chi2 / freedom, 1.0 / 3.0) - 1.0 + spread) / math.sqrt(spread) > 4.0
 
 
-@pytest.mark.parametrize("model", SINGLE, ids=named)
+@pytest.mark.parametrize("model", SINGLE, ids=model_name)
 def test_drawn_directions_follow_their_density(model: Scatterer) -> None:
     sigma_deg, count = 40.0, 40_000
     (lobe,), (x, y, z) = model.lobes, (float(c) for c in light_direction(sigma_deg))
@@ -90,17 +90,17 @@ def test_drawn_directions_follow_their_density(model: Scatterer) -> None:
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 35.0, 70.0, 140.0])
-@pytest.mark.parametrize("model", [m for m in MODELS if m.name != "with regular"], ids=named)
+@pytest.mark.parametrize("model", [m for m in MODELS if m.name != "with regular"], ids=model_name)
 def test_weights_in_each_part_of_the_sphere_sum_to_the_integral_of_the_value(model: Scatterer, sigma_deg: float) -> None:
     count, gamma_deg, light = 40_000, 25.0, light_direction(sigma_deg)
     directions, weights = draw_directions(model, light, np.random.default_rng(11).random((count, 4)), gamma_deg=gamma_deg)
     incident, polar = (1, sigma_deg) if sigma_deg < 90.0 else (-1, 180.0 - sigma_deg)
     places, deviations = bin_middles(polar), []
     for transmits in (False, True):
-        observers = flipped(places, incident, transmits)
+        observers = canonical_directions(places, incident, transmits)
         value = evaluate(model, light, observers, gamma_deg=gamma_deg) * np.abs(observers[..., 2])
         expected = integrals(polar, value * (places[..., 2] > 0.0))
-        above = flipped(directions, incident, transmits)
+        above = canonical_directions(directions, incident, transmits)
         mine = (above[:, 2] > 0.0) & (weights > 0.0)
         where, used = bins(polar, above[mine]), weights[mine]
         total, square, hits = (np.zeros((RINGS, SECTORS)) for _ in range(3))
@@ -125,7 +125,7 @@ def test_weights_in_each_part_of_the_sphere_sum_to_the_integral_of_the_value(mod
 
 @pytest.mark.parametrize("gamma_deg", [0.0, 77.0])
 @pytest.mark.parametrize("sigma_deg", [0.0, 30.0, 75.0, 110.0, 170.0])
-@pytest.mark.parametrize("model", MODELS, ids=named)
+@pytest.mark.parametrize("model", MODELS, ids=model_name)
 def test_the_mean_weight_is_the_albedo(model: Scatterer, sigma_deg: float, gamma_deg: float) -> None:
     count = 40_000
     light = light_direction(sigma_deg)
@@ -137,7 +137,7 @@ def test_the_mean_weight_is_the_albedo(model: Scatterer, sigma_deg: float, gamma
         assert mine.mean() == pytest.approx(albedo(model, sigma_deg, transmitted, gamma_deg=gamma_deg), abs=5 * error + 2e-6)
 
 
-@pytest.mark.parametrize("model", [gaussian(2.0), gaussian(5.0), gaussian(15.0), ANISOTROPIC, BRUSHED], ids=named)
+@pytest.mark.parametrize("model", [gaussian(2.0), gaussian(5.0), gaussian(15.0), ANISOTROPIC, BRUSHED], ids=model_name)
 def test_a_lobe_is_drawn_by_its_own_shape(model: Scatterer) -> None:
     _, weights = draw_directions(model, light_direction(30.0), np.random.default_rng(5).random((20_000, 4)))
     # By the cosine law alone a lobe of 5 deg has 11 times its mean, one of 2 deg 28 times.

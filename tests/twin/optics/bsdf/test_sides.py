@@ -20,7 +20,7 @@ from goniotwin.twin.optics import (
     regular,
     sum_samples,
 )
-from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, flipped, named
+from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, canonical_directions, model_name
 
 FRONT = [lambertian(0.8), gaussian(15.0), gaussian(30.0, quantity="intensity"), TABLE, ANISOTROPIC, BRUSHED, POINTS]
 
@@ -36,7 +36,9 @@ models = st.sampled_from(FRONT)
 @settings(deadline=None)
 @given(models, directions, directions)
 def test_light_from_the_back_is_light_on_the_sample_turned_about_x(model: Scatterer, light: Floats, observer: Floats) -> None:
-    turned = evaluate(combine_sides(back_reflection=model), flipped(light, -1, False), flipped(observer, -1, False))
+    turned = evaluate(
+        combine_sides(back_reflection=model), canonical_directions(light, -1, False), canonical_directions(observer, -1, False)
+    )
     assert turned == evaluate(model, light, observer)
 
 
@@ -46,10 +48,10 @@ def test_a_transmitted_direction_is_a_reflected_one_mirrored_in_the_sample(
     model: Scatterer, light: Floats, observer: Floats
 ) -> None:
     front = combine_sides(front_transmission=model)
-    assert evaluate(front, light, flipped(observer, 1, True)) == evaluate(model, light, observer)
+    assert evaluate(front, light, canonical_directions(observer, 1, True)) == evaluate(model, light, observer)
     back = combine_sides(back_transmission=model)
-    through = flipped(flipped(observer, 1, True), -1, False)
-    assert evaluate(back, flipped(light, -1, False), through) == evaluate(model, light, observer)
+    through = canonical_directions(canonical_directions(observer, 1, True), -1, False)
+    assert evaluate(back, canonical_directions(light, -1, False), through) == evaluate(model, light, observer)
 
 
 @settings(deadline=None)
@@ -96,7 +98,7 @@ def test_reciprocal_models_are_symmetric_in_light_and_observer(model: Scatterer,
 
 @pytest.mark.parametrize(
     "model", [gaussian(20.0, quantity="intensity"), gaussian(20.0, transmits=True, refraction=1.5, side="both"), TABLE],
-    ids=named,
+    ids=model_name,
 )  # fmt: skip
 def test_other_models_are_not_reciprocal(model: Scatterer) -> None:
     light, observer = from_specular(0.0, 20.0, 0.0), from_specular(0.0, 50.0, 180.0)
