@@ -40,7 +40,7 @@ class WindowProcess:
         with self._errors.open("w", encoding="utf-8") as errors:
             self.process = subprocess.Popen(
                 [
-                    sys.executable, "-m", "tests.system.started_window", "desktop", "--rig", str(rig),
+                    sys.executable, "-m", "tests.system.window_starter", "desktop", "--rig", str(rig),
                     "--schedule", str(schedule), "--out", str(folder), "--speed", str(speed),
                 ],
                 cwd=REPOSITORY, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
