@@ -121,7 +121,7 @@ def loop() -> Call:
 
 
 @dataclass(frozen=True)
-class Case:
+class ExchangeCase:
     """A call of a driver; its exchanges are counted by the bytes in one `direction`."""
 
     name: str
@@ -130,11 +130,11 @@ class Case:
 
 
 CASES = (
-    Case("TMCL, position of an axis", axis),
-    Case("Cornerstone, wavelength", cornerstone),
-    Case("Modbus TCP, 8 registers", modbus_tcp),
-    Case("Modbus RTU, 8 registers", modbus_rtu),
-    Case("SCPI over USBTMC, mean current", usbtmc, FROM_DEVICE),
+    ExchangeCase("TMCL, position of an axis", axis),
+    ExchangeCase("Cornerstone, wavelength", cornerstone),
+    ExchangeCase("Modbus TCP, 8 registers", modbus_tcp),
+    ExchangeCase("Modbus RTU, 8 registers", modbus_rtu),
+    ExchangeCase("SCPI over USBTMC, mean current", usbtmc, FROM_DEVICE),
 )
 
 
@@ -150,7 +150,7 @@ class Figure:
     ratio: float
 
 
-def exchanges_a_call(case: Case) -> float:
+def exchanges_a_call(case: ExchangeCase) -> float:
     """Exchanges per call, counted on the wire."""
     calls, count = 100, 0
 

@@ -144,8 +144,8 @@ def test_the_stated_backlash_is_within_the_tolerance() -> None:
 
 def test_a_single_wrong_encoder_reading_is_tolerated(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = AxisBench().connect()
-    answers = iter([3.0, 0.0])
-    monkeypatch.setattr(bench.axis, "encoder_deg", lambda: next(answers))
+    readings = iter([3.0, 0.0])
+    monkeypatch.setattr(bench.axis, "encoder_deg", lambda: next(readings))
     assert bench.axis.read_back() == (0.0, 0.0)
     assert bench.axis.referenced
 

@@ -115,7 +115,7 @@ KINDS: dict[str, Callable[[str, bool], Iterator[None]]] = {
 
 
 def talk(kind: str, seconds: float, addresses: list[str]) -> dict[str, int]:
-    """Visit the addresses in turn; count exchanges, connections, and disturbances by clients that are killed on the same line."""
+    """Visit the addresses in turn; count exchanges, connections, and failures caused by killed clients on the same line."""
     clock, done = RealClock(), Counter[str](exchanges=0, connections=0, disturbed=0)
     while clock.now() < seconds:
         number = done["connections"]

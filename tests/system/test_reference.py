@@ -7,8 +7,8 @@ import pytest
 from goniotwin.app.rig import AXES
 from goniotwin.mocks.control import Control
 from tests.conftest import RIG, Writer
+from tests.system.command_process import FORKED, CommandProcess
 from tests.system.conftest import Serve, at
-from tests.system.killable import FORKED, Killable
 
 pytestmark = FORKED
 
@@ -24,11 +24,11 @@ def test_after_a_reset_between_two_runs_nothing_is_measured_until_the_positions_
     control = Control(at(endpoints, "control", "port")["port"])
 
     def status(*arguments: object) -> int:
-        return Killable(tmp_path, *arguments).ended()
+        return CommandProcess(tmp_path, *arguments).wait()
 
     def refused(name: str) -> None:
-        done = Killable(tmp_path, "run", schedule, "--rig", rig, "--out", tmp_path / name)
-        assert done.ended() == 2
+        done = CommandProcess(tmp_path, "run", schedule, "--rig", rig, "--out", tmp_path / name)
+        assert done.wait() == 2
         assert len(done.errors.strip().splitlines()) == 1
         assert f"goniotwin here --rig {rig}" in done.errors
         assert not (tmp_path / name).exists()

@@ -13,8 +13,8 @@ from pymodbus.client import ModbusTcpClient
 from goniotwin.mocks.control import Control, Refused
 from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
 from tests.conftest import RIG
+from tests.system.command import CALLS, Call, goniotwin
 from tests.system.conftest import Serve, Served, at, until
-from tests.system.test_command import CALLS, Call, goniotwin
 
 
 @pytest.fixture

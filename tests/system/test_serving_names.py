@@ -6,8 +6,8 @@ import pytest
 
 from goniotwin.mocks.serial_endpoints import ptys_exist
 from tests.conftest import RIG
+from tests.system.command import CALLS, Call
 from tests.system.conftest import Serve, at
-from tests.system.test_command import CALLS, Call
 
 pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
 

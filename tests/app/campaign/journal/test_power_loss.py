@@ -21,7 +21,7 @@ from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_value
 from tests.app.campaign.journal.recorded_sqlite import Connection, WatchedDisk
 from tests.app.campaign.journal.simulated_disk import Doing, Told, after_the_power_came_back
 from tests.conftest import Writer
-from tests.system.killable import digest_of
+from tests.system.command_process import row_digest
 
 NAME = "a.journal"
 FEW_PAGES, USUAL_PAGES = 12, 1000
@@ -64,7 +64,7 @@ def watch(steady: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Watc
 
         def told(stop_after: int, event: Event) -> None:
             if isinstance(event, RowCommitted):
-                disk.doings.append(Told(event.row.number, digest_of(event.data)))
+                disk.doings.append(Told(event.row.number, row_digest(event.data)))
                 if event.done == stop_after:
                     raise KeyboardInterrupt
 
@@ -99,7 +99,7 @@ def there(path: Path) -> dict[int, str]:
     if not path.exists():
         return {}
     with Journal.open(path) as journal:
-        return {each.row.number: digest_of(each.data) for each in journal.rows()}
+        return {each.row.number: row_digest(each.data) for each in journal.rows()}
 
 
 def check_whole(path: Path, plan: Plan) -> None:

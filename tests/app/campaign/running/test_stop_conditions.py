@@ -17,7 +17,7 @@ from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import RigInUse, RigLock
 from tests.app.campaign.campaign_bench import QUIET, run_until
 from tests.conftest import SMALL, Writer
-from tests.system.test_command import CALLS, Call, answer
+from tests.system.command import CALLS, Call, json_result
 
 SHORT = SMALL + "\n[stop]\nlongest_s = 10\n"
 DIM = SMALL + "\n[stop]\nlamp_below = 0.75\n"
@@ -38,7 +38,7 @@ def test_a_session_that_the_schedule_ends_says_why_and_has_its_own_status(
     assert "to continue: goniotwin run --resume" in done.stderr
     again = call("run", "--resume", journal, "--json")
     assert again.returncode in (0, 3)
-    assert answer(call("runs", tmp_path, "--json"))["campaigns"][0]["sessions"] == 2
+    assert json_result(call("runs", tmp_path, "--json"))["campaigns"][0]["sessions"] == 2
 
 
 def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from goniotwin.app.cli.main import app
 from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.twin.optics import Scatterer, table_sample
-from tests.app.campaign.test_export import points_of
+from tests.app.campaign.reduction.test_export import points_of
 from tests.conftest import SMALL, Change, Writer
 
 WIDE = ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 30 }")

@@ -17,7 +17,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from tests.conftest import RIG, SCHEDULE, Writer
 
-AEROGLAZE = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
+AEROGLAZE = Path(__file__).resolve().parents[5] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
 Measure = Callable[[Path, Path], BsdfDataset]
 
 
