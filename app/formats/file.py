@@ -1,4 +1,4 @@
-"""Files: the error of this package, reading, and writing that leaves a whole file or none."""
+"""Files: reading, atomic writing, and the error of this package."""
 
 import contextlib
 import os
@@ -12,7 +12,7 @@ LONGEST_WORD = 40
 
 
 class FormatError(ValueError):
-    """A file that is not what it should be.
+    """A file that cannot be read or written.
 
     The message is one printable line: the file, the line in it where known, what is wrong and what to do.
     """
@@ -31,7 +31,7 @@ class FormatError(ValueError):
 
 
 def quote_word(word: str) -> str:
-    """A word of a file as a message quotes it: short, and with nothing that a terminal would obey."""
+    """A word of a file, quoted for a message: at most `LONGEST_WORD` characters, in ASCII, without terminal control codes."""
     return ascii(word if len(word) <= LONGEST_WORD else word[:LONGEST_WORD] + "...")
 
 
@@ -42,25 +42,28 @@ def read_file(path: StrPath) -> bytes:
         if not file.exists():
             raise FormatError(path, "there is no such file", "check the name and the folder")
         if not file.is_file():
-            raise FormatError(path, "is a folder or a device, not a file", "name a file")
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
         return file.read_bytes()
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
 
 
 def check_writable(path: StrPath) -> None:
-    """Raises FormatError where `write_whole` certainly could not write, so that nobody works for hours to find out."""
+    """Check that `write_file` can write to `path`, so that a long computation does not end without its result.
+
+    Raises FormatError if the name, the folder or its permissions do not permit it. The file is not touched.
+    """
     try:
         file = Path(os.path.realpath(path))
         if file.exists() and not file.is_file():
-            raise FormatError(path, "is a folder or a device, not a file", "name a file to write")
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
         if not file.parent.is_dir():
             raise FormatError(path, f"there is no folder {file.parent}", "make it first")
         with tempfile.TemporaryFile(dir=file.parent):
             pass
     except OSError as error:
-        wrong = f"nothing can be written into {file.parent} ({error.strerror})"
-        raise FormatError(path, wrong, "check its permissions and the space on the disk") from error
+        wrong = f"the folder {file.parent} cannot be written to ({error.strerror})"
+        raise FormatError(path, wrong, "check its permissions and the free space of the disk") from error
     except ValueError as error:
         if isinstance(error, FormatError):
             raise
@@ -68,16 +71,16 @@ def check_writable(path: StrPath) -> None:
 
 
 def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
-    """Write a file as a whole: under another name in the same folder, onto the disk, then renamed to `path`. A large content
-    may come in parts; what is raised while they are made is passed on, and leaves no file.
+    """Write a file atomically: under another name in the same folder, synced to the disk, then renamed to `path`.
 
-    Raises FormatError if that is impossible; what stood at `path` before is then untouched.
+    A large content may be an iterable of parts; an error raised by the iterable is passed on, and no file is left. Raises
+    FormatError if the file cannot be written; an earlier file at `path` is then unchanged.
     """
     spare = None
     try:
         file = Path(os.path.realpath(path))  # a link stays a link
         if file.exists() and not file.is_file():
-            raise FormatError(path, "is a folder or a device, not a file", "name a file to write")
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
         spare = file.parent / f".{os.getpid()}-{threading.get_ident()}.tmp"
         with spare.open("wb") as out:
             for part in [content] if isinstance(content, bytes) else content:
@@ -88,7 +91,7 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
         _sync_folder(file.parent)
     except OSError as error:
         wrong = f"cannot be written ({error.strerror})"
-        raise FormatError(path, wrong, "check the folder, its permissions and the space on the disk") from error
+        raise FormatError(path, wrong, "check the folder, its permissions and the free space of the disk") from error
     except ValueError as error:
         if isinstance(error, FormatError):
             raise

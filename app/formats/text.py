@@ -1,7 +1,7 @@
-"""Text files: their characters and line ends, comments, and the words that the table formats are parsed from.
+"""Text files: characters and line ends, comments, and the words that the table formats consist of.
 
-Words are separated by any white space; line breaks carry no meaning. A word that begins with the format's comment mark
-makes the rest of its line a comment.
+Words are separated by any white space; a line break is white space too. A word that begins with the format's comment mark
+begins a comment, which ends with the line.
 """
 
 import codecs
@@ -24,7 +24,7 @@ UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_text(path: StrPath) -> str:
-    """The text of a file (UTF-8, or the 8-bit alphabet of older programs), line ends as they are.
+    """The text of a file in UTF-8 or, if it is not UTF-8, in Latin-1 (older programs); line ends are not changed.
 
     Raises FormatError if the file is absent, not a regular file, unreadable, empty or not text.
     """
@@ -37,14 +37,14 @@ def read_text(path: StrPath) -> str:
         text = content.decode("latin-1")
     if found := CONTROL_CHARACTER.search(text):
         line = 1 + len(LINE_END.findall(text, 0, found.start()))
-        raise FormatError(path, "holds binary data, not text", "name a text file of this format", line)
+        raise FormatError(path, "contains binary data, not text", "give a text file of this format", line)
     if not text.strip():
         raise FormatError(path, "is empty", "export or copy it again")
     return text
 
 
 def write_text(path: StrPath, text: str | Iterable[str]) -> None:
-    """Write a file as a whole, as `write_whole` does, at once or in parts. Raises FormatError if that is impossible."""
+    """Write a text in UTF-8 atomically, as `write_file` does, in one piece or in parts. Raises FormatError."""
     write_file(path, _encoded(path, text) if isinstance(text, str) else (_encoded(path, part) for part in text))
 
 
@@ -52,10 +52,10 @@ def _encoded(path: StrPath, text: str) -> bytes:
     try:
         return text.encode("utf-8")
     except UnicodeEncodeError as error:
-        raise FormatError(path, "the text holds broken characters", "correct names and comments") from error
+        raise FormatError(path, "the text contains broken characters", "correct names and comments") from error
 
 
-# What a laboratory writes outside ASCII, and how it is written inside.
+# Characters of laboratory notes that are not ASCII, and their spelling in ASCII.
 ASCII_SPELLING = str.maketrans(
     {
         "°": " deg", "µ": "u", "μ": "u", "α": "alpha", "β": "beta", "γ": "gamma", "θ": "theta", "λ": "lambda",
@@ -66,7 +66,10 @@ ASCII_SPELLING = str.maketrans(
 
 
 def comment_lines(comments: Iterable[str], *, ascii_only: bool) -> tuple[str, ...]:
-    """One safe line for each line of each comment; what cannot be written becomes '?'."""
+    """The lines of comments, without line ends and control characters; a character that cannot be written becomes '?'.
+
+    With `ascii_only` common symbols are spelled in ASCII.
+    """
     lines = (line for comment in comments for line in LINE_END.split(comment))
     return tuple(_safe(line, ascii_only=ascii_only) for line in lines)
 
@@ -81,12 +84,12 @@ def _safe(line: str, *, ascii_only: bool) -> str:
 
 
 def mark_comments(lines: Iterable[str], mark: str) -> list[str]:
-    """The lines as they stand in a file behind the format's comment mark."""
+    """The lines with the format's comment mark in front of each."""
     return [f"{mark} {line}".rstrip() for line in lines]
 
 
 class Words:
-    """The words still to be taken from a file. Everything raises FormatError, with the line."""
+    """The words of a file, taken one after another. Every method raises FormatError with the line."""
 
     def __init__(self, path: StrPath, comment_mark: str) -> None:
         self.path = path
@@ -94,7 +97,7 @@ class Words:
         """The line of the word taken last."""
         self.top_comments: list[str] = []
         self.comments: list[str] = []
-        """All comments, those at the top included."""
+        """All comments, including those at the top."""
         self._mark = re.compile(r"(?:^|(?<=\s))" + re.escape(comment_mark))
         self._lines: deque[tuple[int, str]] = deque()
         self._words: deque[str] = deque()
@@ -119,73 +122,74 @@ class Words:
             self._words_line, line = self._lines.popleft()
             self._words.extend(line.split())
 
-    def fault(self, wrong: str, remedy: str, line: int | None = None) -> FormatError:
-        """The error to raise about the word taken last, or about `line`."""
+    def error(self, wrong: str, remedy: str, line: int | None = None) -> FormatError:
+        """A FormatError at the word taken last, or at `line`."""
         return FormatError(self.path, wrong, remedy, line or self.line)
 
     def peek(self) -> str | None:
-        """The next word, in small letters; None at the end."""
+        """The next word, in lower case, without taking it; None at the end."""
         return self._words[0].lower() if self._words else None
 
     def take(self, wanted: str) -> str:
-        """The next word; `wanted` says what it should be."""
+        """Take the next word; `wanted` is the name of what is expected, for the message at the end of the file."""
         if not self._words:
-            wrong = f"the file ends where {wanted} should follow"
-            raise self.fault(wrong, "it is cut short: copy it again", self._last_line)
+            raise self.error(f"the file ends before {wanted}", "it is cut short: copy it again", self._last_line)
         self.line = self._words_line
         word = self._words.popleft()
         self._load()
         return word
 
     def expect(self, keyword: str) -> None:
-        """Take this keyword."""
+        """Take this keyword; upper and lower case are equal."""
         word = self.take(keyword)
         if word.lower() != keyword.lower():
-            raise self.fault(f"{quote_word(word)} stands where {keyword} should be", "correct the file")
+            raise self.error(f"expected {keyword}, found {quote_word(word)}", "correct the file")
 
     def take_line(self, wanted: str) -> str:
-        """The next word and what follows it in its line."""
+        """Take the next word and the words that follow it in its line."""
         words = [self.take(wanted)]
         while self._words and self._words_line == self.line:
             words.append(self.take(wanted))
         return " ".join(words)
 
     def count(self, of: str) -> int:
-        """A whole number above 0."""
+        """Take a whole number above 0."""
         word = self.take(f"the number of {of}")
         if not COUNT.fullmatch(word) or int(word) == 0:
-            raise self.fault(f"{quote_word(word)} is not a possible number of {of}", "write a whole number above 0")
+            raise self.error(f"{quote_word(word)} is not a possible number of {of}", "write a whole number above 0")
         return int(word)
 
     def number(self, of: str) -> float:
-        """A finite number."""
+        """Take a finite number."""
         word = self.take(of)
         try:
             return parse_number(word)
         except NotANumber as error:
-            raise self.fault(f"{of}: {error.wrong}", error.remedy) from None
+            raise self.error(f"{of}: {error.wrong}", error.remedy) from None
 
     def angles(self, name: str, high: float, low: float = 0.0) -> Floats:
-        """A count and as many angles, deg, that ascend within low..high."""
+        """Take a count and that many angles (n,), deg, which must ascend within low..high."""
         count = self.count(f"{name} angles")
         start = self.line
         angles = array("d")
         for taken in range(count):
             word = self.peek()
             if word is None or (word[0].isalpha() and word not in ("nan", "inf", "infinity")):
-                raise self.fault(f"{name} says {count} angles but has {taken}", "correct the count or the list", start)
+                wrong = f"{name}: the count is {count}, but the list has {taken} angles"
+                raise self.error(wrong, "correct the count or the list", start)
             angle = self.number(name)
             if not low <= angle <= high:
-                raise self.fault(f"{name} {angle:g} is outside {low:g} to {high:g} deg", "correct the list")
+                raise self.error(f"{name} {angle:g} is outside {low:g} to {high:g} deg", "correct the list")
             if angles and not angle > angles[-1]:
-                raise self.fault(f"{name} {angle:g} follows {angles[-1]:g}: the list does not ascend", "sort the list")
+                raise self.error(f"{name} {angle:g} follows {angles[-1]:g}: the list does not ascend", "sort the list")
             angles.append(angle)
         if (after := self.peek()) is not None and NUMBER.fullmatch(after):
-            raise self.fault(f"{name} says {count} angles but has more", "correct the count or the list", start)
+            wrong = f"{name}: the count is {count}, but the list is longer"
+            raise self.error(wrong, "correct the count or the list", start)
         return np.array(angles)
 
     def block(self, name: str, rows: int, per_row: int, ends: Collection[str]) -> Floats:
-        """rows x per_row numbers, up to one of the words in `ends` (small letters), which is left to be taken."""
+        """Take numbers (rows, per_row) up to one of the words in `ends` (lower case), which is not taken."""
         numbers = array("d")
         in_line: Counter[int | None] = Counter()
         surplus = None
@@ -198,5 +202,5 @@ class Words:
             odd = next((line for line, count in in_line.items() if count != per_row), surplus or self.line)
             size = "few" if len(numbers) < rows * per_row else "many"
             wrong = f"{name} has too {size} numbers: {len(numbers)}, not {rows} rows of {per_row}"
-            raise self.fault(wrong, "correct this line, or the counts at the top", odd)
+            raise self.error(wrong, "correct this line, or the counts at the top", odd)
         return np.array(numbers).reshape(rows, per_row)

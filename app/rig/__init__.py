@@ -1,4 +1,4 @@
-"""The rig file: where the devices are and what the operator believes of them; and opening what it names."""
+"""The rig file: addresses and nominal properties of the devices; opening the devices of a rig file."""
 
 from goniotwin.app.rig.file import (
     AXES,

@@ -1,14 +1,16 @@
-"""The rig file: where the devices are, what the operator believes of them, and, for a virtual rig, what it is.
+"""The rig file: its tables, and the drivers' settings that they give.
 
-How high an etalon's radiance factor can be: what is higher was written in percent.
+The operator's part has the addresses of the devices and their nominal properties (gears, offsets, limits, gains, geometry).
+`[twin]` is the description of a virtual rig: see `twin_file`.
 """
 
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
 
+from goniotwin.app.rig.addresses import TWIN
 from goniotwin.app.rig.twin_file import FilterPosition, Fraction, PolarAngle, TwinTable, refuse_repeated_positions
 from goniotwin.app.toml_file import TomlTable
 from goniotwin.drivers import (
@@ -24,31 +26,19 @@ from goniotwin.drivers import (
 from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument
 
+AXES = ("gamma", "sigma", "beta", "shift")
+TINY_NM = 1e-6
 HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
-"""What is white in every direction has 1, in a broad lobe somewhat more, and only one near grazing much more."""
+"""The ideal diffuser has 1 in every direction; a broad lobe has somewhat more, and a lobe near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
 
 
-def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
-    """Raises ValueError for a radiance factor that no diffuser has."""
-    most = HIGHEST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else HIGHEST_RADIANCE_FACTOR
-    if radiance_factor > most:
-        raise ValueError(
-            f"a radiance factor of {radiance_factor:g} is above {most:g}, and no diffuser's is (1 is the ideal one); "
-            f"if it is in percent, write {0.01 * radiance_factor:g}"
-        )
-
-
-AXES = ("gamma", "sigma", "beta", "shift")
-Sense = Literal[1, -1]
-TINY_NM = 1e-6
-
-
 class SimulatedTable(TomlTable):
-    """That nothing here is real: the seed of the virtual rig.
+    """The mark of a simulated rig, with the seed of the virtual rig.
 
-    Where another process serves it, so that the file has no [twin]: its model's hash (`old_model`: in its first version, which
-    older journals have), how fast its time passes, and the port of its back door, through which samples are mounted.
+    A rig that another process serves has no [twin] in its file. Its table has the hash of the model (`old_model` is the hash
+    in its first version, which older journals have), the simulation speed, and the simulation control port, through which
+    samples are mounted.
     """
 
     seed: int = 1
@@ -59,9 +49,9 @@ class SimulatedTable(TomlTable):
 
 
 class HomingTable(TomlTable):
-    """A reference search: its mode as Trinamic counts them (1 to 8, and 64 or 128 more), and the angle of the reference.
+    """A reference search: its mode by Trinamic's numbers (1 to 8, plus 64 or 128), and the angle of the reference.
 
-    Without `angle_deg` the reference is where the axis' microsteps are 0.
+    Without `angle_deg` the reference is at microstep 0 of the axis.
     """
 
     mode: Annotated[int, Field(ge=1, le=136)]
@@ -74,19 +64,20 @@ class HomingTable(TomlTable):
     @classmethod
     def _known_mode(cls, mode: int) -> int:
         if mode not in (*range(1, 9), *range(65, 69), *range(133, 137)):
-            raise ValueError(f"{mode} is no reference search: 1 to 8 are, 1 to 4 with 64 added and 5 to 8 with 128 added")
+            raise ValueError(f"{mode} is not a reference search; give 1 to 8, 65 to 68 (64 added) or 133 to 136 (128 added)")
         return mode
 
 
 class AxisTable(TomlTable):
-    """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
+    """The nominal properties of an axis; `gear` is in motor turns per turn of the axis.
 
-    Against backlash every move arrives from one side, which its zero is for. `switches` has the limit switches stop the
-    motor, `max_deviation_deg` the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off. `encoder_tolerance_deg` is
-    how far counter and encoder may be apart at rest (0 is off; 0.05 deg and the backlash where it is not given).
+    With a backlash every move arrives from the side `approach_from`, for which the zero offset holds. The motor is stopped by
+    the limit switches (`switches`), by a deviation of the encoder (`max_deviation_deg`), or by a stall above
+    `stall_speed_deg_s`; 0 is off. `encoder_tolerance_deg` is the permitted difference of counter and encoder at rest (0 is
+    off; the default is 0.05 deg plus the backlash).
 
-    `power_up_at_reference`: whenever the controller is switched on or resets, the axis stands where its microsteps are 0,
-    as a parking position or a brake sees to. Without it the axis then goes nowhere until it is homed or told its place.
+    `power_up_at_reference`: after power-up or a reset of the controller the axis is at microstep 0, kept there by a parking
+    position or a brake. Without it the axis is then unreferenced, and does not move until it is homed or its position is set.
     """
 
     motor: Annotated[int, Field(ge=0, le=5)]
@@ -95,7 +86,7 @@ class AxisTable(TomlTable):
     upper_deg: float
     speed_deg_s: PositiveFloat
     acceleration_deg_s2: PositiveFloat
-    sense: Sense = 1
+    sense: Literal[1, -1] = 1
     zero_offset_deg: float = 0.0
     module: Annotated[int, Field(ge=1, le=255)] = 1
     full_steps: PositiveInt = 200
@@ -106,19 +97,19 @@ class AxisTable(TomlTable):
     settling_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.1
     encoder: bool = True
     encoder_counts: PositiveInt | None = None
-    max_deviation_deg: Annotated[float, Field(ge=0.0)] = 0.0
-    stall_speed_deg_s: Annotated[float, Field(ge=0.0)] = 0.0
+    max_deviation_deg: NonNegativeFloat = 0.0
+    stall_speed_deg_s: NonNegativeFloat = 0.0
     switches: bool = False
     swap_switches: bool = False
     right_polarity: Literal[0, 1] = 0
     left_polarity: Literal[0, 1] = 0
     soft_stop: bool = False
-    backlash_deg: Annotated[float, Field(ge=0.0)] = 0.0
+    backlash_deg: NonNegativeFloat = 0.0
     approach_from: Literal["below", "above"] = "below"
     homing: HomingTable | None = None
     homing_required: bool = False
     power_up_at_reference: bool = False
-    encoder_tolerance_deg: Annotated[float, Field(ge=0.0)] | None = None
+    encoder_tolerance_deg: NonNegativeFloat | None = None
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> "AxisTable":
@@ -150,18 +141,19 @@ class AxesTable(TomlTable):
         wired: dict[tuple[int, int], str] = {}
         for name in AXES:
             axis: AxisTable = getattr(self, name)
-            place = (axis.module, axis.motor)
-            if place in wired:
-                raise ValueError(f"{wired[place]} and {name} are both motor {axis.motor} of module {axis.module}")
-            wired[place] = name
+            motor = (axis.module, axis.motor)
+            if motor in wired:
+                wrong = f"{wired[motor]} and {name} are both motor {axis.motor} of module {axis.module}"
+                raise ValueError(f"{wrong}; correct one of them")
+            wired[motor] = name
         return self
 
 
 class OrderFilterTable(TomlTable):
-    """A position of the wheel and the band for which it is put in, the lower end included, the upper where no other begins.
+    """An order-sorting filter: its position in the wheel, and the wavelengths from `from_nm` (included) to `to_nm` for it.
 
-    `cut_on_nm` is from where on it lets light through; without it, as in a position that is empty, it is not taken to hold
-    anything back.
+    `to_nm` is included if no other band begins there. The filter transmits from `cut_on_nm` on; without `cut_on_nm`, as for
+    an empty position, it is assumed to block nothing.
     """
 
     position: FilterPosition
@@ -171,13 +163,13 @@ class OrderFilterTable(TomlTable):
     cut_on_nm: PositiveFloat | None = None
 
     @model_validator(mode="after")
-    def _lets_its_band_through(self) -> "OrderFilterTable":
+    def _transmits_its_band(self) -> "OrderFilterTable":
         if not self.from_nm < self.to_nm:
             raise ValueError(f"from_nm {self.from_nm:g} is not below to_nm {self.to_nm:g}; exchange them")
         if self.cut_on_nm is not None and self.cut_on_nm > self.from_nm:
             raise ValueError(
-                f"cut_on_nm {self.cut_on_nm:g} is above from_nm {self.from_nm:g}, so it would hold back the very light that it "
-                "is put in for; let its band begin higher, or take another filter"
+                f"cut_on_nm {self.cut_on_nm:g} is above from_nm {self.from_nm:g}, so the filter blocks a part of its own band; "
+                "let the band begin higher, or use another filter"
             )
         return self
 
@@ -186,25 +178,28 @@ class OrderFilterTable(TomlTable):
 
 
 def check_filter_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_nm: float) -> None:
-    """Raises ValueError where bands overlap, or leave a gap between `lowest_nm` and `highest_nm`, naming the keys."""
+    """Check that the bands do not overlap and leave no gap from `lowest_nm` to `highest_nm`.
+
+    Raises ValueError with the keys to correct.
+    """
     ordered = sorted(filters, key=lambda each: each.from_nm)
     for below, above in pairwise(ordered):
         if above.from_nm < below.to_nm - TINY_NM:
-            raise ValueError(f"filters: the bands of {below} and {above} overlap; let one's to_nm be the other's from_nm")
+            raise ValueError(f"filters: the bands of {below} and {above} overlap; make to_nm of one the from_nm of the other")
     ends = [(0.0, ordered[0].from_nm), *((a.to_nm, b.from_nm) for a, b in pairwise(ordered)), (ordered[-1].to_nm, float("inf"))]
     for end, begin in ends:
         missing = max(end, lowest_nm), min(begin, highest_nm)
         if missing[1] - missing[0] > TINY_NM:
             raise ValueError(
-                f"filters: from {missing[0]:g} to {missing[1]:g} nm there is none; widen a band with from_nm or to_nm, name "
-                "the empty position that belongs there, or narrow lowest_nm and highest_nm"
+                f"filters: there is no filter for {missing[0]:g} to {missing[1]:g} nm; widen a band with from_nm or to_nm, "
+                "give the empty position for it, or narrow lowest_nm and highest_nm"
             )
 
 
 class MonochromatorTable(TomlTable):
-    """The monochromator and its timing; `filter_s` is that of the filter wheel from a position to the next.
+    """The monochromator and its times; `filter_s` is the time of the filter wheel from one position to the next.
 
-    With `filters` the wheel is turned with the wavelength; without any nothing turns it.
+    With `filters` the wheel turns with the wavelength; without filters it does not turn.
     """
 
     kind: Literal["cornerstone"]
@@ -213,10 +208,10 @@ class MonochromatorTable(TomlTable):
     lowest_nm: PositiveFloat = 380.0
     highest_nm: PositiveFloat = 780.0
     slew_nm_per_s: PositiveFloat = 175.0
-    slew_settle_s: Annotated[float, Field(ge=0.0)] = 0.1
-    shutter_s: Annotated[float, Field(ge=0.0)] = 0.15
-    filter_s: Annotated[float, Field(ge=0.0)] = 1.0
-    grating_s: Annotated[float, Field(ge=0.0)] = 8.0
+    slew_settle_s: NonNegativeFloat = 0.1
+    shutter_s: NonNegativeFloat = 0.15
+    filter_s: NonNegativeFloat = 1.0
+    grating_s: NonNegativeFloat = 8.0
     slit_um_per_s: PositiveFloat = 500.0
     tolerance_nm: PositiveFloat = 0.05
     filters: list[OrderFilterTable] = []
@@ -230,9 +225,9 @@ class MonochromatorTable(TomlTable):
 
 
 class PhotodiodesTable(TomlTable):
-    """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs.
+    """The converters, their amplifiers, and the polar angles of the photodiodes on the two arcs.
 
-    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is how long one question takes.
+    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is the duration of one request.
     """
 
     kind: Literal["adam-6017", "adam-4117"]
@@ -251,14 +246,14 @@ class PhotodiodesTable(TomlTable):
     def _known_range(cls, code: int) -> int:
         if code not in adam.VOLTAGE_RANGES:
             known = ", ".join(f"0x{each:04X}" for each in adam.VOLTAGE_RANGES)
-            raise ValueError(f"0x{code:04X} is no code of a voltage range; there are {known}")
+            raise ValueError(f"0x{code:04X} is not the code of a voltage range; give one of {known}")
         return code
 
     @field_validator("gains_v_per_a")
     @classmethod
     def _each_gain_once(cls, gains: list[float]) -> list[float]:
         if sorted(set(gains)) != gains:
-            raise ValueError("the gains do not ascend; list each once, the lowest first, as the outputs number them")
+            raise ValueError("the gains do not ascend; list each once, the lowest first, in the order of the outputs' numbers")
         return gains
 
     @model_validator(mode="after")
@@ -266,19 +261,20 @@ class PhotodiodesTable(TomlTable):
         diodes = len(self.upper_deg) + len(self.lower_deg)
         needed = -(-diodes // adam.CHANNELS)
         if len(self.units) != needed:
-            raise ValueError(f"{diodes} photodiodes take {needed} units of {adam.CHANNELS}, not {len(self.units)}")
+            wrong = f"{diodes} photodiodes need {needed} units of {adam.CHANNELS} channels, not {len(self.units)}"
+            raise ValueError(f"{wrong}; correct units, upper_deg or lower_deg")
         return self
 
     @model_validator(mode="after")
     def _gain_can_be_set(self) -> "PhotodiodesTable":
         model = adam.MODELS[self.kind]
         if len(self.gains_v_per_a) > 1 << model.outputs:
-            raise ValueError(f"an {model.title} has no outputs that could choose between gains; list the one that is fixed")
+            raise ValueError(f"an {model.title} has no outputs to select a gain; list the one fixed gain")
         return self
 
 
 class MonitorTable(TomlTable):
-    """The monitor photodiode's instrument."""
+    """The instrument of the monitor photodiode."""
 
     kind: Literal["pm100d"]
     usb: str
@@ -290,15 +286,15 @@ class MonitorTable(TomlTable):
 
 
 class GeometryTable(TomlTable):
-    """The geometry that decides which directions the mirror unit hides, and which a value is a mean of.
+    """The nominal dimensions that decide which directions the mirror unit blocks, and over which directions a value is a mean.
 
-    `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm` of the exit
-    pupil, seen over the mirrors, is half of the beam's divergence (5 mm: 0.7 deg, assumed).
+    `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm`, the radius
+    of the exit pupil, seen over the mirrors, is half of the beam's divergence (5 mm: 0.7 deg, assumed).
     """
 
     mirror_distance_mm: PositiveFloat = 200.0
     mirror_side_mm: PositiveFloat = 20.0
-    mirror_mount_mm: Annotated[float, Field(ge=0.0)] = 0.0
+    mirror_mount_mm: NonNegativeFloat = 0.0
     spot_side_mm: PositiveFloat = 5.0
     arc_radius_mm: PositiveFloat = 300.0
     detector_diameter_mm: PositiveFloat = 5.0
@@ -307,26 +303,36 @@ class GeometryTable(TomlTable):
     shadow_margin_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.2
 
     @model_validator(mode="after")
-    def _can_be_built(self) -> "GeometryTable":
+    def _is_possible(self) -> "GeometryTable":
         self.instrument()
         return self
 
     def instrument(self) -> Instrument:
-        """The instrument that the operator believes in. Raises ValueError for dimensions that make none."""
+        """The instrument with these dimensions. Raises ValueError for impossible dimensions."""
         return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
 
 
 class SampleUnitTable(TomlTable):
-    """What holds the sample. `signature_uncertainty` is the share (standard uncertainty) by which the instrument's own light is
-    otherwise with a sample in its place than without: the sample hides some of it, and sends its own light to the frames. The
-    default is that of frames 0.5 mm off the sample (2 mm: 0.5); of frames that lie on it 0.01 is more than enough.
+    """The sample holder. `signature_uncertainty` is the relative standard uncertainty of the instrument signature with a sample
+    mounted, because it is measured without: the sample blocks a part of it, and scatters light onto the frames. The default
+    is for frames 0.5 mm off the sample (2 mm: 0.5); for frames that lie on the sample 0.01 is more than enough.
     """
 
     signature_uncertainty: Fraction = 0.3
 
 
+def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
+    """Raise ValueError for a radiance factor that is too high for a diffuser: it is probably in percent."""
+    highest = HIGHEST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else HIGHEST_RADIANCE_FACTOR
+    if radiance_factor > highest:
+        raise ValueError(
+            f"a radiance factor of {radiance_factor:g} is above {highest:g}, too high for a diffuser (1 is the ideal one); "
+            f"if it is in percent, write {0.01 * radiance_factor:g}"
+        )
+
+
 class EtalonTable(TomlTable):
-    """The etalon's certificate: its radiance factor (1 is the ideal diffuser), with its relative standard uncertainty."""
+    """The etalon's certificate: radiance factor (1 is the ideal diffuser) and its relative standard uncertainty."""
 
     radiance_factor: PositiveFloat = 1.0
     relative_uncertainty: Fraction = 0.0
@@ -354,35 +360,35 @@ class RigFile(TomlTable):
 
     @property
     def addresses(self) -> list[str]:
-        """Where the devices are."""
+        """Addresses of all devices."""
         return [self.axes.port, self.monochromator.port, *self.photodiodes.units, self.monitor.usb]
 
     @model_validator(mode="after")
-    def _says_what_it_is(self) -> "RigFile":
-        virtual = [address for address in self.addresses if address.startswith("twin://")]
+    def _virtual_rig_is_complete(self) -> "RigFile":
+        virtual = [address for address in self.addresses if address.startswith(TWIN)]
         if virtual and self.simulated is None:
-            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table")
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table; add it")
         if virtual and self.twin is None:
-            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [twin] table that says what it is")
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [twin] table that describes it; add it")
         names = {address.split("/")[2] for address in virtual}
         if len(names) > 1:
-            raise ValueError(f"its twin:// addresses name several virtual rigs: {', '.join(sorted(names))}; name one")
+            raise ValueError(f"its twin:// addresses have several virtual rigs: {', '.join(sorted(names))}; use one name")
         return self
 
 
 def axis_settings(file: RigFile) -> dict[str, AxisSettings]:
-    """By axis."""
-    return {name: _axis(name, getattr(file.axes, name)) for name in AXES}
+    """The settings of each axis, by its name."""
+    return {name: _axis_settings(name, getattr(file.axes, name)) for name in AXES}
 
 
 def monochromator_settings(file: RigFile) -> MonochromatorSettings:
-    """Of the monochromator."""
+    """The settings of the monochromator."""
     table = file.monochromator
     return MonochromatorSettings(**table.model_dump(exclude={"kind", "port", "filters"}), wheel=filter_wheel(table.filters))
 
 
 def photodiode_settings(file: RigFile) -> PhotodiodeSettings:
-    """Of the photodiodes and their modules."""
+    """The settings of the photodiodes and their converters."""
     table = file.photodiodes
     values = table.model_dump(exclude={"units", "upper_deg", "lower_deg", "gains_v_per_a"})
     if adam.MODELS[table.kind].serial and "exchange_s" not in table.model_fields_set:
@@ -396,21 +402,21 @@ def photodiode_settings(file: RigFile) -> PhotodiodeSettings:
 
 
 def monitor_settings(file: RigFile) -> MonitorSettings:
-    """Of the monitor."""
+    """The settings of the monitor."""
     return MonitorSettings(**file.monitor.model_dump(exclude={"kind", "usb"}))
 
 
 def nominal_instrument(file: RigFile) -> Instrument:
-    """The instrument as the operator believes it to be: for the directions that the mirror unit hides."""
+    """The instrument with the operator's nominal dimensions, for the directions blocked by the mirror unit."""
     return file.geometry.instrument()
 
 
 def arc_clearance(file: RigFile) -> ArcClearance:
-    """What the arc must keep clear of."""
+    """The clearance of the arc for this rig's photodiodes."""
     return ArcClearance(top_polar_deg=max(*file.photodiodes.upper_deg, *file.photodiodes.lower_deg, 0.0))
 
 
-def _axis(name: str, table: AxisTable) -> AxisSettings:
+def _axis_settings(name: str, table: AxisTable) -> AxisSettings:
     homing = table.homing
     return AxisSettings(
         name=name,
@@ -426,6 +432,6 @@ def _axis(name: str, table: AxisTable) -> AxisSettings:
 
 
 def filter_wheel(filters: Sequence[OrderFilterTable]) -> FilterWheel:
-    """For the driver."""
+    """The filter wheel for the driver, its filters by ascending wavelength."""
     ordered = sorted(filters, key=lambda each: each.from_nm)
     return FilterWheel(tuple(OrderFilter(each.position, each.name, each.from_nm, each.cut_on_nm) for each in ordered))

@@ -1,7 +1,11 @@
-"""The hash of a virtual rig's model: of everything that decides what the virtual rig does, under names of fields alone.
+"""The hash of a virtual rig's model: it covers everything that decides the behaviour of the virtual rig.
 
-No name of a class or a module is in it, so that these may change. A hash begins with the version of its text. Version 1 had no
-such mark; see `old_model_hash`.
+Version 2, `model_hash`, is of a text with the names and values of fields, without names of classes and modules, so that these
+can change. A hash begins with the version of its text.
+
+Version 1, `old_model_hash`, has no such prefix. It is of the `repr` of the model's parts, with the names of classes at that
+time. Older journals and rig files of older served rigs identify a model by it. These names and the order of the fields are
+frozen here and must not follow later changes of the classes.
 """
 
 import hashlib
@@ -20,7 +24,7 @@ VERSION = 2
 
 
 def model_hash(model: TwinModel) -> str:
-    """Of a model without its seed, samples' tables included, and without the samples' names, which are for people."""
+    """The hash of a model, with the tables of its samples, but without the seed and the names of the samples."""
     parts = {entry.name: getattr(model, entry.name) for entry in fields(model) if entry.name != "seed"}
     parts["samples"] = {
         key: {entry.name: getattr(sample, entry.name) for entry in fields(sample) if entry.name != "name"}
@@ -30,16 +34,17 @@ def model_hash(model: TwinModel) -> str:
 
 
 def model_hashes(model: TwinModel) -> tuple[str, ...]:
-    """All hashes by which journals and rig files may know a model, the one that is written now first."""
+    """All hashes that identify a model in journals and rig files: the present version first, then the older one."""
     old = old_model_hash(model)
     return (model_hash(model),) if old is None else (model_hash(model), old)
 
 
 def canonical_text(value: object) -> str:
-    """A value as text that is the same for equal values: dataclasses and mappings by the names of their fields, in alphabetical
-    order, lists and tuples alike, 1 as 1.0, an enum as its value, an array as its shape, type and the SHA-256 of its bytes.
+    """A text that is the same for equal values.
 
-    Raises TypeError for anything else, such as a function: two of them cannot be compared.
+    Dataclasses and mappings are written by the names of their fields, in alphabetical order, lists and tuples alike, 1 as 1.0,
+    an enum as its value, an array as its shape, type and the SHA-256 of its bytes. Raises TypeError for anything else, such
+    as a function, because two of them cannot be compared.
     """
     if value is None:
         return "null"
@@ -78,7 +83,7 @@ def _array(values: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Former:
-    """A class as it was: its name, its fields in order, and by field the classes of what is in them."""
+    """A class in version 1: its name, its fields in order, and the classes of the values of fields, by field."""
 
     name: str
     fields: tuple[str, ...]
@@ -135,14 +140,14 @@ _LOBE = ("kind", "params", "sigma_deg", "phi_deg", "theta_deg", "psi_deg", "valu
 
 
 class _Unknown(Exception):
-    """The model has something that the first version could not say."""
+    """The model has a value that version 1 cannot represent."""
 
 
 def old_model_hash(model: TwinModel) -> str | None:
-    """The hash of a model in its first version.
+    """The hash of a model in version 1.
 
-    None for a model that was not possible then: one with a later field that is not at its default, or with a value of another
-    kind. No older journal can be of such a model.
+    None for a model that was not possible then: a later field is not at its default, or a value is of another kind. No older
+    journal can have such a model.
     """
     try:
         return _digest(model)
@@ -174,7 +179,7 @@ def _digest(model: TwinModel) -> str:
 
 
 def _text(value: Any, former: Former | None) -> str:
-    """What `repr` gave for a value whose class, or the class of what is in it, was `former`."""
+    """The `repr` in version 1 of a value of the class `former`, or of a collection of such values."""
     if value is None:
         return "None"
     if isinstance(value, tuple):
@@ -198,7 +203,7 @@ def _plain(value: object) -> str:
 
 
 def _refuse_later_fields(value: Any, known: tuple[str, ...]) -> None:
-    """Raises _Unknown where a field that is not `known` is not at its default, or `value` is no dataclass at all."""
+    """Raise _Unknown if `value` is not a dataclass, or a field that is not `known` is not at its default."""
     if not is_dataclass(value):
         raise _Unknown
     for entry in fields(value):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from goniotwin.protocols.clock import RealClock
 from tests.conftest import REPOSITORY, RIG
 from tests.system.conftest import Serve, at
@@ -53,7 +53,7 @@ class Process:
         """The number of threads."""
         return len(list((self._folder / "task").iterdir()))
 
-    def settled(self, control: Control, descriptors: int, threads: int) -> tuple[int, int]:
+    def settled(self, control: ControlClient, descriptors: int, threads: int) -> tuple[int, int]:
         """Descriptors and threads, when they are down to these, or after SETTLED_S."""
         clock = RealClock()
         while clock.now() < SETTLED_S and (self.descriptors > descriptors or self.threads > threads):
@@ -108,7 +108,7 @@ def kill_clients(addresses: dict[str, list[str]], seconds: float) -> Iterator[st
 def test_clients_that_disconnect_leave_no_descriptors_and_threads(serve: Serve) -> None:
     process, lines = serve(RIG)
     addresses = addresses_of(lines)
-    served, control = Process(process.pid), Control(at(lines, "control", "port")["port"])
+    served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
     control.do("state")
     before = served.descriptors, served.threads
     with ThreadPoolExecutor() as threads:
@@ -126,7 +126,7 @@ def test_memory_does_not_grow_in_ten_minutes_with_clients(serve: Serve, capsys: 
     """Ten minutes, or GONIOTWIN_SERVE_S seconds."""
     process, lines = serve(RIG)
     addresses = addresses_of(lines)
-    served, control = Process(process.pid), Control(at(lines, "control", "port")["port"])
+    served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
     control.do("state")
     before = served.descriptors, served.threads
     clock = RealClock()

@@ -49,7 +49,7 @@ def test_a_second_server_does_not_change_the_names_of_the_first(serve: Serve, tm
     before = path.readlink()
     (tmp_path / "mine.toml").write_text("other", encoding="utf-8")
     assert "another server has its names there" in refusal(call, "--ptys", path.parent)
-    assert "has not written it" in refusal(call, "--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
+    assert "was not written by goniotwin serve" in refusal(call, "--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
     assert path.readlink() == before
     assert path.exists()
 
@@ -58,7 +58,7 @@ def test_a_second_server_does_not_change_the_names_of_the_first(serve: Serve, tm
 def test_a_rig_file_that_cannot_be_written_is_refused_before_any_port_opens(tmp_path: Path, call: Call) -> None:
     names = tmp_path / "names"
     assert "cannot be written" in refusal(call, "--ptys", names, "--write-rig", tmp_path / "nowhere" / "rig.toml")
-    assert "has not written it" in refusal(call, "--ptys", names, "--write-rig", tmp_path)
+    assert "was not written by goniotwin serve" in refusal(call, "--ptys", names, "--write-rig", tmp_path)
     (tmp_path / "file").write_text("other", encoding="utf-8")
     assert "is not a folder" in refusal(call, "--ptys", tmp_path / "file", "--write-rig", tmp_path / "rig.toml")
     assert [each.name for each in tmp_path.iterdir()] == ["file"]

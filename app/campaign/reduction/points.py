@@ -15,7 +15,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 DECIMALS = 3
 """Directions closer than a thousandth of a degree are one direction."""
 HALF_TURN_DEG = 180.0
-FIRST = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
+FLAG_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
 """Flags by which a tally counts a point: the first one that it has."""
 CHANCE = 1e-6
 """Probability that the largest of all differences exceeds its limit, where the uncertainties are right."""
@@ -151,7 +151,7 @@ class Tally:
         self.transmitted |= bool(points.transmitted.any())
         self.signature_subtracted |= bool(np.isfinite(points.signature).any())
         left = np.ones(points.bsdf.size, dtype=bool)
-        for flag in FIRST:
+        for flag in FLAG_ORDER:
             here = left & points.flags[flag]
             self.flagged[flag] = self.flagged.get(flag, 0) + int(here.sum())
             left &= ~here

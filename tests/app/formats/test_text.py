@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and comments cannot break them."""
+"""Text files are written completely or not at all; comments cannot damage them."""
 
 import os
 import pickle
@@ -10,7 +10,7 @@ from goniotwin.app.formats.file import FormatError
 from goniotwin.app.formats.text import comment_lines, read_text, write_text
 
 
-def test_a_file_is_replaced_as_a_whole_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
+def test_a_file_is_replaced_and_no_temporary_file_is_left(tmp_path: Path) -> None:
     path = tmp_path / "out.txt"
     write_text(path, "one\n")
     write_text(path, "two\n")
@@ -18,7 +18,7 @@ def test_a_file_is_replaced_as_a_whole_and_nothing_is_left_beside_it(tmp_path: P
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_writing_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "out.txt"
     write_text(path, "old")
 
@@ -32,7 +32,7 @@ def test_a_writing_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: p
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_place_where_no_file_can_be_is_refused(tmp_path: Path) -> None:
+def test_a_path_where_no_file_can_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be written"):
         write_text(tmp_path / "absent" / "out.txt", "")
     with pytest.raises(FormatError, match="is a folder or a device"):
@@ -54,7 +54,7 @@ if os.name == "posix":  # Windows has no such device files, and asks for rights 
         assert read_text(tmp_path / "target.txt") == "through"
 
 
-def test_comments_become_plain_lines() -> None:
+def test_comments_become_printable_lines() -> None:
     assert comment_lines(["20 °C, σ = 30°, 3 µm", "Müller\r\nnext"], ascii_only=True) == (
         "20  degC, sigma = 30 deg, 3 um",
         "Muller",
@@ -64,7 +64,7 @@ def test_comments_become_plain_lines() -> None:
     assert comment_lines(["漢 °"], ascii_only=False) == ("漢 °",)
 
 
-def test_an_error_is_one_line_whatever_the_file_is_called_and_survives_a_process() -> None:
+def test_an_error_is_one_printable_line_and_can_be_pickled() -> None:
     error = FormatError("a\nb\x1b.ddr", "is wrong", "correct it", 7)
     assert str(error) == "a?b?.ddr, line 7: is wrong; correct it"
     assert str(pickle.loads(pickle.dumps(error))) == str(error)

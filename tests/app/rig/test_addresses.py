@@ -1,4 +1,4 @@
-"""Addresses of converter modules."""
+"""Addresses in a rig file: canonical forms, and the parsing of Modbus addresses."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from goniotwin.app.rig.addresses import ModbusUnits, canonical_address, rtu_addr
 from goniotwin.app.rig.lock import RigLock
 
 
-def test_a_serial_address_says_port_unit_and_baud_rate() -> None:
+def test_an_rtu_address_has_port_unit_and_baud_rate() -> None:
     assert rtu_address("rtu:/dev/ttyUSB1?unit=3") == ("/dev/ttyUSB1", 3, 9600)
     assert rtu_address("rtu:COM4?unit=2&baudrate=115200") == ("COM4", 2, 115200)
     assert rtu_address("rtu:socket://moxa:4001?unit=9") == ("socket://moxa:4001", 9, 9600)
@@ -21,14 +21,14 @@ def test_a_serial_address_says_port_unit_and_baud_rate() -> None:
     "rtu:COM4?unit=1&unit=2", "rtu:COM4?baudrate=9601", "rtu:COM4?parity=E", "rtu:COM4?unit=1,baudrate=9600",
     "rtu:twin://virtual/adcs?unit=1", "", ":502", "adam-0:", "adam-0:0", "adam-0:65536", "adam-0:http", "adam-0:502?unit=3",
 ])  # fmt: skip
-def test_another_form_is_told_with_the_address(address: str) -> None:
+def test_an_invalid_address_is_refused_with_its_text(address: str) -> None:
     with pytest.raises(UserError) as error:
         ModbusUnits(None).unit(address)
     assert repr(address) in str(error.value)
     assert "rig file" in str(error.value)
 
 
-def test_units_of_one_port_share_one_wire() -> None:
+def test_units_of_one_port_share_one_bus() -> None:
     units = ModbusUnits(None)
     one, two, other = (units.unit(each) for each in ("rtu:COM4?unit=1", "rtu:COM4?unit=2", "rtu:COM5?unit=1"))
     assert one.bus is two.bus
@@ -55,7 +55,7 @@ def test_units_of_one_port_share_one_wire() -> None:
         ("/dev/../dev/ttyUSB0", "/dev/ttyUSB0"),
     ],
 )
-def test_one_place(one: str, other: str) -> None:
+def test_spellings_of_one_device_have_one_canonical_address(one: str, other: str) -> None:
     assert canonical_address(one) == canonical_address(other)
 
 
@@ -69,15 +69,15 @@ def test_one_place(one: str, other: str) -> None:
         ("COM4", "COM5"),
     ],
 )
-def test_two_places(one: str, other: str) -> None:
+def test_two_devices_have_two_canonical_addresses(one: str, other: str) -> None:
     assert canonical_address(one) != canonical_address(other)
 
 
-def test_a_link_and_what_it_points_to_are_locked_together(tmp_path: Path) -> None:
+def test_a_link_and_its_target_are_locked_together(tmp_path: Path) -> None:
     port, link = tmp_path / "ttyACM0", tmp_path / "by-id"
     port.touch()
     link.symlink_to(port)
-    held = RigLock([str(port)], "the first", tmp_path / "locks")
+    first = RigLock([str(port)], "the first", tmp_path / "locks")
     with pytest.raises(UserError, match="the first"):
         RigLock([f"rtu:{link}?unit=2"], "the second", tmp_path / "locks")
-    held.release()
+    first.release()

@@ -6,7 +6,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.check import check_plan, describe_check
-from tests.app.campaign.filter_rig import BELIEVED, plan_with, rig_with
+from tests.app.campaign.filter_rig import RIG_FILTERS, plan_with, rig_with
 from tests.conftest import Change
 
 MANY = "{ start = 400, stop = 780, step = 20 }"
@@ -59,10 +59,10 @@ def test_check_warns_of_the_second_order_where_no_filter_holds_it_back() -> None
     assert alone.startswith("above 710 nm (2 wavelengths) light of half the wavelength passes, too: put order-sorting filters")
     assert "[[monochromator.filters]]" in alone
     assert "cut_on_nm" in alone
-    assert _second_order_warnings(BELIEVED) == []
-    (unsaid,) = _second_order_warnings(BELIEVED, ("cut_on_nm = 610\n", ""))
+    assert _second_order_warnings(RIG_FILTERS) == []
+    (unsaid,) = _second_order_warnings(RIG_FILTERS, ("cut_on_nm = 610\n", ""))
     assert "(2 wavelengths)" in unsaid
     assert "does not say that 'RG610' holds it back: in [[monochromator.filters]] give cut_on_nm, above 380," in unsaid
-    (low,) = _second_order_warnings(BELIEVED, ("cut_on_nm = 610\n", "cut_on_nm = 370\n"))
+    (low,) = _second_order_warnings(RIG_FILTERS, ("cut_on_nm = 610\n", "cut_on_nm = 370\n"))
     assert "(1 wavelengths)" in low  # 720 nm: half of it is below 370
     assert _second_order_warnings(wavelengths="[500, 710]") == []

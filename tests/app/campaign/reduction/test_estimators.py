@@ -1,4 +1,4 @@
-"""A whole campaign on a rig whose light the forward estimator traces, held against the same one with the fast estimator."""
+"""A whole campaign with the forward estimator, compared with the same campaign with the fast estimator."""
 
 from pathlib import Path
 
@@ -15,13 +15,13 @@ from goniotwin.app.rig import read_rig
 from tests.conftest import Writer
 
 STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
-# Wide detectors meet more paths: the campaign is about the two estimators, not about the field.
+# Wide detectors are hit by more paths. The subject here are the two estimators, not the field of view.
 OPTICS = "[twin.optics]\nstray = true\nfield_deg = 2.5\nestimator = '{estimator}'\nforward_error = {error}\n\n[twin.light]"
 PAINT_5 = 'width_deg = 5.0\nform = "one_over_e"\nquantity = "luminance"\nreflectance = 0.9\n'
 PAINT_30 = "width_deg = 30.0\nreflectance = 0.5\n\n[twin.frames]\nreflectance = 0.3\n"
 
 
-def measured(rig: Path, schedule: Path, journal: Path) -> BsdfPoints:
+def measure(rig: Path, schedule: Path, journal: Path) -> BsdfPoints:
     outcome = run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), journal)
     assert outcome.state is State.DONE
     with Journal.open(journal) as opened:
@@ -36,17 +36,17 @@ def measured(rig: Path, schedule: Path, journal: Path) -> BsdfPoints:
         pytest.param(0.015, "sigma_deg = [0, 30, 60]", id="1.5 percent", marks=pytest.mark.long),
     ],
 )
-def test_a_campaign_with_the_forward_estimator_gives_the_fast_ones_bsdf(
+def test_forward_and_fast_estimator_give_the_same_bsdf(
     error: float, angles: str, write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
-    """Within the uncertainty that the reduction states, which has that of the paths in it."""
+    """Within the stated uncertainty, which includes that of the ray paths."""
     schedule = write_schedule(("sigma_deg = [30]", angles), ("[180]", "[0, 180]"))
-    found = {}
+    results = {}
     for estimator in ("fast", "forward"):
         optics = ("[twin.light]", OPTICS.format(estimator=estimator, error=error))
         rig = write_rig(*STEADY, optics, (PAINT_5, PAINT_30), name=f"{estimator}.toml")
-        found[estimator] = measured(rig, schedule, tmp_path / f"{estimator}.journal")
-    fast, traced = found["fast"], found["forward"]
+        results[estimator] = measure(rig, schedule, tmp_path / f"{estimator}.journal")
+    fast, traced = results["fast"], results["forward"]
     assert np.array_equal(fast.shadowed, traced.shadowed)
     good = fast.good & traced.good & (fast.zenith_deg <= 85.0)
     assert np.count_nonzero(good) >= 60

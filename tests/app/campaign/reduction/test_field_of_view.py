@@ -1,4 +1,4 @@
-"""What the finite field does to a value, told from the values about it: held against lobes of which the answer is known."""
+"""The field's component of the uncertainty, estimated from neighbouring values: compared with lobes of known answer."""
 
 import math
 from dataclasses import replace
@@ -26,7 +26,10 @@ def lobe(width_deg: float, theta_deg: Floats) -> Floats:
 def points_of(
     values: Floats | float, polar: Floats = EVERYWHERE, beta: tuple[float, ...] = PLANE, sigma: float = 30.0, u: float = 1e-9
 ) -> BsdfPoints:
-    """Values by theta, or one for each direction, on arcs at some beta; without light below three `u`."""
+    """Points on arcs at some beta; `values` is the width of a Gaussian lobe, or a value for each direction.
+
+    A value below three `u` counts as without light.
+    """
     zenith, azimuth = (each.ravel() for each in np.broadcast_arrays(polar[:, None], np.array(beta)))
     theta, phi = to_specular(sigma, arc_direction(zenith, azimuth))
     none, zeros = np.zeros(zenith.size, dtype=bool), np.zeros(zenith.size)
@@ -44,14 +47,17 @@ def share(points: BsdfPoints) -> Floats:
 
 
 def known(width_deg: float, theta_deg: Floats) -> Floats:
-    """Of a Gaussian f = exp(-(theta / a)^2): f'' = (4 theta^2 / a^4 - 2 / a^2) f along theta, and f' cot(theta) across it."""
+    """Relative field component of a Gaussian lobe of 1/e width a.
+
+    f = exp(-(theta / a)^2): f'' = (4 theta^2 / a^4 - 2 / a^2) f along theta, and f' cot(theta) across it.
+    """
     a, theta = math.radians(width_deg), np.radians(theta_deg)
     across = 2.0 / a**2 * np.where(theta > 1e-6, theta / np.tan(np.maximum(theta, 1e-6)), 1.0)
     return np.asarray(0.5 * VARIANCE * (np.abs(4.0 * theta**2 / a**4 - 2.0 / a**2) + np.abs(across)))
 
 
 @pytest.mark.parametrize(("field", "spot", "pupil"), [(0.5, 5.0, 5.0), (2.5, 5.0, 5.0), (0.5, 1.0, 3.5), (1.0, 5.0, 7.0)])
-def test_the_variance_is_what_lowers_a_peak_on_the_twin(field: float, spot: float, pupil: float) -> None:
+def test_the_variance_explains_the_lowered_peak_on_the_twin(field: float, spot: float, pupil: float) -> None:
     instrument = Instrument(field_deg=field, spot_side_mm=spot, pupil_radius_mm=pupil, obstruction=False)
     for sigma in (10.0, 40.0):
         wide, specular = gaussian(20.0, peak=1.0), arc_direction(np.array([sigma]), np.array([180.0]))
@@ -62,29 +68,29 @@ def test_the_variance_is_what_lowers_a_peak_on_the_twin(field: float, spot: floa
 
 @pytest.mark.parametrize("step", [0.5, 1.0, 2.5, 5.0])
 @pytest.mark.parametrize("width", [2.0, 5.0, 15.0])
-def test_a_gaussian_lobe_has_the_field_of_its_formula_however_far_apart_its_values_are(width: float, step: float) -> None:
+def test_a_gaussian_lobe_has_the_exact_component_for_any_spacing_of_its_values(width: float, step: float) -> None:
     points = points_of(width, np.arange(0.0, 85.1, step), u=1e-200)
     near = points.theta_deg <= 3.0 * width
-    told, exact = share(points)[near], known(width, points.theta_deg)[near]
+    estimated, exact = share(points)[near], known(width, points.theta_deg)[near]
     middle = points.theta_deg[near] <= math.degrees(5.0 * math.sqrt(VARIANCE))
-    assert told[~middle] == pytest.approx(exact[~middle], rel=0.05, abs=2e-4)
-    assert (told[middle] > 0.95 * exact[middle]).all()
-    assert (told[middle] < 2.0 * exact[middle] + 2e-4).all()
+    assert estimated[~middle] == pytest.approx(exact[~middle], rel=0.05, abs=2e-4)
+    assert (estimated[middle] > 0.95 * exact[middle]).all()
+    assert (estimated[middle] < 2.0 * exact[middle] + 2e-4).all()
 
 
-def test_arcs_beside_the_lobe_tell_the_same_by_its_symmetry() -> None:
+def test_arcs_beside_the_lobe_give_the_same_by_its_symmetry() -> None:
     for beta in (165.0, 150.0, 135.0, 90.0):
         points = points_of(15.0, beta=(beta,))
         near = points.theta_deg <= 40.0
         a, theta = math.radians(15.0), np.radians(points.theta_deg[near])
         changed = 0.5 * VARIANCE * np.abs(4.0 * theta**2 / a**4 - 2.0 / a**2 * (1.0 + theta / np.tan(theta)))
-        # What is along and across depends on the arc, but the sum of the moduli is never less than that of the sum.
+        # The derivatives depend on the arc. The sum of their moduli is never less than the modulus of their sum.
         assert (share(points)[near] > 0.95 * changed).all()
         assert (share(points)[near] < changed + 2.0 * VARIANCE / a**2).all()
 
 
 @pytest.mark.parametrize("sigma", [0.0, 35.0, 60.0, 145.0])
-def test_the_lobes_middle_is_where_theta_is_zero_on_either_side_and_for_either_light(sigma: float) -> None:
+def test_the_lobes_centre_is_at_theta_0_on_both_sides_and_in_both_lights(sigma: float) -> None:
     rig = read_rig(RIG).file
     for view in (view for beta in (20.0, 180.0) for view in arc_views(rig, (0.0, sigma, beta, 2.5))):
         points = points_of(1.0, view.polar, (0.0,), sigma)
@@ -100,7 +106,7 @@ def test_the_lobes_middle_is_where_theta_is_zero_on_either_side_and_for_either_l
         assert np.interp(between, values.polar, values.slope)[one_plane] == pytest.approx(slope[one_plane], abs=2e-3)
 
 
-def test_across_the_arc_other_beta_tell_what_symmetry_would_not() -> None:
+def test_measurements_at_other_beta_show_a_lobe_that_is_not_rotationally_symmetric() -> None:
     zenith, azimuth = np.meshgrid(EVERYWHERE, np.arange(170.0, 190.1, 2.0), indexing="ij")
     seen = arc_direction(zenith.ravel(), azimuth.ravel())
     # A lobe of 12 deg in the plane of incidence and of 3 deg across it.
@@ -115,7 +121,7 @@ def test_across_the_arc_other_beta_tell_what_symmetry_would_not() -> None:
     assert share(plane)[int(np.argmin(plane.theta_deg))] < 0.2 * expected
 
 
-def test_a_diffuser_with_noise_has_next_to_none() -> None:
+def test_the_component_of_a_diffuser_with_noise_is_negligible() -> None:
     rng = np.random.default_rng(7)
     polar = np.arange(0.0, 85.1, 0.5)
     for beta in (PLANE, (90.0,), tuple(np.arange(0.0, 181.0, 5.0))):
@@ -126,7 +132,7 @@ def test_a_diffuser_with_noise_has_next_to_none() -> None:
         assert float(np.max(grown)) < 2.0
 
 
-def test_what_is_lost_in_noise_is_judged_by_the_values_themselves() -> None:
+def test_for_values_lost_in_noise_the_values_themselves_are_fitted() -> None:
     rng = np.random.default_rng(8)
     points = points_of(5.0, u=1e-4)
     noisy = replace(points, bsdf=points.bsdf + 1e-4 * rng.standard_normal(points.bsdf.size))
@@ -136,28 +142,28 @@ def test_what_is_lost_in_noise_is_judged_by_the_values_themselves() -> None:
     assert float(np.max(u_field)) < 0.5 * 1e-4
 
 
-def test_too_few_neighbours_tell_nothing_and_are_flagged() -> None:
+def test_values_with_too_few_neighbours_have_no_component_and_a_flag() -> None:
     points = points_of(5.0, np.array([0.0, 25.0, 30.0]), (180.0,))
     lone = replace(points, u_field=field_uncertainty(points, VARIANCE))
     assert np.isnan(lone.u_field).all()
     assert lone.flags["field"].all()
     enough = points_of(15.0, np.array([20.0, 25.0, 30.0]), (180.0,))
-    told = replace(enough, u_field=field_uncertainty(enough, VARIANCE))
-    assert not told.flags["field"].any()
+    complete = replace(enough, u_field=field_uncertainty(enough, VARIANCE))
+    assert not complete.flags["field"].any()
 
 
-def test_a_peak_between_values_without_light_may_be_of_any_width() -> None:
+def test_a_peak_between_values_without_light_has_no_component() -> None:
     points = points_of(0.5, np.arange(0.0, 85.1, 5.0), u=1e-6)
     u_field = field_uncertainty(points, VARIANCE)
     assert np.isnan(u_field[np.argmin(points.theta_deg)])
     assert np.isfinite(u_field[points.theta_deg > 20.0]).all()
 
 
-def test_spoiled_values_are_no_neighbours() -> None:
+def test_flagged_values_are_no_neighbours() -> None:
     clean = points_of(15.0)
-    spoiled = np.arange(clean.bsdf.size) % 7 == 3
-    wrong = replace(clean, bsdf=np.where(spoiled, 3.0 * clean.bsdf, clean.bsdf), drifted=spoiled)
-    found = field_uncertainty(wrong, VARIANCE)
-    assert np.isnan(found[spoiled]).all()
-    near = ~spoiled & (clean.theta_deg < 30.0)
-    assert found[near] == pytest.approx(field_uncertainty(clean, VARIANCE)[near], rel=0.05, abs=1e-5)
+    flagged = np.arange(clean.bsdf.size) % 7 == 3
+    wrong = replace(clean, bsdf=np.where(flagged, 3.0 * clean.bsdf, clean.bsdf), drifted=flagged)
+    u_field = field_uncertainty(wrong, VARIANCE)
+    assert np.isnan(u_field[flagged]).all()
+    near = ~flagged & (clean.theta_deg < 30.0)
+    assert u_field[near] == pytest.approx(field_uncertainty(clean, VARIANCE)[near], rel=0.05, abs=1e-5)

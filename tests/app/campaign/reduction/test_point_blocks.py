@@ -1,4 +1,4 @@
-"""A journal reduced in blocks: the same numbers, bit for bit, whatever the size of a block, in little memory."""
+"""A journal reduced in blocks: the values are bit-identical for any size of a block, and the memory is bounded."""
 
 import gc
 import tracemalloc
@@ -35,7 +35,7 @@ EVERYTHING = (
 
 @pytest.fixture(scope="module")
 def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Both sides and both lights of two samples, with everything beside that the reduction heeds; it is only read."""
+    """Two samples, lit on both sides, in both lights, with every table that the reduction evaluates. Tests only read it."""
     folder = tmp_path_factory.mktemp("blocks")
     changes = (
         ('["gaussian-5"]', '["glass", "gaussian-5"]'), ("beta_deg = [180]", "beta_deg = [0, 45, 180]"), ("[30]", "[30, 45]"),
@@ -57,49 +57,49 @@ def bits(points: BsdfPoints) -> list[bytes]:
 
 
 @SIZES
-def test_every_value_is_the_same_whatever_the_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
+def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
     with Journal.open(journal) as opened:
         reduction, whole = Reduction(opened), reduce_journal(opened)
         for sample in ("glass", "gaussian-5"):
-            found = {}
+            results = {}
             for size in sizes:
                 blocks = list(reduction.blocks(sample, size))
-                seen = reduction.overlaps(sample, size)
-                points = join_points([reduction.finish(block.points, seen) for block in blocks])
-                found[size] = bits(points)
+                overlaps = reduction.overlaps(sample, size)
+                points = join_points([reduction.finish(block.points, overlaps) for block in blocks])
+                results[size] = bits(points)
                 ranks = np.concatenate([block.rank for block in blocks])
                 assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
                 listed = [(row.wavelength_nm, row.pose[:2]) for row in plan_rows(opened, sample) if row.pose is not None]
                 assert max(np.unique(block.rank).size for block in blocks) < size + max(Counter(listed).values())
-            assert all(each == found[sizes[0]] for each in found.values())
+            assert all(each == results[sizes[0]] for each in results.values())
     assert whole.samples["glass"].transmitted.any()
     assert whole.samples["glass"].back.any()
 
 
 @SIZES
-def test_a_forecast_is_the_same_whatever_the_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
-    found = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
-    assert all(each.spread == found[0].spread for each in found)
-    assert all(each.check_results.as_dict() == found[0].check_results.as_dict() for each in found)
+def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
+    forecasts = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
+    assert all(each.spread == forecasts[0].spread for each in forecasts)
+    assert all(each.check_results.as_dict() == forecasts[0].check_results.as_dict() for each in forecasts)
     assert len({(tmp_path / f"{size}.csv").read_bytes() for size in sizes}) == 1
     with Journal.open(journal) as opened:
         whole = reduce_journal(opened)
     for name, points in whole.samples.items():
-        assert found[0].spread[name]["directions"] == points.bsdf.size
+        assert forecasts[0].spread[name]["directions"] == points.bsdf.size
         positive = points.good & (points.bsdf > 0.0)
         median = float(np.percentile((points.u_bsdf / np.where(positive, points.bsdf, np.nan))[positive], 50))
-        assert found[0].spread[name]["p50"] == median
-        assert found[0].check_results.symmetry[name] == whole.symmetry[name]
-        assert found[0].check_results.overlaps[name] == whole.overlaps[name]
+        assert forecasts[0].spread[name]["p50"] == median
+        assert forecasts[0].check_results.symmetry[name] == whole.symmetry[name]
+        assert forecasts[0].check_results.overlaps[name] == whole.overlaps[name]
     assert whole.symmetry["glass"].pairs > 0
     assert whole.overlaps["glass"].pairs > 0
 
 
 @pytest.mark.parametrize("steps", [(10.0, 2.5), pytest.param((4.0, 1.0), marks=pytest.mark.long)], ids=["few", "many"])
-def test_what_a_forecast_holds_grows_by_much_less_than_a_kilobyte_a_row(
+def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
 ) -> None:
-    rig, held, rows = read_rig(write_rig()), [], []
+    rig, memory, rows = read_rig(write_rig()), [], []
     for step in steps:
         many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")
         plan, _ = plan_rehearsal(
@@ -110,8 +110,8 @@ def test_what_a_forecast_holds_grows_by_much_less_than_a_kilobyte_a_row(
         gc.collect()
         tracemalloc.start()
         forecast(path, tmp_path / "a.csv", rows_at_once=16)
-        held.append(tracemalloc.get_traced_memory()[1])
+        memory.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         rows.append(len(plan.rows))
-    # All points at once, as text, would be 20 kB a row.
-    assert (held[1] - held[0]) / (rows[1] - rows[0]) < 600.0
+    # All points at once, as text, would take 20 kB per row.
+    assert (memory[1] - memory[0]) / (rows[1] - rows[0]) < 600.0

@@ -1,4 +1,4 @@
-"""`[symmetry_check]`: the verdict on the symmetry that a schedule states, and what is done with the rows that it takes."""
+"""`[symmetry_check]`: the test of the symmetry that a schedule states, and the rows measured for it."""
 
 import json
 import sqlite3
@@ -31,7 +31,7 @@ GAINS = ("[1e8, 1e10]", "[1e8, 1e10, 1e11]")
 CHECK = "[symmetry_check]\npoints = 4\n"
 
 
-def measured(write_rig: Writer, write_schedule: Writer, tmp_path: Path, *changes: Change, text: str = SMALL + CHECK) -> Path:
+def measure(write_rig: Writer, write_schedule: Writer, tmp_path: Path, *changes: Change, text: str = SMALL + CHECK) -> Path:
     """A journal on the rig with noise."""
     plan = make_plan(read_schedule(write_schedule(WIDE, GAINS, *changes, text=text)), read_rig(write_rig()))
     run_campaign(plan, tmp_path / "a.journal")
@@ -44,7 +44,7 @@ def reduced(path: Path) -> BsdfDataset:
 
 
 def brushed(share: float) -> Scatterer:
-    """White where the light comes from the sample's azimuth 90, greyer by so much on either side where from -90."""
+    """An anisotropic diffuser: its BSDF varies by plus and minus `share` with the sine of the light's azimuth."""
     psi, phi, theta = np.arange(0.0, 360.0, 15.0), np.array([0.0, 180.0]), np.array([0.0, 180.0])
     values = 0.5 / np.pi * (1.0 + share * np.sin(np.radians(psi)))
     return table_sample([30.0], phi, theta, np.broadcast_to(values[:, None, None, None], (psi.size, 1, 2, 2)), psi_deg=psi)
@@ -52,7 +52,7 @@ def brushed(share: float) -> Scatterer:
 
 @pytest.fixture
 def anisotropic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """gaussian-5 is another sample than anybody knows."""
+    """The virtual rig's gaussian-5 is an anisotropic sample, unknown to the schedule."""
     known = RigDescription.model
 
     def model(self: RigDescription) -> object:
@@ -63,13 +63,13 @@ def anisotropic(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RigDescription, "model", model)
 
 
-def test_an_isotropic_sample_holds(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    found = reduced(measured(write_rig, write_schedule, tmp_path))
-    verdict = found.symmetry["gaussian-5"]
-    assert verdict.holds
-    assert verdict.pairs > 60  # 4 poses of 18 photodiodes, some hidden
-    assert 0.3 * verdict.pairs < verdict.chi_square < 1.7 * verdict.pairs
-    assert verdict.largest < 0.1
+def test_an_isotropic_sample_passes(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    found = reduced(measure(write_rig, write_schedule, tmp_path))
+    result = found.symmetry["gaussian-5"]
+    assert result.holds
+    assert result.pairs > 60  # 4 poses of 18 photodiodes, some blocked
+    assert 0.3 * result.pairs < result.chi_square < 1.7 * result.pairs
+    assert result.largest < 0.1
     assert any(note.startswith("symmetry of gaussian-5: the stated symmetry (isotropic) holds within") for note in found.notes)
 
 
@@ -79,71 +79,71 @@ def test_an_isotropic_sample_holds(write_rig: Writer, write_schedule: Writer, tm
         ("repeats = 2\n", ()),
         ("", (("[1e8, 1e10, 1e11]", "[1e11]"), ("readings = 2", "readings = 10"), ("points = 4", "points = 16"))),
     ],
-    ids=["repeats that share an etalon", "readings so many that the lamp's flicker is left"],
+    ids=["repeats that share an etalon", "so many readings that the lamp's flicker dominates"],
 )
-def test_a_grey_sample_holds_however_it_is_read(
+def test_a_grey_sample_passes_with_repeats_and_with_many_readings(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, repeats: str, changes: tuple[Change, ...]
 ) -> None:
     grey = ("[twin.samples.etalon]", '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.8\n\n[twin.samples.etalon]')
     three = ("sigma_deg = [30]", "sigma_deg = [20, 40, 60]")
     schedule = write_schedule(WIDE, GAINS, ("gaussian-5", "grey"), three, *changes, text=SMALL + repeats + CHECK)
     run_campaign(make_plan(read_schedule(schedule), read_rig(write_rig(grey))), tmp_path / "a.journal")
-    verdict = reduced(tmp_path / "a.journal").symmetry["grey"]
-    assert verdict.holds, verdict
-    assert verdict.pairs > 60
+    result = reduced(tmp_path / "a.journal").symmetry["grey"]
+    assert result.holds, result
+    assert result.pairs > 60
 
 
-def test_where_nothing_can_be_said_a_program_reads_null() -> None:
-    nothing = SymmetryResult("isotropic", 0, 0.0, 0.0, 0.0, float("nan"), float("nan"), "")
-    assert nothing.as_dict()["holds"] is None
+def test_without_pairs_the_json_result_is_null() -> None:
+    empty = SymmetryResult("isotropic", 0, 0.0, 0.0, 0.0, float("nan"), float("nan"), "")
+    assert empty.as_dict()["holds"] is None
 
 
-def test_a_campaign_without_the_check_has_no_verdict(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    found = reduced(measured(write_rig, write_schedule, tmp_path, text=SMALL))
+def test_a_campaign_without_the_check_has_no_result(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    found = reduced(measure(write_rig, write_schedule, tmp_path, text=SMALL))
     assert not found.symmetry
     assert not found.samples["gaussian-5"].mirrored.any()
 
 
 @pytest.mark.parametrize("stated", ["isotropic", "plane-symmetric"])
-def test_a_planted_anisotropy_is_found(
+def test_an_anisotropic_sample_fails(
     stated: str, write_rig: Writer, write_schedule: Writer, tmp_path: Path, anisotropic: None
 ) -> None:
     gammas = "gamma_deg = [0, 60]\n" if stated == "plane-symmetric" else ""
     text = f'{SMALL}symmetry = "{stated}"\n{gammas}{CHECK}'
-    found = reduced(measured(write_rig, write_schedule, tmp_path, text=text))
-    verdict = found.symmetry["gaussian-5"]
-    assert not verdict.holds
-    assert verdict.stated == stated
+    found = reduced(measure(write_rig, write_schedule, tmp_path, text=text))
+    result = found.symmetry["gaussian-5"]
+    assert not result.holds
+    assert result.stated == stated
     # 10 % of sin 90 deg against sin 0 deg; or of sin 60 deg against sin -60 deg
-    assert verdict.largest == pytest.approx(0.105 if stated == "isotropic" else 0.173, abs=0.02)
-    assert "does NOT hold" in str(verdict)
+    assert result.largest == pytest.approx(0.105 if stated == "isotropic" else 0.173, abs=0.02)
+    assert "does NOT hold" in str(result)
     assert any("does NOT hold" in note for note in found.notes)
 
 
-def test_mirrored_rows_with_half_their_counts_do_not_hold(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    path = measured(write_rig, write_schedule, tmp_path)
+def test_mirrored_rows_with_half_their_counts_fail(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    path = measure(write_rig, write_schedule, tmp_path)
     with Journal.open(path) as journal:
-        dark = next(each for each in journal.rows() if each.row.kind == "dark")
-        darks = {reading.gain_v_per_a: reading.counts.mean(axis=0) for reading in dark.data.readings}
+        first = next(each for each in journal.rows() if each.row.kind == "dark")
+        dark = {reading.gain_v_per_a: reading.counts.mean(axis=0) for reading in first.data.readings}
     with sqlite3.connect(path) as db:
         chosen = "SELECT number FROM plan WHERE sample = 'gaussian-5' AND identity LIKE '%/mirrored'"
         for number, gain, counts in db.execute(
             f"SELECT number, gain_v_per_a, counts FROM reading WHERE number IN ({chosen})"
         ).fetchall():
-            raw = np.frombuffer(counts, dtype="<u2").reshape(-1, darks[gain].size)
-            halved = np.where(raw == 65535, raw, np.round(0.5 * (raw + darks[gain])))  # what is clipped stays so
+            raw = np.frombuffer(counts, dtype="<u2").reshape(-1, dark[gain].size)
+            halved = np.where(raw == 65535, raw, np.round(0.5 * (raw + dark[gain])))  # saturated counts stay
             where = "WHERE number = ? AND gain_v_per_a = ?"
             db.execute(f"UPDATE reading SET counts = ? {where}", (halved.astype("<u2").tobytes(), number, gain))
     found = reduced(path)
     assert not found.symmetry["gaussian-5"].holds
-    assert found.symmetry["gaussian-5"].largest == pytest.approx(2.0 / 3.0, abs=0.1)  # a half of a mean of three quarters
+    assert found.symmetry["gaussian-5"].largest == pytest.approx(2.0 / 3.0, abs=0.1)  # a half over the mean, three quarters
 
 
 def test_the_exported_table_has_no_mirrored_rows_and_the_csv_marks_them(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
-    found = reduced(measured(write_rig, write_schedule, tmp_path))
-    export_ddr(found, None, tmp_path / "a.ddr")  # which has one gamma
+    found = reduced(measure(write_rig, write_schedule, tmp_path))
+    export_ddr(found, None, tmp_path / "a.ddr")  # a .ddr file has one gamma
     assert any("symmetry: the stated symmetry (isotropic) holds" in each for each in read_ddr(tmp_path / "a.ddr").comments)
     export_csv(found, None, tmp_path / "a.csv")
     table = read_points_csv(tmp_path / "a.csv")
@@ -154,7 +154,7 @@ def test_the_exported_table_has_no_mirrored_rows_and_the_csv_marks_them(
     assert any("symmetry of gaussian-5" in each for each in table.comments)
 
 
-def test_the_end_of_a_run_and_of_a_rehearsal_says_it(
+def test_run_and_rehearsal_report_a_failed_symmetry_check(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, anisotropic: None
 ) -> None:
     schedule, rig = write_schedule(WIDE, GAINS, text=SMALL + CHECK), write_rig()
@@ -171,11 +171,11 @@ def test_the_end_of_a_run_and_of_a_rehearsal_says_it(
     json.dumps(found.result, allow_nan=False)
 
 
-def test_steepness_is_the_relative_change_to_the_steeper_side() -> None:
+def test_steepness_is_the_larger_relative_change_of_both_sides() -> None:
     points = points_of(30.0, np.array([10.0, 20.0, 40.0]), np.array([180.0]))
     points.bsdf[:] = np.exp([0.0, 1.0, 1.5])
     assert steepness(points).tolist() == pytest.approx([0.1, 0.1, 0.025])
-    points.bsdf[1] = -1.0  # noise about nothing has no logarithm
+    points.bsdf[1] = -1.0  # a negative value has no logarithm
     assert steepness(points).tolist() == pytest.approx([0.05, 0.0, 0.05])
     over = points_of(30.0, np.array([10.0, 5.0]), np.array([0.0, 180.0]))  # one arc, over the normal
     over = replace(over, beta_deg=np.array([180.0, 180.0]), bsdf=np.exp([0.0, 3.0]))

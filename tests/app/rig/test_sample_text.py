@@ -1,4 +1,4 @@
-"""Samples in one line: what they make, and that whatever is wrong with them is one line that helps."""
+"""Samples in one line: the scattering models they give, and error messages of one line."""
 
 from pathlib import Path
 
@@ -18,8 +18,8 @@ LIGHT = light_direction(30.0)
 OBSERVERS = from_specular(30.0, np.array([0.0, 5.0, 20.0]), np.array([0.0, 90.0, 180.0]))
 
 
-def _complaint(text: str) -> str | None:
-    """What is said of a text; None of one that is a sample, whose values are then finite."""
+def _error_message(text: str) -> str | None:
+    """The error message for a text; None for a valid sample, whose values must be finite."""
     try:
         sample = parse_sample(text)
     except UserError as error:
@@ -33,7 +33,7 @@ widths = st.floats(0.5, 40.0)
 
 @settings(deadline=None)
 @given(widths, st.sampled_from(["one_over_e", "half_width"]), st.sampled_from(["luminance", "intensity"]), shares)
-def test_a_gaussian_is_what_its_keys_say(width: float, form: str, quantity: str, share: float) -> None:
+def test_a_gaussian_has_the_properties_of_its_keys(width: float, form: str, quantity: str, share: float) -> None:
     text = f"gaussian:width_deg={width!r},form={form},quantity={quantity},reflectance={share!r}"
     made = parse_sample(text)
     meant = gaussian(width, form, quantity, reflectance=share)  # type: ignore[arg-type]
@@ -43,7 +43,7 @@ def test_a_gaussian_is_what_its_keys_say(width: float, form: str, quantity: str,
 
 @settings(deadline=None)
 @given(shares, widths, shares)
-def test_a_sum_is_the_sum_of_its_parts_in_any_order_and_spacing(white: float, width: float, share: float) -> None:
+def test_a_sum_does_not_depend_on_order_and_white_space(white: float, width: float, share: float) -> None:
     parts = [f"lambertian:reflectance={white!r}", f"gaussian:width_deg={width!r},reflectance={share!r}"]
     meant = evaluate(sum_samples(lambertian(white), gaussian(width, reflectance=share)), LIGHT, OBSERVERS)
     for text in ("+".join(parts), " + ".join(reversed(parts)), f" {parts[0]} +{parts[1]} "):
@@ -52,9 +52,9 @@ def test_a_sum_is_the_sum_of_its_parts_in_any_order_and_spacing(white: float, wi
 
 @settings(deadline=None)
 @given(st.text(max_size=40))
-def test_any_text_is_a_sample_or_one_line_of_complaint(text: str) -> None:
-    complaint = _complaint(text)
-    assert complaint is None or complaint.isprintable()
+def test_any_text_is_a_sample_or_an_error_of_one_line(text: str) -> None:
+    message = _error_message(text)
+    assert message is None or message.isprintable()
 
 
 @settings(deadline=None)
@@ -64,13 +64,13 @@ def test_any_text_is_a_sample_or_one_line_of_complaint(text: str) -> None:
         st.tuples(st.sampled_from(["width_deg", "reflectance", "peak", "form", "x"]), st.text("0123456789.-+einfa", max_size=6))
     ),
 )
-def test_any_keys_and_numbers_make_a_sample_or_one_line_of_complaint(model: str, keys: list[tuple[str, str]]) -> None:
-    complaint = _complaint(f"{model}:" + ",".join(f"{key}={value}" for key, value in keys))
-    assert complaint is None or (complaint.startswith("--sample") and complaint.isprintable())
+def test_any_keys_and_numbers_make_a_sample_or_an_error_of_one_line(model: str, keys: list[tuple[str, str]]) -> None:
+    message = _error_message(f"{model}:" + ",".join(f"{key}={value}" for key, value in keys))
+    assert message is None or (message.startswith("--sample") and message.isprintable())
 
 
 @pytest.mark.parametrize(
-    ("text", "named"),
+    ("text", "message"),
     [
         (
             "phong:n=3",
@@ -107,13 +107,13 @@ def test_any_keys_and_numbers_make_a_sample_or_one_line_of_complaint(model: str,
         ("", "no model ''"),
     ],
 )
-def test_bad_samples_are_refused_by_name(text: str, named: str) -> None:
+def test_an_invalid_sample_is_refused_with_its_model(text: str, message: str) -> None:
     with pytest.raises(UserError, match=r"^--sample") as caught:
         parse_sample(text)
-    assert named in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_measured_tables_are_read_as_they_are(tmp_path: Path) -> None:
+def test_a_measured_table_gives_the_values_of_its_file(tmp_path: Path) -> None:
     zemax, ddr = tmp_path / "paint+1.bsdf", tmp_path / "paint.ddr"
     write_zemax(
         zemax,
@@ -139,7 +139,7 @@ def test_a_spectral_table_keeps_its_wavelengths(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("side", ["front", "back", "both"])
-def test_each_model_acts_on_the_sides_that_it_is_given(side: str, tmp_path: Path) -> None:
+def test_each_model_acts_on_its_given_sides(side: str, tmp_path: Path) -> None:
     path = tmp_path / "a,b.ddr"
     write_ddr(path, DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), SIGMA, PHI, THETA, (None,), VALUES[None]))
     texts = "regular:reflectance=0.04", "lambertian:reflectance=0.5", "gaussian:width_deg=5", f"table:{path}"
@@ -149,12 +149,12 @@ def test_each_model_acts_on_the_sides_that_it_is_given(side: str, tmp_path: Path
         assert [each > 0.0 for each in shares] == [side in ("front", "both"), side in ("back", "both")]
     assert table_files(f"table:{path},side={side}+lambertian:reflectance=0.1") == [path]
     mirror = parse_sample(f"lambertian:reflectance=0.5,transmittance=0.1+regular:reflectance=0.3,transmits=true,side={side}")
-    told = [albedo(mirror, sigma, transmitted=True) for sigma in (20.0, 160.0)]
+    transmittances = [albedo(mirror, sigma, transmitted=True) for sigma in (20.0, 160.0)]
     front, back = side in ("front", "both"), side in ("back", "both")
-    assert told == pytest.approx([0.1 + 0.3 * front, 0.3 * back], rel=1e-6)
+    assert transmittances == pytest.approx([0.1 + 0.3 * front, 0.3 * back], rel=1e-6)
 
 
-def test_a_table_with_a_hole_is_refused(tmp_path: Path) -> None:
+def test_a_table_with_a_missing_value_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "hole.ddr"
     write_ddr(path, DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), SIGMA, PHI, THETA, (None,), VALUES[None]))
     path.write_text(path.read_text(encoding="utf-8").replace("0.3", "nan", 1), encoding="utf-8")

@@ -9,7 +9,7 @@ from goniotwin.app.rig import OpenRig, open_rig, parse_rig, read_rig
 from goniotwin.app.rig.served_file import served_rig
 from goniotwin.drivers import wait
 from goniotwin.drivers.errors import DeviceError
-from goniotwin.mocks.control import Control, Refused
+from goniotwin.mocks.control import ControlClient, OrderRefused
 from goniotwin.mocks.served import ServedRig
 from goniotwin.protocols.clock import RealClock
 from tests.conftest import Writer
@@ -18,21 +18,21 @@ pytestmark = pytest.mark.endpoint
 
 
 @pytest.fixture
-def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, Control]]:
+def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, ControlClient]]:
     """A rig that is served: the file with which others reach it, and its back door."""
     description = read_rig(write_rig(("noise = true", "noise = false")))
     model = description.model()
     assert model is not None
     server = ServedRig(model, 1.0, tmp_path / "ptys")
     server.start()
-    control = Control(server.endpoints[-1].port or 0)
+    control = ControlClient(server.endpoints[-1].port or 0)
     yield served_rig(description, server.endpoints, 1.0), control
     control.close()
     server.stop()
 
 
 @pytest.fixture
-def served(server: tuple[str, Control], tmp_path: Path) -> Iterator[tuple[OpenRig, Control]]:
+def served(server: tuple[str, ControlClient], tmp_path: Path) -> Iterator[tuple[OpenRig, ControlClient]]:
     """The drivers of a rig, connected over its endpoints, and its back door."""
     with open_rig(parse_rig(server[0], tmp_path, "served.toml"), RealClock()) as opened:
         opened.connect()
@@ -61,7 +61,7 @@ USES = {"axes": angle, "mono": wavelength, "adc-2": read, "monitor": mean}
 OF = {"axes": "axes|sigma", "mono": "monochromator", "adc-2": "photodiodes", "monitor": "monitor"}
 
 
-def test_a_fault_that_was_ordered_happens_once_and_is_told(served: tuple[OpenRig, Control]) -> None:
+def test_a_fault_that_was_ordered_happens_once_and_is_told(served: tuple[OpenRig, ControlClient]) -> None:
     opened, control = served
     control.do("faults", device="axes", script=["lost"])
     angle(opened)  # asked again
@@ -72,7 +72,9 @@ def test_a_fault_that_was_ordered_happens_once_and_is_told(served: tuple[OpenRig
 
 
 @pytest.mark.parametrize("device", USES)
-def test_a_plug_that_is_pulled_ends_in_an_error_that_names_the_device(served: tuple[OpenRig, Control], device: str) -> None:
+def test_a_plug_that_is_pulled_ends_in_an_error_that_names_the_device(
+    served: tuple[OpenRig, ControlClient], device: str
+) -> None:
     """Meanwhile the others work; plugged in again, so does it, without a restart."""
     opened, control = served
     control.do("unplug", device=device)
@@ -96,6 +98,8 @@ def test_a_plug_that_is_pulled_ends_in_an_error_that_names_the_device(served: tu
         ({"device": "axes", "share": 2}, "0 to 1"),
     ],
 )
-def test_faults_that_cannot_be_are_refused_in_words(server: tuple[str, Control], order: dict[str, object], said: str) -> None:
-    with pytest.raises(Refused, match=said):
+def test_faults_that_cannot_be_are_refused_in_words(
+    server: tuple[str, ControlClient], order: dict[str, object], said: str
+) -> None:
+    with pytest.raises(OrderRefused, match=said):
         server[1].do("faults", **order)

@@ -14,7 +14,7 @@ STALL_HORIZON_S = 1.0
 
 
 @dataclass(frozen=True)
-class Halt:
+class MotionEnd:
     """What will end a movement, and when: `soft` over a ramp, else at once."""
 
     t: float
@@ -24,8 +24,8 @@ class Halt:
 
 @dataclass(frozen=True)
 class Guards:
-    """What a motor heeds: its switches where they are enabled, the speed (pps) above which a stall stops it (0: never), by
-    how much the encoder may deviate (0: at all), and what the encoder says at an angle."""
+    """Limits that a motor obeys: its switches where they are enabled, the speed (pps) above which a stall stops it (0: never),
+    by how much the encoder may deviate (0: at all), and the encoder's reading at an angle."""
 
     right: Switch | None
     left: Switch | None
@@ -35,21 +35,21 @@ class Guards:
     encoder: Callable[[float], float] | None
 
 
-def next_halt(drive: Drive, t: float, guards: Guards) -> Halt | None:
+def next_motion_end(drive: Drive, t: float, guards: Guards) -> MotionEnd | None:
     """The first of what will end a movement; None where nothing will."""
-    halts: list[Halt] = []
+    halts: list[MotionEnd] = []
     for switch, side in ((guards.right, 1), (guards.left, -1)):
         met = when_switched(drive, t, switch, True, side) if switch is not None else None
         if met is not None:
-            halts.append(Halt(met, soft=guards.soft))
+            halts.append(MotionEnd(met, soft=guards.soft))
     if guards.stall_pps > 0.0 and drive.jammed:
         met = when_true(drive, t, lambda t: abs(drive.trajectory.velocity(t)) >= guards.stall_pps, STALL_HORIZON_S)
         if met is not None:
-            halts.append(Halt(met, ErrorFlag.STALL))
+            halts.append(MotionEnd(met, ErrorFlag.STALL))
     if guards.deviation and guards.encoder is not None:
         met = _deviation(drive, t, guards.encoder, guards.deviation)
         if met is not None:
-            halts.append(Halt(met, ErrorFlag.DEVIATION))
+            halts.append(MotionEnd(met, ErrorFlag.DEVIATION))
     return min(halts, key=lambda halt: halt.t, default=None)
 
 
