@@ -75,7 +75,7 @@ def stopped_once(busy: BusyRig, silent: str) -> Stop:
 @pytest.mark.parametrize("silent", SILENT)
 def test_whatever_the_rig_is_at_and_whoever_is_silent_all_axes_are_told_in_time_and_rest(work: Work, silent: str) -> None:
     busy = work(silent)
-    for _ in range(100 if silent == "nobody" else 15):
+    for _ in range(25 if silent == "nobody" else 8):
         stopped_once(busy, silent)
 
 
