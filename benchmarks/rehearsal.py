@@ -138,18 +138,18 @@ def once(plan: Plan) -> list[float]:
 def modbus_exchanges_a_row(plan: Plan) -> float:
     """Counted where the drivers ask."""
     asked = 0
-    ask = ModbusBus.ask
+    exchange = ModbusBus.exchange
 
     def counted(self: ModbusBus, *arguments: object) -> object:
         nonlocal asked
         asked += 1
-        return ask(self, *arguments)  # type: ignore[arg-type]
+        return exchange(self, *arguments)  # type: ignore[arg-type]
 
-    ModbusBus.ask = counted  # type: ignore[method-assign, assignment]
+    ModbusBus.exchange = counted  # type: ignore[method-assign, assignment]
     try:
         rows = len(once(plan))
     finally:
-        ModbusBus.ask = ask  # type: ignore[method-assign]
+        ModbusBus.exchange = exchange  # type: ignore[method-assign]
     return asked / rows
 
 
@@ -203,7 +203,7 @@ def memory(rows: int) -> dict[str, float]:
     at: dict[int, int] = {}
 
     def weigh(event: Event) -> None:
-        if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.of):
+        if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.total):
             at[event.done] = resident_bytes()
             if event.done == FROM_ROW:
                 forget_most()

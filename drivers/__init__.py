@@ -1,15 +1,15 @@
-"""The computer's side of the wires: devices with typed interfaces, told and asked, and the rig that they make.
+"""Drivers: the devices of the goniophotometer on their wires, and the rig that they form.
 
-No call lasts longer than one exchange on its wire; what takes time is started and polled. Drivers open nothing by
-name: they are given openers.
+A driver blocks for one exchange at most: an action is started, and then polled (`Pending`, `wait`). Drivers open nothing by
+name: they are given openers. `Rig` has all devices; `DeviceError` is the base of their errors; `Transcript` records the
+bytes on their wires.
 """
 
 from goniotwin.drivers.device import Pending, Poll, Until, wait
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
 from goniotwin.drivers.monitor.monitor import Monitor, MonitorSettings
 from goniotwin.drivers.monochromator.monochromator import Monochromator
-from goniotwin.drivers.monochromator.order_filters import FilterWheel, OrderFilter
-from goniotwin.drivers.monochromator.settings import MonochromatorSettings
+from goniotwin.drivers.monochromator.settings import FilterWheel, MonochromatorSettings, OrderFilter
 from goniotwin.drivers.motion.axis import Axis
 from goniotwin.drivers.motion.clearance import ArcClearance
 from goniotwin.drivers.motion.settings import AxisSettings, Homing

@@ -1,57 +1,65 @@
-"""What has been started and is not done yet: when to ask next, and asking."""
+"""What every device is to the engine: an action is started and then polled until it is done.
+
+No call blocks for longer than one exchange on its wire. `wait` polls any number of started actions.
+"""
 
 from collections.abc import Callable, Iterable
 from operator import attrgetter
 from typing import Protocol
 
+from serial import Serial
+
 from goniotwin.protocols.clock import Clock
 
 LONGEST_SLEEP_S = 0.2
 DUE = attrgetter("due")
+PortOpener = Callable[[int, float], Serial]
+"""Opens a serial port: baud rate, timeout in s."""
 
 
 class Pending(Protocol):
-    """Something under way. `due` is the time at which it is worth asking, s."""
+    """An action in progress. `due` is the time of the next poll, s."""
 
     due: float
 
     def poll(self) -> bool:
-        """Asks, in one exchange at most; True when it is done. Raises DeviceError where it has failed."""
+        """Ask the device, in one exchange at most; True when the action is done. Raises DeviceError if it failed."""
 
 
 class Until:
-    """Done when a time has come, and nothing else needs asking."""
+    """A wait until a time, without any exchange."""
 
     def __init__(self, clock: Clock, t: float) -> None:
         self._clock = clock
         self.due = t
 
     def poll(self) -> bool:
-        """Whether the time has come."""
+        """True when the time has come."""
         return self._clock.now() >= self.due
 
 
 class Poll:
-    """Done when a question is answered with yes: asked first at `due`, then every `interval` s."""
+    """An action that is done when `is_done` returns True: called first at `due`, then every `interval` s."""
 
-    def __init__(self, clock: Clock, due: float, interval: float, question: Callable[[], bool]) -> None:
+    def __init__(self, clock: Clock, due: float, interval: float, is_done: Callable[[], bool]) -> None:
         self._clock = clock
         self._interval = interval
-        self._question = question
+        self._is_done = is_done
         self.due = due
 
     def poll(self) -> bool:
-        """Asks."""
-        if self._question():
+        """Ask the device."""
+        if self._is_done():
             return True
         self.due = self._clock.now() + self._interval
         return False
 
 
 def wait(clock: Clock, started: Iterable[Pending], between: Callable[[], None] = lambda: None) -> None:
-    """Blocks until all are done, asking each when it is due; calls `between` before each question, and now and then.
+    """Block until all actions are done, polling each when it is due.
 
-    What `between` raises ends the waiting, as does the failure of any of the started.
+    `between` is called before each poll and at least every LONGEST_SLEEP_S. An exception from `between` or from an action
+    ends the wait.
     """
     left = list(started)
     while left:

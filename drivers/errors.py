@@ -1,8 +1,8 @@
-"""What goes wrong between the computer and a device, told so that a person can act on it."""
+"""Errors of devices. Each names the device, the action, what happened and what to do."""
 
 
 class DeviceError(Exception):
-    """A device did not do what it was asked: which device, at what, what happened, and what to do."""
+    """A device failed: `device`, the action (`doing`), what `happened`, and the `remedy`."""
 
     def __init__(self, device: str, doing: str, happened: str, remedy: str = "") -> None:
         self.device = device
@@ -14,28 +14,28 @@ class DeviceError(Exception):
 
 
 class NoAnswer(DeviceError):
-    """Nothing, or too little, came back in time."""
+    """The device is not responding: no reply, or an incomplete one, before the deadline."""
 
 
 class BadAnswer(DeviceError):
-    """What came back is not the answer to what was asked."""
+    """The reply is corrupted or does not belong to the request."""
 
 
 class Refused(DeviceError):
-    """The device understood and will not."""
+    """The device received the request and rejected it."""
 
 
 class LimitError(DeviceError):
-    """A target outside the axis' soft limits: nothing was sent."""
+    """A target outside the limits of an axis; nothing was sent."""
 
 
 class Forgotten(DeviceError):
-    """The device answers and no longer has its settings: it has reset, or somebody has changed them."""
+    """The device responds but has lost its settings: it has reset, or its settings were changed elsewhere."""
 
 
 class Interrupted(DeviceError):
-    """A stop has come between: what was to move has not been told to."""
+    """A motion that was not sent because a stop was requested."""
 
 
 class Unreferenced(DeviceError):
-    """It is in doubt where the axis is, so that it goes to no angle until it is referenced."""
+    """The axis is unreferenced: it moves to no angle until it is homed or its position is set."""

@@ -1,4 +1,4 @@
-"""The rig: all devices of one goniophotometer, connected, asked, stopped together."""
+"""The rig: all devices of one goniophotometer, connected, started and stopped together."""
 
 import contextlib
 from collections.abc import Callable
@@ -18,8 +18,8 @@ SIMULATED_SERIAL = "TWIN"
 
 
 @dataclass(frozen=True)
-class _Move:
-    """An axis on its way, or arrived since `due`."""
+class _Path:
+    """Path of a move of an axis; it has arrived since `due`, s."""
 
     from_deg: float
     target_deg: float
@@ -28,7 +28,7 @@ class _Move:
 
 @dataclass
 class Rig:
-    """The devices. `axes` are by their names: gamma, sigma, beta, shift."""
+    """The devices. `axes` have the keys gamma, sigma, beta and shift."""
 
     clock: Clock
     axes_module: TmclModule
@@ -39,10 +39,10 @@ class Rig:
     simulated: bool
     clearance: ArcClearance | None = None
     identities: dict[str, str] = field(default_factory=dict)
-    _moves: dict[str, "_Move"] = field(default_factory=dict)
+    _paths: dict[str, "_Path"] = field(default_factory=dict)
 
     def connect(self) -> dict[str, DeviceError | None]:
-        """Opens every device and writes its settings; nothing moves. What failed is told by device, and the rest works."""
+        """Open every device and write its settings; nothing moves. Returns the error, or None, of each device."""
         self.identities = {}
         outcome: dict[str, DeviceError | None] = {}
         for device, connect in (
@@ -55,43 +55,43 @@ class Rig:
         return outcome
 
     def close(self) -> None:
-        """Gives every wire back. Nothing moves."""
+        """Close every device. Nothing moves."""
         for device in (self.axes_module, self.monochromator, self.photodiodes, self.monitor):
             with contextlib.suppress(DeviceError):
                 device.close()
 
     def start(self, name: str, target_deg: float) -> Pending:
-        """Sends an axis to an angle, if no other axis forbids it. Raises LimitError before anything is sent, DeviceError."""
+        """Start a move of an axis, unless the arc would collide. Raises LimitError before anything is sent, DeviceError."""
         axis = self.axes[name]
-        stops = self.axes_module.stop_count  # a stop from now on, whatever is just being asked, forbids the move
+        stop_count = self.axes_module.stop_count  # a stop from now on prevents the move
         if self.clearance is not None and name in ("beta", "shift"):
             axis.check_limits(axis.settings, target_deg)
-            ways = {each: self._way(each) for each in ("beta", "shift")}
-            ways[name] = (*ways[name], target_deg)
-            reason = self.clearance.veto(ways["beta"], ways["shift"])
-            if reason is not None:
-                raise LimitError(name, f"move to {target_deg:g} deg", reason)
-        way = self._moves.pop(name, None)  # until the move is sent nobody knows where the axis ends
-        pending = axis.start(target_deg, stops)
-        started_from = target_deg if way is None else way.target_deg
-        self._moves[name] = _Move(started_from, target_deg, pending.arrival)
+            angles = {each: self._possible_angles(each) for each in ("beta", "shift")}
+            angles[name] = (*angles[name], target_deg)
+            collision = self.clearance.collision(angles["beta"], angles["shift"])
+            if collision is not None:
+                raise LimitError(name, f"move to {target_deg:g} deg", collision)
+        path = self._paths.pop(name, None)  # until the move is sent the end of the path is unknown
+        pending = axis.start(target_deg, stop_count)
+        started_from = target_deg if path is None else path.target_deg
+        self._paths[name] = _Path(started_from, target_deg, pending.arrival)
         return pending
 
-    def _way(self, name: str) -> tuple[float, ...]:
-        """Angles between which an axis may be: on its way, or at its last target, or where it says that it is."""
-        move = self._moves.get(name)
-        if move is None:
+    def _possible_angles(self, name: str) -> tuple[float, ...]:
+        """Angles between which an axis may be: on its path, at its last target, or at its position. Raises DeviceError."""
+        path = self._paths.get(name)
+        if path is None:
             axis = self.axes[name]
-            if axis.is_moving():  # over its ramp after a stop, or sent by somebody else: nobody knows yet where it will rest
-                raise LimitError(name, "say where it will be", "it still turns", "start again when it rests")
+            if axis.is_moving():  # on its ramp after a stop, or moved from elsewhere: where it will rest is unknown
+                raise LimitError(name, "predict its position", "it is moving", "start again when it is at rest")
             here = axis.position_deg()
-            self._moves[name] = _Move(here, here, self.clock.now())
+            self._paths[name] = _Path(here, here, self.clock.now())
             return (here,)
-        return (move.target_deg,) if self.clock.now() >= move.due else (move.from_deg, move.target_deg)
+        return (path.target_deg,) if self.clock.now() >= path.due else (path.from_deg, path.target_deg)
 
     def stop(self) -> list[DeviceError]:
-        """Has every axis come to rest over its ramp, then the grating, from any thread; returns what could not be told."""
-        self._moves.clear()  # where the axes come to rest they have to be asked
+        """Stop every axis over its ramp, then the grating; return the failures. Thread-safe."""
+        self._paths.clear()  # the rest positions have to be read
         requests = [each for axis in self.axes.values() for each in axis.stop_requests()]
         failures: list[DeviceError] = []
 
@@ -111,11 +111,11 @@ class Rig:
         return None
 
     def reconnect_axes(self) -> str:
-        """Opens the axes' port anew and restores their settings; an axis whose module has reset is unreferenced then.
+        """Open the axes' port again and restore their settings; an axis whose module has reset becomes unreferenced.
 
-        Returns who answers. Nothing moves. Raises DeviceError.
+        Returns the identity. Nothing moves. Raises DeviceError.
         """
-        self._moves.clear()
+        self._paths.clear()
         return self._connect_axes()
 
     def _connect_axes(self) -> str:
@@ -129,7 +129,7 @@ class Rig:
         if SIMULATED_SERIAL in identity and not self.simulated:
             self.monitor.close()
             raise BadAnswer(
-                "monitor", "ask who it is", f"{identity} is a simulated instrument, and the rig file does not say so",
-                "give the rig file a [simulated] table, or connect the real instrument",
+                "monitor", "identify it", f"{identity} is a simulated instrument, but the rig file has no [simulated] table",
+                "add a [simulated] table to the rig file, or connect the real instrument",
             )  # fmt: skip
         return identity

@@ -1,4 +1,4 @@
-"""A campaign from its files to its journal, in one call, for the command line and for scripts."""
+"""Run or resume a campaign, from its files to its journal, in one call: for the command line and for scripts."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -20,22 +20,24 @@ from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a campaign ended: the engine's state, and by which words of the schedule, where it was that; planned rows that are
-    done, those left out for faults, and all of them; the rig's time in s.
+    """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
+
+    `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
+    `seconds` is the duration on the rig's clock.
     """
 
     state: State
     ended_by_schedule: str
     rows: int
     skipped: int
-    of: int
+    planned: int
     seconds: float
     faults: tuple[str, ...]
     simulated: bool
 
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
-    """A virtual clock for a virtual rig in this process, real time for any other, at the speed of one that is served."""
+    """The clock of a rig: virtual for a virtual rig in this process, else real; at the simulation speed of a served rig."""
     if file.twin is not None and all(address.startswith("twin://") for address in file.addresses):
         return VirtualClock(start_s)
     return RealClock(file.simulated.speed if file.simulated is not None else 1.0, start_s)
@@ -49,13 +51,16 @@ def run_campaign(
     transcript: Path | None = None,
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
-    """Runs a plan to its end, or to the first fault. Raises UserError before anything is written, where it cannot start."""
-    with _alone(journal_path, plan), open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
+    """Run a plan until it is done, stopped, or ended by a fault.
+
+    Raises UserError, before anything is written, where it cannot start.
+    """
+    with _lock_name(journal_path, plan), open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
         if journal_path.exists():
-            Journal.create(journal_path, plan, {})  # says why not
-        operator = _ready(opened, plan, ask)
-        with Journal.create(journal_path, plan, software_versions()) as journal, _alone(journal_path, plan, file=True):
-            return _carried_out(opened, plan, journal, operator, listeners, plan.rows)
+            Journal.create(journal_path, plan, {})  # raises the error before the rig is connected
+        operator = _connect(opened, plan, ask)
+        with Journal.create(journal_path, plan, software_versions()) as journal, _lock_file(journal_path, plan):
+            return _run_engine(opened, plan, journal, operator, listeners, plan.rows)
 
 
 def resume_campaign(
@@ -66,31 +71,35 @@ def resume_campaign(
     transcript: Path | None = None,
     ask: Callable[[str], None] | None = None,
 ) -> Outcome:
-    """Goes on at the first row that a journal does not have. Raises UserError, and leaves the journal as it is, where that
-    cannot be: see `remaining_work`.
+    """Resume a campaign at the first planned row that is not in its journal; home unreferenced axes first.
+
+    Raises UserError, without a change of the journal, where the campaign cannot be resumed: see `remaining_work`.
     """
-    with Journal.open(journal_path) as looked_at:
-        begun = remaining_work(looked_at, rig)
-    plan = begun.plan
-    with _alone(journal_path, plan), _alone(journal_path, plan, file=True), Journal.reopen(journal_path) as journal:
-        rest = remaining_work(journal, rig)
-        with open_rig(rest.plan.rig, clock_for(rest.plan.rig.file, rest.start_s), transcript) as opened:
-            operator = _ready(opened, rest.plan, ask, homing=True)
-            return _carried_out(opened, rest.plan, journal, operator, listeners, rest.work)
+    with Journal.open(journal_path) as unlocked:
+        plan = remaining_work(unlocked, rig).plan
+    with _lock_name(journal_path, plan), _lock_file(journal_path, plan), Journal.reopen(journal_path) as journal:
+        remaining = remaining_work(journal, rig)  # again, now that no other program can change the journal
+        with open_rig(remaining.plan.rig, clock_for(remaining.plan.rig.file, remaining.start_s), transcript) as opened:
+            operator = _connect(opened, remaining.plan, ask, homing=True)
+            return _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work)
+
+
+def _lock_name(journal_path: Path, plan: Plan) -> contextlib.AbstractContextManager[None]:
+    """Lock the path of a journal against other programs."""
+    return _lock(str(journal_path.absolute()), journal_path, plan)
+
+
+def _lock_file(journal_path: Path, plan: Plan) -> contextlib.AbstractContextManager[None]:
+    """Lock the file of an existing journal against other programs, whatever name (hard link) they open it by."""
+    status = journal_path.stat()
+    return _lock(f"/goniotwin-journal/{status.st_dev}/{status.st_ino}", journal_path, plan)
 
 
 @contextlib.contextmanager
-def _alone(journal_path: Path, plan: Plan, *, file: bool = False) -> Iterator[None]:
-    """No other program works on the journal meanwhile, under this name or, as a `file` that is there, under any other.
-
-    Raises UserError that says who does.
-    """
-    place = str(journal_path.absolute())
-    if file:
-        about = journal_path.stat()
-        place = f"/goniotwin-journal/{about.st_dev}/{about.st_ino}"
+def _lock(resource: str, journal_path: Path, plan: Plan) -> Iterator[None]:
+    """Hold the lock of a resource. Raises UserError with the program that holds it already."""
     try:
-        lock = RigLock([place], f"{plan.schedule.file.name} ({journal_path})")
+        lock = RigLock([resource], f"{plan.schedule.file.name} ({journal_path})")
     except Held as held:
         raise Held(str(journal_path), held.holder) from None
     try:
@@ -99,46 +108,46 @@ def _alone(journal_path: Path, plan: Plan, *, file: bool = False) -> Iterator[No
         lock.release()
 
 
-def _ready(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None, *, homing: bool = False) -> Operator:
-    """Connects the rig, and finds who mounts; with `homing`, axes that can look for their reference will."""
+def _connect(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None, *, homing: bool = False) -> Operator:
+    """Connect the rig, check its axes (`homing` as in `check_referenced`), and return its operator."""
     operator = operator_for(opened, plan.rig.file, ask)
     opened.connect()
     check_referenced(opened, plan.rig.name, homing=homing)
     return operator
 
 
-def _carried_out(
+def _run_engine(
     opened: OpenRig, plan: Plan, journal: Journal, operator: Operator, listeners: list[Listener] | None, work: Sequence[Row]
 ) -> Outcome:
     engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
     state = engine.run()
-    (rows, of), skipped = journal.counted(), len(journal.skipped())
-    trouble = opened.transcript_trouble
-    faults = (*engine.faults, trouble) if trouble is not None else tuple(engine.faults)
-    return Outcome(state, engine.ended_by_schedule, rows, skipped, of, journal.seconds, faults, plan.rig.simulated)
+    (rows, planned), skipped = journal.row_counts(), len(journal.skipped_numbers())
+    failure = opened.transcript_failure
+    faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
+    return Outcome(state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated)
 
 
 def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:
-    """Raises UserError where it is in doubt where an axis of a connected rig is; with `homing`, only of one that cannot."""
-    doubts = {
+    """Raise UserError if an axis of a connected rig is unreferenced; with `homing`, only if it cannot home."""
+    unreferenced = {
         name: axis.unreferenced_reason
         for name, axis in opened.rig.axes.items()
         if axis.unreferenced_reason and not (homing and axis.settings.homing is not None)
     }
-    if doubts:
-        told = "; ".join(f"{name}: {doubt}" for name, doubt in doubts.items())
+    if unreferenced:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in unreferenced.items())
         raise UserError(
-            f"{told}. Home what has a [homing] table: goniotwin home --rig {rig_name}; or say where an axis is: "
-            f"goniotwin here --rig {rig_name} {next(iter(doubts))} DEG"
+            f"{reasons}. Home an axis that has a [homing] table: goniotwin home --rig {rig_name}; or set the current position "
+            f"of an axis: goniotwin here --rig {rig_name} {next(iter(unreferenced))} DEG"
         )
 
 
 def operator_for(opened: OpenRig, rig: RigFile, ask: Callable[[str], None] | None) -> Operator:
-    """The back door of a virtual rig, in this process or another; a person at a real one. Raises UserError without any."""
+    """The operator of a rig: the program at a virtual rig, else a person, through `ask`. Raises UserError without `ask`."""
     if opened.virtual is not None:
         return VirtualOperator(opened.virtual)
     if rig.simulated is not None and rig.simulated.control_port is not None:
         return ServedOperator(rig.simulated.control_port)
     if ask is None:
-        raise UserError(f"{rig.name}: somebody has to mount the samples, and nobody can be asked here")
+        raise UserError(f"{rig.name}: a person has to mount the samples, and this program has no way to ask one")
     return HumanOperator(ask)

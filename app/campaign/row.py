@@ -1,29 +1,30 @@
-"""A row: what is done between two commits."""
+"""One row of a plan: the work between two commits to the journal."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 RowKind = Literal["mount", "dark", "measure", "drift", "warm-up"]
 NO_SAMPLE = "nothing"
-"""The name of no sample: what a row says that is done with the sample unit empty."""
+"""Sample name of a row that is measured with an empty sample unit."""
 MIRRORED_MARK = "/mirrored"
-"""What the identity of a row has in it that only checks the stated symmetry. No name has a slash in it."""
+"""Part of the identity of a row that only checks the declared symmetry. Sample names have no slash."""
 SKIPPED = "skipped"
-"""The flag of a row that was left out for a fault."""
+"""Flag of a row that was skipped because of a fault."""
 RESUME_PREFIX = "resumed "
-"""What the identity of a row begins with that nobody has planned: a campaign that is gone on with begins with such rows."""
+"""Beginning of the identity of an unplanned row: a resumed session starts with such rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row.
+    """One row of a plan.
 
-    `pose` has the angles of gamma, sigma, beta, shift in degrees. `gains` are numbers in the rig's list: it is read at each of
-    them, or, where gains are `automatic`, at those of them that some photodiode needs. `readings` are taken at each; with a
-    `target`, a relative standard uncertainty, more of them until that is reached, or `longest_s` have passed.
+    `pose` has the angles gamma, sigma, beta, shift in degrees. `gains` are indices of the rig's list of gains: the row is read
+    at each of them, or, with `automatic` (auto-range), at those that a photodiode needs. `readings` is the number of readings
+    at each gain; with a `target` (relative standard uncertainty) readings follow until the target or the time limit
+    `longest_s` is reached. `seconds` is the estimated duration.
 
-    A `drift` row is a measurement that only says whether the light is still what it was; a `warm-up` row waits with open
-    shutter until the monitor is steady to `target` in ten minutes, `longest_s` at most.
+    A `drift` row is a drift check. A `warm-up` row waits with the shutter open until the monitor changes by less than
+    `target` in ten minutes, at most `longest_s`.
     """
 
     number: int
@@ -41,10 +42,10 @@ class Row:
 
     @property
     def mirrored(self) -> bool:
-        """Whether it is there to check the symmetry: a mirror image of another row."""
+        """Whether the row only checks the symmetry: it is the mirror image of another row."""
         return MIRRORED_MARK in self.identity
 
     @property
-    def added(self) -> bool:
-        """Whether it belongs to the beginning of a resumed session, and not to the plan."""
+    def unplanned(self) -> bool:
+        """Whether the row belongs to the start of a resumed session and not to the plan."""
         return self.identity.startswith(RESUME_PREFIX)

@@ -1,17 +1,17 @@
-"""Times and lists of numbers as people say them."""
+"""Durations and lists of numbers as text."""
 
 from collections.abc import Iterable
 
 
 def duration_text(seconds: float) -> str:
-    """Hours, minutes and seconds, to be read."""
+    """A duration in hours, minutes and seconds, such as `2 h 05 min 30 s`; below one hour without the hours."""
     whole = round(seconds)
     hours, minutes = whole // 3600, whole // 60 % 60
     return f"{hours} h {minutes:02d} min {whole % 60:02d} s" if hours else f"{minutes} min {whole % 60:02d} s"
 
 
 def number_list(values: Iterable[int]) -> str:
-    """Whole numbers in order, such as `0 to 4, 7, 9`."""
+    """Whole numbers in ascending order, three or more consecutive ones as a range, such as `0 to 4, 7, 9`."""
     runs: list[list[int]] = []
     for value in sorted(values):
         if runs and value == runs[-1][-1] + 1:

@@ -12,7 +12,7 @@ from goniotwin.app.cli.output import Json, RigOption, RowProgress, TranscriptOpt
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
-    from goniotwin.app.campaign.journal.runs import CampaignSummary
+    from goniotwin.app.campaign.journal.summary import CampaignSummary
     from goniotwin.app.campaign.planning.plan import Plan
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
@@ -133,7 +133,7 @@ def run(
         "reason": outcome.ended_by_schedule,
         "rows": outcome.rows,
         "skipped": outcome.skipped,
-        "planned": outcome.of,
+        "planned": outcome.planned,
         "duration_s": outcome.seconds,
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
@@ -144,12 +144,12 @@ def run(
         print_error(fault)
     mark = "SIMULATED, " if outcome.simulated else ""
     skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
-    rows = f"{outcome.rows} of {outcome.of} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
+    rows = f"{outcome.rows} of {outcome.planned} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
     answer(as_json, result, lambda: print("\n".join([text, *(checks.lines if checks is not None else [])])))
     if outcome.ended_by_schedule:
         errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
-    if outcome.rows < outcome.of:
+    if outcome.rows < outcome.planned:
         errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
     if outcome.state is not State.DONE or outcome.skipped:
         raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
@@ -161,7 +161,7 @@ def runs(
     as_json: Json = False,
 ) -> None:
     """List the campaigns of a folder: state, rows, time left."""
-    from goniotwin.app.campaign.journal.runs import campaign_summaries
+    from goniotwin.app.campaign.journal.summary import campaign_summaries
 
     found, refused = campaign_summaries(folder)
     answer(

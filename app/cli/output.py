@@ -90,7 +90,7 @@ class RowProgress(ProgressBar):
         if isinstance(event, RowStarted):
             self._update(event.row.identity)
         elif isinstance(event, RowCommitted):
-            self._update(f"instrument time left {event.seconds_left:.0f} s", event.done, event.of)
+            self._update(f"instrument time left {event.seconds_left:.0f} s", event.done, event.total)
 
 
 class ShareProgress(ProgressBar):

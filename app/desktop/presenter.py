@@ -190,7 +190,7 @@ class Session(QObject):
             if self.state is State.RUNNING:
                 self._parts.say(f"Measuring row {event.row.number + 1}: {event.row.identity}")
         else:
-            self._show_progress(event.done, event.of, event.seconds_left)
+            self._show_progress(event.done, event.total, event.seconds_left)
         self._live.heed(event)
 
     def _show_progress(self, done: int, of: int, left_s: float | None) -> None:

@@ -88,7 +88,7 @@ class ModbusUnits:
     @staticmethod
     def explain(unit: ModbusUnit) -> Explain:
         """What puts the bytes on a unit's wire into words."""
-        return explain_rtu if unit.bus.line else explain
+        return explain_rtu if unit.bus.rtu else explain
 
     def _twin(self, address: str) -> ModbusUnit:
         device = self._virtual.modbus.get(address.rsplit("/", 1)[1]) if self._virtual is not None else None
@@ -103,7 +103,7 @@ class ModbusUnits:
         return self._on_line(address.rsplit("/", 1)[0], device.unit, baudrate, address, opener)
 
     def _on_line(self, port: str, unit: int, baudrate: int, address: str, opener: ModbusOpener) -> ModbusUnit:
-        bus, speed, taken = self._lines.setdefault(port, (ModbusBus(opener, line=True), baudrate, {}))
+        bus, speed, taken = self._lines.setdefault(port, (ModbusBus(opener, rtu=True), baudrate, {}))
         if speed != baudrate:
             raise _bad(address, f"another unit on {port} has {speed} baud, and a line has one speed")
         if unit in taken:

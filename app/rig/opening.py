@@ -23,8 +23,8 @@ from goniotwin.app.rig.settings import (
 from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.app.toml_file import checked, parse_toml, read_toml
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
+from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.motion import tmcl
-from goniotwin.drivers.motion.tmcl.module import PortOpener
 from goniotwin.drivers.tap import Explain, Tap, as_text, no_tap
 from goniotwin.drivers.usb import usbtmc as usbtmc_driver
 from goniotwin.drivers.usb.usbip import find_usbip
@@ -117,9 +117,9 @@ class OpenRig:
             self._lock = None
 
     @property
-    def transcript_trouble(self) -> str | None:
+    def transcript_failure(self) -> str | None:
         """Why transcripts are not written to their end; None where they are, or are not wanted."""
-        return self._transcript.trouble if self._transcript is not None else None
+        return self._transcript.failure if self._transcript is not None else None
 
     def lock(self, addresses: list[str], doing: str) -> None:
         """Keeps other programs from real devices until `close`. Raises UserError that says who has one."""

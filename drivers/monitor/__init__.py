@@ -1,1 +1,8 @@
-"""The monitor photodiode behind a SCPI instrument."""
+"""Monitor: the monitor photodiode behind a SCPI picoammeter on USB.
+
+`Monitor` is the instrument, `MonitorMean` a mean in progress. Each family of instruments is a `Dialect`.
+"""
+
+from goniotwin.drivers.monitor.monitor import DIALECTS, Dialect, Monitor, MonitorMean, MonitorSettings
+
+__all__ = ["DIALECTS", "Dialect", "Monitor", "MonitorMean", "MonitorSettings"]

@@ -1,37 +1,46 @@
-"""The monitor photodiode behind a Thorlabs PM100D, or another SCPI picoammeter: mean current or power over some time.
+"""The monitor photodiode behind a Thorlabs PM100D or another SCPI picoammeter: mean current or power.
 
-The averaging is the canary: asked for after each mean and after the wire had to be brought into step. Where it is not what
-was set the instrument has reset, and everything is set again. What is set goes out with a question behind it in the same
-message, so that none is lost unnoticed. An overrange (9.9E37) is an error and never a value; neither is a number beyond the
-range. See drivers.usb.usbtmc for what the wire cannot show. To be confirmed on hardware: 3000 samples a second, how long a zero
-takes.
+The averaging is the canary: it is read back after each mean and after each resynchronisation of the wire. If it differs,
+the instrument has reset, and all settings are written again. Each setting is sent with a query in the same message, so that
+a lost setting is detected. An overrange (9.9E37) is an error and never a value, and so is a number beyond the range. For
+undetectable faults of the wire see drivers.usb.usbtmc. To be confirmed on hardware: 3000 samples per second, duration of a
+zero.
 
-How instruments that measure a photodiode want to be told: a small table of SCPI strings for each family.
-
-Another picoammeter with USBTMC and SCPI is a line here. To be confirmed on hardware: everything but the PM100D's spelling.
+The SCPI commands of a family of instruments are a `Dialect`. Another picoammeter with USBTMC and SCPI is one more Dialect.
+To be confirmed on hardware: everything but the PM100D's commands.
 """
 
 import contextlib
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 from goniotwin.drivers.device import Pending, Poll
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
-from goniotwin.drivers.monitor.mean import ANSWER_MARGIN_S as ANSWER_MARGIN_S
-from goniotwin.drivers.monitor.mean import NAME, MonitorMean
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.drivers.usb.usbtmc import UsbOpener, UsbTmc
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.scpi import ScpiError, decode_error, decode_number
+from goniotwin.protocols.scpi import ScpiError, decode_error, decode_number, overloaded
+
+NAME = "monitor"
+ANSWER_MARGIN_S = 2.0e-3
+LONGEST_READING_S = 1.0
+OVERRANGE = 1.1
+NEXT_ERROR = "SYST:ERR?"
+MOST_ERRORS = 40
+COMMAND_ERRORS = range(-199, -99)
+ZERO_POLL_S = 0.2
+LONGEST_ZERO_S = 30.0
+Quantity = Literal["current", "power"]
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """The strings; None for what the family does not have. `{}` takes a number.
+    """SCPI commands of a family; None for what the family does not have. `{}` takes a number.
 
-    `averaging` takes a count of samples where `averages_samples`, else seconds. `before` is sent once at connect.
+    `averaging` takes a number of samples if `averages_samples`, else seconds. `before` is sent once at connect.
     """
 
     name: str
@@ -76,21 +85,11 @@ B2980 = Dialect(
 DIALECTS = {each.name: each for each in (PM100D, B2980)}
 
 
-LONGEST_READING_S = 1.0
-OVER_RANGE = 1.1
-NEXT_ERROR = "SYST:ERR?"
-MOST_ERRORS = 40
-COMMAND_ERRORS = range(-199, -99)
-ZERO_POLL_S = 0.2
-LONGEST_ZERO_S = 30.0
-Quantity = Literal["current", "power"]
-
-
 @dataclass(frozen=True)
 class MonitorSettings:
-    """What the operator believes of the monitor: its range in A, its samples, how far one reading can be trusted.
+    """The monitor, as configured by the operator: range in A, sampling rate, relative uncertainty of one reading.
 
-    `wavelength_nm` is that for which it tells power. `dialect` is one of drivers.monitor.monitor.
+    `wavelength_nm` is the wavelength at which it gives power. `dialect` is a key of DIALECTS.
     """
 
     range_a: float = 500e-9
@@ -113,125 +112,125 @@ class Monitor:
         self._low_pass = False
         self._quantity: Quantity = "current"
         self._averages = 0
-        self._seen = 0
+        self._resynchronisations = 0
 
     @property
-    def said(self) -> deque[str]:
-        """What the driver did of its own accord (brought the wire into step, found it again), newest last."""
-        return self._wire.said
+    def events(self) -> deque[str]:
+        """The driver's own actions (wire resynchronised, device found again), newest last."""
+        return self._wire.events
 
     def connect(self) -> str:
-        """Opens it, asks who it is, sets it up; returns its identity. Raises DeviceError."""
+        """Open and identify the instrument, write its settings; return its identity. Raises DeviceError."""
         self.close()
         identity = self._wire.connect()
-        self._seen = self._wire.renewed
+        self._resynchronisations = self._wire.resynchronisations
         self._quantity = "current"
-        self._set_up()
+        self._write_settings()
         return identity
 
     def close(self) -> None:
-        """Gives it back."""
+        """Release the USB interface."""
         self._wire.close()
 
     # ---- settings ----
 
     def set_range(self, range_a: float | None) -> None:
-        """The highest current, A; None lets the instrument choose. Raises DeviceError."""
+        """Set the highest current, A; None selects the instrument's auto-range. Raises DeviceError."""
         self._range_a = range_a
-        self._tell("set the range", *self._range_commands())
+        self._send("set the range", *self._range_commands())
 
     def set_wavelength(self, wavelength_nm: float) -> None:
-        """For power. Raises DeviceError."""
+        """Set the wavelength for power readings. Raises DeviceError."""
         self._wavelength_nm = wavelength_nm
-        self._tell("set the wavelength", self._have(self._dialect.wavelength, "wavelengths").format(wavelength_nm))
+        self._send("set the wavelength", self._require(self._dialect.wavelength, "wavelength").format(wavelength_nm))
 
     def set_low_pass(self, on: bool) -> None:
-        """The slow input filter. Raises DeviceError."""
+        """Switch the low-pass input filter. Raises DeviceError."""
         self._low_pass = on
-        self._tell("set the filter", self._have(self._dialect.low_pass, "an input filter").format(on))
+        self._send("set the filter", self._require(self._dialect.low_pass, "input filter").format(on))
 
     def check(self) -> None:
-        """Asks whether its settings are still there: the canary. Raises Forgotten where they were not and had to be set."""
+        """Read the canary. Raises Forgotten if settings were lost and have been written again."""
         self._ready()
-        if self._has_forgotten():
+        if self._has_reset():
             self._restore()
 
     def status_byte(self) -> int:
-        """IEEE 488.2's, without disturbing a measurement. Raises DeviceError."""
+        """Status byte of IEEE 488.2; does not disturb a measurement. Raises DeviceError."""
         return self._wire.status_byte()
 
     def abort(self) -> None:
-        """Ends what it measures; the answer that it owed is thrown away. Raises DeviceError."""
+        """Abort a measurement and discard its reply. Raises DeviceError."""
         self._wire.abort()
         self._wire.clear()
 
     # ---- measuring ----
 
-    def start_mean(self, seconds: float, quantity: Quantity = "current") -> MonitorMean:
-        """Averages current or power over about so many seconds from now. Raises DeviceError."""
+    def start_mean(self, seconds: float, quantity: Quantity = "current") -> "MonitorMean":
+        """Start a mean of current or power over about this many seconds. Raises DeviceError."""
         self._ready()
         if quantity != self._quantity:
             self._quantity = quantity
-            self._tell(f"measure {quantity}", *self._quantity_commands())
+            self._send(f"measure {quantity}", *self._quantity_commands())
         pieces = max(1, math.ceil(seconds / LONGEST_READING_S))
-        # One is what it has after power-on, and the averaging is the canary.
+        # After power-on the averaging is 1, and the averaging is the canary.
         averages = max(2, round(seconds / pieces * self.settings.samples_per_s))
         if averages != self._averages:
             self._averages = averages
-            self._tell("set the averaging", self._averaging_command())
+            self._send("set the averaging", self._averaging_command())
         each_s = averages / self.settings.samples_per_s
         return MonitorMean(self._wire, self._clock, self._dialect.read, pieces, each_s, self._limit(), self.check)
 
     def start_zero(self) -> Pending:
-        """Takes what it sees now, in the dark, for zero. Raises DeviceError."""
-        command = self._have(self._dialect.zero, "a zero")
-        state = self._have(self._dialect.zero_state, "a zero")
+        """Start a zero adjustment, with the photodiode in the dark. Raises DeviceError."""
+        command = self._require(self._dialect.zero, "zero adjustment")
+        state = self._require(self._dialect.zero_state, "zero adjustment")
         self._ready()
-        self._tell("take the zero", command)
-        begun = self._clock.now()
+        self._send("adjust the zero", command)
+        started = self._clock.now()
 
-        def over() -> bool:
-            if self._ask_number(state) == 0.0:
-                self._check_errors("take the zero")
+        def is_over() -> bool:
+            if self._query_number(state) == 0.0:
+                self._check_errors("adjust the zero")
                 return True
-            if self._clock.now() > begun + LONGEST_ZERO_S:
-                raise DeviceError(NAME, "take the zero", f"not over after {LONGEST_ZERO_S:g} s", "check the instrument")
+            if self._clock.now() > started + LONGEST_ZERO_S:
+                raise DeviceError(NAME, "adjust the zero", f"not over after {LONGEST_ZERO_S:g} s", "check the instrument")
             return False
 
-        return Poll(self._clock, begun + ZERO_POLL_S, ZERO_POLL_S, over)
+        return Poll(self._clock, started + ZERO_POLL_S, ZERO_POLL_S, is_over)
 
     def zero_a(self) -> float:
-        """What it takes for zero, A. Raises DeviceError."""
-        return self._ask_number(self._have(self._dialect.zero_value, "a zero"))
+        """Current that the instrument subtracts as zero, A. Raises DeviceError."""
+        return self._query_number(self._require(self._dialect.zero_value, "zero adjustment"))
 
     # ---- exchanges ----
 
     def _limit(self) -> float | None:
-        """A value beyond it cannot be."""
-        return None if self._quantity == "power" or self._range_a is None else OVER_RANGE * self._range_a
+        """Largest plausible value; None if there is none."""
+        return None if self._quantity == "power" or self._range_a is None else OVERRANGE * self._range_a
 
     def _ready(self) -> None:
-        """In step and set up. Raises DeviceError; Forgotten where settings were lost and had to be set again."""
+        """Make sure that the wire is in step and the settings are written. Raises DeviceError, Forgotten after a reset."""
         self._wire.ready()
-        if self._wire.renewed != self._seen:
-            self._seen = self._wire.renewed
+        if self._wire.resynchronisations != self._resynchronisations:
+            self._resynchronisations = self._wire.resynchronisations
             self._restore()
 
     def _restore(self) -> None:
-        """Sets everything again; says so where it had been forgotten. Raises DeviceError."""
-        forgotten = self._has_forgotten()
-        self._set_up()
-        if forgotten:
-            raise Forgotten(NAME, "ask it", "it has reset itself; its settings are restored", "measure again")
+        """Write all settings again. Raises DeviceError, Forgotten if they had been lost."""
+        has_reset = self._has_reset()
+        self._write_settings()
+        if has_reset:
+            raise Forgotten(NAME, "check its settings", "it has reset; its settings are restored", "measure again")
 
-    def _has_forgotten(self) -> bool:
-        question = self._dialect.averaging.partition(" ")[0] + "?"
+    def _has_reset(self) -> bool:
+        query = self._dialect.averaging.partition(" ")[0] + "?"
         if not self._averages:
             return False
-        told = float(self._averaging_command().partition(" ")[2])
-        return not math.isclose(self._ask_number(question), told, rel_tol=1e-3)
+        written = float(self._averaging_command().partition(" ")[2])
+        return not math.isclose(self._query_number(query), written, rel_tol=1e-3)
 
-    def _set_up(self) -> None:
+    def _write_settings(self) -> None:
         commands = ["*CLS", *self._dialect.before, *self._quantity_commands(), *self._range_commands()]
         if self._dialect.wavelength is not None:
             commands.append(self._dialect.wavelength.format(self._wavelength_nm))
@@ -239,13 +238,13 @@ class Monitor:
             commands.append(self._dialect.low_pass.format(self._low_pass))
         if self._averages:
             commands.append(self._averaging_command())
-        self._tell("set it up", *commands)
+        self._send("write its settings", *commands)
 
     def _quantity_commands(self) -> list[str]:
         if self._quantity == "current":
             return [self._dialect.current]
         unit = [self._dialect.power_unit] if self._dialect.power_unit is not None else []
-        return [self._have(self._dialect.power, "power"), *unit]
+        return [self._require(self._dialect.power, "power reading"), *unit]
 
     def _range_commands(self) -> list[str]:
         if self._range_a is None:
@@ -256,28 +255,28 @@ class Monitor:
         value = self._averages if self._dialect.averages_samples else self._averages / self.settings.samples_per_s
         return self._dialect.averaging.format(value)
 
-    def _tell(self, doing: str, *commands: str) -> None:
-        """Each with a question in the same message, whose answer says that the command has been heard. Raises DeviceError."""
+    def _send(self, doing: str, *commands: str) -> None:
+        """Send commands, each with a query in the same message, whose reply confirms it. Raises DeviceError."""
         for command in commands:
             try:
                 self._check_errors(doing, f"{command};:{NEXT_ERROR}")
             except NoAnswer:
-                with contextlib.suppress(NoAnswer, BadAnswer):  # a command that it does not know ends a message
+                with contextlib.suppress(NoAnswer, BadAnswer):  # an unknown command ends the message
                     code, text = self._next_error(doing)
                     if code in COMMAND_ERRORS:
                         raise self._refused(doing, code, text) from None
                 raise
 
-    def _ask_number(self, question: str) -> float:
+    def _query_number(self, query: str) -> float:
         try:
-            return decode_number(self._wire.ask(question))
+            return decode_number(self._wire.query(query))
         except ScpiError as error:
             self._wire.in_step = False
-            raise BadAnswer(NAME, question, str(error), "ask again") from None
+            raise BadAnswer(NAME, query, str(error), "ask again") from None
 
-    def _check_errors(self, doing: str, question: str = NEXT_ERROR) -> None:
-        """Reads the error queue until it is empty. Raises Refused with the first error in it."""
-        code, _ = first = self._next_error(doing, question)
+    def _check_errors(self, doing: str, query: str = NEXT_ERROR) -> None:
+        """Read the error queue until it is empty. Raises Refused with its first error."""
+        code, _ = first = self._next_error(doing, query)
         for _ in range(MOST_ERRORS):
             if code == 0:
                 break
@@ -285,17 +284,82 @@ class Monitor:
         if first[0] != 0:
             raise self._refused(doing, *first)
 
-    def _next_error(self, doing: str, question: str = NEXT_ERROR) -> tuple[int, str]:
+    def _next_error(self, doing: str, query: str = NEXT_ERROR) -> tuple[int, str]:
         try:
-            return decode_error(self._wire.ask(question))
+            return decode_error(self._wire.query(query))
         except ScpiError as error:
             self._wire.in_step = False
             raise BadAnswer(NAME, doing, str(error), "ask again") from None
 
     def _refused(self, doing: str, code: int, text: str) -> Refused:
-        return Refused(NAME, doing, f"it answers {code}, {text}", "check range and averaging in the rig file")
+        return Refused(NAME, doing, f"error {code}, {text}", "check range and averaging in the rig file")
 
-    def _have(self, command: str | None, what: str) -> str:
+    def _require(self, command: str | None, what: str) -> str:
         if command is None:
-            raise Refused(NAME, "set it up", f"a {self._dialect.name} has not {what}", "change the rig file")
+            raise Refused(NAME, "write its settings", f"a {self._dialect.name} has no {what}", "change the rig file")
         return command
+
+
+class MonitorMean:
+    """A mean in progress, of one or more readings; `current_a` (or `power_w`) is the result.
+
+    At the end it reads the instrument's canary (`check`): readings after a reset have wrong settings.
+    """
+
+    def __init__(
+        self,
+        wire: UsbTmc,
+        clock: Clock,
+        query: str,
+        pieces: int,
+        seconds: float,
+        limit: float | None,
+        check: Callable[[], None],
+    ) -> None:
+        self._wire = wire
+        self._clock = clock
+        self._query = query
+        self._left = pieces
+        self._seconds = seconds
+        self._limit = limit
+        self._check = check
+        self._values: list[float] = []
+        self._start_reading()
+
+    @property
+    def current_a(self) -> float:
+        """Mean current, A."""
+        return math.fsum(self._values) / len(self._values)
+
+    power_w = current_a
+    """Mean power, W, of a mean of power."""
+
+    def poll(self) -> bool:
+        """Fetch the reading that is due and start the next one; at the end read the canary. Raises DeviceError."""
+        if not self._left:
+            self._check()
+            return True
+        reply = self._wire.read(self._query)
+        try:
+            value = decode_number(reply)
+        except ScpiError as error:
+            self._wire.in_step = False
+            raise BadAnswer(NAME, self._query, str(error), "measure again") from None
+        if overloaded(value):
+            raise DeviceError(
+                NAME, self._query, "overrange: the current exceeds the range", "set a wider range in the rig file"
+            )
+        if self._limit is not None and abs(value) > self._limit:
+            self._wire.in_step = False
+            raise BadAnswer(NAME, self._query, f"{value:g} is beyond the range", "measure again")
+        self._values.append(value)
+        self._left -= 1
+        if self._left:
+            self._start_reading()
+        else:
+            self.due = self._clock.now()
+        return False
+
+    def _start_reading(self) -> None:
+        self._wire.write(self._query, expects_reply=True)
+        self.due = self._clock.now() + self._seconds + ANSWER_MARGIN_S

@@ -1,8 +1,8 @@
-"""The serial line to a Cornerstone 260: one exchange at a time, and back into step after one that failed.
+"""Serial line of a Cornerstone 260: one exchange at a time, and resynchronisation after a failed one.
 
-In step means: what the unit has been sent it has answered, line for line. A question is echo (where the line echoes),
-answer, status (in handshake mode), no line less and none more. After anything else nothing is believed until the line has
-been drained and two marker questions (`INFO?`, `HANDSHAKE?`) have been answered as expected.
+In step means: the unit has replied to each statement, line for line. A query returns an echo (if the line echoes), the
+reply and a status (in handshake mode), no line less and none more. After anything else no reply is accepted until the line
+has been drained and two marker queries (`INFO?`, `HANDSHAKE?`) have returned the expected replies.
 """
 
 import contextlib
@@ -11,8 +11,8 @@ from collections import deque
 
 from serial import Serial, SerialException
 
+from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer
-from goniotwin.drivers.motion.tmcl.module import PortOpener
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import (
@@ -28,15 +28,15 @@ from goniotwin.protocols.cornerstone import (
 )
 
 NAME = "monochromator"
-ANSWER_S = 1.0
+REPLY_S = 1.0
 QUIET_S = 0.1
-LONGEST_TALK_S = 3.0
-SAID_KEPT = 100
+LONGEST_REPLY_S = 3.0
+EVENTS_KEPT = 100
 CHECK_LINE = "check cable and baud rate"
 
 
-class CornerstoneWire:
-    """The line. `echoes` and `handshake` are found out; `said` is what it did of its own accord, newest last."""
+class CornerstoneLine:
+    """The line. `echoes` and `handshake` are detected. `events` are its own actions (resynchronised), newest last."""
 
     def __init__(self, open_port: PortOpener, baudrate: int, clock: Clock, tap: Tap) -> None:
         self._open_port = open_port
@@ -45,7 +45,7 @@ class CornerstoneWire:
         self._tap = tap
         self._lock = threading.RLock()
         self._port: Serial | None = None
-        self._wanted = False
+        self._connected = False
         self._lines: deque[bytes] = deque()
         self._pending = b""
         self._untapped = b""
@@ -53,27 +53,27 @@ class CornerstoneWire:
         self.echoes = False
         self.handshake = False
         self.identity = ""
-        self.said: deque[str] = deque(maxlen=SAID_KEPT)
+        self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
 
     def open(self) -> str:
-        """Opens the port and finds out who answers and how. Nothing moves. Raises DeviceError."""
+        """Open the port, identify the unit, detect echo and handshake mode. Nothing moves. Raises DeviceError."""
         with self._lock:
             self.close()
-            self.identity, self.handshake, self._wanted = "", False, True
+            self.identity, self.handshake, self._connected = "", False, True
             self._open()
-            self._find_step()
+            self._resynchronise()
             return self.identity
 
     def close(self) -> None:
-        """Gives the port back. Nothing is sent."""
+        """Close the port. Nothing is sent."""
         with self._lock:
-            self._wanted = False
+            self._connected = False
             self._drop()
 
     def exchange(self, statement: Statement) -> tuple[bytes, int]:
-        """One statement that moves nothing: its answer (empty for a command) and its status, 0 without handshake mode.
+        """Exchange a statement that moves nothing; return its reply (empty for a command) and status (0 without handshake).
 
-        Raises DeviceError; from then on the line is out of step.
+        Raises DeviceError; the line is then out of step.
         """
         with self._lock:
             self.ready()
@@ -81,120 +81,120 @@ class CornerstoneWire:
             try:
                 if self.echoes:
                     self.check_echo(statement, self.line(statement))
-                answer = self.line(statement) if statement.query else b""
+                reply = self.line(statement) if statement.query else b""
                 status = self.status_of(statement, self.line(statement)) if self.handshake else NO_ERROR
                 if self._lines or self._pending:
-                    raise BadAnswer(NAME, str(statement), f"more than its answer: {list(self._lines)}", CHECK_LINE)
+                    raise BadAnswer(NAME, str(statement), f"more lines than its reply: {list(self._lines)}", CHECK_LINE)
             except DeviceError:
                 self.in_step = False
                 raise
-            return answer, status
+            return reply, status
 
     def last_error(self) -> str:
-        """What `ERROR?` says, in words. Raises DeviceError."""
-        answer, _ = self.exchange(Statement("ERROR", query=True))
+        """Reply of `ERROR?`, as text. Raises DeviceError."""
+        reply, _ = self.exchange(Statement("ERROR", query=True))
         try:
-            number = int(decode_number(answer))
+            number = int(decode_number(reply))
         except StatementError as error:
             raise BadAnswer(NAME, "ERROR?", str(error), CHECK_LINE) from None
         return f"error {number}, {Error(number).in_words() if number in set(Error) else 'unknown'}"
 
     def ready(self) -> None:
-        """The line is in step, or brought into step. Raises DeviceError; Forgotten where the unit has reset itself."""
-        if not self._wanted:
-            raise NoAnswer(NAME, "ask it", "the port is not open", "connect first")
+        """Resynchronise the line unless it is in step. Raises DeviceError, Forgotten if the unit has reset."""
+        if not self._connected:
+            raise NoAnswer(NAME, "use it", "the port is not open", "connect first")
         if self._port is None:
             self._open()
-            self.said.append("the port has been opened again")
+            self.events.append("port reopened")
         if self.in_step:
-            self.listen()
+            self.receive()
             if self._lines or self._pending:
                 self.in_step = False
         if not self.in_step:
-            self._find_step()
+            self._resynchronise()
 
     def send(self, statement: Statement) -> None:
-        """Writes a statement. Raises NoAnswer where the port fails."""
+        """Write a statement. Raises NoAnswer if the port fails."""
         self._lines.clear()
         self._write(statement.encode(), str(statement))
 
     def send_now(self, statement: Statement) -> None:
-        """Writes a statement into whatever goes on, from any thread; the line is out of step then."""
+        """Write a statement in the middle of an exchange. Thread-safe; the line is then out of step."""
         self.in_step = False
         if self._port is not None:
             self._write(statement.encode(), str(statement))
 
     def check_echo(self, statement: Statement, line: bytes) -> None:
-        """Raises BadAnswer for another echo."""
+        """Raise BadAnswer for a wrong echo."""
         if not statement.echoed_by(line):
             raise BadAnswer(NAME, str(statement), f"the echo is {line!r}", CHECK_LINE)
 
     def status_of(self, statement: Statement, line: bytes) -> int:
-        """Raises BadAnswer for what is none."""
+        """Status of a line. Raises BadAnswer if it is not a status."""
         try:
             return decode_known_status(line)
         except StatementError as error:
             raise BadAnswer(NAME, str(statement), str(error), CHECK_LINE) from None
 
-    def line(self, statement: Statement, seconds: float = ANSWER_S) -> bytes:
-        """The next line, waited for. Raises NoAnswer."""
+    def line(self, statement: Statement, seconds: float = REPLY_S) -> bytes:
+        """Wait for the next line. Raises NoAnswer."""
         deadline = self._clock.now() + seconds
         while not self._lines:
             left = deadline - self._clock.now()
             if left <= 0.0 or not self._read(left, 1):
                 raise NoAnswer(NAME, str(statement), f"no line within {seconds:g} s", CHECK_LINE)
-            self.listen()
+            self.receive()
         return self._lines.popleft()
 
-    def listen(self) -> deque[bytes]:
-        """The lines that are there, without waiting."""
+    def receive(self) -> deque[bytes]:
+        """Lines received so far, without waiting."""
         while self._read(0.0, MAX_LINE):
             pass
         return self._lines
 
-    # ---- into step ----
+    # ---- resynchronisation ----
 
-    def _find_step(self) -> None:
-        """Drains, asks the markers, restores the settings. Raises DeviceError; Forgotten where they were lost."""
-        known, shook = self.identity, self.handshake
+    def _resynchronise(self) -> None:
+        """Drain the line, query the markers, restore the settings. Raises DeviceError, Forgotten if these were lost."""
+        known_identity, had_handshake = self.identity, self.handshake
         self._drain()
         self.echoes = False
-        answer, _ = self._talk(Statement("INFO", query=True))
-        if answer is None or len(answer) < 3 or not any(chr(each).isalpha() for each in answer):
-            raise BadAnswer(NAME, "INFO?", f"{answer!r} is no identity", CHECK_LINE)
-        identity = answer.decode("ascii", "replace")
-        if known and identity != known:
-            raise BadAnswer(NAME, "INFO?", f"{identity} answers, not {known}", "connect the unit of the rig file")
-        shakes, status = self._talk(Statement("HANDSHAKE", query=True))
-        if (shakes == b"1" and status is None) or shakes not in (b"0", b"1", None):
-            raise BadAnswer(NAME, "HANDSHAKE?", f"{shakes!r} with status {status}", CHECK_LINE)
-        lost = shook and shakes != b"1"
-        if shakes != b"1":
-            _, status = self._talk(Statement("HANDSHAKE", parameter="1"))
+        reply, _ = self._query_until_quiet(Statement("INFO", query=True))
+        if reply is None or len(reply) < 3 or not any(chr(each).isalpha() for each in reply):
+            raise BadAnswer(NAME, "INFO?", f"{reply!r} is not an identity", CHECK_LINE)
+        identity = reply.decode("ascii", "replace")
+        if known_identity and identity != known_identity:
+            raise BadAnswer(NAME, "INFO?", f"{identity} is connected, not {known_identity}", "connect the unit of the rig file")
+        handshake, status = self._query_until_quiet(Statement("HANDSHAKE", query=True))
+        if (handshake == b"1" and status is None) or handshake not in (b"0", b"1", None):
+            raise BadAnswer(NAME, "HANDSHAKE?", f"{handshake!r} with status {status}", CHECK_LINE)
+        lost = had_handshake and handshake != b"1"
+        if handshake != b"1":
+            _, status = self._query_until_quiet(Statement("HANDSHAKE", parameter="1"))
         self.handshake = status is not None
-        units, _ = self._talk(Statement("UNITS", query=True))
+        units, _ = self._query_until_quiet(Statement("UNITS", query=True))
         if units is not None and units.upper() != b"NM":
-            self._talk(Statement("UNITS", parameter="NM"))
-            lost = lost or bool(known)
-        for word in ("STB", "ERROR"):  # what they still say is of statements that are past
-            if self._talk(Statement(word, query=True))[0] is None:
-                raise NoAnswer(NAME, f"{word}?", "no answer", CHECK_LINE)
+            self._query_until_quiet(Statement("UNITS", parameter="NM"))
+            lost = lost or bool(known_identity)
+        for word in ("STB", "ERROR"):  # they may still report an earlier statement
+            if self._query_until_quiet(Statement(word, query=True))[0] is None:
+                raise NoAnswer(NAME, f"{word}?", "not responding", CHECK_LINE)
         self.identity, self.in_step = identity, True
-        if known:
-            self.said.append("the line is in step again" + (", and the unit had lost its settings" if lost else ""))
+        if known_identity:
+            self.events.append("line resynchronised" + (", settings were lost" if lost else ""))
         if lost:
             raise Forgotten(
-                NAME, "ask it", "it has reset itself; its settings are restored", "wavelength and shutter have to be set again"
+                NAME, "check its settings", "it has reset; its settings are restored", "set wavelength and shutter again"
             )
 
-    def _talk(self, statement: Statement) -> tuple[bytes | None, int | None]:
-        """Sends a statement and takes every line until it is quiet; the answer and the status, where there are any."""
+    def _query_until_quiet(self, statement: Statement) -> tuple[bytes | None, int | None]:
+        """Send a statement and receive lines until the line is quiet; return reply and status, None for a missing one."""
         self.send(statement)
         lines: list[bytes] = []
         try:
             lines.append(self.line(statement))
         except NoAnswer:
-            if statement.word != "HANDSHAKE" or self._port is None:  # only of that mode a unit may know nothing
+            if statement.word != "HANDSHAKE" or self._port is None:  # a unit may not support this mode
                 raise
         lines += self._until_quiet(statement)
         echoes = [index for index, line in enumerate(lines) if statement.echoed_by(line)]
@@ -211,7 +211,7 @@ class CornerstoneWire:
         return lines[-1].strip(), status
 
     def _drain(self) -> None:
-        """Ends what the unit may have of a line, and waits until nothing comes any more."""
+        """End a partial statement in the unit's buffer, and discard everything until the line is quiet."""
         statement = Statement("INFO", query=True)
         self._write(b"\n", "drain the line")
         self._until_quiet(statement)
@@ -219,10 +219,10 @@ class CornerstoneWire:
         self._pending = b""
 
     def _until_quiet(self, statement: Statement) -> list[bytes]:
-        """The lines that come until QUIET_S without any byte. Raises BadAnswer where it does not end."""
-        deadline = self._clock.now() + LONGEST_TALK_S
+        """Lines received until QUIET_S without a byte. Raises BadAnswer if the unit does not stop sending."""
+        deadline = self._clock.now() + LONGEST_REPLY_S
         while self._read(QUIET_S, 1):
-            self.listen()
+            self.receive()
             if self._clock.now() > deadline:
                 raise BadAnswer(NAME, str(statement), "it does not stop sending", CHECK_LINE)
         lines = list(self._lines)
@@ -236,12 +236,12 @@ class CornerstoneWire:
         self._pending = b""
         self.in_step = False
         try:
-            self._port = self._open_port(self._baudrate, ANSWER_S)
+            self._port = self._open_port(self._baudrate, REPLY_S)
         except (SerialException, OSError, ValueError) as error:
             raise NoAnswer(NAME, "open the port", str(error), "check the port in the rig file") from None
 
     def _drop(self) -> None:
-        self._tap(FROM_DEVICE, self._untapped)  # a line that was cut off belongs into the transcript too
+        self._tap(FROM_DEVICE, self._untapped)  # the transcript shows incomplete lines too
         self._untapped = b""
         self.in_step = False
         port, self._port = self._port, None

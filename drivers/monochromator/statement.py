@@ -1,14 +1,14 @@
-"""A statement of the monochromator that takes its time: sent, waited for without holding anybody up, and checked.
+"""A statement of the monochromator in progress: sent, polled until the unit is done, and checked.
 
-With handshake mode the status says that it is over; without, the answer to an `STB?` sent behind it. What got lost on the
-way is found out by bringing the line into step and asking where the unit is: nothing is sent a second time. Where it is told
-to ask first, it sends nothing at all if the unit is there already.
+With handshake mode the status shows that the unit is done; without it, the reply to an `STB?` sent behind the statement. If
+either is lost, the line is resynchronised and the unit is queried: no statement is sent twice. With `ask_first` nothing is
+sent if the unit is at its target already.
 """
 
 from collections.abc import Callable
 
 from goniotwin.drivers.errors import DeviceError, Interrupted, NoAnswer, Refused
-from goniotwin.drivers.monochromator.line import ANSWER_S, NAME, CornerstoneWire
+from goniotwin.drivers.monochromator.line import CHECK_LINE, NAME, REPLY_S, CornerstoneLine
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import NO_ERROR, Error, Statement
 
@@ -21,23 +21,24 @@ ABORT = Statement("ABORT")
 ALREADY_THERE = f"error {int(Error.ACCESSORY_ALREADY_THERE)},"
 
 
-class Move:
-    """Under way: `due` when to ask next; `before` is what was started earlier and nobody has waited for.
+class PendingStatement:
+    """A statement that takes time. `due` is the time of the next poll; `before` is an earlier one still in progress.
 
-    `ask_first`, where there is one, asks the unit just before the statement is sent how many `seconds` it will take, in
-    their place; None: it is there already.
+    `ask_first`, if given, queries the unit just before the statement is sent. It returns the duration that replaces
+    `seconds`, or None if the unit is at its target already. `confirmed` queries whether the unit is at its target.
+    `stop_count` is the number of stop requests so far.
     """
 
     def __init__(
         self,
-        wire: CornerstoneWire,
+        wire: CornerstoneLine,
         clock: Clock,
         statement: Statement,
         seconds: float,
         on_the_wire_s: float,
         confirmed: Callable[[], bool],
-        before: "Move | None",
-        stops: Callable[[], int],
+        before: "PendingStatement | None",
+        stop_count: Callable[[], int],
         ask_first: Callable[[], float | None] | None = None,
     ) -> None:
         self._wire = wire
@@ -48,18 +49,18 @@ class Move:
         self._confirmed = confirmed
         self._before = before
         self._ask_first = ask_first
-        self._stops, self._since = stops, stops()
+        self._stop_count, self._first_stop_count = stop_count, stop_count()
         self._lost = False
         self._failure: DeviceError | None = None
-        self.done = self.aborted = self.asking = False
+        self.done = self.aborted = self.querying = False
         self.due: float = before.due if before is not None else clock.now()
         if before is None:
             self._begin()
 
     def poll(self) -> bool:
-        """Looks whether it is over, and checks that it led to where it should. Raises DeviceError where it did not.
+        """True when the unit is done and at its target. Raises DeviceError if it failed.
 
-        That as often as it is asked: what was started after it asks, too, and goes on.
+        It may be called again after the end: a later statement polls it too.
         """
         if self._failure is not None:
             raise self._failure
@@ -73,14 +74,14 @@ class Move:
 
     @property
     def silent(self) -> bool:
-        """Whether the unit moves, for this or for the one before, so that it answers no question."""
+        """True while the unit moves, for this statement or the one before, and replies to no query."""
         if self._before is not None:
             return self._before.silent
-        return not (self.done or self.asking)
+        return not (self.done or self.querying)
 
     def _poll(self) -> bool:
         if self._before is not None:
-            return self._wait_for_the_one_before()
+            return self._poll_before()
         if self.aborted:
             raise DeviceError(NAME, str(self._statement), "it was aborted", "send it again")
         if not self._lost:
@@ -89,59 +90,59 @@ class Move:
             except Refused:
                 raise
             except DeviceError as error:
-                self._lose(str(error))
+                self._note_lost(str(error))
                 return False
             if status is None:
                 if self._clock.now() > self._begun + self._seconds + OVERDUE_S:
-                    self._lose(f"{self._statement}: no word within {self._seconds + OVERDUE_S:.3g} s")
+                    self._note_lost(f"{self._statement}: no status within {self._seconds + OVERDUE_S:.3g} s")
                 else:
                     self.due = self._clock.now() + POLL_S
                 return False
             if status != NO_ERROR:
-                self._explain()
-        elif not self._found():
+                self._check_error()
+        elif not self._resynchronised():
             return False
         return self._confirm()
 
     def _begin(self) -> None:
-        self._wire.ready()  # which may take a second, where the line is out of step
-        self._heed()
-        if self._ask_first is not None and self._is_there(self._ask_first):
+        self._wire.ready()  # may take a second if the line is out of step
+        self._check_stop()
+        if self._ask_first is not None and self._is_at_target(self._ask_first):
             self.done, self.due = True, self._clock.now()
             return
         self._wire.send(self._statement)
-        if self._stops() != self._since:  # from another thread, in the very moment
+        if self._stop_count() != self._first_stop_count:  # requested by another thread during the write
             self._wire.send_now(ABORT)
-        self._heed()
+        self._check_stop()
         self._begun = self._clock.now()
-        self._expected = [self._statement] if self._wire.echoes else []
-        self._asked = self._wire.handshake
+        self._expected_echoes = [self._statement] if self._wire.echoes else []
+        self._status_requested = self._wire.handshake
         self.due = self._begun + self._seconds + self._on_the_wire_s
 
-    def _is_there(self, ask_first: Callable[[], float | None]) -> bool:
-        """Whether there is nothing to be sent. Raises DeviceError."""
-        self.asking = True
+    def _is_at_target(self, ask_first: Callable[[], float | None]) -> bool:
+        """True if nothing has to be sent. Raises DeviceError."""
+        self.querying = True
         try:
             seconds = ask_first()
         finally:
-            self.asking = False
-        self._heed()
+            self.querying = False
+        self._check_stop()
         self._seconds = seconds or 0.0
         return seconds is None
 
-    def _heed(self) -> None:
-        """Raises Interrupted where there has been a stop since this was started."""
-        if self.aborted or self._stops() != self._since:
+    def _check_stop(self) -> None:
+        """Raise Interrupted if a stop was requested since the start."""
+        if self.aborted or self._stop_count() != self._first_stop_count:
             self.done = True
-            raise Interrupted(NAME, str(self._statement), "a stop has come first")
+            raise Interrupted(NAME, str(self._statement), "not sent because a stop was requested")
 
-    def _wait_for_the_one_before(self) -> bool:
+    def _poll_before(self) -> bool:
         before = self._before
         assert before is not None
         try:
             over = before.poll()
         except DeviceError as error:
-            self._wire.said.append(str(error))
+            self._wire.events.append(str(error))
             over = True
         if over:
             self._before = None
@@ -151,40 +152,40 @@ class Move:
         return False
 
     def _status(self) -> int | None:
-        """The status, None while it has not come. Raises DeviceError for a line that should not be there."""
-        lines = self._wire.listen()
-        while lines and self._expected:
-            self._wire.check_echo(self._expected.pop(0), lines.popleft())
-        if not self._asked:
-            # It answers this when it has arrived, and not before.
+        """The status; None until it is received. Raises DeviceError for an unexpected line."""
+        lines = self._wire.receive()
+        while lines and self._expected_echoes:
+            self._wire.check_echo(self._expected_echoes.pop(0), lines.popleft())
+        if not self._status_requested:
+            # The unit replies to this query when it has arrived, and not before.
             self._wire.send(STB)
-            self._asked = True
+            self._status_requested = True
             if self._wire.echoes:
-                self._expected.append(STB)
+                self._expected_echoes.append(STB)
             return None
-        if not lines or self._expected:
+        if not lines or self._expected_echoes:
             return None
         status = self._wire.status_of(self._statement, lines.popleft())
         if lines:
-            raise NoAnswer(NAME, str(self._statement), f"more than its status: {list(lines)}", "check cable and baud rate")
+            raise NoAnswer(NAME, str(self._statement), f"more lines than its status: {list(lines)}", CHECK_LINE)
         return status
 
-    def _explain(self) -> None:
-        """Raises Refused with the unit's error, except where it says that it was there already."""
+    def _check_error(self) -> None:
+        """Raise Refused with the unit's error, except for the error that it was at its target already."""
         self.done = True
-        words = self._wire.last_error()
-        if not words.startswith(ALREADY_THERE):
-            raise Refused(NAME, str(self._statement), words)
+        error = self._wire.last_error()
+        if not error.startswith(ALREADY_THERE):
+            raise Refused(NAME, str(self._statement), error)
 
-    def _lose(self, what: str) -> None:
-        """The unit's word got lost or damaged: from now on it is looked for."""
+    def _note_lost(self, what: str) -> None:
+        """The status is lost or corrupted: resynchronise, then query the unit."""
         self._lost = True
         self._wire.in_step = False
-        self._wire.said.append(f"{what}; it is asked where it is")
+        self._wire.events.append(f"{what}; its state is queried")
         self.due = max(self._clock.now() + POLL_S, self._begun + self._seconds + self._on_the_wire_s)
 
-    def _found(self) -> bool:
-        """Whether it answers again; while it moves it cannot. Raises NoAnswer when it should have long since."""
+    def _resynchronised(self) -> bool:
+        """True if the unit replies again; it does not while it moves. Raises NoAnswer when it is long overdue."""
         try:
             self._wire.ready()
         except NoAnswer:
@@ -192,18 +193,16 @@ class Move:
                 raise NoAnswer(
                     NAME, str(self._statement), f"not done after {self._seconds + LONGEST_S:.3g} s", "check the unit"
                 ) from None
-            self.due = self._clock.now() + ANSWER_S
+            self.due = self._clock.now() + REPLY_S
             return False
         return True
 
     def _confirm(self) -> bool:
-        self.asking = True
+        self.querying = True
         try:
             if not self._confirmed():
-                raise NoAnswer(
-                    NAME, str(self._statement), "it is not where it was sent", "send it again, where that may happen twice"
-                )
+                raise NoAnswer(NAME, str(self._statement), "it is not at its target", "send it again, if it may be repeated")
         finally:
-            self.asking = False
+            self.querying = False
         self.done = True
         return True

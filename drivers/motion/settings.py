@@ -1,16 +1,22 @@
-"""What the operator believes of an axis, in degrees, and what follows from it in microsteps.
-
-How long a stepper axis takes for a way: the trapezoid that motion controllers drive.
-"""
+"""Settings of an axis in degrees, their values in microsteps, and the durations of its moves."""
 
 import math
 from dataclasses import dataclass
 from typing import Literal
 
+OVERSHOOT = 2.0
+"""Overshoot of a move against backlash, as a multiple of the stated backlash."""
+ENCODER_TOLERANCE_DEG = 0.05
+ENCODER_MICROSTEPS = 256
+"""Microsteps per full step in the encoder position of a module (*)."""
 
-def move_seconds(way: float, speed: float, acceleration: float, deceleration: float | None = None) -> float:
-    """Seconds from rest to rest over `way` (any sign); the units of way, speed and accelerations belong together."""
-    distance = abs(way)
+
+def move_seconds(distance: float, speed: float, acceleration: float, deceleration: float | None = None) -> float:
+    """Seconds from rest to rest over `distance` (any sign) with the trapezoidal ramp of motion controllers.
+
+    Distance, speed and accelerations have consistent units.
+    """
+    distance = abs(distance)
     down = acceleration if deceleration is None else deceleration
     ramps = 0.5 * speed * speed * (1.0 / acceleration + 1.0 / down)
     if distance >= ramps:
@@ -19,20 +25,11 @@ def move_seconds(way: float, speed: float, acceleration: float, deceleration: fl
     return peak / acceleration + peak / down
 
 
-OVERSHOOT = 2.0
-"""By how many times the believed backlash a move goes too far, to come back from the side that it has to arrive from."""
-
-ENCODER_TOLERANCE_DEG = 0.05
-
-ENCODER_MICROSTEPS = 256
-"""Microsteps of a full step in which a module gives the encoder's position (*)."""
-
-
 @dataclass(frozen=True)
 class Homing:
     """A reference search: its mode (TMCL axis parameter 193), its speeds in deg/s, and the angle of the reference.
 
-    Without `angle_deg` the reference is where the axis' microsteps are 0.
+    Without `angle_deg` the reference is at microsteps 0.
     """
 
     mode: int
@@ -44,16 +41,17 @@ class Homing:
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """What the operator believes of an axis. `module` and `motor` say where it is wired.
+    """An axis, as configured by the operator. `module` and `motor` are its address.
 
-    `sense` is +1 where positive microsteps turn the axis to greater angles, else -1; microsteps 0 are at
-    `zero_offset_deg`. Speeds in deg/s, accelerations in deg/s^2. With `backlash_deg` every move arrives from
-    `approach_from`, if need be after going too far. `switches` has the limit switches stop the motor, `max_deviation_deg`
-    an encoder that says something else than the counter (0: never), `stall_speed` (deg/s) a stall above it (0: never).
-    `encoder_counts` a turn of the motor are told to the module where they are given (*).
-    After a power-up of its module the axis goes to no angle before it has been homed, or somebody has said where it is;
-    but with `power_up_at_reference` it is parked where its microsteps are 0 whenever that is switched on, unless
-    `homing_required`. `encoder_tolerance_deg`: how far counter and encoder of an axis at rest may be apart (0: any way).
+    `sense` is +1 if positive microsteps turn the axis to greater angles, else -1; microsteps 0 are at `zero_offset_deg`.
+    Speeds in deg/s, accelerations in deg/s^2. With `backlash_deg` every move arrives from `approach_from`, if necessary
+    after an overshoot. The motor is stopped by its limit switches (`switches`), by an encoder that deviates from the counter
+    by more than `max_deviation_deg` (0: never), and by a stall above `stall_speed` in deg/s (0: never). `encoder_counts`
+    per turn of the motor are written to the module if given (*).
+    After a power-up of its module the axis is unreferenced until it is homed or its position is set. With
+    `power_up_at_reference` it is referenced: it is always parked at microsteps 0 when the module is switched on;
+    `homing_required` overrides this. `encoder_tolerance_deg` is the largest difference of counter and encoder at rest
+    (0: unlimited; None: 0.05 deg plus the backlash).
     """
 
     name: str
@@ -90,56 +88,56 @@ class AxisSettings:
 
     @property
     def microsteps_per_deg(self) -> float:
-        """Signed."""
+        """Microsteps per degree, signed by `sense`."""
         return self.sense * self.full_steps * float(1 << self.microstep_exponent) * self.gear / 360.0
 
     def microsteps(self, angle_deg: float) -> int:
-        """The counter at an angle, to the nearest microstep."""
+        """Counter at an angle, to the nearest microstep."""
         return round((angle_deg - self.zero_offset_deg) * self.microsteps_per_deg)
 
     def angle_deg(self, microsteps: float) -> float:
-        """The angle at a counter's value."""
+        """Angle at a counter value."""
         return self.zero_offset_deg + microsteps / self.microsteps_per_deg
 
     def encoder_angle_deg(self, value: float) -> float:
-        """The angle at an encoder's value."""
+        """Angle at an encoder value."""
         return self.angle_deg(value * (1 << self.microstep_exponent) / ENCODER_MICROSTEPS)
 
     def encoder_value(self, microsteps: float) -> int:
-        """What the encoder has to say where the counter says `microsteps`."""
+        """Encoder value at a counter value."""
         return round(microsteps * ENCODER_MICROSTEPS / (1 << self.microstep_exponent))
 
     def pps(self, speed: float) -> int:
-        """Microsteps a second (or a second squared) of deg/s; at least 1 where it is not 0."""
+        """Microsteps per s (or s^2) of deg/s (or deg/s^2); at least 1 unless it is 0."""
         return 0 if speed == 0.0 else max(1, round(speed * abs(self.microsteps_per_deg)))
 
     @property
     def tolerance_deg(self) -> float:
-        """Between counter and encoder, at rest; where nobody has said it 0.05 deg and the backlash."""
+        """Largest difference of counter and encoder at rest; by default 0.05 deg plus the backlash."""
         given = self.encoder_tolerance_deg
         return ENCODER_TOLERANCE_DEG + self.backlash_deg if given is None else given
 
     @property
     def overshoot_deg(self) -> float:
-        """Signed: from a target to where its approach begins; 0 without backlash."""
-        far = OVERSHOOT * self.backlash_deg
-        return -far if self.approach_from == "below" else far
+        """Signed distance from a target to the start of its approach; 0 without backlash."""
+        overshoot = OVERSHOOT * self.backlash_deg
+        return -overshoot if self.approach_from == "below" else overshoot
 
     def legs(self, here_deg: float, target_deg: float, *, taken_up: bool = True) -> tuple[float, ...]:
-        """The angles that a move goes to one after the other; `taken_up`: the axis has arrived from the right side last."""
+        """Targets of the legs of a move; `taken_up`: the backlash is taken up, by a last move from the approach side."""
         if self.backlash_deg == 0.0:
             return (target_deg,)
-        way = (target_deg - here_deg) * (1.0 if self.approach_from == "below" else -1.0)
-        if way >= (0.0 if taken_up else self.backlash_deg):
+        distance = (target_deg - here_deg) * (1.0 if self.approach_from == "below" else -1.0)
+        if distance >= (0.0 if taken_up else self.backlash_deg):
             return (target_deg,)
         return (target_deg + self.overshoot_deg, target_deg)
 
-    def seconds(self, way_deg: float) -> float:
-        """How long a move over `way_deg` takes, without settling."""
-        return move_seconds(way_deg, self.speed, self.acceleration)
+    def seconds(self, distance_deg: float) -> float:
+        """Duration of a move without settling, s."""
+        return move_seconds(distance_deg, self.speed, self.acceleration)
 
     def seconds_between(self, here_deg: float, target_deg: float, *, taken_up: bool = True) -> float:
-        """How long all legs of a move take, without settling and without the words on the wire."""
+        """Duration of all legs of a move without settling and communication, s."""
         seconds, place = 0.0, here_deg
         for leg in self.legs(here_deg, target_deg, taken_up=taken_up):
             seconds += self.seconds(leg - place)

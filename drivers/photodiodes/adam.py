@@ -1,192 +1,353 @@
-"""One Advantech converter module, ADAM-6017 or ADAM-4117, on a Modbus wire.
+"""One Advantech converter module, ADAM-6017 or ADAM-4117, on Modbus.
 
-What the wires let one detect, and what they do not:
+Detectable and undetectable faults of the wires:
 
-* Silence, refusals, answers to another function, of another unit, length, address or (over TCP) transaction: always seen.
-* A late or repeated answer. Over TCP its transaction identifier gives it away. RTU has none: after each fault the line is
-  drained and the module answers a marker, its own name, asked for in turns of function and length so that a marker that
-  was late before is not taken for this one; and reads are asked with functions 03 and 04 in turns, which these modules
-  answer alike, so that the answer to one question does not pass for that to the next.
-* A changed byte. RTU has a checksum of 16 bits, which lets through 1 of 65,536 arbitrary errors and no error of up to
-  16 bits in a row. Modbus TCP has none of its own: a changed count between 0 and 65535 *cannot be detected*, only TCP's
-  checksum stands before it. What limits the damage: lengths, unit, function and transaction have to agree, which covers
-  most of a frame but the values; settings are read back, and where they seem wrong read a second time; a row has many
-  readings, whose scatter shows one that does not belong.
-* A module that has reset and forgotten gain and ranges answers as if nothing had been. A canary shows it, one exchange
-  after each group of readings: the outputs where one is on, else the ranges. After each change of gain, which would hide
-  a reset before it, both are, once the readings are there. (It holds if the outputs' power-on values are left at off.) At
-  intervals name, ranges, outputs and enabled channels are all read back.
+* No reply, exceptions, replies to another function, of another unit, length, address or (over TCP) transaction: always
+  detected.
+* A late or repeated reply. Over TCP its transaction identifier shows it. RTU has none. After each fault the line is
+  drained, and the module must return a marker: its own name, read with alternating function and length, so that a late
+  marker is not taken for this one. Reads alternate between functions 03 and 04, to which these modules reply alike, so
+  that the reply to one read is not taken for the next.
+* A changed byte. RTU has a checksum of 16 bits, which passes 1 of 65,536 arbitrary errors and no error of up to 16 bits in
+  a row. Modbus TCP has none: a changed count between 0 and 65535 *cannot be detected*, only TCP's checksum protects it.
+  Limits of the damage: lengths, unit, function and transaction must agree, which covers most of a frame except the values;
+  settings are read back, and a setting that seems wrong is read a second time; a row has many readings, and their scatter
+  shows an outlier.
+* A module that reset and lost gain and ranges replies as before. A canary shows it, one exchange after each group of
+  readings: the outputs if one is on, else the ranges. A change of gain would hide an earlier reset, so that both are read
+  after the next readings. (This requires that the power-on values of the outputs are off.) At intervals name, ranges,
+  outputs and enabled channels are all read back.
 
-A read, and the writing of a setting to a value, are repeated once after a fault. Five timeouts are the most that a call
-takes, and that only with the first fault.
+A read, and writing a setting, are repeated once after a fault. A call takes five timeouts at most, and that only with the
+first fault.
 """
 
 from collections.abc import Callable
+from typing import TypeVar
 
-from goniotwin.drivers.errors import BadAnswer, Forgotten
-from goniotwin.drivers.photodiodes.exchange import AdamWire, Call, T
-from goniotwin.drivers.photodiodes.modbus import ModbusUnit
+from pymodbus.client.base import ModbusBaseSyncClient
+from pymodbus.pdu import ModbusPDU
+
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
+from goniotwin.drivers.photodiodes.modbus import WIRE_FAULTS, ModbusUnit, describe_fault
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
 
+T = TypeVar("T")
+Call = Callable[[ModbusBaseSyncClient], ModbusPDU]
+Exchange = Callable[[Call, str, int], ModbusPDU]
+"""Takes a call of a client, its description, and the function code of the reply."""
+SettingsCheck = Callable[[], None]
+
+READ_COILS = 1
+READ_REGISTERS = (3, 4)
 WRITE_COILS, WRITE_REGISTERS = 15, 16
-CHECK_EVERY_S = 60.0
-Check = Callable[[], None]
+CHECK_INTERVAL_S = 60.0
+CHECK_WIRING = "check address, cable and power"
+TRANSIENT = (adam.DEVICE_FAILURE, adam.BUSY)
+EXCEPTIONS = {
+    adam.ILLEGAL_FUNCTION: "it does not support the function",
+    adam.ILLEGAL_ADDRESS: "it has no such register or coil",
+    adam.ILLEGAL_VALUE: "it does not accept the value",
+    adam.DEVICE_FAILURE: "it reports a device failure",
+    adam.BUSY: "it is busy",
+}
 
 
-class AdamModule(AdamWire):
-    """One module. Its calls take one exchange, unless something goes wrong; only connect and reconnect take several."""
+class ModuleRefused(Refused):
+    """The module replied with a Modbus exception, number `code`."""
+
+    def __init__(self, device: str, doing: str, code: int) -> None:
+        super().__init__(
+            device, doing, f"the module replies with exception {code}: {EXCEPTIONS.get(code, 'a code it should not have')}",
+            "check that the rig file names the kind of the connected module",
+        )  # fmt: skip
+        self.code = code
+
+
+class AdamModule:
+    """One module. A call takes one exchange, unless there is a fault; connect and reconnect take several.
+
+    After a fault the module is *unverified*: the wire is resynchronised and the settings are read back before the next
+    value is accepted.
+    """
 
     def __init__(self, name: str, unit: ModbusUnit, model: adam.Model, range_code: int, clock: Clock) -> None:
-        super().__init__(name, unit, model)
+        self.name = name
         self.identity = ""
+        self._bus = unit.bus
+        self._unit = unit.unit
+        self._tap = unit.tap
+        self._model = model
         self._ranges = [range_code] * adam.CHANNELS
         self._clock = clock
         self._outputs: list[bool] | None = None
-        self._written = self._proved = False
-        self._set_up = False
-        self._forgotten: str | None = None
-        self._checked = clock.now()
+        self._outputs_written = self._outputs_checked = False
+        self._settings_written = False
+        self._lost_settings: str | None = None
+        self._checked_s = clock.now()
+        self._unverified = False
+        self._function_index = self._marker = 0
+
+    # ---- connection ----
 
     def connect(self) -> str:
-        """Opens the wire, checks who answers, writes its settings; returns who it is. Raises DeviceError."""
+        """Open the wire, identify the module, write its settings; return its identity. Raises DeviceError."""
         self._open()
         self._outputs = None
-        self._greet()
+        self._initialise()
         return self.identity
 
     def reconnect(self) -> list[str]:
-        """Makes sure of the wire and of who is there, and writes all settings again; says what had to be restored.
+        """Identify the module and write all settings again; return what had to be restored.
 
-        Raises DeviceError; another try may follow. A module that was never connected is connected.
+        Raises DeviceError; another attempt may follow. A module that was never connected is connected.
         """
         with self._bus.lock:
             if not self.identity:
                 self.connect()
                 return [f"{self.name}: connected, {self.identity}"]
             self._open()
-            self._doubtful = True
-            return self._greet()
+            self._unverified = True
+            return self._initialise()
 
     def close(self) -> None:
-        """Gives the wire back."""
+        """Release the wire."""
         self._bus.close(self)
 
+    # ---- readings and outputs ----
+
     def counts(self) -> list[int]:
-        """The raw values of all channels. Raises DeviceError."""
-        return self._registers(adam.AI_VALUE, adam.CHANNELS)
+        """Raw values of all channels. Raises DeviceError."""
+        return self._read_registers(adam.AI_VALUE, adam.CHANNELS)
 
     def set_outputs(self, outputs: list[bool]) -> None:
-        """The digital outputs, lowest first; the checks make sure. Raises DeviceError."""
+        """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
         doing = f"set its outputs to {_bits(outputs)}"
         call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
-        self._outputs, self._written, self._proved = list(outputs), False, False
-        self._twice(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
-        self._written = True
+        self._outputs, self._outputs_written, self._outputs_checked = list(outputs), False, False
+        self._repeat_once(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
+        self._outputs_written = True
 
-    def check_outputs(self) -> None:
-        """Reads the outputs back. Raises Forgotten where they are not what they were set to."""
-        self._check_outputs(self._read_outputs)
+    # ---- checks of the settings ----
 
-    def check_ranges(self) -> None:
-        """Reads the ranges back. Raises Forgotten where they are not what they were set to."""
-        self._check_ranges(self._read_ranges)
+    def checks(self) -> list[SettingsCheck]:
+        """Checks that must follow readings before these are accepted, one exchange each.
 
-    def checks(self) -> list[Check]:
-        """What readings have to be followed by before they are believed, an exchange each.
-
-        It is the canary; after a change of the outputs these and the ranges; now and then all settings. Each raises
-        DeviceError, and Forgotten where the module has lost its settings.
+        The canary; after a change of the outputs these and the ranges; at intervals all settings. Each raises DeviceError,
+        Forgotten if the module has lost its settings.
         """
-        if self._clock.now() - self._checked >= CHECK_EVERY_S:
-            return [self.check_outputs, self._prove, self._check_name, self._review]
-        if self._outputs is not None and not self._proved:
-            return [self.check_outputs, self._prove]
+        if self._clock.now() - self._checked_s >= CHECK_INTERVAL_S:
+            return [self.check_outputs, self._check_ranges_after_outputs, self._check_name, self._check_rest]
+        if self._outputs is not None and not self._outputs_checked:
+            return [self.check_outputs, self._check_ranges_after_outputs]
         return [self.check_outputs if self._outputs is not None and any(self._outputs) else self.check_ranges]
 
-    def _prove(self) -> None:
+    def check_outputs(self) -> None:
+        """Read the outputs back. Raises Forgotten if they differ from those that were set."""
+        self._compare_outputs(self._read_outputs)
+
+    def check_ranges(self) -> None:
+        """Read the ranges back. Raises Forgotten if they differ from those that were set."""
+        self._compare_ranges(self._read_ranges)
+
+    def _check_ranges_after_outputs(self) -> None:
         self.check_ranges()
-        self._proved = True
+        self._outputs_checked = True
 
-    def _review(self) -> None:
+    def _check_rest(self) -> None:
         self._check_enabled()
-        self._checked = self._clock.now()
+        self._checked_s = self._clock.now()
 
-    def _check_outputs(self, read: Callable[[], list[bool]]) -> None:
-        if self._outputs is not None and self._written and self._differs(read, self._outputs):
-            self._forget(f"its outputs are not {_bits(self._outputs)}, as they were set to")
+    def _check_name(self) -> None:
+        name = self._read_registers(adam.MODULE_NAME, len(self._model.name))
+        if tuple(name) != self._model.name:
+            self._wrong_name(name)
 
-    def _check_ranges(self, read: Callable[[], list[int]]) -> None:
+    def _check_enabled(self) -> None:
+        if self._differs(lambda: self._read_registers(adam.CHANNEL_ENABLE, 1), [adam.ALL_CHANNELS]):
+            self._forget("not all of its channels are enabled")
+
+    def _compare_outputs(self, read: Callable[[], list[bool]]) -> None:
+        if self._outputs is not None and self._outputs_written and self._differs(read, self._outputs):
+            self._forget(f"its outputs are not {_bits(self._outputs)}, to which they were set")
+
+    def _compare_ranges(self, read: Callable[[], list[int]]) -> None:
         if self._differs(read, self._ranges):
-            self._forget("its ranges are not those that were set")
+            self._forget("its ranges differ from those that were set")
 
-    def _greet(self) -> list[str]:
-        """Who it is, and its settings. Returns what was not as it should be."""
-        self._forgotten, self._set_up = None, False
+    def _differs(self, read: Callable[[], list[T]], wanted: list[T]) -> bool:
+        """True if a setting differs from the wanted value in two readings."""
+        return read() != wanted and read() != wanted
+
+    def _forget(self, what: str) -> None:
+        self._lost_settings = f"{what}: it has reset, or its settings were changed elsewhere"
+        raise self._forgotten("check its settings")
+
+    def _forgotten(self, doing: str) -> Forgotten:
+        return Forgotten(self.name, doing, str(self._lost_settings), "reconnect it, which writes its settings again")
+
+    # ---- settings ----
+
+    def _initialise(self) -> list[str]:
+        """Identify the module and write its settings. Returns what had to be restored."""
+        self._lost_settings, self._settings_written = None, False
         self._check_name()
-        version = self._registers(adam.FIRMWARE_VERSION, 2)
+        version = self._read_registers(adam.FIRMWARE_VERSION, 2)
         self.identity = f"{self._model.title} firmware {adam.firmware(version)}"
         restored = self._restore("ranges", adam.RANGE_CODE, self._ranges)
         restored += self._restore("enabled channels", adam.CHANNEL_ENABLE, [adam.ALL_CHANNELS])
-        if self._outputs is not None and not (self._written and self._read_outputs() == self._outputs):
+        if self._outputs is not None and not (self._outputs_written and self._read_outputs() == self._outputs):
             self.set_outputs(self._outputs)
             self.check_outputs()
             restored.append(f"{self.name}: outputs set to {_bits(self._outputs or [])}")
-        self._set_up = True
-        self._checked = self._clock.now()
+        self._settings_written = True
+        self._checked_s = self._clock.now()
         return restored
 
     def _restore(self, what: str, address: int, wanted: list[int]) -> list[str]:
-        """Writes registers that are not as they should be, and reads them back; says so."""
+        """Write registers that differ from their wanted values, read them back, and report it."""
         doing = f"set its {what}"
 
         def read() -> list[int]:
-            return self._registers(address, len(wanted))
+            return self._read_registers(address, len(wanted))
 
         if not self._differs(read, wanted):
             return []
         call: Call = lambda client: client.write_registers(address, wanted, device_id=self._unit)  # noqa: E731
-        self._twice(lambda: self._write(call, doing, WRITE_REGISTERS, address, len(wanted)))
+        self._repeat_once(lambda: self._write(call, doing, WRITE_REGISTERS, address, len(wanted)))
         if self._differs(read, wanted):
-            raise BadAnswer(self.name, doing, "it says that it has others", "check the module")
+            raise BadAnswer(self.name, doing, "it reads back other values", "check the module")
         return [f"{self.name}: {what} set"]
 
-    def _check_name(self) -> None:
-        found = self._registers(adam.MODULE_NAME, len(self._model.name))
-        if tuple(found) != self._model.name:
-            self._wrong_name(found)
+    # ---- registers and coils ----
 
-    def _check_enabled(self) -> None:
-        if self._differs(lambda: self._registers(adam.CHANNEL_ENABLE, 1), [adam.ALL_CHANNELS]):
-            self._forget("not all of its channels are enabled any more")
-
-    def _differs(self, read: Callable[[], list[T]], wanted: list[T]) -> bool:
-        """Whether a setting is another than wanted, read a second time where it seems so."""
-        return read() != wanted and read() != wanted
-
-    def _forget(self, what: str) -> None:
-        self._forgotten = f"{what}: it has reset or somebody has changed it"
-        raise self._lost("check its settings")
-
-    def _lost(self, doing: str) -> Forgotten:
-        return Forgotten(self.name, doing, str(self._forgotten), "reconnect it: that writes its settings again")
-
-    def _allow(self, doing: str) -> None:
-        if self._forgotten is not None:
-            raise self._lost(doing)
-
-    def _verify(self) -> None:
-        if self._set_up:
-            self._check_ranges(lambda: self._read(adam.RANGE_CODE, adam.CHANNELS, self._exchange))
-            self._check_outputs(lambda: self._coils(self._exchange))
-
-    def _read_outputs(self) -> list[bool]:
-        return self._twice(lambda: self._coils(self._ask))
+    def _read_registers(self, address: int, count: int) -> list[int]:
+        return self._repeat_once(lambda: self._registers(address, count, self._ask))
 
     def _read_ranges(self) -> list[int]:
-        return self._registers(adam.RANGE_CODE, adam.CHANNELS)
+        return self._read_registers(adam.RANGE_CODE, adam.CHANNELS)
+
+    def _read_outputs(self) -> list[bool]:
+        return self._repeat_once(lambda: self._coils(self._ask))
+
+    def _registers(self, address: int, count: int, exchange: Exchange) -> list[int]:
+        doing = f"read registers {address} to {address + count - 1}"
+        self._function_index ^= int(self._bus.rtu)
+        reply = exchange(self._register_call(self._function_index, address, count), doing, READ_REGISTERS[self._function_index])
+        if len(reply.registers) != count:
+            self._reject(doing, f"{len(reply.registers)} values received instead of {count}")
+        return list(reply.registers)
+
+    def _register_call(self, function_index: int, address: int, count: int) -> Call:
+        def call(client: ModbusBaseSyncClient) -> ModbusPDU:
+            read = client.read_input_registers if function_index else client.read_holding_registers
+            return read(address, count=count, device_id=self._unit)
+
+        return call
+
+    def _coils(self, exchange: Exchange) -> list[bool]:
+        doing, count = "read its outputs back", self._model.outputs
+        call: Call = lambda client: client.read_coils(adam.DIGITAL_OUTPUT, count=count, device_id=self._unit)  # noqa: E731
+        reply = exchange(call, doing, READ_COILS)
+        if len(reply.bits) != 8:  # one byte carries them
+            self._reject(doing, f"{len(reply.bits)} coils received instead of {count}")
+        return [bool(bit) for bit in reply.bits[:count]]
+
+    def _write(self, call: Call, doing: str, function: int, address: int, count: int) -> None:
+        reply = self._ask(call, doing, function)
+        if (reply.address, reply.count) != (address, count):
+            self._reject(doing, f"{reply.count} from {reply.address} confirmed instead of {count} from {address}")
+
+    # ---- exchanges ----
+
+    def _repeat_once(self, action: Callable[[], T]) -> T:
+        """Repeat a repeatable action after the first fault, but not while the module is unverified already."""
+        verified = not self._unverified
+        try:
+            return action()
+        except (NoAnswer, BadAnswer):
+            if not verified:
+                raise
+        except ModuleRefused as refused:
+            if refused.code not in TRANSIENT:
+                raise
+        return action()
+
+    def _ask(self, call: Call, doing: str, function: int) -> ModbusPDU:
+        """One exchange, after a resynchronisation if there was a fault. Raises DeviceError."""
+        with self._bus.lock:
+            if self._lost_settings is not None:
+                raise self._forgotten(doing)
+            if self._unverified or self._bus.stale:
+                self._resynchronise()
+            return self._exchange(call, doing, function)
+
+    def _exchange(self, call: Call, doing: str, function: int) -> ModbusPDU:
+        """One exchange, whose reply must have the function code and the unit. Raises DeviceError."""
+        try:
+            reply = self._bus.exchange(call, self._tap)
+        except WIRE_FAULTS as error:
+            self._unverified = self._bus.stale = True
+            raise NoAnswer(self.name, doing, describe_fault(error), CHECK_WIRING) from None
+        if reply.function_code & 0x7F != function or reply.dev_id != self._unit:
+            self._reject(doing, f"a reply to function {reply.function_code} of unit {reply.dev_id} instead of {function}")
+        if reply.isError():
+            raise ModuleRefused(self.name, doing, reply.exception_code)
+        return reply
+
+    def _reject(self, doing: str, happened: str) -> None:
+        self._unverified = self._bus.stale = True
+        raise BadAnswer(self.name, doing, happened, "a late reply or a disturbed wire: check cable and grounding")
+
+    def _resynchronise(self) -> None:
+        """Require a marker from the module, then read its settings back. Raises DeviceError."""
+        for last in (not self._bus.rtu, True):
+            try:
+                self._exchange_marker()
+                break
+            except (NoAnswer, BadAnswer):
+                if last:
+                    raise
+        self._unverified = self._bus.stale = False
+        if self._settings_written:
+            self._compare_ranges(lambda: self._registers(adam.RANGE_CODE, adam.CHANNELS, self._exchange))
+            self._compare_outputs(lambda: self._coils(self._exchange))
+
+    def _exchange_marker(self) -> None:
+        doing = "resynchronise after a fault"
+        try:
+            connected = self._bus.renew()
+        except WIRE_FAULTS as error:
+            raise NoAnswer(self.name, doing, describe_fault(error), CHECK_WIRING) from None
+        if not connected:
+            raise NoAnswer(self.name, doing, "not responding", CHECK_WIRING)
+        self._marker = (self._marker + 1) % 4
+        function_index, count = self._marker >> 1 & int(self._bus.rtu), 1 + (self._marker & 1)
+        call = self._register_call(function_index, adam.MODULE_NAME, count)
+        reply = self._exchange(call, doing, READ_REGISTERS[function_index])
+        if len(reply.registers) != count:
+            self._reject(doing, f"{len(reply.registers)} values received instead of {count}")
+        if tuple(reply.registers) != self._model.name[:count]:
+            self._wrong_name(list(reply.registers))
+
+    def _wrong_name(self, name: list[int]) -> None:
+        raise BadAnswer(
+            self.name, "read its name", f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
+            "check which module has this address, and the kind in the rig file",
+        )  # fmt: skip
+
+    def _open(self) -> None:
+        try:
+            connected = self._bus.open(self)
+        except WIRE_FAULTS as error:
+            raise DeviceError(
+                self.name, "open the connection", describe_fault(error), "check the address in the rig file"
+            ) from None
+        if not connected:
+            raise NoAnswer(self.name, "connect", "not responding", CHECK_WIRING)
 
 
 def _bits(outputs: list[bool]) -> str:
-    """Outputs, highest first, as a manual prints them."""
+    """Outputs, highest first, as in the manual."""
     return "".join(str(int(on)) for on in reversed(outputs))

@@ -1,7 +1,7 @@
-"""The photodiodes of the arc behind Advantech modules: gain by digital outputs, counts by registers.
+"""Photodiodes of the arc behind Advantech modules: gain by digital outputs, counts by registers.
 
-The gain is chosen by each module's own two digital outputs. An ADAM-4117 has none: its amplifiers have one fixed gain,
-and the settings list that one.
+Each module sets the gain of its amplifiers by two digital outputs. An ADAM-4117 has no outputs: its amplifiers have one
+fixed gain, and the settings list only this one.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ import numpy as np
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers.device import Pending, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
-from goniotwin.drivers.photodiodes.adam import AdamModule, Check
+from goniotwin.drivers.photodiodes.adam import AdamModule, SettingsCheck
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit, explain, explain_rtu
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
@@ -25,11 +25,11 @@ PERIOD_MARGIN = 1.01
 
 @dataclass(frozen=True)
 class PhotodiodeSettings:
-    """What the operator believes of the photodiodes and their modules.
+    """Photodiodes and their modules, as configured by the operator.
 
-    `upper_deg` and `lower_deg` are the polar angles on the two arcs at shift 0; channels count through the upper arc
-    first. A module makes `conversions_per_s` in all, so each of its channels is new once a `period_s`. After a change
-    of gain or pose the first reading is `wait_s` later. `exchange_s` is how long one question takes.
+    `upper_deg` and `lower_deg` are the polar angles on the two arcs at shift 0; channels are numbered through the upper arc
+    first. A module makes `conversions_per_s` for all its channels, so that each channel is converted once per `period_s`.
+    After a change of gain or pose the first reading follows after `wait_s`. `exchange_s` is the duration of an exchange.
     """
 
     upper_deg: tuple[float, ...]
@@ -44,53 +44,53 @@ class PhotodiodeSettings:
 
     @property
     def count(self) -> int:
-        """How many photodiodes there are."""
+        """Number of photodiodes."""
         return len(self.upper_deg) + len(self.lower_deg)
 
     @property
     def modules(self) -> int:
-        """How many modules of eight channels they take."""
+        """Number of modules of eight channels."""
         return -(-self.count // adam.CHANNELS)
 
     @property
     def model(self) -> adam.Model:
-        """The kind of module."""
+        """Model of the modules."""
         return adam.MODELS[self.kind]
 
     @property
     def period_s(self) -> float:
-        """Between two readings: a little more than a channel's conversions take, so that no reading comes twice.
+        """Interval of two readings, s: slightly longer than a round of conversions, so that no conversion is read twice.
 
-        On a slow line it is as long as asking all modules takes.
+        On a slow line it is the time to read all modules.
         """
         return PERIOD_MARGIN * max(adam.CHANNELS / self.conversions_per_s, self.modules * self.exchange_s)
 
     @property
     def wait_s(self) -> float:
-        """From a change of gain or pose to the first reading, which has to have been converted after the settling.
+        """From a change of gain or pose to the first reading, s: its conversion must begin after the settling time.
 
-        What is read at a time was converted up to a round and a channel's turn before; and a change of range loses one.
+        A value that is read was converted up to one round and one channel before; a change of range loses one round.
         """
         conversion_s = PERIOD_MARGIN * adam.CHANNELS / self.conversions_per_s
         return max(self.settling_s + (1.0 + 1.0 / adam.CHANNELS) * conversion_s, 2.0 * conversion_s)
 
     @property
     def gain_seconds(self) -> float:
-        """Setting the gain of all modules; nothing where it is fixed."""
+        """Duration of setting the gain of all modules, s; 0 for a fixed gain."""
         return self.modules * self.exchange_s if self.model.outputs else 0.0
 
     def fetching_seconds(self, *, after_change: bool) -> float:
-        """The last reading and what has to follow it, of all modules: after a change of the gain one question more."""
+        """Duration of the last reading and its checks, of all modules, s; one exchange more after a change of gain."""
         return (3 if after_change and self.model.outputs else 2) * self.modules * self.exchange_s
 
     @property
     def range(self) -> adam.Range:
-        """The input range of all channels."""
+        """Input range of all channels."""
         return adam.RANGES[self.range_code]
 
 
 class PhotodiodeArray:
-    """All modules of the arc, as one row of counts."""
+    """All modules of the arc, as one row of counts (photodiodes,)."""
 
     def __init__(self, units: list[ModbusUnit], settings: PhotodiodeSettings, clock: Clock) -> None:
         self._clock = clock
@@ -102,9 +102,9 @@ class PhotodiodeArray:
         self._connected = False
 
     def connect(self) -> list[str]:
-        """Opens all modules, checks who they are, writes their settings; returns who they are. Raises DeviceError.
+        """Open and identify all modules, write their settings; return their identities. Raises DeviceError.
 
-        Every module is tried; the error is the first one's and names the others that failed.
+        Every module is tried; the error is that of the first failed one, and names the others.
         """
         self.close()
         self._each(AdamModule.connect)
@@ -112,40 +112,42 @@ class PhotodiodeArray:
         return [module.identity for module in self._modules]
 
     def reconnect(self) -> list[str]:
-        """After a fault: identity checked and settings restored, module by module; returns what was restored.
+        """After a fault: identify each module and restore its settings; return what was restored.
 
-        Raises DeviceError as `connect`; it may be tried again, and a module that has come back meanwhile joins.
+        Raises DeviceError as `connect` does; it may be called again, and includes modules that respond again.
         """
         restored = [line for lines in self._each(AdamModule.reconnect) for line in lines]
         self._connected = True
         return restored
 
     def close(self) -> None:
-        """Gives the connections back."""
+        """Close the connections."""
         self._connected = False
         for module in self._modules:
             module.close()
 
     def start_gain(self, gain: int) -> Pending:
-        """Has all amplifiers use the gain of that number in the settings' list; done when all modules have confirmed it.
+        """Set the gain of all amplifiers, by its index in the settings; done when all modules have confirmed it.
 
-        That they have it is read back with the next readings, and these are not good before.
-        Raises Refused for a gain that is not in the list.
+        The outputs are read back after the next readings, which are valid only then. Raises Refused for an unknown gain.
         """
         if not 0 <= gain < len(self.settings.gains_v_per_a):
-            raise Refused("photodiodes", f"set gain {gain}", f"there are {len(self.settings.gains_v_per_a)}: mend the schedule")
+            gains = len(self.settings.gains_v_per_a)
+            raise Refused("photodiodes", f"set gain {gain}", f"the rig file has {gains} gains", "correct the schedule")
         outputs = [bool(gain >> bit & 1) for bit in range(self.settings.model.outputs)]
         if not outputs:
             return Until(self._clock, self._clock.now())
-        return Steps(self._clock, [partial(module.set_outputs, outputs) for module in self._linked("set the gain")])
+        return ExchangeSequence(
+            self._clock, [partial(each.set_outputs, outputs) for each in self._connected_modules("set the gain")]
+        )
 
     def start_readings(self, readings: int) -> "Readings":
-        """Reads all channels so many times, once a conversion, after the settling time. Raises NoAnswer."""
-        return Readings(self._linked("read"), self.settings, self._clock, readings)
+        """Start a number of readings of all channels, one per conversion, after the settling time. Raises NoAnswer."""
+        return Readings(self._connected_modules("read"), self.settings, self._clock, readings)
 
-    def _linked(self, doing: str) -> list[AdamModule]:
+    def _connected_modules(self, doing: str) -> list[AdamModule]:
         if not self._connected:
-            raise NoAnswer("photodiodes", doing, "they are not connected", "connect them first")
+            raise NoAnswer("photodiodes", doing, "not connected", "connect them first")
         return self._modules
 
     def _each(self, action: Callable[[AdamModule], list[str] | str]) -> list[list[str]]:
@@ -153,8 +155,8 @@ class PhotodiodeArray:
         failed: list[DeviceError] = []
         for module in self._modules:
             try:
-                found = action(module)
-                done.append(found if isinstance(found, list) else [found])
+                outcome = action(module)
+                done.append(outcome if isinstance(outcome, list) else [outcome])
             except DeviceError as error:
                 failed.append(error)
         if failed:
@@ -167,22 +169,22 @@ class PhotodiodeArray:
         return done
 
 
-class Steps:
-    """Exchanges one after the other, one a poll."""
+class ExchangeSequence:
+    """Exchanges in sequence, one per poll."""
 
-    def __init__(self, clock: Clock, steps: list[Callable[[], None]]) -> None:
-        self._steps = steps
+    def __init__(self, clock: Clock, exchanges: list[Callable[[], None]]) -> None:
+        self._exchanges = exchanges
         self.due = clock.now()
 
     def poll(self) -> bool:
-        """Does the next. Raises DeviceError."""
-        if self._steps:
-            self._steps.pop(0)()
-        return not self._steps
+        """Carry out the next exchange. Raises DeviceError."""
+        if self._exchanges:
+            self._exchanges.pop(0)()
+        return not self._exchanges
 
 
 class Readings:
-    """Readings under way, one exchange a poll; done when each module has shown that it still has its settings."""
+    """Readings in progress, one exchange per poll; done when the settings of each module have been checked."""
 
     def __init__(self, modules: list[AdamModule], settings: PhotodiodeSettings, clock: Clock, readings: int) -> None:
         self._modules = modules
@@ -190,52 +192,52 @@ class Readings:
         self._clock = clock
         self._row: list[int] = []
         self._row_started = 0.0
-        self._checks: list[Check] | None = None
+        self._checks: list[SettingsCheck] | None = None
         self._taken = 0
         self._counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
         self.due = self._first = clock.now() + settings.wait_s
 
     @property
     def started(self) -> float:
-        """When the first reading is due, s."""
+        """Time of the first reading, s."""
         return self._first
 
     @property
     def counts(self) -> Counts:
-        """Raw values, shape (readings taken so far, photodiodes). They are good once `poll` has said that it is done."""
+        """Raw values, shape (readings taken so far, photodiodes). They are valid once `poll` has returned True."""
         return self._counts[: self._taken]
 
     @property
-    def clipped(self) -> Flags:
-        """Which of the counts stand at an end of the range: bounds, not readings."""
+    def saturated(self) -> Flags:
+        """Counts at an end of the range, shape of `counts`; they are bounds, not readings."""
         ends: Flags = (self.counts == 0) | (self.counts == adam.FULL_SCALE)
         return ends
 
     def mean_volts(self) -> Floats:
-        """The mean of each photodiode's readings, V; NaN where one of them is clipped or none was taken."""
+        """Mean of the readings, V, shape (photodiodes,); NaN if one of them is clipped or none was taken."""
         if not self._taken:
             return np.full(self._settings.count, np.nan)
         scale = self._settings.range
         mean = scale.low_v + scale.lsb_v * self.counts.mean(axis=0)
-        return np.where(self.clipped.any(axis=0), np.nan, mean)
+        return np.where(self.saturated.any(axis=0), np.nan, mean)
 
     def poll(self) -> bool:
-        """Asks one module: its counts, or in the end its settings. Raises DeviceError; no reading is invented."""
+        """Read the counts of one module, or after the last reading check its settings. Raises DeviceError."""
         if self._taken == len(self._counts):
             if self._checks is None:
                 self._checks = [check for module in self._modules for check in module.checks()]
             self._checks.pop(0)()
             return not self._checks
-        at = len(self._row) // adam.CHANNELS
-        if at == 0:
+        index = len(self._row) // adam.CHANNELS
+        if index == 0:
             self._row_started = self._clock.now()
-        self._row += self._modules[at].counts()
-        if at + 1 == len(self._modules):
+        self._row += self._modules[index].counts()
+        if index + 1 == len(self._modules):
             self._counts[self._taken] = self._row[: self._settings.count]
             self._row = []
             self._taken += 1
             if self._taken < len(self._counts):
-                # A fault that took time shifts the rest: two readings of one conversion would be one reading counted twice.
+                # A fault that took time delays the rest, so that no conversion is read twice.
                 planned = self._first + self._taken * self._settings.period_s
                 late = self._row_started - (planned - self._settings.period_s) > 0.1 * self._settings.period_s
                 self.due = self._row_started + self._settings.period_s if late else planned

@@ -1,10 +1,9 @@
-"""A Modbus wire: one client and whoever may talk over it, one at a time; and what is done before it is believed again.
+"""A Modbus wire: one client, shared by the modules on it, and its renewal after a fault.
 
-A TCP connection has one module, an RTU line several. Over TCP a late answer is known by its transaction identifier; after
-a fault the connection is given up, and with it whatever was still under way. Over RTU a late answer is the next
-question's answer: after a fault the line is listened to until it is quiet, and the module then has to answer a marker
-(see `drivers.photodiodes.adam`). The library's own retries are off: a retry that reuses an identifier takes a late answer
-for its own.
+A TCP connection has one module, an RTU line several. Over TCP the transaction identifier shows a late reply; after a fault
+the connection is closed, with everything still in transmission. Over RTU a late reply would be taken for the next one:
+after a fault the line is read until it is quiet, and the module must then return a marker (see `drivers.photodiodes.adam`).
+The library's own retries are off: a retry that reuses an identifier would accept a late reply.
 """
 
 import contextlib
@@ -22,39 +21,39 @@ from goniotwin.protocols import adam
 
 Trace = Callable[[bool, bytes], bytes]
 ModbusOpener = Callable[[Trace | None], ModbusBaseSyncClient]
-"""Makes the client of a wire; takes what pymodbus calls with each packet."""
+"""Makes the client of a wire; takes the function that pymodbus calls with each packet."""
 
 WIRE_FAULTS = (ModbusException, OSError, ValueError, LookupError, struct.error)
-"""What pymodbus throws when a wire fails, or carries what it cannot read."""
+"""Exceptions of pymodbus for a wire that fails, or for bytes that it cannot decode."""
 QUIET_S = 0.1
 DRAINED_CHUNKS = 8
 
 
-def in_words(error: Exception) -> str:
-    """What has happened to the wire, without the library's advice to programmers."""
+def describe_fault(error: Exception) -> str:
+    """A fault of the wire as text, without the library's advice to programmers."""
     if isinstance(error, ModbusIOException):
-        told = error.string.removeprefix("[Input/Output] ").removeprefix("ERROR: ")
-        return "no answer" if told.startswith("No response") else told
+        text = error.string.removeprefix("[Input/Output] ").removeprefix("ERROR: ")
+        return "not responding" if text.startswith("No response") else text
     if isinstance(error, ConnectionException):
-        return "the connection cannot be made, or is gone"
+        return "no connection"
     return str(error) or type(error).__name__
 
 
 class ModbusBus:
-    """One wire. `line` says that it is an RTU line, without transaction identifiers."""
+    """One wire. `rtu`: an RTU line, without transaction identifiers. `stale`: a late reply may still arrive."""
 
-    def __init__(self, opener: ModbusOpener, *, line: bool = False) -> None:
-        self.line = line
+    def __init__(self, opener: ModbusOpener, *, rtu: bool = False) -> None:
+        self.rtu = rtu
         self.lock = threading.RLock()
         self.stale = False
         self._opener = opener
         self._client: ModbusBaseSyncClient | None = None
         self._users: set[int] = set()
         self._tap: Tap = no_tap
-        self._heard = b""
+        self._received = b""
 
     def open(self, user: object) -> bool:
-        """Connects, unless another user has; whether somebody is there. Raises WIRE_FAULTS for an address that is none."""
+        """Connect, unless another user has; True if connected. Raises WIRE_FAULTS for a wrong address."""
         with self.lock:
             if self._client is None:
                 self._client = self._opener(self._trace)
@@ -62,34 +61,34 @@ class ModbusBus:
             return bool(self._client.connect())
 
     def close(self, user: object) -> None:
-        """Gives the connection back once nobody uses it any more."""
+        """Close the connection after its last user."""
         with self.lock:
             self._users.discard(id(user))
             if not self._users and self._client is not None:
                 self._client.close()  # type: ignore[no-untyped-call]
                 self._client = None
 
-    def ask(self, call: Callable[[ModbusBaseSyncClient], ModbusPDU], tap: Tap) -> ModbusPDU:
-        """One exchange. Raises WIRE_FAULTS; what comes back may still answer something else.
+    def exchange(self, call: Callable[[ModbusBaseSyncClient], ModbusPDU], tap: Tap) -> ModbusPDU:
+        """One exchange; the caller checks that the reply belongs to its request. Raises WIRE_FAULTS.
 
-        A connection or port that fails is given up: `renew` makes another one.
+        A connection or port that fails is closed: `renew` opens another one.
         """
         if self._client is None:
             raise ConnectionError("the connection is not open")
-        self._tap, self._heard = tap, b""
+        self._tap, self._received = tap, b""
         try:
             return call(self._client)
         except OSError:
-            self._give_up()
+            self._close_client()
             raise
         finally:
-            self._tap(FROM_DEVICE, self._heard)
+            self._tap(FROM_DEVICE, self._received)
 
     def renew(self) -> bool:
-        """Rids the wire of what is still under way; whether it is connected. Raises WIRE_FAULTS."""
+        """Discard everything still in transmission; True if connected. Raises WIRE_FAULTS."""
         if self._client is None:
             return False
-        if not self.line:
+        if not self.rtu:
             self._client.close()  # type: ignore[no-untyped-call]
             return bool(self._client.connect())
         if not self._client.connect():
@@ -103,31 +102,31 @@ class ModbusBus:
                 if not late:
                     break
         except OSError:
-            self._give_up()
+            self._close_client()
             raise
         finally:
             self._client.comm_params.timeout_connect = timeout
         return True
 
-    def _give_up(self) -> None:
+    def _close_client(self) -> None:
         assert self._client is not None
         with contextlib.suppress(OSError):
             self._client.close()  # type: ignore[no-untyped-call]
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """pymodbus shows an answer again with each piece that has come; the tap gets it once."""
+        """Pass packets to the tap. pymodbus repeats a reply with each piece that is received; the tap gets it once."""
         if sending:
             self._tap(TO_DEVICE, data)
         else:
-            if not data.startswith(self._heard):
-                self._tap(FROM_DEVICE, self._heard)
-            self._heard = data
+            if not data.startswith(self._received):
+                self._tap(FROM_DEVICE, self._received)
+            self._received = data
         return data
 
 
 @dataclass
 class ModbusUnit:
-    """Where a module is: on which wire, at which unit address."""
+    """Address of a module: its wire and its unit."""
 
     bus: ModbusBus
     unit: int = adam.UNIT
@@ -147,20 +146,20 @@ MBAP = 7
 
 
 def explain(direction: str, data: bytes) -> str:
-    """A Modbus TCP frame in words, for transcripts."""
+    """A Modbus TCP frame as text, for transcripts."""
     if len(data) < MBAP + 2:
         return "too short for a Modbus TCP frame"
-    return _explained(direction, f", transaction {int.from_bytes(data[:2], 'big')}", data[MBAP - 1 :])
+    return _explain_pdu(direction, f", transaction {int.from_bytes(data[:2], 'big')}", data[MBAP - 1 :])
 
 
 def explain_rtu(direction: str, data: bytes) -> str:
-    """A Modbus RTU frame in words, for transcripts."""
+    """A Modbus RTU frame as text, for transcripts."""
     if len(data) < 5:
         return "too short for a Modbus RTU frame"
-    return _explained(direction, "", data[:-2])
+    return _explain_pdu(direction, "", data[:-2])
 
 
-def _explained(direction: str, transaction: str, data: bytes) -> str:
+def _explain_pdu(direction: str, transaction: str, data: bytes) -> str:
     unit, function, body = data[0], data[1] & 0x7F, data[2:]
     head = f"{FUNCTIONS.get(function, f'function {function}')}{transaction}, unit {unit}"
     if data[1] & 0x80:

@@ -1,1 +1,9 @@
-"""USBTMC instruments on pyusb, and USB devices over USB/IP."""
+"""USB: USBTMC instruments on pyusb, and USB devices of other computers over USB/IP.
+
+`UsbTmc` is the wire to one instrument; `find_usbip` finds a device that a USB/IP server exports.
+"""
+
+from goniotwin.drivers.usb.usbip import UsbIpBackend, find_usbip
+from goniotwin.drivers.usb.usbtmc import UsbOpener, UsbTmc
+
+__all__ = ["UsbIpBackend", "UsbOpener", "UsbTmc", "find_usbip"]

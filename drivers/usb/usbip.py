@@ -1,19 +1,28 @@
 """USB devices of another computer, or of another program, over USB/IP: a backend for pyusb.
 
-`usb.core.find(backend=UsbIpBackend("127.0.0.1", 3240))` finds what the server exports. A device is imported while it is
-open and, for a moment, to read its descriptors; nobody else can have it meanwhile.
+`usb.core.find(backend=UsbIpBackend("127.0.0.1", 3240))` finds the devices that the server exports. A device is imported
+while it is open and, briefly, to read its descriptors; no other program can use it meanwhile.
+
+Transfers go over one TCP connection per device, one at a time, each with its number and its timeout. A transfer that has
+not ended in time is unlinked before the next begins, so that a late reply is not taken for another's.
+
+Errors are pyusb's, with libusb's codes: a timeout is USBTimeoutError(-7, ETIMEDOUT), a stall USBError(-9, EPIPE), a packet
+that is too large USBError(-8, EOVERFLOW), and a device or server that is disconnected USBError(-4, ENODEV).
 """
 
+import contextlib
 import errno
+import socket
 import struct
+import threading
 from array import array
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeVar
 
 import usb.core
 from usb.backend import IBackend
 
-from goniotwin.drivers.usb.usbip_link import UsbIpLink, listed_devices
 from goniotwin.protocols import usbip
 from goniotwin.protocols.usb_descriptors import (
     CONFIGURATION,
@@ -26,50 +35,157 @@ from goniotwin.protocols.usb_descriptors import (
     decode_device,
 )
 
+CONNECT_S = 2.0
+ANSWER_S = 2.0
+"""Longest reply time of the server itself, without a device."""
+CHUNK = 65_536
+# Status numbers on the wire are Linux's on every system.
+STALLED, TOO_LARGE, BUSY = -32, -75, -16
+DISCONNECTED = {-19, -104, -108}
 TIMEOUT_MS = 1000
 GET_DESCRIPTOR, GET_CONFIGURATION, SET_CONFIGURATION, SET_INTERFACE = 6, 8, 9, 11
 CLEAR_FEATURE, SET_FEATURE = 1, 3
 PORT, PORT_RESET = 0x23, 4
-"""To the hub's port that the device is on: a request of the hub class, which USB/IP carries like any other."""
+"""Hub class request to the port of the device; USB/IP carries it like any other."""
+T = TypeVar("T")
+
+
+def exported_devices(host: str, port: int) -> list[usbip.ExportedDevice]:
+    """Devices that a server exports. Raises USBError if the server does not respond."""
+    with _connect(host, port) as connection:
+        connection.sendall(usbip.ListRequest().encode())
+        return _receive(connection, bytearray(), usbip.take_list)
+
+
+class UsbIpLink:
+    """An imported device; it belongs to this program until `close`."""
+
+    def __init__(self, host: str, port: int, bus_id: str) -> None:
+        """Import the device. Raises USBError if it is not connected, or in use by another program."""
+        self._lock = threading.Lock()
+        self._buffer = bytearray()
+        self._number = 0
+        self._socket = _connect(host, port)
+        try:
+            self._socket.sendall(usbip.ImportRequest(bus_id).encode())
+            imported = _receive(self._socket, self._buffer, usbip.take_import)
+        except BaseException:
+            self._socket.close()
+            raise
+        if imported.device is None:
+            self._socket.close()
+            raise usb.core.USBError("Resource busy", -6, errno.EBUSY)
+        self._device = imported.device.number
+
+    def control(self, setup: bytes, data: bytes, timeout_ms: int) -> bytes:
+        """Send a request to endpoint 0, its eight bytes and data; return the reply. Raises USBError."""
+        length = int.from_bytes(setup[6:8], "little")
+        return self._transfer(0, data, length, timeout_ms, setup, to_host=bool(setup[0] & 0x80)).data
+
+    def write(self, endpoint: int, data: bytes, timeout_ms: int) -> int:
+        """Write to a bulk or interrupt endpoint; return the number of bytes written. Raises USBError."""
+        return self._transfer(endpoint & 0x0F, data, len(data), timeout_ms).length
+
+    def read(self, endpoint: int, length: int, timeout_ms: int) -> bytes:
+        """Read from a bulk or interrupt endpoint. Raises USBError."""
+        return self._transfer(endpoint & 0x0F, b"", length, timeout_ms, to_host=True).data
+
+    def close(self) -> None:
+        """Release the device."""
+        self._socket.close()
+
+    def _transfer(
+        self, endpoint: int, data: bytes, length: int, timeout_ms: int, setup: bytes = usbip.NO_SETUP, *, to_host: bool = False
+    ) -> usbip.Submitted:
+        with self._lock:
+            self._number += 1
+            number = self._number
+            submit = usbip.Submit(number, self._device, endpoint, to_host, length, b"" if to_host else data, setup)
+            reading = {number} if to_host else set()
+            try:
+                self._socket.sendall(submit.encode())
+                result = self._result(reading, timeout_ms / 1000.0 if timeout_ms else None)
+                while result is not None and result.number != number:
+                    result = self._result(reading, timeout_ms / 1000.0 if timeout_ms else None)
+                if result is None:
+                    result = self._unlink(number, reading)
+            except (OSError, usbip.UsbIpError) as error:
+                if isinstance(error, usb.core.USBError):
+                    raise
+                self._socket.close()
+                raise disconnected() from error
+        assert isinstance(result, usbip.Submitted)
+        _raise_for(result.status)
+        return result
+
+    def _result(self, reading: set[int], seconds: float | None) -> usbip.Submitted | usbip.Unlinked | None:
+        """Next result; None after a timeout. Raises OSError, UsbIpError."""
+        self._socket.settimeout(seconds)
+        while (result := usbip.take_result(self._buffer, reading)) is None:
+            try:
+                data = self._socket.recv(CHUNK)
+            except TimeoutError:
+                return None
+            if not data:
+                raise ConnectionResetError
+            self._buffer += data
+        return result
+
+    def _unlink(self, number: int, reading: set[int]) -> usbip.Submitted:
+        """Unlink a transfer. If it has ended meanwhile, its result counts. Raises USBTimeoutError."""
+        self._number += 1
+        self._socket.sendall(usbip.Unlink(self._number, self._device, number).encode())
+        ended: usbip.Submitted | None = None
+        while True:
+            result = self._result(reading, ANSWER_S)
+            if result is None:
+                raise ConnectionResetError
+            if isinstance(result, usbip.Submitted) and result.number == number:
+                ended = result
+            if isinstance(result, usbip.Unlinked) and result.number == self._number:
+                break
+        if ended is None:
+            raise usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+        return ended
 
 
 class UsbIpDevice:
-    """A device on a server's list; its descriptors are read once."""
+    """A device that a server exports; its descriptors are read once."""
 
     def __init__(self, host: str, port: int, exported: usbip.ExportedDevice) -> None:
         self.host, self.port, self.exported = host, port, exported
-        self._described: tuple[bytes, list[Configuration]] | None = None
+        self._descriptors: tuple[bytes, list[Configuration]] | None = None
 
     def open(self) -> UsbIpLink:
-        """Raises USBError where it is not there, or somebody else has it."""
+        """Import the device. Raises USBError if it is not connected, or in use by another program."""
         return UsbIpLink(self.host, self.port, self.exported.bus_id)
 
-    def described(self) -> tuple[bytes, list[Configuration]]:
-        """Its device descriptor, and its configurations. Raises USBError."""
-        if self._described is None:
+    def descriptors(self) -> tuple[bytes, list[Configuration]]:
+        """Device descriptor and configurations. Raises USBError."""
+        if self._descriptors is None:
             link = self.open()
             try:
                 device = _descriptor(link, DEVICE, 0, DEVICE_BYTES)
-                whole = [_configuration(link, k) for k in range(self.exported.configurations)]
+                configurations = [_configuration(link, k) for k in range(self.exported.configurations)]
             except DescriptorError as error:
                 raise usb.core.USBError(f"{self.exported.bus_id}: {error}", -1, errno.EIO) from None
             finally:
                 link.close()
-            self._described = device, whole
-        return self._described
+            self._descriptors = device, configurations
+        return self._descriptors
 
 
 class UsbIpBackend(IBackend):
     """The devices of one server."""
 
     def __init__(self, host: str, port: int = usbip.PORT, bus_id: str | None = None) -> None:
-        """With a `bus_id` there is this device only."""
+        """With a `bus_id`, only this device."""
         super().__init__()
         self._host, self._port, self._bus_id = host, port, bus_id
 
     def enumerate_devices(self) -> list[UsbIpDevice]:
-        found = listed_devices(self._host, self._port)
-        return [UsbIpDevice(self._host, self._port, each) for each in found if self._bus_id in (None, each.bus_id)]
+        exported = exported_devices(self._host, self._port)
+        return [UsbIpDevice(self._host, self._port, each) for each in exported if self._bus_id in (None, each.bus_id)]
 
     def get_parent(self, dev: UsbIpDevice) -> None:
         del dev
@@ -77,18 +193,18 @@ class UsbIpBackend(IBackend):
     def get_device_descriptor(self, dev: UsbIpDevice) -> SimpleNamespace:
         exported = dev.exported
         return decode_device(
-            dev.described()[0], address=exported.address, bus=exported.bus, port_number=exported.address,
+            dev.descriptors()[0], address=exported.address, bus=exported.bus, port_number=exported.address,
             port_numbers=(exported.address,), speed=exported.speed,
         )  # fmt: skip
 
     def get_configuration_descriptor(self, dev: UsbIpDevice, config: int) -> SimpleNamespace:
-        return dev.described()[1][config].fields
+        return dev.descriptors()[1][config].fields
 
     def get_interface_descriptor(self, dev: UsbIpDevice, intf: int, alt: int, config: int) -> SimpleNamespace:
-        return dev.described()[1][config].setting(intf, alt).fields
+        return dev.descriptors()[1][config].setting(intf, alt).fields
 
     def get_endpoint_descriptor(self, dev: UsbIpDevice, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
-        return dev.described()[1][config].setting(intf, alt).endpoints[ep]
+        return dev.descriptors()[1][config].setting(intf, alt).endpoints[ep]
 
     def open_device(self, dev: UsbIpDevice) -> UsbIpLink:
         return dev.open()
@@ -106,10 +222,10 @@ class UsbIpBackend(IBackend):
         dev_handle.control(_setup(0x01, SET_INTERFACE, altsetting, intf), b"", TIMEOUT_MS)
 
     def claim_interface(self, dev_handle: UsbIpLink, intf: int) -> None:
-        """The whole device has been imported."""
+        """Nothing to do: the whole device has been imported."""
 
     def release_interface(self, dev_handle: UsbIpLink, intf: int) -> None:
-        """The whole device stays imported until it is closed."""
+        """Nothing to do: the whole device stays imported until it is closed."""
 
     def is_kernel_driver_active(self, dev_handle: UsbIpLink, intf: int) -> bool:
         del dev_handle, intf
@@ -154,7 +270,7 @@ class UsbIpBackend(IBackend):
 
 
 def find_usbip(host: str, port: int, bus_id: str) -> Any:
-    """The pyusb device that a server exports as `bus_id`, None where it does not. Raises USBError."""
+    """The pyusb device that a server exports as `bus_id`, or None. Raises USBError."""
     return usb.core.find(backend=UsbIpBackend(host, port, bus_id))
 
 
@@ -175,3 +291,43 @@ def _fill(buffer: "array[int]", data: bytes) -> int:
     view = memoryview(buffer).cast("B")
     view[: len(data)] = data[: len(view)]
     return len(data)
+
+
+def disconnected() -> usb.core.USBError:
+    """The error of libusb for a disconnected device."""
+    return usb.core.USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+
+
+def _raise_for(status: int) -> None:
+    if status == STALLED:
+        raise usb.core.USBError("Pipe error", -9, errno.EPIPE)
+    if status == TOO_LARGE:
+        raise usb.core.USBError("Overflow", -8, errno.EOVERFLOW)
+    if status in DISCONNECTED:
+        raise disconnected()
+    if status:
+        raise usb.core.USBError(f"Input/output error: USB/IP status {status}", -1, errno.EIO)
+
+
+def _connect(host: str, port: int) -> socket.socket:
+    try:
+        connection = socket.create_connection((host, port), timeout=CONNECT_S)
+    except OSError as error:
+        raise usb.core.USBError(f"no USB/IP server at {host}:{port}: {error.strerror or error}", -4, errno.ENODEV) from None
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def _receive(connection: socket.socket, buffer: bytearray, take: Callable[[bytearray], T | None]) -> T:
+    connection.settimeout(ANSWER_S)
+    try:
+        while (reply := take(buffer)) is None:
+            data = connection.recv(CHUNK)
+            if not data:
+                raise ConnectionResetError("the server closed the connection")
+            buffer += data
+    except (OSError, usbip.UsbIpError) as error:
+        with contextlib.suppress(OSError):
+            connection.close()
+        raise usb.core.USBError(f"the USB/IP server is not responding: {error}", -4, errno.ENODEV) from None
+    return reply

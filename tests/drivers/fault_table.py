@@ -26,7 +26,7 @@ LEGEND = {
     RIGHT: "the value is right and nothing had to be repeated",
     AGAIN: "asked again, then right",
     ERROR: "an error that names the device, the command and what happened",
-    NOTICED: "the device has reset itself, and that is said",
+    NOTICED: "the device has reset itself, and the driver reports it",
     WRONG: "a wrong value was returned as good",
     STUCK: "the driver did not work again, or its error did not name it",
 }

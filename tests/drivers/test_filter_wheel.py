@@ -55,7 +55,7 @@ def test_it_takes_its_time_for_each_position_and_is_not_given_up_meanwhile(
     wait(bench.clock, [bench.driver.start_filter(6)])
     assert bench.clock.now() - before == pytest.approx(5.0, abs=0.25)  # a second each, and words
     assert bench.driver.filter() == bench.plant.filter_position(bench.clock.now()) == 6
-    assert list(bench.driver.said) == []
+    assert list(bench.driver.events) == []
 
 
 @pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
@@ -71,9 +71,7 @@ def test_where_it_is_already_nothing_is_sent(opened: RigOpener, echo: bool, hand
 def test_a_unit_without_a_wheel_is_told_apart(opened: RigOpener) -> None:
     bench = Bench(opened)
     bench.unit._statements._drive = replace(bench.unit._statements._drive, filters=0)
-    with pytest.raises(
-        DeviceError, match=r"monochromator: turn the filter wheel to 2: it has none; remove monochromator\.filt"
-    ):
+    with pytest.raises(DeviceError, match=r"monochromator: turn the filter wheel to 2: it has no filter wheel; remove mono"):
         bench.driver.start_filter(2)
     bench.go(600.0)
 
@@ -87,7 +85,7 @@ def test_what_is_started_after_it_waits_for_it_and_both_are_confirmed(opened: Ri
     assert [line for line in lines if not line.endswith("?")] == ["FILTER 3", "GOWAVE 725.000", "FILTER 2"]
     assert lines[-1] == "FILTER?"
     assert (bench.light_nm(), bench.driver.filter()) == (725.0, 2)
-    assert list(bench.driver.said) == []
+    assert list(bench.driver.events) == []
 
 
 def test_a_failure_is_told_to_who_waits_for_it_though_what_came_after_has_heard_it_first(opened: RigOpener) -> None:
@@ -148,5 +146,5 @@ def test_under_each_fault_it_is_where_it_is_said_to_be_or_that_is_told(
 def test_a_wheel_that_sticks_is_no_success(opened: RigOpener) -> None:
     bench = Bench(opened)
     bench.plant.wheel.slew = lambda start, end, value: None  # type: ignore[method-assign]
-    with pytest.raises(NoAnswer, match="FILTER 4: it is not where it was sent"):
+    with pytest.raises(NoAnswer, match="FILTER 4: it is not at its target"):
         wait(bench.clock, [bench.driver.start_filter(4)])

@@ -17,10 +17,10 @@ def test_a_sweep_is_forbidden_where_any_place_on_it_is(one: float, two: float, l
     places = [one + (two - one) * k / 500 for k in range(501)]
     meets = any(abs((place - 270.0 + 180.0) % 360.0 - 180.0) < 5.9 for place in places)
     if meets and 85.0 + max(low, high) > 87.0:
-        assert ARC.veto((one, two), (low, high)) is not None
+        assert ARC.collision((one, two), (low, high)) is not None
     clear = all(abs((place - 270.0 + 180.0) % 360.0 - 180.0) > 9.0 for place in places)
     if clear or 85.0 + max(low, high) <= 87.0:
-        assert ARC.veto((one, two), (low, high)) is None
+        assert ARC.collision((one, two), (low, high)) is None
 
 
 def test_the_arc_does_not_go_through_the_beam_with_its_shift_up(opened: RigOpener) -> None:
@@ -28,7 +28,7 @@ def test_the_arc_does_not_go_through_the_beam_with_its_shift_up(opened: RigOpene
     assert rig.virtual is not None
     clock = rig.rig.clock
     wait(clock, [rig.rig.start("beta", 200.0), rig.rig.start("shift", 4.0)])
-    with pytest.raises(LimitError, match=r"beta: move to 300 deg: the arc would meet the incoming beam"):
+    with pytest.raises(LimitError, match=r"beta: move to 300 deg: the arc would collide with the incoming beam"):
         rig.rig.start("beta", 300.0)
     assert not rig.virtual.plant.shafts["beta"].moved_since(clock.now())
     wait(clock, [rig.rig.start("shift", 1.0)])
@@ -39,7 +39,7 @@ def test_the_shift_does_not_go_up_while_the_arc_is_on_its_way_through(opened: Ri
     rig = opened().rig
     wait(rig.clock, [rig.start("beta", 200.0), rig.start("shift", 0.0)])
     sweep = rig.start("beta", 340.0)
-    with pytest.raises(LimitError, match=r"shift: move to 5 deg: the arc would meet"):
+    with pytest.raises(LimitError, match=r"shift: move to 5 deg: the arc would collide"):
         rig.start("shift", 5.0)
     wait(rig.clock, [sweep])
     wait(rig.clock, [rig.start("shift", 5.0)])

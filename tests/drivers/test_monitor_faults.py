@@ -52,7 +52,7 @@ def test_a_stall_is_said_and_released(bench: Bench, endpoint: int) -> None:
     with pytest.raises(NoAnswer, match="stall"):
         bench.mean()
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
-    assert "brought into step" in bench.monitor.said[-1]
+    assert "resynchronised" in bench.monitor.events[-1]
 
 
 @pytest.mark.parametrize("keeps_fifo", [False, True])
@@ -61,15 +61,15 @@ def test_a_late_answer_is_never_taken_for_the_next_one(bench: Bench, keeps_fifo:
     bench.device.keeps_fifo = keeps_fifo
     bench.mean()
     wire = bench.monitor._wire
-    wire.ask("*OPC?")
+    wire.query("*OPC?")
     wire.write("SENS:AVER:COUN 9000")
     start = bench.clock.now()
-    with pytest.raises(NoAnswer, match="no answer within 1 s"):
-        wire.ask("READ?")
+    with pytest.raises(NoAnswer, match="not responding within 1 s"):
+        wire.query("READ?")
     assert bench.clock.now() - start < 1.5
     bench.clock.sleep_until(bench.clock.now() + 5.0)
-    assert wire.ask("*IDN?").startswith(b"Thorlabs")
-    assert wire.ask("SENS:AVER:COUN?") == b"9000"  # the settings have stayed
+    assert wire.query("*IDN?").startswith(b"Thorlabs")
+    assert wire.query("SENS:AVER:COUN?") == b"9000"  # the settings have stayed
     with pytest.raises(Forgotten):  # but they are not the driver's
         bench.mean()
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
@@ -79,11 +79,11 @@ def test_an_unplugged_one_is_gone_and_works_again_when_it_is_back(bench: Bench) 
     bench.mean()
     bench.backend.unplug("monitor")
     for _ in range(3):
-        with pytest.raises(NoAnswer, match="it is not there"):
+        with pytest.raises(NoAnswer, match=r"disconnected|not connected"):
             bench.mean()
     bench.backend.replug("monitor")
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
-    assert any("found again" in each for each in bench.monitor.said)
+    assert any("found again" in each for each in bench.monitor.events)
 
 
 def test_one_that_has_lost_its_power_says_so_once_and_gets_its_settings_back(bench: Bench) -> None:
@@ -92,7 +92,7 @@ def test_one_that_has_lost_its_power_says_so_once_and_gets_its_settings_back(ben
     with pytest.raises(NoAnswer):
         bench.mean()
     bench.backend.replug("monitor", reset=True)
-    with pytest.raises(Forgotten, match="reset itself; its settings are restored"):
+    with pytest.raises(Forgotten, match="has reset; its settings are restored"):
         bench.mean()
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
 
@@ -164,7 +164,7 @@ def test_what_was_read_after_a_reset_is_not_believed(opened: RigOpener) -> None:
     bench = Broken(opened)
     wait(bench.clock, [bench.monitor.start_mean(0.1, "power")])
     bench.faulty.misfortune = Script([Fault.RESET])
-    with pytest.raises(Forgotten, match="reset itself; its settings are restored"):
+    with pytest.raises(Forgotten, match="has reset; its settings are restored"):
         wait(bench.clock, [bench.monitor.start_mean(0.1, "power")])
     power = bench.monitor.start_mean(0.1, "power")
     wait(bench.clock, [power])
@@ -226,5 +226,5 @@ def test_a_setting_that_was_not_heard_is_an_error(opened: RigOpener) -> None:
 
 def test_a_setting_that_it_does_not_know_is_refused_in_its_own_words(bench: Bench) -> None:
     bench.monitor._dialect = replace(bench.monitor._dialect, low_pass="INP:NONSENSE {:d}")
-    with pytest.raises(Refused, match="set the filter: it answers -113"):
+    with pytest.raises(Refused, match="set the filter: error -113"):
         bench.monitor.set_low_pass(True)

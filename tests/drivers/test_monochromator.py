@@ -97,7 +97,7 @@ def test_questions_during_a_move_are_refused_and_the_next_move_waits_for_it(
 ) -> None:
     bench = Bench(opened, echo, handshake)
     bench.driver.start_wavelength(725.0)
-    with pytest.raises(DeviceError, match="answers only when it has arrived"):
+    with pytest.raises(DeviceError, match="not responding until it arrives"):
         bench.driver.wavelength_nm()
     wait(bench.clock, [bench.driver.start_shutter(opened=True)])
     assert bench.light_nm() == 725.0

@@ -103,7 +103,7 @@ def test_a_port_that_is_gone_is_opened_again_when_it_is_back(opened: RigOpener) 
             bench.driver.wavelength_nm()
     bench.clock.sleep_until(bench.clock.now() + 0.5)
     assert bench.driver.wavelength_nm() == 600.0
-    assert list(bench.driver.said)[-2:] == ["the port has been opened again", "the line is in step again"]
+    assert list(bench.driver.events)[-2:] == ["port reopened", "line resynchronised"]
 
 
 def test_a_move_survives_a_plug_that_is_out_for_a_moment(opened: RigOpener) -> None:
@@ -120,7 +120,7 @@ def test_a_unit_that_has_reset_itself_says_so_once(opened: RigOpener) -> None:
     bench.unit.reset(bench.clock.now())
     with pytest.raises(DeviceError):  # the status line is missing
         bench.driver.check()
-    with pytest.raises(Forgotten, match="reset itself; its settings are restored"):
+    with pytest.raises(Forgotten, match="has reset; its settings are restored"):
         bench.driver.check()
     bench.driver.check()
     assert bench.driver.wavelength_nm() == 600.0
@@ -132,5 +132,5 @@ def test_another_unit_in_its_place_is_refused(opened: RigOpener, monkeypatch: py
     with pytest.raises(DeviceError):
         bench.driver.wavelength_nm()
     monkeypatch.setattr("goniotwin.twin.devices.cornerstone_statements.IDENTITY", "Cornerstone 130 virtual")
-    with pytest.raises(BadAnswer, match="Cornerstone 130 virtual answers"):
+    with pytest.raises(BadAnswer, match="Cornerstone 130 virtual is connected"):
         bench.driver.wavelength_nm()

@@ -64,7 +64,7 @@ def test_a_clipped_reading_has_no_mean(bench: Bench) -> None:
     rig.virtual.modbus["adc-0"].inputs.enabled = 0xFE  # channel 0 reads 0 from now on
     taken = array.start_readings(1)
     wait(clock, [taken])
-    assert taken.clipped[0].tolist() == [True] + [False] * 35
+    assert taken.saturated[0].tolist() == [True] + [False] * 35
     assert np.isnan(taken.mean_volts()).tolist() == [True] + [False] * 35
 
 

@@ -99,7 +99,7 @@ def test_a_stop_while_the_monochromators_line_is_brought_into_step_forbids_its_m
     before = rig.monochromator.wavelength_nm()
     rig.monochromator._wire.in_step = False
     rig.clock.at(rig.clock.now() + after_s, rig.stop)
-    with pytest.raises(Interrupted, match="a stop has come first"):
+    with pytest.raises(Interrupted, match="a stop was requested"):
         rig.monochromator.start_wavelength(before + 50.0)
     rig.clock.sleep_until(rig.clock.now() + 5.0)
     assert rig.monochromator.wavelength_nm() == pytest.approx(before, abs=0.01)
@@ -117,7 +117,7 @@ def test_while_an_axis_brakes_after_a_stop_nothing_starts_that_depends_on_where_
         if clock.now() >= sweep.due:
             sweep.poll()
     assert rig.stop() == []
-    with pytest.raises(LimitError, match="it still turns"):
+    with pytest.raises(LimitError, match="it is moving"):
         rig.start("shift", 5.0)
     clock.sleep_until(clock.now() + 2.0)
     assert 264.0 < virtual.plant.angle_deg("beta", clock.now()) < 276.0

@@ -159,9 +159,9 @@ def test_a_full_disk_ends_the_transcripts_and_says_so_once(
                 tap(">", b"hello")
         transcript.close()
     (said,) = caplog.messages
-    assert said == transcript.trouble
+    assert said == transcript.failure
     assert said.startswith(f"{tmp_path / 'axes.txt'}: the transcript cannot be written: No space left on device; ")
-    assert "the measurement goes on" in said
+    assert "the measurement continues" in said
     transcript.tap("photodiodes-0", as_text)(">", b"hello")
     assert "photodiodes-0.txt" not in full
 
@@ -173,7 +173,7 @@ def test_a_measurement_goes_on_without_its_transcript(
     with_transcript = opened(QUIET, transcript=tmp_path / "wires")
     assert read_photodiodes(with_transcript.rig) == read_photodiodes(undisturbed.rig)
     with_transcript.close()
-    assert not with_transcript.rig.monitor.said
+    assert not with_transcript.rig.monitor.events
     assert len(caplog.messages) == 1
     assert {name for name, file in full.items() if file.room < 0} == {"axes.txt"}
 

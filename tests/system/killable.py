@@ -125,7 +125,7 @@ def check_told(path: Path, told: dict[int, str]) -> None:
 
 def _forks() -> Any:
     forks = multiprocessing.get_context("forkserver")
-    modules = ["cli", "campaign.campaign", "campaign.reducing.export", "campaign.journal.runs"]
+    modules = ["cli", "campaign.campaign", "campaign.reducing.export", "campaign.journal.summary"]
     forks.set_forkserver_preload([*(f"goniotwin.app.{name}" for name in modules), __name__])
     return forks
 

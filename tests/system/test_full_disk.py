@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
@@ -54,7 +54,7 @@ class Bench:
         assert status == 1, process.errors
         (complaint,) = (line for line in process.complaints if "cannot be written" in line)
         assert f"{path}: cannot be written: " in complaint
-        assert complaint.endswith("; make room on the disk")
+        assert complaint.endswith("; free space on the disk")
         assert process.errors.splitlines()[-1] == f"to continue: goniotwin run --resume {path}"
         assert self._at_rest()
         check_told(path, process.told)
@@ -144,7 +144,7 @@ def test_where_there_is_no_room_for_a_journal_nothing_is_left_of_it(
     assert process.ended() == 2
     (complaint,) = process.complaints
     assert f"{path}: cannot be written: " in complaint
-    assert complaint.endswith("; check folder and disk")
+    assert complaint.endswith("; check the folder and the disk")
     assert list(folder.iterdir()) == []
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journal
@@ -69,12 +69,12 @@ class Bench:
         else:
             self._finish(path, told)
         with Journal.open(path) as journal:
-            assert journal.counted() == (len(self.plan.rows), len(self.plan.rows))
+            assert journal.row_counts() == (len(self.plan.rows), len(self.plan.rows))
 
     def _gave_up(self, process: Killable) -> bool:
         """Before it was killed, for an answer that came too late on a busy machine."""
         self.complaints += process.complaints
-        return "no answer" in process.errors
+        return "not responding" in process.errors
 
     def _finish(self, path: Path, told: dict[int, str]) -> None:
         """As an operator would, who does what the messages say."""
@@ -190,7 +190,9 @@ def test_what_a_killed_program_has_left_is_never_taken_for_that_of_another_journ
     path.rename(tmp_path / "b.journal")
     again = Killable(tmp_path, *command)
     assert again.ended() == 2
-    assert again.complaints[0].startswith(f"goniotwin: {path}-wal: is left of another journal of that name; put it beside that")
+    assert again.complaints[0].startswith(
+        f"goniotwin: {path}-wal: belongs to another journal of that name; move it to that journal"
+    )
     Path(f"{path}-wal").rename(tmp_path / "b.journal-wal")
     assert campaign_summary(tmp_path / "b.journal").rows == 4
 

@@ -54,7 +54,7 @@ def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, writ
     first, request, was, now, last = done.stdout.splitlines()
     byte = r"byte \d+: [0-9a-f]{2} recorded, [0-9a-f]{2} now"
     assert re.fullmatch(rf"monitor.txt, line \d+, from the device: {byte}(; {byte})*", first)
-    assert re.fullmatch(r" +request +02 .* 00  \| transfer \d+: up to 4096 bytes, please", request)
+    assert re.fullmatch(r" +request +02 .* 00  \| transfer \d+: up to 4096 bytes requested", request)
     assert re.fullmatch(r" +recorded +02 .*  \| transfer \d+: '1\.\d{8}E-07\\n'", was)
     assert re.fullmatch(r" +now +02 .*  \| transfer \d+: '1\.\d{8}E-11\\n'", now)
     assert re.fullmatch(r"1 difference in \d+ requests: monitor.txt", last)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule

@@ -13,7 +13,7 @@ def swept(clearance: ArcClearance, points: Floats) -> Flags:
 
 
 def swept_ways(clearance: ArcClearance, before: Floats, after: Floats) -> Flags:
-    """Which moves have the arc meet the beam on its way from points (n, 5) to others: `ArcClearance.veto`, for arrays."""
+    """Which moves have the arc meet the beam on its way from points (n, 5) to others: `ArcClearance.collision`, for arrays."""
     high = clearance.top_polar_deg + np.maximum(before[:, 3], after[:, 3]) > clearance.highest_deg
     if not high.any():
         return high

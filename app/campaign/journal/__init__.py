@@ -1,1 +1,1 @@
-"""One SQLite file a campaign: crash journal, resume pointer and archive."""
+"""The data file of a campaign (journal): one SQLite file with every row, from which a stopped campaign resumes."""

@@ -1,7 +1,4 @@
-"""What a journal says: of itself, of its sessions, of its rows.
-
-Which rows of a journal were measured, and where: a few bytes a row, however many there are.
-"""
+"""Read access to a journal: the campaign's properties, its sessions, and its rows."""
 
 import contextlib
 import json
@@ -32,37 +29,20 @@ ROW_INDEX = np.dtype(
         ("shift_deg", np.float64),
     ]
 )
-"""One row; `sample` is the place of its name in a list that stands beside."""
-
-
-def measured_rows(db: sqlite3.Connection) -> tuple[npt.NDArray[np.void], list[str]]:
-    """CommittedRow rows of measurements that have readings, by their last attempt, in order of time; and the samples' names.
-
-    Raises sqlite3.Error and ValueError for a damaged journal.
-    """
-    names: dict[str, int] = {}
-    found = db.execute(
-        "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg"
-        " FROM plan p JOIN attempt a USING (number) WHERE kind = 'measure'"
-        " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
-        " AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt)"
-        " ORDER BY started_s, p.number",
-        (MIRRORED_MARK,),
-    )
-    rows = ((number, names.setdefault(sample, len(names)), *rest) for number, sample, *rest in found)
-    return np.fromiter(rows, dtype=ROW_INDEX), list(names)
-
-
+"""Index entry of a measured row: a few bytes a row, so that long campaigns fit in memory. `sample` is an index into a list of
+sample names that comes with the index.
+"""
 ROW_COLUMNS = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
 LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
-"""What the column `detail` has of a row."""
+"""Fields of a row that the column `detail` holds as JSON."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """A stretch of work on a campaign by one program. A program that was killed has left no end: `ended_s` is then that of
-    the last row which it committed, and `outcome` is None.
+    """One run of a program on a campaign. Times in s on the rig's clock; wall times are ISO 8601.
+
+    A program that was killed recorded no end: then `outcome` is None, and `ended_s` is the end of its last committed row.
     """
 
     number: int
@@ -75,66 +55,70 @@ class Session:
 
 
 class JournalReader:
-    """The contents of a journal. Everything raises UserError where it is damaged."""
+    """The contents of a journal. All methods raise UserError for a damaged file."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self._db = connection
         self.path = path
 
     def value(self, key: str) -> str:
-        """An entry of the campaign's table: schedule, rig, name, simulated, seed, model, versions. Raises UserError."""
+        """A value of the table `campaign`: schedule, rig, name, simulated, seed, model or versions.
+
+        Raises UserError where it is missing.
+        """
         with self._reading():
             found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
         if found is None:
-            raise UserError(f"{self.path}: says nothing of its {key}; it was cut off when it was made")
+            raise UserError(f"{self.path}: has no entry {key!r}: the file is incomplete; use a copy of it, if there is one")
         return str(found[0])
 
     @property
     def simulated(self) -> bool:
-        """Whether nothing in it is real."""
+        """Whether the campaign ran on a virtual rig."""
         return self.value("simulated") == "true"
 
     @property
     def seconds(self) -> float:
-        """How long the campaign took on the rig's clock, all sessions together."""
+        """Duration of all sessions together, on the rig's clock."""
         return sum(session.ended_s - session.started_s for session in self.sessions())
 
     def sessions(self) -> list[Session]:
-        """In order."""
+        """The sessions in order of time."""
         with self._reading():
             found = self._db.execute(
                 "SELECT id, started_s, COALESCE(ended_s, (SELECT MAX(ended_s) FROM attempt WHERE session = s.id), started_s),"
                 " outcome, wall_started, wall_ended, versions FROM session s ORDER BY id"
             )
             return [
-                Session(number, begun, ended, outcome, wall_begun, wall_ended, json.loads(versions))
-                for number, begun, ended, outcome, wall_begun, wall_ended, versions in found
+                Session(number, started, ended, outcome, wall_started, wall_ended, json.loads(versions))
+                for number, started, ended, outcome, wall_started, wall_ended, versions in found
             ]
 
-    def counted(self) -> tuple[int, int]:
-        """How many of the planned rows are done, and how many there are."""
+    def row_counts(self) -> tuple[int, int]:
+        """Number of the planned rows that are measured, and number of all planned rows."""
         planned = self._planned_numbers()
-        return len(self.committed() & planned), len(planned)
+        return len(self.committed_numbers() & planned), len(planned)
 
-    def planned(self) -> tuple[Row, ...]:
-        """The planned rows, without those that sessions have added."""
+    def planned_rows(self) -> tuple[Row, ...]:
+        """The rows of the plan, in order; without the unplanned rows of resumed sessions."""
         with self._reading():
             return tuple(
                 _row(*entries)
                 for entries in self._db.execute(f"SELECT {ROW_COLUMNS} FROM plan p WHERE session IS NULL ORDER BY number")
             )
 
-    def committed(self) -> set[int]:
-        """Numbers of the rows that are done."""
+    def committed_numbers(self) -> set[int]:
+        """Numbers of the rows that are measured, unplanned ones included, skipped ones excluded."""
         with self._reading():
-            begun = {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
-        return begun - self._skipped()
+            attempted = {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
+        return attempted - self._last_skipped()
 
-    def skipped(self) -> set[int]:
-        """Numbers of the planned rows that were left out for a fault, and not done since."""
-        return self._skipped() & self._planned_numbers()
+    def skipped_numbers(self) -> set[int]:
+        """Numbers of the planned rows that were skipped because of a fault and not measured since."""
+        return self._last_skipped() & self._planned_numbers()
 
-    def _skipped(self) -> set[int]:
+    def _last_skipped(self) -> set[int]:
+        """Numbers of the rows with the flag SKIPPED in their last attempt."""
         with self._reading():
             found = self._db.execute(
                 "SELECT number, flags FROM attempt a WHERE flags LIKE ?"
@@ -147,33 +131,43 @@ class JournalReader:
         with self._reading():
             return {number for (number,) in self._db.execute("SELECT number FROM plan WHERE session IS NULL")}
 
-    def told(self, kind: str) -> list[str]:
-        """What events of a kind say, in order, each once."""
+    def event_texts(self, kind: str) -> list[str]:
+        """Texts of the events of one kind, in order of time, without duplicates."""
         with self._reading():
             found = self._db.execute("SELECT text FROM event WHERE kind = ? ORDER BY id", (kind,))
             return list(dict.fromkeys(str(text) for (text,) in found))
 
     def last_number(self) -> int:
-        """Of all rows, added ones too."""
+        """Highest row number, unplanned rows included."""
         with self._reading():
             return int(self._db.execute("SELECT MAX(number) FROM plan").fetchone()[0])
 
     def rows(self, *kinds: RowKind) -> Iterator[CommittedRow]:
-        """The committed rows, or those of some kinds, in the order in which they were begun, each by its last attempt."""
+        """Committed rows, of all kinds or of some, in order of their start; each with its last attempt."""
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
             yield from self._rows(f"{LAST_ATTEMPT} {chosen} ORDER BY started_s, p.number", kinds)
 
     def rows_of(self, numbers: Iterable[int]) -> Iterator[CommittedRow]:
-        """CommittedRow rows by their numbers, in that order, each by its last attempt."""
+        """Committed rows by their numbers, in that order; each with its last attempt."""
         with self._reading():
             for number in numbers:
                 yield from self._rows(f"{LAST_ATTEMPT} AND p.number = ?", (number,))
 
-    def measured_rows(self) -> tuple[npt.NDArray[np.void], list[str]]:
-        """Which measurements have readings, and where they were made: see `LISTED`; and the names of the samples."""
+    def row_index(self) -> tuple[npt.NDArray[np.void], list[str]]:
+        """Index (ROW_INDEX) of the measured rows that have readings, in order of their start, and the names of the samples."""
+        names: dict[str, int] = {}
         with self._reading():
-            return measured_rows(self._db)
+            found = self._db.execute(
+                "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg"
+                " FROM plan p JOIN attempt a USING (number) WHERE kind = 'measure'"
+                " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
+                " AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt)"
+                " ORDER BY started_s, p.number",
+                (MIRRORED_MARK,),
+            )
+            rows = ((number, names.setdefault(sample, len(names)), *rest) for number, sample, *rest in found)
+            return np.fromiter(rows, dtype=ROW_INDEX), list(names)
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
@@ -189,8 +183,8 @@ class JournalReader:
         for *planned, attempt, started, ended, positions, flags in found:
             row = _row(*planned)
             readings = tuple(self._readings(row.number, attempt))
-            where = None if positions is None else json.loads(positions)
-            yield CommittedRow(row, RowData(started, ended, where, readings, tuple(json.loads(flags))))
+            degrees = None if positions is None else json.loads(positions)
+            yield CommittedRow(row, RowData(started, ended, degrees, readings, tuple(json.loads(flags))))
 
     def _readings(self, number: int, attempt: int) -> Iterator[Reading]:
         for gain, first, period, monitor, readings, channels, counts in self._db.execute(
@@ -203,10 +197,10 @@ class JournalReader:
 
 
 def open_read_only(path: Path) -> sqlite3.Connection:
-    """A database that stays as it is. Raises sqlite3.Error, OSError.
+    """Open a database without changing the file. Raises sqlite3.Error, OSError.
 
-    Where its program was killed or the power went, SQLite may have to put it in order before it can be read, or needs a file
-    beside it where none may be made: then it is done with a copy, in memory.
+    After a killed program or a power failure SQLite may have to recover the database before it can be read; in a read-only
+    folder it may be unable to make its auxiliary files. Then a recovered copy in memory is opened.
     """
     db = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
     try:
@@ -215,11 +209,11 @@ def open_read_only(path: Path) -> sqlite3.Connection:
         db.close()
         if error.sqlite_errorcode & 0xFF not in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
             raise
-        return _copy_in_order(path)
+        return _recovered_copy(path)
     return db
 
 
-def _copy_in_order(path: Path) -> sqlite3.Connection:
+def _recovered_copy(path: Path) -> sqlite3.Connection:
     with tempfile.TemporaryDirectory() as folder:
         spare = Path(folder) / path.name
         for suffix in ("", "-wal", "-journal"):
@@ -237,17 +231,17 @@ def _copy_in_order(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def report_damage(path: Path) -> Iterator[None]:
-    """Says of what goes wrong inside that the journal is damaged. Raises UserError."""
+    """Convert errors of the database and of the stored values into a UserError: the journal is damaged."""
     try:
         yield
     except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
-        told, *more = str(error).splitlines() or [type(error).__name__]
-        raise UserError(f"{path}: is damaged: {told}{' ...' if more else ''}; use a copy of it, if there is one") from None
+        line, *more = str(error).splitlines() or [type(error).__name__]
+        raise UserError(f"{path}: is damaged: {line}{' ...' if more else ''}; use a copy of it, if there is one") from None
 
 
 def _row(*columns: Any) -> Row:
     number, identity, kind, sample, wavelength, gamma, sigma, beta, shift, seconds, detail = columns
-    told = {key: value for key, value in json.loads(detail).items() if key in DETAIL_KEYS}
-    told["gains"] = tuple(told["gains"])
+    details = {key: value for key, value in json.loads(detail).items() if key in DETAIL_KEYS}
+    details["gains"] = tuple(details["gains"])
     pose = None if sigma is None else (gamma, sigma, beta, shift)
-    return Row(number, identity, kind, sample, seconds, wavelength, pose, **told)
+    return Row(number, identity, kind, sample, seconds, wavelength, pose, **details)

@@ -1,4 +1,4 @@
-"""What a row came to: raw counts with their times, positions, flags."""
+"""Recorded data of a row: raw counts with their times, positions of the axes, flags."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,11 @@ from goniotwin.arrays import Counts
 
 @dataclass(frozen=True)
 class Reading:
-    """All photodiodes at one gain: raw `counts` (readings, photodiodes), the monitor's mean current meanwhile."""
+    """Readings of all photodiodes at one gain.
+
+    `counts` (readings, photodiodes) are raw; reading k was taken `first_s` + k `period_s` on the rig's clock; `monitor_a` is
+    the mean current of the monitor over the same time.
+    """
 
     gain_v_per_a: float
     first_s: float
@@ -19,9 +23,9 @@ class Reading:
 
 @dataclass(frozen=True)
 class RowData:
-    """What a row came to: times on the rig's clock, read-back positions and encoders in degrees, readings by gain.
+    """Recorded data of a row: times on the rig's clock, read-back positions and encoders in degrees, one reading per gain.
 
-    Among the positions is the filter wheel's, `filter`, where the rig file has filters.
+    Where the rig file has order filters, `positions` also has the position of the filter wheel, under `filter`.
     """
 
     started_s: float
@@ -33,7 +37,7 @@ class RowData:
 
 @dataclass(frozen=True)
 class CommittedRow:
-    """A row of a journal with what it came to."""
+    """A row of a journal with its recorded data."""
 
     row: Row
     data: RowData

@@ -1,4 +1,4 @@
-"""The journal's tables, and how a journal of an older schema becomes one of this. Described in docs/journal.md."""
+"""Tables of the journal, and the migration of journals with an older schema. docs/journal.md describes the tables."""
 
 import json
 import sqlite3
@@ -35,9 +35,9 @@ CREATE TABLE event (
 
 
 def create_tables(db: sqlite3.Connection) -> None:
-    """In an empty database."""
+    """Create the tables in an empty database."""
     with db:
-        db.execute("BEGIN")  # else each statement is a transaction, and waits for the disk
+        db.execute("BEGIN")  # otherwise each statement is a transaction of its own and waits for the disk
         db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         for statement in SCHEMA.split(";"):
@@ -45,9 +45,9 @@ def create_tables(db: sqlite3.Connection) -> None:
 
 
 def migrate(db: sqlite3.Connection) -> None:
-    """Brings a journal of an older schema to this one, all or nothing.
+    """Migrate a journal to SCHEMA_VERSION in one transaction.
 
-    Raises sqlite3.Error, ValueError and KeyError for a damaged one.
+    Raises sqlite3.Error, ValueError and KeyError for a damaged journal.
     """
     version = db.execute("PRAGMA user_version").fetchone()[0]
     if version == SCHEMA_VERSION:
@@ -66,7 +66,7 @@ def migrate(db: sqlite3.Connection) -> None:
 
 
 def _from_1(db: sqlite3.Connection) -> None:
-    """Schema 1 knew one session, and left gains and readings of a row to the schedule."""
+    """Migrate schema 1, which has one session, and gains and readings of a row only in the schedule."""
     about = dict(db.execute("SELECT key, value FROM campaign"))
     schedule, rig = tomllib.loads(about["schedule"]), tomllib.loads(about["rig"])
     known = rig["photodiodes"]["gains_v_per_a"]
@@ -95,3 +95,4 @@ def _from_1(db: sqlite3.Connection) -> None:
 
 
 STEPS: dict[int, Callable[[sqlite3.Connection], None]] = {1: _from_1}
+"""Migration from each older schema version to the next."""

@@ -1,7 +1,7 @@
-"""The journal: one SQLite file a campaign, one transaction a row. Crash journal, resume pointer and archive.
+"""The journal of a campaign: one SQLite file, one transaction per row.
 
-It holds the schedule and the rig as they were, the planned rows, and raw counts; everything else can be derived from it again.
-The schema is described in docs/journal.md.
+It is crash journal, resume pointer and archive. It contains the text of the schedule and of the rig file, the planned rows,
+and the raw counts; everything else can be derived from these again. docs/journal.md describes the tables.
 """
 
 import contextlib
@@ -30,11 +30,11 @@ def software_versions() -> dict[str, str]:
 
 
 class JournalError(Exception):
-    """The journal cannot be written any more; what it acknowledged before is safe."""
+    """The journal cannot be written any more. All rows committed before are safe."""
 
 
 class Journal(JournalReader):
-    """An open journal. What `commit` has returned from is on the disk."""
+    """An open journal. A row is on the disk when `commit` returns."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         super().__init__(connection, path)
@@ -42,26 +42,28 @@ class Journal(JournalReader):
 
     @classmethod
     def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
-        """A new journal for a plan. Raises UserError where there is a file already, or none can be written.
+        """Create the journal of a plan. Raises UserError where the file exists already or cannot be written.
 
-        It gets its name when it is whole and on the disk, so that a program that is killed here leaves none or one that can be
-        resumed. The name is on the disk before the first commit returns: SQLite syncs the folder with each new -wal file.
-        One that need not outlive a power failure, a rehearsal's, is not `durable` and waits for no disk.
+        The file gets its name when it is complete and on the disk, so that a program that is killed here leaves either no
+        journal or one that can be resumed. The name is on the disk before the first commit returns: SQLite syncs the folder
+        with each new -wal file. With `durable` False nothing waits for the disk: a rehearsal need not survive a power failure.
         """
         if path.exists():
-            raise UserError(f"{path}: is there already, and no journal is ever overwritten; choose another name")
+            raise UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
         if not path.parent.is_dir():
-            raise UserError(f"{path}: there is no folder {path.parent}; make it first")
-        for left in (Path(f"{path}-wal"), Path(f"{path}-journal")):
-            if left.exists():  # SQLite would take it for the new one's
-                raise UserError(f"{left}: is left of another journal of that name; put it beside that, or choose another name")
+            raise UserError(f"{path}: there is no folder {path.parent}; create it first")
+        for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
+            if leftover.exists():  # SQLite would apply it to the new database
+                raise UserError(
+                    f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
+                )
         spare = path.with_name(f".{path.name}.new")
         try:
-            _remove(spare)  # of a program that was killed here
+            _remove(spare)  # left by a program that was killed here
             with contextlib.closing(_connect(spare, durable=durable)) as db:
                 create_tables(db)
                 cls(db, spare)._describe(plan, versions)
-                db.execute("PRAGMA wal_checkpoint")  # to close it would do that too, and fail in silence
+                db.execute("PRAGMA wal_checkpoint")  # closing does this too, but ignores errors
             spare.rename(path)
         except (sqlite3.Error, OSError) as error:
             _remove(spare)
@@ -74,9 +76,9 @@ class Journal(JournalReader):
 
     @classmethod
     def open(cls, path: Path) -> "Journal":
-        """A journal that is there already, for reading; the file stays as it is, whatever its schema.
+        """Open an existing journal for reading. The file is not changed; an older schema is migrated in memory.
 
-        Raises UserError for a file that is none.
+        Raises UserError for a file that is not a journal.
         """
         version = _known_version(path)
         db = open_read_only(path)
@@ -90,23 +92,23 @@ class Journal(JournalReader):
 
     @classmethod
     def reopen(cls, path: Path) -> "Journal":
-        """A journal that is there already, to go on with. An older schema becomes this one.
+        """Open an existing journal for writing, to resume its campaign. An older schema is migrated in the file.
 
-        Raises UserError for a file that is none, or cannot be written.
+        Raises UserError for a file that is not a journal, or cannot be written.
         """
         _known_version(path)
         try:
             db = _connect(path)
         except sqlite3.Error as error:
             raise UserError(
-                f"{path}: cannot be written: {error}; check its rights, and whether another program has it"
+                f"{path}: cannot be written: {error}; check its permissions, and whether another program has it open"
             ) from None
         with report_damage(path):
             migrate(db)
         return cls(db, path)
 
     def close(self) -> None:
-        """Ends it; a journal that was written is then one file, to be read from any medium."""
+        """Close the journal. A written journal is then a single file, readable on any medium."""
         with contextlib.suppress(sqlite3.Error):
             self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
@@ -118,9 +120,9 @@ class Journal(JournalReader):
         self.close()
 
     def begin_session(self, t: float, rig: str, versions: dict[str, str]) -> int:
-        """A program begins to work on the campaign, with a rig file's text; returns the session's number.
+        """Record the start of a session and return its number. `t` is on the rig's clock, `rig` the text of the rig file.
 
-        What is committed and told from now on is of this session.
+        All rows and events from now on belong to this session.
         """
         about = (t, calendar_stamp(), rig, json.dumps(versions, sort_keys=True))
         with self._writing():
@@ -129,12 +131,12 @@ class Journal(JournalReader):
         return self._session
 
     def add_rows(self, rows: Sequence[Row]) -> None:
-        """Rows of this session that nobody has planned: what a resumed campaign does before it goes on."""
+        """Record the unplanned rows of this session: those with which a resumed campaign starts."""
         with self._writing():
             self._db.executemany(INSERT_ROW, [(*_planned(row), self._session) for row in rows])
 
     def end_session(self, session: int, t: float, outcome: str) -> None:
-        """It ends, with `outcome`: done, stopped or failed."""
+        """Record the end of a session; `outcome` is done, stopped or failed."""
         with self._writing():
             self._db.execute(
                 "UPDATE session SET ended_s = ?, outcome = ?, wall_ended = ? WHERE id = ?",
@@ -142,16 +144,16 @@ class Journal(JournalReader):
             )
 
     def event(self, t: float, kind: str, text: str) -> None:
-        """Something that is to be known later."""
+        """Record an event of a kind (fault, stop, drift, encoder, ...) at time `t` on the rig's clock."""
         with self._writing():
             self._db.execute("INSERT INTO event (session, t_s, kind, text) VALUES (?, ?, ?, ?)", (self._session, t, kind, text))
 
     def faults(self) -> list[str]:
-        """The faults that were met, in order."""
+        """Texts of all fault events, in order of time."""
         return [str(text) for (text,) in self._db.execute("SELECT text FROM event WHERE kind = 'fault' ORDER BY id")]
 
     def commit(self, row: Row, data: RowData) -> None:
-        """One row, whole or not at all; on the disk when this returns. Raises JournalError."""
+        """Write one row in one transaction; it is on the disk on return. Raises JournalError."""
         positions = None if data.positions is None else json.dumps(data.positions)
         with self._writing():
             (attempt,) = self._db.execute(
@@ -173,12 +175,12 @@ class Journal(JournalReader):
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """One transaction."""
+        """One transaction. Raises JournalError where it cannot be written."""
         try:
             with self._db:
                 yield
         except sqlite3.Error as error:
-            raise JournalError(f"{self.path}: cannot be written: {error}; make room on the disk") from None
+            raise JournalError(f"{self.path}: cannot be written: {error}; free space on the disk") from None
 
     def _describe(self, plan: Plan, versions: dict[str, str]) -> None:
         about = {
@@ -203,7 +205,7 @@ def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
     try:
         db.execute("PRAGMA journal_mode = WAL")
         db.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
-        db.execute("PRAGMA fullfsync = ON")  # macOS alone: there a plain sync leaves it in the disk's own memory
+        db.execute("PRAGMA fullfsync = ON")  # macOS only: there a plain sync leaves the data in the cache of the disk
         db.execute("PRAGMA checkpoint_fullfsync = ON")
         db.execute("PRAGMA foreign_keys = ON")
     except sqlite3.Error:
@@ -213,19 +215,19 @@ def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
 
 
 def _remove(path: Path) -> None:
-    """A database that nobody needs, with what SQLite keeps beside it. Raises OSError."""
+    """Delete a database and the files that SQLite keeps beside it. Raises OSError."""
     for suffix in ("", "-wal", "-shm", "-journal"):
         Path(f"{path}{suffix}").unlink(missing_ok=True)
 
 
 def _unwritable(path: Path, error: Exception) -> UserError:
-    return UserError(f"{path}: cannot be written: {error}; check folder and disk")
+    return UserError(f"{path}: cannot be written: {error}; check the folder and the disk")
 
 
 def _known_version(path: Path) -> int:
-    """The schema of a journal. Raises UserError for a file that is none, or too new."""
+    """The schema version of a journal. Raises UserError for a file that is not a journal, or too new."""
     if not path.is_file():
-        what = "is a folder, and no journal" if path.is_dir() else "there is no such journal"
+        what = "is a folder, not a journal" if path.is_dir() else "there is no such journal"
         raise UserError(f"{path}: {what}; check the name")
     try:
         with contextlib.closing(open_read_only(path)) as db:

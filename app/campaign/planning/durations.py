@@ -44,9 +44,9 @@ class Moves:
         self.exchange_s = 2 * FRAME_BYTES * 10.0 / rig.axes.baudrate + CONTROLLER_LATENCY_S
         farthest = encode_nm(self._monochromator.highest_nm)
         told = self._monochromator.statement_seconds(str(Statement("GOWAVE", parameter=farthest)))
-        self._words_s = told + STATUS_MARGIN_S + self._monochromator.question_seconds("WAVE?", farthest)
+        self._words_s = told + STATUS_MARGIN_S + self._monochromator.query_seconds("WAVE?", farthest)
         self._wheel = self._monochromator.wheel
-        self._ask_wheel_s = self._monochromator.question_seconds("FILTER?", "1")
+        self._ask_wheel_s = self._monochromator.query_seconds("FILTER?", "1")
         self._tell_wheel_s = self._monochromator.statement_seconds("FILTER 1") + STATUS_MARGIN_S + self._ask_wheel_s
 
     def seconds(self, before: Floats, after: Floats) -> Floats:
@@ -265,7 +265,7 @@ class Timing:
         """What that would take."""
         if self._shutter_open is opened:
             return 0.0
-        asked = self._monochromator.question_seconds("SHUTTER?", "O")
+        asked = self._monochromator.query_seconds("SHUTTER?", "O")
         told = self._monochromator.statement_seconds(f"SHUTTER {'O' if opened else 'C'}")
         return self._monochromator.shutter_s + told + STATUS_MARGIN_S + asked
 

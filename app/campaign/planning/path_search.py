@@ -201,12 +201,12 @@ def _barred(lattice: Lattice, clearance: ArcClearance) -> tuple[Ints, Ints]:
     """Between which betas the arc crosses the beam, and at which shifts it may not."""
     betas, shifts = lattice.values[BETA].tolist(), lattice.values[SHIFT].tolist()
     barred = np.zeros((len(betas), len(betas)), dtype=np.int64)
-    if clearance.veto((betas[0], betas[-1]), (shifts[-1],)) is not None:
+    if clearance.collision((betas[0], betas[-1]), (shifts[-1],)) is not None:
         for k, beta in enumerate(betas):
-            barred[k, k:] = [clearance.veto((beta, other), (shifts[-1],)) is not None for other in betas[k:]]
+            barred[k, k:] = [clearance.collision((beta, other), (shifts[-1],)) is not None for other in betas[k:]]
         barred |= barred.T
     azimuth = clearance.beam_azimuth_deg
-    return barred, np.array([clearance.veto((azimuth,), (shift,)) is not None for shift in shifts], dtype=np.int64)
+    return barred, np.array([clearance.collision((azimuth,), (shift,)) is not None for shift in shifts], dtype=np.int64)
 
 
 MOST_POINTS = 1500

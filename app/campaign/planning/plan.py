@@ -52,7 +52,7 @@ def first_sweep(rows: Sequence[Row], clearance: ArcClearance) -> str | None:
         hits = np.flatnonzero(swept(clearance, way))
         if hits.size:
             k = int(hits[0])
-            reason = clearance.veto((way[k, 2], way[k + 1, 2]), (way[k, 3], way[k + 1, 3]))
+            reason = clearance.collision((way[k, 2], way[k + 1, 2]), (way[k, 3], way[k + 1, 3]))
             identity = piece.of.identities(piece.points[k : k + 1])[0] if isinstance(piece, Run) else piece.identity
             return f"on the way to {identity}: {reason}"
         last = points[-1:]

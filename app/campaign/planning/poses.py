@@ -72,7 +72,7 @@ def _clear(rig: RigFile, poses: Floats, mirrored: Floats) -> Flags:
     clearance = arc_clearance(rig)
     betas, shift = np.unique(poses[:, 2]), float(poses[:, 3].max())
     free = {
-        beta: clearance.veto((beta, float(betas[np.abs(betas - beta).argmin()])), (shift,)) is None
+        beta: clearance.collision((beta, float(betas[np.abs(betas - beta).argmin()])), (shift,)) is None
         for beta in np.unique(mirrored[:, 2]).tolist()
     }
     return np.array([free[beta] for beta in mirrored[:, 2].tolist()], dtype=bool)

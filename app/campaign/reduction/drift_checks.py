@@ -98,7 +98,7 @@ class Reference:
 
     def check(self, row: Row, signal_of: SignalOf) -> Check | None:
         """A row with readings, or a mounting, in order of time; for a drift row after the first what it says."""
-        if row.kind == "mount" and not row.added:
+        if row.kind == "mount" and not row.unplanned:
             self._first = self._last = None
         elif row.kind == "measure":
             self._last = (row, signal_of)
@@ -181,7 +181,7 @@ def drifts(
         if not mounted and not (row.kind in ("measure", "drift") and each.data.readings):
             continue
         check = reference.check(row, partial(signal_of, each))
-        if mounted and not row.added:
+        if mounted and not row.unplanned:
             between(now, well)
             before, last = now, well
         elif row.kind == "drift":
@@ -204,7 +204,7 @@ def unseen(rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Sig
     found: dict[str, Flags] = {}
     for each in rows:
         # What the first check saw is what the others are compared with.
-        if each.row.kind == "drift" and not each.row.added and each.data.readings and each.row.sample not in found:
+        if each.row.kind == "drift" and not each.row.unplanned and each.data.readings and each.row.sample not in found:
             found[each.row.sample] = ~_seen(signal_of(each))
     return found
 

@@ -66,7 +66,7 @@ class Measurements:
             self._darks = darks_by_gain(darks, self._settings)
         self._dead_since = dead_since(darks, self._settings)
         del darks
-        self._listed, self._names = journal.measured_rows()
+        self._listed, self._names = journal.row_index()
         limit = None if schedule.drift is None else schedule.drift.limit
         self.unseen = unseen(journal.rows("drift"), self._signal)
         some = next(journal.rows("drift"), None) is not None

@@ -49,15 +49,15 @@ def missing(journal: JournalReader, without_etalon: Mapping[str, int]) -> Iterat
     """Notes: whether it is finished, rows that were skipped, axes whose encoders stood off, and rows `without_etalon`, by
     sample, that nothing scales.
     """
-    done, of = journal.counted()
-    skipped = journal.skipped()
+    done, of = journal.row_counts()
+    skipped = journal.skipped_numbers()
     if done + len(skipped) < of:
         yield f"the campaign is not finished: {done} of {of} rows are done"
     if skipped:
-        samples = Counter(row.sample for row in journal.planned() if row.number in skipped)
+        samples = Counter(row.sample for row in journal.planned_rows() if row.number in skipped)
         told = ", ".join(f"{count} of {sample}" for sample, count in samples.items())
         yield f"rows that were skipped for faults and have no values: {told}; {GO_ON}"
-    yield from journal.told("encoder")
+    yield from journal.event_texts("encoder")
     for sample, rows in without_etalon.items():
         yield f"{sample}: no values, or not all, in rows at whose poses the etalon was not measured: {rows}"
 

@@ -139,7 +139,7 @@ def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -
             faults += engine.faults
             if state is State.IDLE and not engine.ended_by_schedule:
                 raise KeyboardInterrupt
-            before, (done, _) = done, journal.counted()
+            before, (done, _) = done, journal.row_counts()
             if state is not State.IDLE or done <= before:
                 sessions = len(journal.sessions())
                 return Run(state, engine.ended_by_schedule, done, sessions, journal.seconds, tuple(faults), tuple(referenced))

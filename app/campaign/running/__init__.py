@@ -1,1 +1,1 @@
-"""Rows carried out: the engine, what it decides while it measures, and what it does about faults."""
+"""Execution of a plan: the engine, its rows, the stop conditions, and the recovery from faults."""

@@ -1,6 +1,6 @@
-"""The engine: brings a plan's rows to the rig one after the other, and each to the journal before the next begins.
+"""The engine: executes the rows of a plan one after the other, and commits each to the journal before the next starts.
 
-Plain Python for one thread; pause, resume and stop may come from any other. It knows no window and no plot.
+Plain Python for one thread; pause, resume and stop may be called from any other. It knows no window and no plot.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from goniotwin.app.campaign.running.events import Event, Listener, Positions, Ro
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
-from goniotwin.app.campaign.running.stop_conditions import StopConditions
+from goniotwin.app.campaign.running.stop_conditions import EndedBySchedule, StopConditions
 from goniotwin.app.campaign.running.stop_request import Stopped, StopRequest
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES
@@ -27,15 +27,12 @@ from goniotwin.drivers import DeviceError, Rig, Until
 T = TypeVar("T")
 
 
-class EndedBySchedule(Exception):
-    """The run ends here as the schedule says, in good order."""
-
-
 class Engine:
     """Runs a plan once.
 
-    `positions_every_s` has the axes asked for their positions so often while they move, for people who watch; 0 never,
-    so that nothing but the rows is on the wires. `work` are the rows that are left, where some are done already.
+    `work` are the rows to execute, where some rows of the plan are measured already. `positions_every_s` is the time between
+    two Positions events while axes move; with 0 the positions are not read, and only the rows use the wires.
+    `faults` are the faults with which the run ended; `ended_by_schedule` is the reason where a stop condition ended it.
     """
 
     def __init__(
@@ -61,32 +58,33 @@ class Engine:
         self._state = State.IDLE
         self._changed = threading.Condition()
         self._pause = False
-        self._halt = StopRequest(rig)
-        self._performer = RowExecutor(rig, operator, self._halt, self._between, self._note)
-        self._recovery = Recovery(rig, self._halt, self._performer.wait)
-        self._endings = StopConditions(plan.schedule.file, plan.rig.file)
+        self._stop_request = StopRequest(rig)
+        self._executor = RowExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event)
+        self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
+        self._stop_conditions = StopConditions(plan.schedule.file, plan.rig.file)
+        self._resumed = work is not None and work is not plan.rows
         self._work = plan.rows if work is None else work
         left = list(accumulate((row.seconds for row in reversed(self._work)), initial=0.0))
         self._seconds_left = left[::-1]
 
     @property
     def state(self) -> State:
-        """What it is at."""
+        """The state of the engine."""
         return self._state
 
     def run(self) -> State:
-        """Carries the plan out; returns done, failed, or idle where it was stopped. Blocks.
+        """Execute the rows; return DONE, FAILED, or IDLE after a stop. Blocks.
 
-        Raises UserError, before anything has happened, where the journal of a campaign to be gone on with is damaged.
+        Raises UserError before anything moves where the journal of a resumed campaign is damaged.
         """
         outcome, reason, session = State.DONE, "", 0
-        self._recall()
+        self._read_earlier_rows()
         self._enter(State.RUNNING)
         try:
             session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, software_versions())
-            self._reference()
-            self._do_rows()
-            self._under_policies("the end", self._close_shutter)
+            self._home_unreferenced()
+            self._execute_rows()
+            self._apply_policies("the end of the run", self._close_shutter)
         except (Stopped, KeyboardInterrupt):
             outcome, reason = State.IDLE, "stopped"
         except EndedBySchedule as ended:
@@ -95,28 +93,28 @@ class Engine:
         except (JournalError, UserError) as error:
             outcome, reason = State.FAILED, str(error)
         except DeviceError as error:
-            if self._halt.said:  # the stop frames came between a question and its answer
+            if self._stop_request.requested:  # the stop frames came between a request and its answer
                 outcome, reason = State.IDLE, "stopped"
             else:
                 outcome, reason = State.FAILED, str(error)
         except BaseException as error:
-            # A mistake of ours, or of whoever mounts samples: the axes come to rest all the same, and it is told.
-            self._wind_up(session, State.FAILED, f"{type(error).__name__}: {error}")
+            # An error of the program or of the operator's code: stop the axes and record it all the same.
+            self._finish(session, State.FAILED, f"{type(error).__name__}: {error}")
             self._enter(State.FAILED, str(error))
             raise
-        self._wind_up(session, outcome, reason)
+        self._finish(session, outcome, reason)
         self._enter(outcome, reason)
         return outcome
 
     def pause(self) -> None:
-        """From the next row on it waits, with the shutter closed. From any thread."""
+        """Pause before the next row, with the shutter closed. From any thread."""
         with self._changed:
             if self._state in (State.RUNNING, State.RECOVERING):
                 self._pause = True
                 self._enter(State.PAUSING)
 
     def resume(self) -> None:
-        """It goes on where it paused. From any thread."""
+        """Continue after a pause. From any thread."""
         with self._changed:
             self._pause = False
             if self._state is State.PAUSING:
@@ -124,175 +122,176 @@ class Engine:
             self._changed.notify_all()
 
     def stop(self) -> list[DeviceError]:
-        """The axes come to rest now, and nothing else moves; returns what could not be told to its axis. From any thread."""
-        failures = self._halt.say()
+        """Stop all axes now and end the run; return the errors of axes that did not confirm. From any thread."""
+        failures = self._stop_request.stop()
         with self._changed:
             if self._state in (State.RUNNING, State.RECOVERING, State.PAUSING, State.PAUSED):
                 self._enter(State.STOPPING)
             self._changed.notify_all()
         return failures
 
-    def _recall(self) -> None:
-        """What earlier sessions have measured, for what is compared with it."""
-        if self._work is self._plan.rows:
+    def _read_earlier_rows(self) -> None:
+        """Read the rows of earlier sessions, with which stop conditions and drift checks compare."""
+        if not self._resumed:
             return
         for each in self._journal.rows():
-            self._endings.recall(each.row, each.data)
+            self._stop_conditions.add_earlier_row(each.row, each.data)
             if each.row.kind == "dark":
-                self._performer.remember(each.data)
+                self._executor.remember_dark(each.data)
 
-    def _reference(self) -> None:
-        """Where a campaign is gone on with, axes that have lost themselves meanwhile look for their reference first."""
-        lost = [] if self._work is self._plan.rows else self._recovery.lost_axes
-        for axis in lost:
-            self._note("home", f"{axis.name}: {axis.unreferenced_reason}")
-            self._under_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
+    def _home_unreferenced(self) -> None:
+        """On resume, home unreferenced axes first."""
+        axes = self._recovery.homeable_axes if self._resumed else []
+        for axis in axes:
+            self._log_event("home", f"{axis.name}: {axis.unreferenced_reason}")
+            self._apply_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
 
-    def _do_rows(self) -> None:
+    def _execute_rows(self) -> None:
         before, planned = 0, len(self._plan.rows)
-        if self._work is not self._plan.rows:
-            added = [row for row in self._work if row.number >= planned]
-            before = planned - (len(self._work) - len(added))
-            self._journal.add_rows(added)
-        self._endings.begun_s = self._clock.now()
+        if self._resumed:
+            unplanned = [row for row in self._work if row.number >= planned]
+            before = planned - (len(self._work) - len(unplanned))
+            self._journal.add_rows(unplanned)
+        self._stop_conditions.session_start_s = self._clock.now()
         for k, row in enumerate(self._work, 1):
-            self._gate()
-            self._tell(RowStarted(row))
-            data = self._done(row)
+            self._wait_while_paused()
+            self._notify(RowStarted(row))
+            data = self._execute_row(row)
             self._journal.commit(row, data)
-            self._tell(RowCommitted(row, data, before + k, before + len(self._work), self._seconds_left[k]))
-            said = self._endings.look(row, data)
-            if said is not None:
-                self._note(*said)
-                if said[0] == "stop" and k < len(self._work):
-                    self._under_policies("the end", self._close_shutter)
-                    raise EndedBySchedule(said[1])
+            self._notify(RowCommitted(row, data, before + k, before + len(self._work), self._seconds_left[k]))
+            event = self._stop_conditions.check(row, data)
+            if event is not None:
+                kind, text = event
+                self._log_event(kind, text)
+                if kind == "stop" and k < len(self._work):
+                    self._apply_policies("the end of the run", self._close_shutter)
+                    raise EndedBySchedule(text)
 
-    def _done(self, row: Row) -> RowData:
-        """The row, or what is committed in its place where it is skipped. Raises DeviceError where the run is to stop."""
-        begun = self._clock.now()
-        # Without what is to be mounted the rows after it would be another sample's: that is never left out.
+    def _execute_row(self, row: Row) -> RowData:
+        """Execute a row; return its data, or empty data if it is skipped. Raises DeviceError where a fault stops the run."""
+        started = self._clock.now()
+        # A skipped mount would assign the rows after it to the wrong sample: a mount is never skipped.
         mounts = row.kind == "mount"
 
-        def performed() -> RowData:
+        def execute() -> RowData:
             if not mounts:
-                self._recovery.again()
-            return self._performer.perform(row)
+                self._recovery.reconnect()
+            return self._executor.execute(row)
 
-        data = self._under_policies(row.identity, performed, skippable=not mounts)
+        data = self._apply_policies(row.identity, execute, skippable=not mounts)
         if data is None:
-            return RowData(begun, self._clock.now(), None, (), (SKIPPED,))
-        self._tell_positions(data)
+            return RowData(started, self._clock.now(), None, (), (SKIPPED,))
+        self._notify_positions(data)
         return data
 
-    def _under_policies(self, what: str, action: Callable[[], T], *, skippable: bool = False) -> T | None:
-        """Does something as often as its faults' policies have it done again; None where they have it left out.
+    def _apply_policies(self, what: str, action: Callable[[], T], *, skippable: bool = False) -> T | None:
+        """Perform an action, and after each fault follow its policy: retry, or return None where the action is skipped.
 
-        Raises DeviceError where the run is to stop, or what is not `skippable` would be left out.
+        Raises DeviceError where the policy is to stop the run, or to skip an action that is not `skippable`.
         """
         policies = FaultPolicies(self._plan.schedule.file.faults)
         while True:
             try:
                 return action()
             except DeviceError as error:
-                self._halt.heed()
-                policy = policies.about(error)
+                self._stop_request.check()
+                policy = policies.policy_for(error)
                 if policy == "stop" or (policy == "skip" and not skippable):
                     raise
-                self._note("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})")
+                self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})")
                 self._enter_unless_pausing(State.RECOVERING, str(error))
-                self._performer.forget()
-                if policy == "ask" and not self._mended(f"{what}: {error}"):
+                self._executor.forget_settings()
+                if policy == "ask" and not self._ask_operator(f"{what}: {error}"):
                     raise
-                for failure in self._recovery.rest() if policy == "retry" else self._recovery.reconnect(error.device):
-                    self._note("fault", f"{failure} (after a fault at {what})")
+                for failure in self._recovery.wait_for_rest() if policy == "retry" else self._recovery.recover(error.device):
+                    self._log_event("fault", f"{failure} (after a fault at {what})")
                 if policy == "skip":
                     return None
-                self._performer.wait(Until(self._clock, self._clock.now() + policies.wait_s))
+                self._executor.wait(Until(self._clock, self._clock.now() + policies.wait_s))
                 self._enter_unless_pausing(State.RUNNING)
 
-    def _mended(self, fault: str) -> bool:
-        """Whether somebody has mended it; meanwhile the shutter is closed, if that can be."""
+    def _ask_operator(self, fault: str) -> bool:
+        """Ask the operator to fix a fault, with the shutter closed if possible; return whether it is fixed."""
         with contextlib.suppress(DeviceError):
-            self._performer.shutter(opened=False)
-        mended = self._operator.mend(fault)
-        self._performer.forget()
-        return mended
+            self._executor.set_shutter(opened=False)
+        fixed = self._operator.confirm_fix(fault)
+        self._executor.forget_settings()
+        return fixed
 
-    def _wind_up(self, session: int, outcome: State, reason: str) -> None:
-        """Axes at rest where the plan did not end by itself; what went wrong into the journal, if that can be written."""
+    def _finish(self, session: int, outcome: State, reason: str) -> None:
+        """Stop the axes unless the plan is done, close the shutter after a failure, and record faults and end of session."""
         now = self._clock.now()
         failures = [] if outcome is State.DONE else [str(failure) for failure in self._rig.stop()]
         self.faults = ([reason] if outcome is State.FAILED else []) + failures
         for fault in self.faults:
-            self._told(now, fault)
-        if outcome is State.FAILED and not self._halt.said:
+            self._log_fault(now, fault)
+        if outcome is State.FAILED and not self._stop_request.requested:
             try:
                 self._close_shutter()
             except DeviceError as error:
                 self.faults.append(f"{error}; close the shutter by hand")
-                self._told(now, self.faults[-1])
+                self._log_fault(now, self.faults[-1])
             except (Stopped, KeyboardInterrupt):
-                pass  # nothing moves any more
+                pass  # no motion after a stop
         with contextlib.suppress(JournalError):
             ended = {State.DONE: "done", State.FAILED: "failed"}.get(outcome, "stopped")
             self._journal.end_session(session, now, ended)
 
-    def _told(self, t: float, fault: str) -> None:
+    def _log_fault(self, t: float, fault: str) -> None:
         with contextlib.suppress(JournalError):
             self._journal.event(t, "fault", fault)
 
-    def _gate(self) -> None:
-        """Between rows: where a pause takes effect."""
-        self._halt.heed()
+    def _wait_while_paused(self) -> None:
+        """Wait between two rows if a pause is requested. Raises Stopped."""
+        self._stop_request.check()
         if not self._pause:
             self._enter_unless_pausing(State.RUNNING)
             return
-        self._under_policies("the pause", self._close_shutter)
+        self._apply_policies("the pause", self._close_shutter)
         with self._changed:
-            if not self._halt.said:
+            if not self._stop_request.requested:
                 self._enter(State.PAUSED)
-            self._changed.wait_for(lambda: self._halt.said or not self._pause)
-        self._halt.heed()
+            self._changed.wait_for(lambda: self._stop_request.requested or not self._pause)
+        self._stop_request.check()
         self._enter(State.RUNNING)
 
     def _close_shutter(self) -> None:
-        """A plan ends with a dark, so it is closed already; where it is not, the lamp should not bleach the sample."""
-        if self._performer.shutter_may_be_open:
-            self._performer.shutter(opened=False)
+        """Close the shutter unless it is known to be closed, so that the lamp does not bleach the sample."""
+        if self._executor.shutter_may_be_open:
+            self._executor.set_shutter(opened=False)
 
-    def _between(self) -> None:
-        self._halt.heed()
+    def _on_poll(self) -> None:
+        self._stop_request.check()
         now = self._clock.now()
         if self._positions_every_s and now >= self._positions_due:
             self._positions_due = now + self._positions_every_s
-            self._tell(Positions({name: axis.position_deg() for name, axis in self._rig.axes.items()}))
+            self._notify(Positions({name: axis.position_deg() for name, axis in self._rig.axes.items()}))
 
-    def _tell_positions(self, data: RowData) -> None:
-        where = data.positions
-        if self._positions_every_s and where is not None:
-            self._tell(Positions({name: value for name in AXES if (value := where[name]) is not None}))
+    def _notify_positions(self, data: RowData) -> None:
+        positions = data.positions
+        if self._positions_every_s and positions is not None:
+            self._notify(Positions({name: value for name in AXES if (value := positions[name]) is not None}))
 
     def _enter(self, state: State, reason: str = "") -> None:
         with self._changed:
             self._state = state
-        self._tell(StateChanged(state, reason))
+        self._notify(StateChanged(state, reason))
 
     def _enter_unless_pausing(self, state: State, reason: str = "") -> None:
-        """A pause that has been asked for is not forgotten over a fault."""
+        """Enter a state, but keep PAUSING: a fault does not cancel a requested pause."""
         with self._changed:
             if self._state is not state and self._state in (State.RUNNING, State.RECOVERING):
                 self._enter(state, reason)
 
-    def _note(self, kind: str, text: str) -> None:
+    def _log_event(self, kind: str, text: str) -> None:
         self._journal.event(self._clock.now(), kind, text)
 
-    def _tell(self, event: Event) -> None:
-        """A listener that fails is dropped and named in the journal: what it shows is lost, the run is not."""
+    def _notify(self, event: Event) -> None:
+        """Send an event to all listeners. A listener that fails is removed and named in the journal; the run continues."""
         for listener in list(self._listeners):
             try:
                 listener(event)
-            except Exception as error:  # noqa: BLE001  (whatever a plot or a file throws)
+            except Exception as error:  # noqa: BLE001  (a plot or a file may raise anything)
                 self._listeners.remove(listener)
                 with contextlib.suppress(JournalError):
                     self._journal.event(self._clock.now(), "listener", f"{type(error).__name__}: {error}")

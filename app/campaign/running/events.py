@@ -1,4 +1,4 @@
-"""What the engine tells those who listen. Listening cannot disturb a run."""
+"""Events of the engine for its listeners. A listener that fails does not disturb the run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from goniotwin.app.campaign.row import Row
 
 
 class State(StrEnum):
-    """What the engine is at. Stopped by a person it is idle again, with rows left."""
+    """State of the engine. After a stop it is idle again, with rows left."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -23,7 +23,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class StateChanged:
-    """The engine is in a new state; `reason` says why where that is not plain."""
+    """The engine entered a state; `reason` gives the cause of a stop, a failure or a recovery."""
 
     state: State
     reason: str = ""
@@ -31,25 +31,25 @@ class StateChanged:
 
 @dataclass(frozen=True)
 class RowStarted:
-    """A row begins."""
+    """A row starts."""
 
     row: Row
 
 
 @dataclass(frozen=True)
 class RowCommitted:
-    """A row is on the disk. `seconds_left` is the rig's time that the rows after it are foretold to take."""
+    """A row is on the disk: `done` of `total` rows. `seconds_left` is the estimated duration of the rows that are left."""
 
     row: Row
     data: RowData
     done: int
-    of: int
+    total: int
     seconds_left: float
 
 
 @dataclass(frozen=True)
 class Positions:
-    """Where the axes are by their counters, in degrees, by axis."""
+    """Positions of the axes from their counters, in degrees, by axis."""
 
     degrees: dict[str, float]
 

@@ -1,4 +1,4 @@
-"""Who puts samples into the sample unit and mends what has failed: a person at a real rig, the back door of a virtual one."""
+"""Operator of a rig: mounts samples and fixes faults. A person at a real rig; at a virtual rig the program itself."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -10,38 +10,38 @@ from goniotwin.twin import VirtualRig
 
 
 class Operator(Protocol):
-    """Whoever is at the rig."""
+    """Operator of the rig."""
 
     def mount(self, sample: str) -> None:
-        """Returns when `sample` is in the sample unit, or, for NO_SAMPLE, when it is empty."""
+        """Return when `sample` is in the sample unit; for NO_SAMPLE, when the sample unit is empty."""
 
-    def mend(self, fault: str, /) -> bool:
-        """Asks for a fault to be mended; returns whether somebody has, and the row is to be done again."""
+    def confirm_fix(self, fault: str, /) -> bool:
+        """Ask for a fault to be fixed; return whether it is fixed and the row is to be retried."""
 
 
 class VirtualOperator:
-    """Mounts on a virtual rig, at once."""
+    """Operator of a virtual rig in this process: mounts at once, fixes nothing."""
 
     def __init__(self, rig: VirtualRig) -> None:
         self._rig = rig
 
     def mount(self, sample: str) -> None:
-        """Raises KeyError for a sample that the virtual rig does not have."""
+        """Mount a sample. Raises KeyError for a sample that the virtual rig does not have."""
         self._rig.mount(None if sample == NO_SAMPLE else sample)
 
-    def mend(self, _fault: str, /) -> bool:
-        """There is nobody at a virtual rig."""
+    def confirm_fix(self, _fault: str, /) -> bool:
+        """Return False: a virtual rig has no person to fix a fault."""
         return False
 
 
 class ServedOperator:
-    """Mounts on a virtual rig that another process serves, through its control port."""
+    """Operator of a virtual rig that another process serves: mounts through the simulation control port, fixes nothing."""
 
     def __init__(self, port: int) -> None:
         self._port = port
 
     def mount(self, sample: str) -> None:
-        """Raises UserError where nobody serves it any more, or where it has no such sample."""
+        """Mount a sample. Raises UserError where the rig is not served any more, or has no such sample."""
         try:
             control = Control(self._port)
             try:
@@ -51,24 +51,24 @@ class ServedOperator:
         except (OSError, Refused) as error:
             raise UserError(f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running?") from None
 
-    def mend(self, _fault: str, /) -> bool:
-        """There is nobody at a virtual rig."""
+    def confirm_fix(self, _fault: str, /) -> bool:
+        """Return False: a virtual rig has no person to fix a fault."""
         return False
 
 
 class HumanOperator:
-    """Asks a person and waits; `ask` shows a text and returns when it is done."""
+    """Person at the rig. `ask` shows a text and returns when the person confirms."""
 
     def __init__(self, ask: Callable[[str], None]) -> None:
         self._ask = ask
 
     def mount(self, sample: str) -> None:
-        """The shutter is closed while the person works."""
+        """Ask for a sample to be mounted, or for the sample unit to be emptied. The shutter is closed meanwhile."""
         empty = "Take the sample out, so that the sample unit is empty"
         what = empty if sample == NO_SAMPLE else f"Mount {sample!r} in the sample unit"
         self._ask(f"{what}, then confirm.")
 
-    def mend(self, fault: str, /) -> bool:
-        """Whoever does not mend it stops the run instead of confirming."""
-        self._ask(f"{fault}. Mend it, then confirm: the row is done again.")
+    def confirm_fix(self, fault: str, /) -> bool:
+        """Ask for a fault to be fixed. A person who cannot fix it stops the run instead of confirming."""
+        self._ask(f"{fault}. Fix the fault, then confirm: the row is retried.")
         return True

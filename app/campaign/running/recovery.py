@@ -1,7 +1,4 @@
-"""After a fault: what has failed is connected again, all axes come to rest, those that are lost look for their reference.
-
-Faults in a row: of which kind each is, and what the schedule's policies say is done about it.
-"""
+"""Faults of devices: their kinds, the schedule's policy for each kind, and the recovery of the rig."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,93 +11,25 @@ from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoA
 from goniotwin.drivers.errors import Interrupted, Unreferenced
 from goniotwin.drivers.motion import Axis
 
-LOOK_S = 0.1
-LONGEST_REST_S = 60.0
-Wait = Callable[..., None]
-"""Until all of some pending things are done."""
-
-
-class Recovery:
-    """On one rig. What it cannot mend it reports, as DeviceErrors; a row begins with what is left to connect (`again`)."""
-
-    def __init__(self, rig: Rig, halt: StopRequest, wait: Wait) -> None:
-        self._rig = rig
-        self._halt = halt
-        self._wait = wait
-        self._lost: list[str] = []
-
-    def reconnect(self, failed: str) -> list[DeviceError]:
-        """Of the device that has failed; and axes in doubt are homed, where the rig file says how."""
-        self._lost.append(failed)
-        return [*self._tried(self.again), *self.rest(), *self._home()]
-
-    def again(self) -> None:
-        """What could not be connected is connected, if there is anything. Raises DeviceError where that fails again."""
-        while self._lost:
-            self._connect(self._lost[0])
-            del self._lost[0]
-
-    def rest(self) -> list[DeviceError]:
-        """Waits until no axis turns any more."""
-        return [error for axis in self._rig.axes for error in self._tried(partial(self._comes_to_rest, axis))]
-
-    def _connect(self, failed: str) -> None:
-        rig = self._rig
-        if failed == "axes" or failed in AXES:
-            rig.reconnect_axes()
-        elif failed == "monochromator":
-            rig.monochromator.connect()
-        elif failed == "monitor":
-            rig.monitor.connect()
-        else:
-            rig.photodiodes.reconnect()
-
-    def _comes_to_rest(self, name: str) -> None:
-        clock = self._rig.clock
-        latest = clock.now() + LONGEST_REST_S
-        axis = self._rig.axes[name]
-
-        def rests() -> bool:
-            turns = axis.is_moving()
-            if turns and clock.now() > latest:
-                raise DeviceError(name, "wait for it", f"it still turns after {LONGEST_REST_S:g} s", "stop it")
-            return not turns
-
-        self._wait(Poll(clock, clock.now(), LOOK_S, rests))
-
-    @property
-    def lost_axes(self) -> list[Axis]:
-        """Those in doubt that can look for their reference."""
-        return [axis for axis in self._rig.axes.values() if axis.unreferenced_reason and axis.settings.homing is not None]
-
-    def home(self, axis: Axis) -> None:
-        """Has it look for its reference. Raises DeviceError."""
-        self._wait(self._halt.start(axis.start_homing))
-
-    def _home(self) -> list[DeviceError]:
-        return [error for axis in self.lost_axes for error in self._tried(partial(self.home, axis))]
-
-    @staticmethod
-    def _tried(action: Callable[[], object]) -> list[DeviceError]:
-        try:
-            action()
-        except DeviceError as error:
-            return [error]
-        return []
-
-
 FaultKind = Literal["wire", "reset", "refused", "axis"]
+"""Kinds of faults: the keys of the table `[faults]`."""
 POLICY_TEXT: dict[Policy, str] = {
-    "retry": "the row is done again",
-    "reconnect": "the devices are connected again, and the row is done again",
-    "skip": "the row is left out",
-    "ask": "somebody is asked to mend it",
-    "stop": "the run stops",
+    "retry": "retry",
+    "reconnect": "reconnect the devices and retry",
+    "skip": "skip the row",
+    "ask": "ask the operator",
+    "stop": "stop the run",
 }
+POLL_PERIOD_S = 0.1
+"""Time between two checks of whether an axis still moves."""
+MAX_STOP_TIME_S = 60.0
+"""Longest time in which an axis comes to rest."""
+Wait = Callable[..., None]
+"""Function that waits until some pending actions are done."""
 
 
 def fault_kind(error: DeviceError) -> FaultKind:
-    """Of the four that `[faults]` names."""
+    """The kind of a fault."""
     match error:
         case Unreferenced():
             return "axis"
@@ -110,32 +39,104 @@ def fault_kind(error: DeviceError) -> FaultKind:
             return "wire"
         case Refused() | LimitError():
             return "refused"
-    return "axis" if error.device in AXES else "refused"  # it has stalled, was stopped, or does not come to rest
+    return "axis" if error.device in AXES else "refused"  # an axis stalled, was stopped, or does not come to rest
 
 
 class FaultPolicies:
-    """What is done about the faults of one row; without a table all of them stop the run."""
+    """Policies for the faults of one row. Without a table `[faults]` every fault stops the run."""
 
     def __init__(self, table: FaultsTable | None) -> None:
         self._table = table
-        self._begun = 1
+        self._attempt = 1
 
-    def about(self, error: DeviceError) -> Policy:
-        """What is done now that this has ended an attempt; an attempt that follows is counted."""
+    def policy_for(self, error: DeviceError) -> Policy:
+        """The policy for the fault that ended the current attempt. Counts the attempts: after the last one it is `then`."""
         table = self._table
-        if table is None or isinstance(error, Interrupted):  # whoever has stopped an axis wants it to stand
+        if table is None or isinstance(error, Interrupted):  # an axis was stopped on purpose, and must not move again
             return "stop"
         policy: Policy = getattr(table, fault_kind(error))
         if policy in ("retry", "reconnect"):
-            if self._begun >= table.attempts:
+            if self._attempt >= table.attempts:
                 policy = table.then
             else:
-                self._begun += 1
+                self._attempt += 1
         if policy == "ask":
-            self._begun = 1
+            self._attempt = 1
         return policy
 
     @property
     def wait_s(self) -> float:
-        """Before the row is done again."""
+        """Time to wait before a retry."""
         return self._table.wait_s if self._table is not None else 0.0
+
+
+class Recovery:
+    """Recovery of one rig after a fault: reconnect the device, wait until all axes are at rest, home unreferenced axes.
+
+    Steps that fail are returned as DeviceErrors. A device that could not be reconnected is tried again before the next row.
+    """
+
+    def __init__(self, rig: Rig, stop_request: StopRequest, wait: Wait) -> None:
+        self._rig = rig
+        self._stop_request = stop_request
+        self._wait = wait
+        self._disconnected: list[str] = []
+
+    def recover(self, failed: str) -> list[DeviceError]:
+        """Reconnect the device that failed, wait until all axes are at rest, and home the unreferenced ones."""
+        self._disconnected.append(failed)
+        return [*self._try(self.reconnect), *self.wait_for_rest(), *self._home_unreferenced()]
+
+    def reconnect(self) -> None:
+        """Reconnect the devices that are still disconnected, if any. Raises DeviceError where that fails again."""
+        while self._disconnected:
+            self._connect(self._disconnected[0])
+            del self._disconnected[0]
+
+    def wait_for_rest(self) -> list[DeviceError]:
+        """Wait until no axis moves any more."""
+        return [error for axis in self._rig.axes for error in self._try(partial(self._wait_for_axis, axis))]
+
+    @property
+    def homeable_axes(self) -> list[Axis]:
+        """Unreferenced axes that can home: the rig file has a [homing] table for them."""
+        return [axis for axis in self._rig.axes.values() if axis.unreferenced_reason and axis.settings.homing is not None]
+
+    def home(self, axis: Axis) -> None:
+        """Home an axis. Raises DeviceError."""
+        self._wait(self._stop_request.start(axis.start_homing))
+
+    def _connect(self, device: str) -> None:
+        rig = self._rig
+        if device == "axes" or device in AXES:
+            rig.reconnect_axes()
+        elif device == "monochromator":
+            rig.monochromator.connect()
+        elif device == "monitor":
+            rig.monitor.connect()
+        else:
+            rig.photodiodes.reconnect()
+
+    def _wait_for_axis(self, name: str) -> None:
+        clock = self._rig.clock
+        deadline = clock.now() + MAX_STOP_TIME_S
+        axis = self._rig.axes[name]
+
+        def at_rest() -> bool:
+            moving = axis.is_moving()
+            if moving and clock.now() > deadline:
+                raise DeviceError(name, "wait until it is at rest", f"it still turns after {MAX_STOP_TIME_S:g} s", "stop it")
+            return not moving
+
+        self._wait(Poll(clock, clock.now(), POLL_PERIOD_S, at_rest))
+
+    def _home_unreferenced(self) -> list[DeviceError]:
+        return [error for axis in self.homeable_axes for error in self._try(partial(self.home, axis))]
+
+    @staticmethod
+    def _try(action: Callable[[], object]) -> list[DeviceError]:
+        try:
+            action()
+        except DeviceError as error:
+            return [error]
+        return []

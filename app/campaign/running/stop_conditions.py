@@ -1,4 +1,4 @@
-"""What ends a run before its last row, in good order: the schedule's `[stop]`, and a drift beyond its limit."""
+"""Stop conditions: the schedule's table `[stop]`, and a drift beyond its limit. They end a run before its last row."""
 
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.reduction.drift_checks import DriftWatch
@@ -7,47 +7,55 @@ from goniotwin.app.campaign.schedule.file import ScheduleFile, StopTable
 from goniotwin.app.rig import RigFile
 
 
+class EndedBySchedule(Exception):
+    """A stop condition ended the run; the message gives the reason."""
+
+
 class StopConditions:
-    """Looks at each row that has been committed. It is told of those of earlier sessions, too, by `recall`."""
+    """Stop conditions of one session. `session_start_s` is the start of the session on the rig's clock.
+
+    Rows of earlier sessions are added with `add_earlier_row`, so that lamp and drift are compared with the whole campaign.
+    """
 
     def __init__(self, schedule: ScheduleFile, rig: RigFile) -> None:
         self._table = schedule.stop or StopTable()
         self._drift = DriftWatch(schedule.drift, rig)
-        self._ends_by_drift = schedule.drift is not None and schedule.drift.on_excess == "stop"
-        self._lamp_a: dict[float | None, float] = {}
+        self._drift_stops = schedule.drift is not None and schedule.drift.on_excess == "stop"
+        self._first_monitor_a: dict[float | None, float] = {}
         self._skipped = 0
-        self.begun_s = 0.0
+        self.session_start_s = 0.0
 
-    def recall(self, row: Row, data: RowData) -> None:
-        """A row of an earlier session."""
+    def add_earlier_row(self, row: Row, data: RowData) -> None:
+        """Add a row of an earlier session."""
         self._drift.add(row, data)
-        self._lamp(row, data)
+        self._lamp_ratio(row, data)
 
-    def look(self, row: Row, data: RowData) -> tuple[str, str] | None:
-        """What there is to say of a row, as a kind and a text for the journal; of the kind `stop` where it ends the run.
+    def check(self, row: Row, data: RowData) -> tuple[str, str] | None:
+        """Check a committed row; return an event for the journal as (kind, text), or None. The kind `stop` ends the run.
 
-        Raises UserError where a drift row has no dark.
+        Raises UserError where a drift check has no dark reading.
         """
         table = self._table
         self._skipped += SKIPPED in data.flags
         if table.skipped_rows is not None and self._skipped >= table.skipped_rows:
-            return "stop", f"{self._skipped} rows of this session were skipped for faults; mend what fails, then go on"
-        share = self._lamp(row, data)
-        if table.lamp_below is not None and share is not None and share < table.lamp_below:
-            return "stop", f"{row.identity}: the lamp is at {100 * share:.1f} % of what it was; look after it, then go on"
-        if table.longest_s is not None and data.ended_s - self.begun_s >= table.longest_s:
-            return "stop", f"the session has lasted {data.ended_s - self.begun_s:.0f} s, as long as it may; go on when you like"
+            return "stop", f"{self._skipped} rows of this session were skipped because of faults; fix the cause, then resume"
+        ratio = self._lamp_ratio(row, data)
+        if table.lamp_below is not None and ratio is not None and ratio < table.lamp_below:
+            return "stop", f"{row.identity}: the lamp is at {100 * ratio:.1f} % of its first value; check the lamp, then resume"
+        if table.longest_s is not None and data.ended_s - self.session_start_s >= table.longest_s:
+            duration_s = data.ended_s - self.session_start_s
+            return "stop", f"the session has lasted {duration_s:.0f} s, the limit is {table.longest_s:g} s; resume at any time"
         check = self._drift.add(row, data)
         if check is None:
             return None
-        ends = check.excess and self._ends_by_drift
+        stops = check.excess and self._drift_stops
         beyond = "beyond the limit: " if check.excess else ""
-        return "stop" if ends else "drift", f"{row.identity}: {beyond}{check}"
+        return "stop" if stops else "drift", f"{row.identity}: {beyond}{check}"
 
-    def _lamp(self, row: Row, data: RowData) -> float | None:
-        """The monitor's current over its first at this wavelength."""
+    def _lamp_ratio(self, row: Row, data: RowData) -> float | None:
+        """Monitor current of a row over the first one at this wavelength."""
         if row.wavelength_nm is None or not data.readings:
             return None
         current = data.readings[0].monitor_a
-        first = self._lamp_a.setdefault(row.wavelength_nm, current)
+        first = self._first_monitor_a.setdefault(row.wavelength_nm, current)
         return current / first if first > 0.0 else None

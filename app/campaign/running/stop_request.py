@@ -1,4 +1,4 @@
-"""A stop that anybody may say at any time: nothing is set in motion after it, and whoever works heeds it soon."""
+"""Thread-safe stop request; checked before every motion and between polls."""
 
 import threading
 from collections.abc import Callable
@@ -10,31 +10,31 @@ T = TypeVar("T")
 
 
 class Stopped(Exception):
-    """Somebody has said stop."""
+    """The run was stopped by a stop request."""
 
 
 class StopRequest:
-    """For one run on a rig. `said` is whether there has been a stop."""
+    """Stop request of one run on a rig. `requested` is whether the run was asked to stop."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._motion = threading.RLock()
-        self.said = False
+        self.requested = False
 
-    def say(self) -> list[DeviceError]:
-        """The axes come to rest now, and nothing else moves; returns what could not be told to its axis. From any thread."""
-        self.said = True
+    def stop(self) -> list[DeviceError]:
+        """Stop all axes now and allow no further motion; return the errors of axes that did not confirm. From any thread."""
+        self.requested = True
         failures = self._rig.stop()
-        with self._motion:  # an axis that was being started meanwhile has been started by now, and is stopped here
+        with self._motion:  # a motion that was being started in another thread has started by now, and is stopped here
             return self._rig.stop() or failures
 
-    def heed(self) -> None:
-        """Raises Stopped where there has been one."""
-        if self.said:
+    def check(self) -> None:
+        """Raise Stopped if the run was asked to stop."""
+        if self.requested:
             raise Stopped
 
     def start(self, motion: Callable[[], T]) -> T:
-        """Begins something that moves, unless there has been a stop. Raises Stopped, DeviceError."""
+        """Start a motion unless the run was asked to stop. Raises Stopped, DeviceError."""
         with self._motion:
-            self.heed()
+            self.check()
             return motion()

@@ -24,8 +24,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
-from serial import Serial
-
+from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
 from goniotwin.drivers.motion.tmcl.port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, TmclPort
 from goniotwin.drivers.motion.tmcl.rules import (
@@ -43,9 +42,6 @@ from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import HOST_ADDRESS, Command, Reply, Request, Status
 from goniotwin.protocols.tmcl_parameters import USER_BANK, Global
-
-PortOpener = Callable[[int, float], Serial]
-"""Opens a serial port: baud rate, timeout in s."""
 
 MODELS = (6214, 1240)
 TIMEOUT_S = 0.06

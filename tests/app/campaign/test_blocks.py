@@ -55,7 +55,7 @@ def journal(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def plan_rows(journal: Journal, sample: str) -> list[Row]:
-    return [row for row in journal.planned() if row.sample == sample and row.kind == "measure"]
+    return [row for row in journal.planned_rows() if row.sample == sample and row.kind == "measure"]
 
 
 def bits(points: BsdfPoints) -> list[bytes]:

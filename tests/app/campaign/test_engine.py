@@ -51,12 +51,12 @@ def bench(plan: Plan, tmp_path: Path, request: pytest.FixtureRequest) -> MakeBen
 def test_a_campaign_commits_every_row_in_order(plan: Plan, tmp_path: Path) -> None:
     events: list[Event] = []
     outcome = run_campaign(plan, tmp_path / "a.journal", listeners=[events.append])
-    assert (outcome.state, outcome.rows, outcome.of) == (State.DONE, len(plan.rows), len(plan.rows))
+    assert (outcome.state, outcome.rows, outcome.planned) == (State.DONE, len(plan.rows), len(plan.rows))
     committed = [event.row.number for event in events if isinstance(event, RowCommitted)]
     assert committed == [row.number for row in plan.rows]
     assert [event.state for event in events if isinstance(event, StateChanged)] == [State.RUNNING, State.DONE]
     with Journal.open(tmp_path / "a.journal") as journal:
-        assert journal.counted() == (len(plan.rows), len(plan.rows))
+        assert journal.row_counts() == (len(plan.rows), len(plan.rows))
         rows = list(journal.rows())
     measured = [each for each in rows if each.row.kind == "measure"]
     assert all(each.data.readings[0].counts.shape == (2, 36) for each in measured)
@@ -104,7 +104,7 @@ def test_a_stop_in_the_middle_of_a_move_keeps_what_was_committed(bench: MakeBenc
     made: Bench = bench(clock, [])
     clock.at(clock.now() + 10.0, lambda: made.engine.stop())
     assert made.engine.run() is State.IDLE
-    done, planned = made.journal.counted()
+    done, planned = made.journal.row_counts()
     assert 0 < done < planned
     rig = made.opened.virtual
     assert rig is not None
@@ -125,7 +125,7 @@ def test_a_lost_device_ends_the_run_and_yields_no_row(bench: MakeBench) -> None:
     holder.append(bench(VirtualClock(), [pull_the_plug]))
     made = holder[0]
     assert made.engine.run() is State.FAILED
-    assert made.journal.counted()[0] == 4
+    assert made.journal.row_counts()[0] == 4
     assert "photodiodes module 2" in made.journal.faults()[0]
 
 
@@ -142,10 +142,10 @@ def test_a_slipped_axis_ends_the_run_and_yields_no_row(bench: MakeBench) -> None
     made = holder[0]
     assert made.engine.run() is State.FAILED
     first = next(row.number for row in made.plan.rows if row.pose is not None and row.pose[1] != 0.0)
-    assert made.journal.counted()[0] == first
+    assert made.journal.row_counts()[0] == first
     fault = made.journal.faults()[0]
     assert fault.startswith("sigma: ")
-    assert all(part in fault for part in ("counter says 30.000 deg", "encoder", "goniotwin home", "goniotwin here"))
+    assert all(part in fault for part in ("counter is at 30.000 deg", "encoder", "goniotwin home", "goniotwin here"))
 
 
 def test_a_rig_with_a_lost_axis_is_refused_and_leaves_no_journal(
@@ -207,7 +207,7 @@ def test_ctrl_c_is_a_stop(bench: MakeBench) -> None:
 
     made = bench(VirtualClock(), [interrupt])
     assert made.engine.run() is State.IDLE
-    assert made.journal.counted()[0] == 4
+    assert made.journal.row_counts()[0] == 4
     assert made.engine.faults == []
 
 
@@ -228,7 +228,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_acknowledged(bench: MakeBen
     assert "full" in holder[0].engine.faults[0]
     holder[0].journal.close()
     with Journal.open(holder[0].journal.path) as journal:
-        assert journal.counted()[0] == len(acknowledged) >= 4
+        assert journal.row_counts()[0] == len(acknowledged) >= 4
 
 
 def test_whatever_goes_wrong_the_axes_come_to_rest_and_it_is_told(bench: MakeBench) -> None:
@@ -246,7 +246,7 @@ class Nobody:
     def mount(self, sample: str) -> None:
         raise ZeroDivisionError("a mistake of ours")
 
-    def mend(self, fault: str) -> bool:
+    def confirm_fix(self, fault: str) -> bool:
         raise ZeroDivisionError(fault)
 
 

@@ -99,7 +99,7 @@ def test_a_position_that_the_wheel_does_not_have_ends_the_run_with_what_the_unit
     without = ("[twin.samples.etalon]", "[twin.monochromator]\nfilters = 0\n\n[twin.samples.etalon]")
     run = carried_out(plan_with(rig=rig_with(BELIEVED, without)), tmp_path / "b.journal")
     assert run.faults == [
-        "monochromator: turn the filter wheel to 1: it has none; remove monochromator.filters of the rig file"
+        "monochromator: turn the filter wheel to 1: it has no filter wheel; remove monochromator.filters from the rig file"
     ]
 
 

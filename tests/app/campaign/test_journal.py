@@ -15,7 +15,7 @@ from goniotwin.app.errors import UserError
 def test_no_journal_is_overwritten(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     path.write_bytes(b"precious")
-    with pytest.raises(UserError, match="is there already"):
+    with pytest.raises(UserError, match="exists already"):
         run_campaign(plan, path)
     assert path.read_bytes() == b"precious"
 
@@ -35,7 +35,7 @@ def test_a_journal_says_what_it_is(plan: Plan, tmp_path: Path) -> None:
         assert journal.value("rig") == plan.rig.text
         assert journal.value("schedule") == plan.schedule.text
         assert journal.value("model") == f'"{plan.rig.model_hash()}"'
-        with pytest.raises(UserError, match="nothing of its nonsense"):
+        with pytest.raises(UserError, match="has no entry 'nonsense'"):
             journal.value("nonsense")
 
 

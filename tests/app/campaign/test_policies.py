@@ -82,7 +82,7 @@ class Mender:
         assert opened.virtual is not None
         opened.virtual.mount(sample)
 
-    def mend(self, fault: str, /) -> bool:
+    def confirm_fix(self, fault: str, /) -> bool:
         self.asked.append(fault)
         opened = self._silence.opened
         assert opened is not None
@@ -214,4 +214,4 @@ def test_the_kinds_of_faults(error: DeviceError, kind: str) -> None:
 
 def test_somebodys_stop_is_never_overridden(make: MakePlan) -> None:
     table = make('\n[faults]\nrefused = "retry"\n').schedule.file.faults
-    assert FaultPolicies(table).about(Interrupted("beta", "go", "a stop has come first")) == "stop"
+    assert FaultPolicies(table).policy_for(Interrupted("beta", "go", "a stop has come first")) == "stop"

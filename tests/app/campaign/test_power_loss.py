@@ -105,14 +105,14 @@ def there(path: Path) -> dict[int, str]:
 def check_whole(path: Path, plan: Plan) -> None:
     """The journal is one, and says rightly what is left of the plan."""
     with Journal.open(path) as journal:
-        done = journal.committed()
+        done = journal.committed_numbers()
         left = [row for row in plan.rows if row.number not in done]
         if left:
             rest = remaining_work(journal, None)
             assert rest.plan.rows == plan.rows
-            assert [row for row in rest.work if row not in rest.added] == left
+            assert [row for row in rest.work if row not in rest.unplanned] == left
         else:
-            with pytest.raises(UserError, match="nothing to go on with"):
+            with pytest.raises(UserError, match="nothing to resume"):
                 remaining_work(journal, None)
     database = sqlite3.connect(path)
     assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]

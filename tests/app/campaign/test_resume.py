@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import clock_for, operator_for, resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
@@ -71,7 +71,7 @@ def test_wherever_it_was_stopped_the_planned_rows_are_those_of_an_undisturbed_ru
         assert campaign_summary(path).state == "stopped"
         assert len(values(path)) < len(whole)
         outcome = resume_campaign(path)
-        assert (outcome.state, outcome.rows, outcome.of) == (State.DONE, len(steady.rows), len(steady.rows))
+        assert (outcome.state, outcome.rows, outcome.planned) == (State.DONE, len(steady.rows), len(steady.rows))
         assert values(path) == whole
         assert campaign_summary(path).state == "done"
 
@@ -83,7 +83,7 @@ def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) 
     before = -1
     for _ in range(30):
         with Journal.open(path) as journal:
-            done, of = journal.counted()
+            done, of = journal.row_counts()
             start = journal.sessions()[-1].ended_s
         if done == of:
             break
@@ -186,9 +186,9 @@ def test_a_journal_of_the_first_schema_is_read_and_gone_on_with(steady: Plan, tm
     as_of_schema_1(path)
     before = path.read_bytes()
     with Journal.open(path) as journal:
-        done, of = journal.counted()
+        done, of = journal.row_counts()
         assert 0 < done < of
-        assert next(row.readings for row in journal.planned() if row.kind == "dark") == 4
+        assert next(row.readings for row in journal.planned_rows() if row.kind == "dark") == 4
         assert len(list(journal.rows())) == done
     assert path.read_bytes() == before  # to be looked at it is not changed
     assert resume_campaign(path, steady.rig).state is State.DONE
@@ -241,7 +241,7 @@ def test_with_noise_the_differences_to_an_undisturbed_run_are_standard_normal(
     run_campaign(plan, tmp_path / "whole.journal")
     stopped_at(plan, tmp_path / "a.journal", 0.7 * plan.seconds)
     with Journal.open(tmp_path / "a.journal") as journal:
-        before = journal.counted()[0]
+        before = journal.row_counts()[0]
     resume_campaign(tmp_path / "a.journal")
     assert before < len(plan.rows) - 2
     found = []

@@ -9,7 +9,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import clock_for, operator_for, resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
@@ -150,15 +150,15 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
     plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*STEADY)))
     run_campaign(plan, tmp_path / "whole.journal")
     failing = [row.number for row in plan.rows if row.kind == "measure" and row.pose is not None and row.pose[3] in (1.0, 3.0)]
-    perform = RowExecutor.perform
+    execute = RowExecutor.execute
 
-    def fails(performer: RowExecutor, row: Row) -> RowData:
+    def fails(executor: RowExecutor, row: Row) -> RowData:
         if row.number in failing:
             raise NoAnswer("photodiodes", "read", "no answer")
-        return perform(performer, row)
+        return execute(executor, row)
 
     path = tmp_path / "a.journal"
-    monkeypatch.setattr(RowExecutor, "perform", fails)
+    monkeypatch.setattr(RowExecutor, "execute", fails)
     outcome = run_campaign(plan, path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows) - 4, 4)
     found = campaign_summary(path)
@@ -169,16 +169,16 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
         note.startswith("rows that were skipped for faults and have no values: 2 of etalon, 2 of gaussian-5; goniotwin run")
         for note in notes
     )
-    monkeypatch.setattr(RowExecutor, "perform", perform)
+    monkeypatch.setattr(RowExecutor, "execute", execute)
     outcome = resume_campaign(path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows), 0)
     with Journal.open(path) as journal:
         assert not [note for note in reduce_journal(journal).notes if "skipped" in note or "etalon was not" in note]
     assert values(path) == values(tmp_path / "whole.journal")
     with Journal.open(path) as journal:
-        mounted = [each.row.sample for each in journal.rows() if each.row.kind == "mount" and each.row.added]
+        mounted = [each.row.sample for each in journal.rows() if each.row.kind == "mount" and each.row.unplanned]
     assert mounted == ["etalon", "gaussian-5"]
-    with pytest.raises(UserError, match="there is nothing to go on with"):
+    with pytest.raises(UserError, match="there is nothing to resume"):
         resume_campaign(path)
 
 
@@ -188,14 +188,14 @@ def test_values_that_lack_their_etalon_are_told(
     plan = make_plan(
         read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*STEADY))
     )
-    perform = RowExecutor.perform
+    execute = RowExecutor.execute
 
-    def fails(performer: RowExecutor, row: Row) -> RowData:
+    def fails(executor: RowExecutor, row: Row) -> RowData:
         if row.sample == "etalon" and row.pose is not None and row.pose[3] == 1.0:
             raise NoAnswer("photodiodes", "read", "no answer")
-        return perform(performer, row)
+        return execute(executor, row)
 
-    monkeypatch.setattr(RowExecutor, "perform", fails)
+    monkeypatch.setattr(RowExecutor, "execute", fails)
     run_campaign(plan, tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as journal:
         found = reduce_journal(journal)
@@ -209,7 +209,7 @@ def test_a_warm_up_is_done_again(write_rig: Writer, write_schedule: Writer, tmp_
     half_done(plan, tmp_path / "a.journal")
     assert resume_campaign(tmp_path / "a.journal").state is State.DONE
     with Journal.open(tmp_path / "a.journal") as journal:
-        added = [each.row.identity for each in journal.rows() if each.row.added]
+        added = [each.row.identity for each in journal.rows() if each.row.unplanned]
     assert added[0] == "resumed 2/nothing/warm-up"
     assert [identity.split("/")[-1] for identity in added[1:]] == ["mount", "dark", "drift"]
 

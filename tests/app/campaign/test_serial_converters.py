@@ -16,5 +16,5 @@ def test_its_duration_is_foretold_too(write_rig: Writer, write_schedule: Writer,
     schedule = read_schedule(write_schedule(("gains_v_per_a = [1e8, 1e10]", "gains_v_per_a = [1e11]")))
     plan = make_plan(schedule, read_rig(write_rig(*SERIAL)))
     outcome = run_campaign(plan, tmp_path / "serial.journal")
-    assert outcome.rows == outcome.of == len(plan.rows)
+    assert outcome.rows == outcome.planned == len(plan.rows)
     assert outcome.seconds == pytest.approx(plan.seconds, rel=0.01)

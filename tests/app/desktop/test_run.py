@@ -12,7 +12,7 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QApplication, QFileDialog, QPushButton
 from pytestqt.qtbot import QtBot
 
-from goniotwin.app.campaign.journal.runs import campaign_summary
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
@@ -45,7 +45,7 @@ def ended(qtbot: QtBot, window: MainWindow, state: State) -> None:
 def counted(window: MainWindow) -> tuple[int, int]:
     assert window.session.journal is not None
     with Journal.open(window.session.journal) as journal:
-        return journal.counted()
+        return journal.row_counts()
 
 
 def test_a_run_goes_to_its_end_and_all_of_it_is_in_the_journal(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
@@ -337,7 +337,7 @@ def test_closing_during_a_run_asks_and_keeps_it_or_stops_it(qtbot: QtBot, open_w
     assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
     assert window.session.journal is not None
     with Journal.open(window.session.journal) as journal:
-        assert journal.counted()[0] < ROWS
+        assert journal.row_counts()[0] < ROWS
 
 
 def test_a_request_to_end_stops_the_run_and_asks_nothing(qtbot: QtBot, open_window: WindowOpener) -> None:

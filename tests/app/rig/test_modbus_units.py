@@ -29,9 +29,9 @@ def test_units_of_one_port_share_one_wire() -> None:
     units = ModbusUnits(None)
     one, two, other = (units.unit(each) for each in ("rtu:COM4?unit=1", "rtu:COM4?unit=2", "rtu:COM5?unit=1"))
     assert one.bus is two.bus
-    assert one.bus.line
+    assert one.bus.rtu
     assert other.bus is not one.bus
-    assert not units.unit("adam-0:502").bus.line
+    assert not units.unit("adam-0:502").bus.rtu
     with pytest.raises(UserError, match="unit 2 of the same line"):
         units.unit("rtu:COM4?unit=2")
     with pytest.raises(UserError, match="one speed"):

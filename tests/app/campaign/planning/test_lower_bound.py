@@ -71,7 +71,7 @@ def test_no_plan_beats_the_least(text: str, rig: RigDescription) -> None:
     try:
         plan = planned(text, rig)
     except UserError as error:
-        assert "the arc would meet the incoming beam" in str(error)  # noqa: PT017
+        assert "the arc would collide with the incoming beam" in str(error)  # noqa: PT017
         return
     assert plan.lower_bound_s <= plan.seconds
     previous = None

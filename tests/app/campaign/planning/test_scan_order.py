@@ -234,7 +234,7 @@ def test_an_order_that_would_sweep_through_the_beam_is_not_taken() -> None:
 )
 def test_sweeps_are_what_the_interlock_forbids(points: Floats) -> None:
     clearance = arc_clearance(PLAIN)
-    forbidden = [clearance.veto((a[2], b[2]), (a[3], b[3])) is not None for a, b in itertools.pairwise(points)]
+    forbidden = [clearance.collision((a[2], b[2]), (a[3], b[3])) is not None for a, b in itertools.pairwise(points)]
     assert swept(clearance, points).tolist() == forbidden
 
 

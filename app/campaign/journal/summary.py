@@ -1,4 +1,4 @@
-"""The campaigns of a folder: what each is, how it ended, and what is left of it."""
+"""Summaries of campaigns: how each journal of a folder ended, and how many rows are left."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,9 +12,12 @@ SUFFIX = ".journal"
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """A journal in short. `state` is done, stopped, failed or killed (its program ended without a word), running where a
-    program has it, empty where nothing was begun. `rows` are done; `skipped` were left out for faults and not done since.
-    `seconds_left` is the rig's time foretold for the rows that are left, skipped ones too.
+    """A journal in short; the fields are the keys of the JSON output.
+
+    `state`: "done", "stopped" or "failed" as the last session recorded it; "killed" where the last session has no end;
+    "running" while a program has the journal open; "empty" before the first session. `rows` counts the measured planned rows,
+    `skipped` those that were skipped because of faults and not repeated since. `seconds` is the duration so far and
+    `seconds_left` the estimated duration of the rows that are left, skipped ones included; both on the rig's clock.
     """
 
     journal: str
@@ -32,17 +35,17 @@ class CampaignSummary:
     faults: list[str]
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """The summary as a dictionary, for JSON."""
         return asdict(self)
 
 
 def campaign_summary(path: Path) -> CampaignSummary:
-    """Of one journal. Raises UserError for a file that is none, or is damaged."""
+    """The summary of one journal. Raises UserError for a file that is not a journal, or is damaged."""
     held = holder_of(str(path.absolute()))
     with Journal.open(path) as journal:
         sessions = journal.sessions()
-        done = journal.committed()
-        planned = journal.planned()
+        done = journal.committed_numbers()
+        planned = journal.planned_rows()
         left = [row for row in planned if row.number not in done]
         last = sessions[-1] if sessions else None
         return CampaignSummary(
@@ -50,7 +53,7 @@ def campaign_summary(path: Path) -> CampaignSummary:
             name=journal.value("name"),
             state="running" if held else "empty" if last is None else last.outcome or "killed",
             rows=len(planned) - len(left),
-            skipped=len(journal.skipped()),
+            skipped=len(journal.skipped_numbers()),
             planned=len(planned),
             seconds=journal.seconds,
             seconds_left=sum(row.seconds for row in left),
@@ -63,13 +66,16 @@ def campaign_summary(path: Path) -> CampaignSummary:
 
 
 def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
-    """All of a folder's `.journal` files, by name, and why others cannot be read. Raises UserError where there is no folder."""
+    """Summaries of all `.journal` files of a folder, by name, and an error message for each that cannot be read.
+
+    Raises UserError where the folder does not exist.
+    """
     if not folder.is_dir():
-        raise UserError(f"{folder}: there is no such folder; name the one that the journals are in")
-    found, refused = [], []
+        raise UserError(f"{folder}: there is no such folder; give the folder of the journals")
+    summaries, errors = [], []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:
-            found.append(campaign_summary(path))
+            summaries.append(campaign_summary(path))
         except UserError as error:
-            refused.append(str(error))
-    return found, refused
+            errors.append(str(error))
+    return summaries, errors

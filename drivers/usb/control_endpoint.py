@@ -1,4 +1,4 @@
-"""Endpoint 0 of a USBTMC instrument: the class requests of abort, clear and status byte, each in bounded time.
+"""Endpoint 0 (control) of a USBTMC instrument: the class requests for abort, clear and status byte, each in bounded time.
 
 Source: USB-IF, USBTMC 1.0 section 4.2.1; USB488 section 4.3.1.
 """
@@ -20,8 +20,8 @@ DRAIN_BYTES = 4096
 DRAIN_MS = 100
 
 
-class Control:
-    """The requests of one device. Everything raises pyusb's USBError, or BadAnswer."""
+class ControlEndpoint:
+    """Control requests of one device. All methods raise pyusb's USBError, or BadAnswer."""
 
     def __init__(self, name: str, device: Any, interface: int, timeout_ms: int, tap: Tap) -> None:
         self._name = name
@@ -31,44 +31,44 @@ class Control:
         self._tap = tap
 
     def request(self, request: Request, value: int, index: int, size: int) -> bytes:
-        """A class request; its answer, whole."""
+        """Send a class request and return its complete reply."""
         kind = TO_ENDPOINT if request.of_endpoint else TO_INTERFACE
         self._tap(TO_DEVICE, struct.pack("<BBHHH", kind, request, value, index, size))
-        answer = bytes(self._device.ctrl_transfer(kind, request, value, index, size, self._timeout_ms))
-        self._tap(FROM_DEVICE, answer)
-        if len(answer) != size:
-            raise BadAnswer(self._name, request.name, f"{len(answer)} of {size} bytes", "ask again")
-        return answer
+        reply = bytes(self._device.ctrl_transfer(kind, request, value, index, size, self._timeout_ms))
+        self._tap(FROM_DEVICE, reply)
+        if len(reply) != size:
+            raise BadAnswer(self._name, request.name, f"{len(reply)} of {size} bytes", "ask again")
+        return reply
 
     def clear(self, bulk_in: int, bulk_out: int) -> None:
-        """Device clear: buffers empty, settings kept."""
+        """Device clear: empties the buffers, keeps the settings."""
         status = self.request(Request.INITIATE_CLEAR, 0, self._interface, 1)
         if status[0] != Status.SUCCESS:
-            raise BadAnswer(self._name, "clear it", f"it answers {status[0]:#04x}", "switch it off and on")
+            raise BadAnswer(self._name, "clear its buffers", f"status {status[0]:#04x}", "switch it off and on")
         for _ in range(ROUNDS):
             status = self.request(Request.CHECK_CLEAR_STATUS, 0, self._interface, 2)
             if status[0] != Status.PENDING:
                 break
-            # Where it has something to be read it waits for that; otherwise a read that fails passes the time.
+            # It may wait until its data are read; otherwise the read times out, which gives it time.
             self._drain(bulk_in)
         if status[0] != Status.SUCCESS:
-            raise BadAnswer(self._name, "clear it", "it stays busy", "switch it off and on")
+            raise BadAnswer(self._name, "clear its buffers", "it stays busy", "switch it off and on")
         self.clear_halt(bulk_out)
 
     def abort_in(self, tag: int, bulk_in: int) -> None:
-        """Takes a request for an answer back: what comes until a short packet is thrown away."""
+        """Abort a request for a reply: everything up to a short packet is discarded."""
         status = self.request(Request.INITIATE_ABORT_BULK_IN, tag, bulk_in, 2)
         if status[0] != Status.SUCCESS:
-            return  # nothing under way, or another transfer: the clear that follows sees to it
+            return  # nothing in progress, or another transfer: the clear that follows ends it
         for _ in range(ROUNDS):
             self._drain(bulk_in)
             status = self.request(Request.CHECK_ABORT_BULK_IN_STATUS, 0, bulk_in, 8)
             if status[0] != Status.PENDING:
                 return
-        raise BadAnswer(self._name, "abort an answer", "it stays busy", "switch it off and on")
+        raise BadAnswer(self._name, "abort a reply", "it stays busy", "switch it off and on")
 
     def abort_out(self, tag: int, bulk_out: int) -> None:
-        """Takes back what has been written in part."""
+        """Abort a message that was written in part."""
         status = self.request(Request.INITIATE_ABORT_BULK_OUT, tag, bulk_out, 2)
         if status[0] != Status.SUCCESS:
             return
@@ -78,20 +78,20 @@ class Control:
         self.clear_halt(bulk_out)
 
     def status_byte(self, tag: int, interrupt: int | None) -> int:
-        """The status byte: in the answer, or, where there is an interrupt endpoint, from there."""
-        answer = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
-        if answer[0] == Status.INTERRUPT_IN_BUSY and interrupt is not None:
-            self._notice(interrupt)  # nobody has read what it said before
-            answer = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
-        if answer[0] != Status.SUCCESS or answer[1] != tag:
-            raise BadAnswer(self._name, "READ_STATUS_BYTE", f"{answer.hex(' ')} for tag {tag}", "ask again")
+        """Status byte: from the reply, or from the interrupt endpoint if there is one."""
+        reply = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
+        if reply[0] == Status.INTERRUPT_IN_BUSY and interrupt is not None:
+            self._notice(interrupt)  # an earlier notice that was not read
+            reply = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
+        if reply[0] != Status.SUCCESS or reply[1] != tag:
+            raise BadAnswer(self._name, "READ_STATUS_BYTE", f"{reply.hex(' ')} for tag {tag}", "ask again")
         if interrupt is None:
-            return answer[2]
+            return reply[2]
         for _ in range(ROUNDS):
             kind, status = self._notice(interrupt)
             if kind == 0x80 | tag:
                 return status
-        raise BadAnswer(self._name, "READ_STATUS_BYTE", "its answer does not come", "ask again")
+        raise BadAnswer(self._name, "READ_STATUS_BYTE", "no notice with its tag", "ask again")
 
     def clear_halt(self, endpoint: int) -> None:
         """CLEAR_FEATURE(ENDPOINT_HALT)."""
@@ -111,7 +111,7 @@ class Control:
 
 
 def explain(direction: str, data: bytes) -> str:
-    """A bulk message or a control transfer in words, for transcripts."""
+    """A bulk message or a control transfer as text, for transcripts."""
     if len(data) < HEADER_BYTES:
         return _explain_control(direction, data)
     try:
@@ -119,7 +119,7 @@ def explain(direction: str, data: bytes) -> str:
     except HeaderError as error:
         return str(error)
     if direction == TO_DEVICE and header.msg_id == MsgId.DEV_DEP_MSG_IN:
-        return f"transfer {header.tag}: up to {header.size} bytes, please"
+        return f"transfer {header.tag}: up to {header.size} bytes requested"
     payload = data[HEADER_BYTES : HEADER_BYTES + header.size]
     return f"transfer {header.tag}: {payload.decode('ascii', 'backslashreplace')!a}"
 
@@ -130,7 +130,7 @@ def _explain_control(direction: str, data: bytes) -> str:
             return f"notice: status byte {data[1]:#04x}"
         return f"control: {Status(data[0]).name}" if data and data[0] in set(Status) else "control"
     if len(data) != 8:
-        return "no bulk message"
+        return "not a bulk message"
     kind, request, *_ = struct.unpack("<BBHHH", data)
     if kind in (TO_INTERFACE, TO_ENDPOINT) and request in set(Request):
         return f"control: {Request(request).name}"
