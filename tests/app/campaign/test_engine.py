@@ -17,7 +17,7 @@ from goniotwin.app.campaign.running.events import Event, Listener, Positions, Ro
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
-from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.protocols.clock import Clock, VirtualClock
 from tests.conftest import Writer
 
 
@@ -174,18 +174,23 @@ def test_a_pause_takes_effect_at_the_next_row_and_repeats_none(bench: MakeBench)
         elif event == StateChanged(State.PAUSED):
             paused.set()
 
-    holder.append(bench(RealClock(speed=200.0), [listen], 0.1))
-    thread = threading.Thread(target=holder[0].engine.run)
+    seen: list[tuple[list[int], bool]] = []
+
+    def look_and_resume() -> None:
+        paused.wait(30.0)
+        rig = holder[0].opened.virtual
+        assert rig is not None
+        seen.append((list(committed), bool(rig.plant.shutter_open.at(rig.clock.now()))))
+        holder[0].engine.resume()
+
+    holder.append(bench(VirtualClock(), [listen], 0.1))
+    thread = threading.Thread(target=look_and_resume)
     thread.start()
-    assert paused.wait(30.0)
-    rig = holder[0].opened.virtual
-    assert rig is not None
-    assert committed == [0, 1, 2]
-    assert not rig.plant.shutter_open.at(rig.clock.now())
-    holder[0].engine.resume()
-    thread.join(60.0)
+    assert holder[0].engine.run() is State.DONE
+    thread.join()
+    assert paused.is_set()
+    assert seen == [([0, 1, 2], False)]
     assert committed == [row.number for row in holder[0].plan.rows]
-    assert holder[0].engine.state is State.DONE
 
 
 def test_positions_are_told_while_the_axes_move(bench: MakeBench) -> None:
