@@ -1,4 +1,4 @@
-"""Slow proofs: what one seed cannot show."""
+"""Statistics over many seeds."""
 
 from pathlib import Path
 
@@ -32,10 +32,10 @@ def test_the_demo_is_within_3_percent_for_every_seed(write_rig: Writer, tmp_path
 
 
 @pytest.mark.parametrize("dark_readings", [4, 16, 64])
-def test_the_uncertainty_fits_the_deviations_over_many_seeds(
+def test_the_uncertainty_agrees_with_the_deviations_over_many_seeds(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, dark_readings: int
 ) -> None:
-    """A dark sample, where noise decides: the mean square of deviation over uncertainty is 1, whatever the darks."""
+    """A dark sample, where noise dominates: the mean square of deviation over uncertainty is 1."""
     schedule = write_schedule(
         ("[1e8, 1e10]", "[1e11]"), ("dark_readings = 4", f"dark_readings = {dark_readings}"),
         ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]"),

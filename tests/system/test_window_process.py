@@ -1,4 +1,4 @@
-"""The window as a process: what ends it from outside stops the run in good order, and a long run does not end it."""
+"""The window as a process: a signal stops the run in order, and a long run does not abort the process."""
 
 import os
 import signal
@@ -22,17 +22,17 @@ from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.conftest import Serve, at
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system ends a process without asking it")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
 LONGEST_S = 300.0
 LONGEST_RUN_S = 3600.0
 ROWS = 3000
 FATAL_PAINTS = 134
-"""After so many, and 717 rows of the same schedule at 60 times, PySide6 6.12.0 on Python 3.11 ended the interpreter."""
+"""PySide6 6.12.0 on Python 3.11 aborted after so many repaints, at row 717 of this schedule at simulation speed 60."""
 DIFFUSE = REPOSITORY / "examples" / "schedules" / "diffuse-spectral.toml"
 
 
 class WindowProcess:
-    """`goniotwin desktop` with a run under way, in a process of its own."""
+    """`goniotwin desktop` with a run in progress, in a process of its own."""
 
     def __init__(self, rig: Path, schedule: Path, folder: Path, speed: float, longest_s: float) -> None:
         self._folder = folder
@@ -40,17 +40,17 @@ class WindowProcess:
         with self._errors.open("w", encoding="utf-8") as errors:
             self.process = subprocess.Popen(
                 [
-                    sys.executable, "-m", "tests.system.started_window", "desktop", "--rig", str(rig),
+                    sys.executable, "-m", "tests.system.window_starter", "desktop", "--rig", str(rig),
                     "--schedule", str(schedule), "--out", str(folder), "--speed", str(speed),
                 ],
                 cwd=REPOSITORY, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
                 stdout=subprocess.PIPE, stderr=errors, text=True,
             )  # fmt: skip
         clock = RealClock()
-        self._patience = clock.at(clock.now() + longest_s, self.process.kill)
+        self._limit = clock.at(clock.now() + longest_s, self.process.kill)
 
-    def after_row(self, rows: int) -> int:
-        """Waits until so many rows are in the journal; how often the plot was painted until then."""
+    def wait_for_rows(self, rows: int) -> int:
+        """Wait until so many rows are in the journal; return the number of repaints of the plot so far."""
         assert self.process.stdout is not None
         while line := self.process.stdout.readline():
             done, paints = map(int, line.split())
@@ -58,12 +58,12 @@ class WindowProcess:
                 return paints
         raise AssertionError(f"the window has ended: status {self.process.wait()}, {self.errors}")
 
-    def ended(self) -> int:
-        """Its exit status, when it has ended."""
+    def wait_for_exit(self) -> int:
+        """Wait until it ends; return the exit status."""
         status = self.process.wait()
         assert self.process.stdout is not None
         self.process.stdout.close()
-        self._patience.cancel()
+        self._limit.cancel()
         return status
 
     @property
@@ -93,12 +93,12 @@ def start_window(tmp_path: Path) -> Iterator[Starter]:
     yield start
     for window in started:
         window.process.kill()
-        window.ended()
+        window.wait_for_exit()
 
 
 def check_stopped(window: WindowProcess) -> Path:
-    """It ended as `goniotwin run` does after Ctrl-C, and its journal is whole and says how it ended."""
-    assert window.ended() == 130, window.errors
+    """Check an end as that of `goniotwin run` after Ctrl-C, with a complete journal in state "stopped"; return the journal."""
+    assert window.wait_for_exit() == 130, window.errors
     assert "Traceback" not in window.errors
     assert window.errors.count("goniotwin: stopping") == 1
     journal = window.journal
@@ -113,12 +113,12 @@ def check_stopped(window: WindowProcess) -> Path:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_stops_the_run_and_closes_the_window_and_the_run_can_be_resumed(
+def test_after_a_signal_the_run_is_stopped_and_can_be_resumed(
     start_window: Starter, write_rig: Writer, write_schedule: Writer, tmp_path: Path, number: int
 ) -> None:
     rig, schedule = write_rig(*QUIET), write_schedule()
     window = start_window(rig, schedule, speed=4.0)
-    window.after_row(2)
+    window.wait_for_rows(2)
     window.process.send_signal(number)
     journal = check_stopped(window)
     assert resume_campaign(journal).state is State.DONE
@@ -126,31 +126,31 @@ def test_a_signal_stops_the_run_and_closes_the_window_and_the_run_can_be_resumed
     assert planned_values(journal) == planned_values(tmp_path / "undisturbed.journal")
 
 
-def test_a_signal_brings_moving_axes_to_rest_and_further_signals_do_not_break_that_off(
+def test_a_signal_brings_moving_axes_to_rest_and_later_signals_are_ignored(
     start_window: Starter, write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path
 ) -> None:
-    """A rig that another process serves: it is seen from there how the axes move."""
-    there = tmp_path / "served.toml"
-    _, lines = serve(write_rig(*QUIET), "--write-rig", there)
+    """The rig is served by another process, whose control port has the positions of the axes."""
+    served = tmp_path / "served.toml"
+    _, lines = serve(write_rig(*QUIET), "--write-rig", served)
     control = ControlClient(at(lines, "control", "port")["port"])
-    window = start_window(there, write_schedule())
-    window.after_row(2)
+    window = start_window(served, write_schedule())
+    window.wait_for_rows(2)
     while control.do("state")["angles_deg"]["beta"] < 20.0:
         assert window.process.poll() is None, window.errors
     for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
         window.process.send_signal(number)
     check_stopped(window)
     resting = control.do("state")["angles_deg"]
-    while control.do("state")["angles_deg"] != resting:  # over its ramp
+    while control.do("state")["angles_deg"] != resting:  # during the ramp
         resting = control.do("state")["angles_deg"]
     assert 20.0 < resting["beta"] < 179.0
     control.close()
 
 
 @pytest.mark.long
-def test_three_thousand_rows_with_the_plot_in_sight(start_window: Starter) -> None:
+def test_three_thousand_rows_with_a_visible_plot(start_window: Starter) -> None:
     window = start_window(RIG, DIFFUSE, speed=60.0, longest_s=LONGEST_RUN_S)
-    paints = window.after_row(ROWS)
+    paints = window.wait_for_rows(ROWS)
     print(f"\n{ROWS} rows, the plot was painted {paints} times")
     assert paints > FATAL_PAINTS
     window.process.send_signal(signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""The same schedule in process, on the virtual clock, and over real endpoints from another process, in real time."""
+"""One schedule in this process on the virtual clock, and over ports of another process in real time."""
 
 import json
 import sqlite3
@@ -34,14 +34,14 @@ def rows(journal: Path) -> list[tuple[Any, ...]]:
         pytest.param(SERIAL, "[1e11]", id="modbus rtu"),
     ],
 )
-def test_planned_rows_have_the_same_values_through_both_doors(
+def test_rows_have_the_same_values_in_process_and_over_served_ports(
     write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path, converters: tuple[Change, ...], gains: str
 ) -> None:
     """Noise and drift off: raw counts, gains, flags, encoders and the monitor of every row, to the last bit."""
     rig, schedule = write_rig(*STEADY, *converters), write_schedule(("[1e8, 1e10]", gains))
-    there = tmp_path / "served.toml"
-    serve(rig, "--speed", 5, "--write-rig", there)
-    for call, name, file in ((invoke, "twin", rig), (goniotwin, "served", there)):
+    served = tmp_path / "served.toml"
+    serve(rig, "--speed", 5, "--write-rig", served)
+    for call, name, file in ((invoke, "twin", rig), (goniotwin, "served", served)):
         done = call("run", schedule, "--rig", file, "--out", tmp_path / f"{name}.journal", "--json")
         assert done.returncode == 0, done.stderr
         assert json.loads(done.stdout)["simulated"] is True
