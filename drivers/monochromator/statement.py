@@ -10,7 +10,7 @@ from collections.abc import Callable
 from goniotwin.drivers.errors import DeviceError, Interrupted, NoAnswer, Refused
 from goniotwin.drivers.monochromator.line import CHECK_LINE, NAME, REPLY_S, CornerstoneLine
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.cornerstone import NO_ERROR, Error, Statement
+from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode, Statement
 
 POLL_S = 0.02
 STATUS_MARGIN_S = 3.0e-3
@@ -18,7 +18,7 @@ OVERDUE_S = 2.0
 LONGEST_S = 30.0
 STB = Statement("STB", query=True)
 ABORT = Statement("ABORT")
-ALREADY_THERE = f"error {int(Error.ACCESSORY_ALREADY_THERE)},"
+ALREADY_THERE = f"error {int(ErrorCode.ACCESSORY_ALREADY_THERE)},"
 
 
 class PendingStatement:

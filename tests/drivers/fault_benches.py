@@ -10,16 +10,25 @@ import numpy as np
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, parse_rig
 from goniotwin.arrays import Ints
 from goniotwin.drivers import wait
-from goniotwin.mocks.faults import ON_A_SERIAL_LINE, ON_A_TEXT_LINE, ON_MODBUS, ON_MODBUS_RTU, ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faults import (
+    ON_A_SERIAL_LINE,
+    ON_A_TEXT_LINE,
+    ON_MODBUS,
+    ON_MODBUS_RTU,
+    ON_USB,
+    Fault,
+    FaultPlan,
+    ScriptedFaults,
+)
 from goniotwin.mocks.faulty_line import (
-    End,
+    FaultyEnd,
     FaultyLine,
+    exception_rtu,
+    exception_tcp,
     foreign_rtu,
     foreign_tcp,
     foreign_tmcl,
     plug_in,
-    refusal_rtu,
-    refusal_tcp,
 )
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.protocols.clock import VirtualClock
@@ -63,7 +72,7 @@ class FaultBench(ABC):
         """Insert the faulty wire between driver and device, and connect again."""
 
     @abstractmethod
-    def set_faults(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: FaultPlan) -> None:
         """Set the faults of the wire from now on."""
 
     @abstractmethod
@@ -87,11 +96,11 @@ class AxesFaultBench(FaultBench):
 
     def insert_faulty_wire(self) -> None:
         self._target = 10.0
-        self._line = FaultyLine(self.virtual.serial["axes"], Script(()), 0.1, foreign_tmcl)
+        self._line = FaultyLine(self.virtual.serial["axes"], ScriptedFaults(()), 0.1, foreign_tmcl)
         plug_in(self._line, self.clock, lambda end: self.virtual.serial.update(axes=end))
         self.rig.reconnect_axes()
 
-    def set_faults(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: FaultPlan) -> None:
         self._line.misfortune = misfortune
 
     def run_task(self) -> None:
@@ -121,11 +130,11 @@ class MonochromatorFaultBench(FaultBench):
 
     def insert_faulty_wire(self) -> None:
         self._target = 600.0
-        self._line = FaultyLine(self.virtual.serial["mono"], Script(()), 1.5)
+        self._line = FaultyLine(self.virtual.serial["mono"], ScriptedFaults(()), 1.5)
         plug_in(self._line, self.clock, lambda end: self.virtual.serial.update(mono=end))
         self.rig.monochromator.connect()
 
-    def set_faults(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: FaultPlan) -> None:
         self._line.misfortune = misfortune
 
     def run_task(self) -> None:
@@ -149,7 +158,7 @@ class TcpPhotodiodesFaultBench(FaultBench):
         self.rig.photodiodes.close()
         self._gain = 0
         self._expected: dict[int, Ints] = {}
-        self._misfortune: Misfortune = Script(())
+        self._misfortune: FaultPlan = ScriptedFaults(())
         self._lines: list[FaultyLine] = []
         self._connect()
         self.rig.photodiodes.connect()
@@ -158,12 +167,12 @@ class TcpPhotodiodesFaultBench(FaultBench):
 
     def _connect(self) -> None:
         def connection(station: SerialDevice) -> SerialDevice:
-            self._lines.append(FaultyLine(station, self._misfortune, 1.05, foreign_tcp, refusal_tcp))
-            return End(self._lines[-1])
+            self._lines.append(FaultyLine(station, self._misfortune, 1.05, foreign_tcp, exception_tcp))
+            return FaultyEnd(self._lines[-1])
 
         self.virtual.modbus_wires = dict.fromkeys(self.virtual.modbus, connection)
 
-    def set_faults(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: FaultPlan) -> None:
         self._misfortune = misfortune
         for line in self._lines:
             line.misfortune = misfortune
@@ -190,7 +199,7 @@ class RtuPhotodiodesFaultBench(TcpPhotodiodesFaultBench):
     changes = ON_RTU
 
     def _connect(self) -> None:
-        self._lines = [FaultyLine(self.virtual.serial["adcs"], self._misfortune, 1.05, foreign_rtu, refusal_rtu)]
+        self._lines = [FaultyLine(self.virtual.serial["adcs"], self._misfortune, 1.05, foreign_rtu, exception_rtu)]
         plug_in(self._lines[0], self.clock, lambda end: self.virtual.serial.update(adcs=end))
 
 
@@ -203,12 +212,12 @@ class MonitorFaultBench(FaultBench):
     def insert_faulty_wire(self) -> None:
         self.virtual.plant.shutter_open.set(0.0, True)
         self.rig.monitor.close()
-        self._wire = FaultyUsb(self.virtual.usb["monitor"], Script(()), self.clock)
+        self._wire = FaultyUsb(self.virtual.usb["monitor"], ScriptedFaults(()), self.clock)
         self.virtual.usb["monitor"] = self._wire
         self.rig.monitor.connect()
         self._expected: float | None = None
 
-    def set_faults(self, misfortune: Misfortune) -> None:
+    def set_faults(self, misfortune: FaultPlan) -> None:
         self._wire.misfortune = misfortune
 
     def run_task(self) -> None:

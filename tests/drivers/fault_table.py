@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from goniotwin.drivers import DeviceError, Forgotten
-from goniotwin.mocks.faults import Fault, Script
+from goniotwin.mocks.faults import Fault, ScriptedFaults
 from tests.drivers.fault_benches import BENCHES, FaultBench, WrongValueError
 
 TRIES = 4
@@ -49,7 +49,7 @@ Table = dict[Fault, dict[type[FaultBench], Cell]]
 @cache
 def exchanges(kind: type[FaultBench]) -> int:
     """Number of exchanges of the task on a wire without faults."""
-    bench, script = kind(), Script(())
+    bench, script = kind(), ScriptedFaults(())
     bench.set_faults(script)
     bench.run_task()
     bench.opened.close()
@@ -62,7 +62,7 @@ def case(kind: type[FaultBench], fault: Fault, number: int, cell: Cell) -> str:
     try:
         usual = exchanges(kind)
         faults = [fault] * (3 if fault is Fault.HANG else 1)
-        misfortune = Script([*[Fault.NONE] * (number % usual), *faults], number)
+        misfortune = ScriptedFaults([*[Fault.NONE] * (number % usual), *faults], number)
         bench.set_faults(misfortune)
         try:
             bench.run_task()
@@ -74,7 +74,7 @@ def case(kind: type[FaultBench], fault: Fault, number: int, cell: Cell) -> str:
             outcome = NOTICED if isinstance(error, Forgotten) else ERROR
             if not error.device.startswith(bench.devices) or not str(error).startswith(f"{error.device}: {error.doing}: "):
                 return STUCK
-        bench.set_faults(Script(()))
+        bench.set_faults(ScriptedFaults(()))
         return _recovered(bench, outcome)
     finally:
         bench.opened.close()

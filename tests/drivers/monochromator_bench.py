@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from goniotwin.drivers import wait
-from goniotwin.mocks.faults import Misfortune, Script
+from goniotwin.mocks.faults import FaultPlan, ScriptedFaults
 from goniotwin.mocks.faulty_line import FaultyLine, plug_in
 from goniotwin.twin.devices import Cornerstone260
 from tests.conftest import RigOpener
@@ -21,13 +21,13 @@ class MonochromatorBench:
         drive = replace(self.plant.model.monochromator, echo=echo, handshake=handshake)
         self.plant.model = replace(self.plant.model, monochromator=drive)
         self.unit = Cornerstone260(self.plant)
-        self.line = FaultyLine(self.unit, Script([]))
+        self.line = FaultyLine(self.unit, ScriptedFaults([]))
         ports = rig.virtual.serial
         plug_in(self.line, self.clock, lambda end: ports.update(mono=end))
         self.driver = rig.rig.monochromator
         self.driver.connect()
 
-    def set_faults(self, misfortune: Misfortune, late_s: float = 0.1) -> None:
+    def set_faults(self, misfortune: FaultPlan, late_s: float = 0.1) -> None:
         self.line.misfortune, self.line._late_s = misfortune, late_s
 
     def true_wavelength_nm(self) -> float:

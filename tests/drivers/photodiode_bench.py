@@ -7,8 +7,8 @@ import pytest
 
 from goniotwin.app.rig import OpenRig
 from goniotwin.drivers import PhotodiodeArray, wait
-from goniotwin.mocks.faults import Misfortune
-from goniotwin.mocks.faulty_line import End, FaultyLine, foreign_rtu, foreign_tcp, plug_in, refusal_rtu, refusal_tcp
+from goniotwin.mocks.faults import FaultPlan
+from goniotwin.mocks.faulty_line import FaultyEnd, FaultyLine, exception_rtu, exception_tcp, foreign_rtu, foreign_tcp, plug_in
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.twin.devices.line import SerialDevice
 from tests.conftest import Change, RigOpener
@@ -37,17 +37,17 @@ def read(array: PhotodiodeArray, clock: Clock, gain: int = 0, readings: int = 1)
     return taken.counts.astype(int)
 
 
-def insert_faults(rig: OpenRig, misfortune: Misfortune, late_s: float = 0.1) -> None:
+def insert_faults(rig: OpenRig, misfortune: FaultPlan, late_s: float = 0.1) -> None:
     """Insert faults into the wires, from the next connection on."""
     virtual = rig.virtual
     assert virtual is not None
     rig.rig.photodiodes.close()
     if "adcs" in virtual.serial:
-        line = FaultyLine(virtual.serial["adcs"], misfortune, late_s, foreign_rtu, refusal_rtu)
+        line = FaultyLine(virtual.serial["adcs"], misfortune, late_s, foreign_rtu, exception_rtu)
         plug_in(line, virtual.clock, lambda end: virtual.serial.update(adcs=end))
 
     def connection(station: SerialDevice) -> SerialDevice:
-        return End(FaultyLine(station, misfortune, late_s, foreign_tcp, refusal_tcp))
+        return FaultyEnd(FaultyLine(station, misfortune, late_s, foreign_tcp, exception_tcp))
 
     virtual.modbus_wires = dict.fromkeys(virtual.modbus, connection)
     misfortune.until, until = 0, misfortune.until

@@ -8,7 +8,8 @@ import serial
 from goniotwin.drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
 from goniotwin.drivers.motion.tmcl.rules import CANARY, MARKER_VARIABLE
 from goniotwin.protocols.clock import Clock, VirtualClock
-from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame, ReplyStatus
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RigOpener
 
 
@@ -98,9 +99,9 @@ class ScriptedPort(serial.Serial):
         self.timeout = 0.06
 
     def write(self, data: object, /) -> int:
-        request = Request.decode(bytes(data))  # type: ignore[call-overload]
+        request = CommandFrame.decode(bytes(data))  # type: ignore[call-overload]
         if (request.command, request.type) == (Command.SGP, MARKER_VARIABLE):
-            self._waiting += Reply(2, 1, Status.OK, Command.SGP, request.value).encode()
+            self._waiting += ReplyFrame(2, 1, ReplyStatus.OK, Command.SGP, request.value).encode()
             return 9
         self.sent.append(request.encode())
         if self._replies:
@@ -123,9 +124,9 @@ class ScriptedPort(serial.Serial):
     def close(self) -> None: ...
 
 
-VERSION_REPLY = Reply(2, 1, Status.OK, Command.FIRMWARE_VERSION, 6214 << 16).encode()
-HEARTBEAT_REPLY = Reply(2, 1, Status.OK, Command.GGP, 2000).encode()
-CANARY_REPLY = Reply(2, 1, Status.OK, Command.GGP, CANARY).encode()
+VERSION_REPLY = ReplyFrame(2, 1, ReplyStatus.OK, Command.FIRMWARE_VERSION, 6214 << 16).encode()
+HEARTBEAT_REPLY = ReplyFrame(2, 1, ReplyStatus.OK, Command.GGP, 2000).encode()
+CANARY_REPLY = ReplyFrame(2, 1, ReplyStatus.OK, Command.GGP, CANARY).encode()
 Module = Callable[..., tuple[TmclModule, ScriptedPort]]
 
 
@@ -143,16 +144,16 @@ def module() -> Module:
 
 
 def test_a_late_reply_to_another_request_is_discarded(module: Module) -> None:
-    late = Reply(2, 1, Status.OK, Command.SAP, 77).encode()
-    expected = Reply(2, 1, Status.OK, Command.GAP, 5).encode()
+    late = ReplyFrame(2, 1, ReplyStatus.OK, Command.SAP, 77).encode()
+    expected = ReplyFrame(2, 1, ReplyStatus.OK, Command.GAP, 5).encode()
     driver, _ = module(late + expected)
-    assert driver.exchange(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4)) == 5
+    assert driver.exchange(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4)) == 5
 
 
 def test_a_request_is_repeated_after_a_corrupted_reply(module: Module) -> None:
-    good = Reply(2, 1, Status.OK, Command.GAP, 5).encode()
+    good = ReplyFrame(2, 1, ReplyStatus.OK, Command.GAP, 5).encode()
     driver, wire = module(good[:-1] + bytes((good[-1] ^ 1,)), good)
-    assert driver.exchange(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4)) == 5
+    assert driver.exchange(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4)) == 5
     assert len(wire.sent) == 2
 
 
@@ -160,22 +161,22 @@ def test_a_request_is_repeated_after_a_corrupted_reply(module: Module) -> None:
 def test_a_relative_move_is_never_sent_twice(module: Module, reply: bytes) -> None:
     driver, wire = module(reply)
     with pytest.raises(NoAnswer):
-        driver.exchange(Request(1, Command.MVP, 1, 4, 100))
+        driver.exchange(CommandFrame(1, Command.MVP, 1, 4, 100))
     assert len(wire.sent) == 1
 
 
 def test_a_corrupted_reply_to_a_relative_move_is_an_error(module: Module) -> None:
-    good = Reply(2, 1, Status.OK, Command.MVP, 5).encode()
+    good = ReplyFrame(2, 1, ReplyStatus.OK, Command.MVP, 5).encode()
     driver, wire = module(good[:-1] + bytes((good[-1] ^ 1,)))
     with pytest.raises(BadAnswer, match="checksum"):
-        driver.exchange(Request(1, Command.MVP, 1, 4, 100))
+        driver.exchange(CommandFrame(1, Command.MVP, 1, 4, 100))
     assert len(wire.sent) == 1
 
 
 def test_a_rejected_request_is_reported_with_its_status(module: Module) -> None:
-    driver, _ = module(Reply(2, 1, Status.INVALID_VALUE, Command.SAP, 0).encode())
+    driver, _ = module(ReplyFrame(2, 1, ReplyStatus.INVALID_VALUE, Command.SAP, 0).encode())
     with pytest.raises(Refused, match="INVALID_VALUE"):
-        driver.exchange(Request(1, Command.SAP, Axis.MAX_VELOCITY, 4, -1))
+        driver.exchange(CommandFrame(1, Command.SAP, AxisParameter.MAX_VELOCITY, 4, -1))
 
 
 def test_the_error_of_a_missing_port_names_the_remedy() -> None:

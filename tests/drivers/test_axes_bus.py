@@ -4,7 +4,8 @@ import pytest
 
 from goniotwin.drivers import wait
 from goniotwin.drivers.errors import Forgotten
-from goniotwin.protocols.tmcl import Axis, Command, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from goniotwin.twin.devices import TmclLine
 from tests.conftest import RigOpener
 
@@ -71,7 +72,7 @@ def test_each_module_has_its_own_heartbeat(opened: RigOpener) -> None:
     rig.axes["beta"].start(150.0)
     for _ in range(100):
         rig.clock.sleep_until(rig.clock.now() + 0.2)
-        rig.axes["beta"].read_parameter(Axis.POSITION_REACHED)
+        rig.axes["beta"].read_parameter(AxisParameter.POSITION_REACHED)
     assert rig.axes["beta"].position_deg() == pytest.approx(150.0)
     assert rig.axes["sigma"].position_deg() == pytest.approx(10.0 * 2.0, abs=1.0)  # 2 s at 10 deg/s less the ramps
 
@@ -79,4 +80,4 @@ def test_each_module_has_its_own_heartbeat(opened: RigOpener) -> None:
 def test_errors_name_the_module(opened: RigOpener) -> None:
     rig = opened(*BUS).rig
     with pytest.raises(Exception, match="of module 3"):
-        rig.axes_module.exchange(Request(3, Command.GAP, 99, 0))
+        rig.axes_module.exchange(CommandFrame(3, Command.GAP, 99, 0))

@@ -6,9 +6,9 @@ import pytest
 
 from goniotwin.drivers import DeviceError, wait
 from goniotwin.drivers.errors import Forgotten, NoAnswer
-from goniotwin.mocks.faults import ON_A_SERIAL_LINE, Fault, Misfortune, Script
+from goniotwin.mocks.faults import ON_A_SERIAL_LINE, Fault, FaultPlan, ScriptedFaults
 from goniotwin.mocks.faulty_line import FaultyLine, foreign_tmcl, plug_in
-from goniotwin.protocols.tmcl import Command, MoveType, Reply, Request, checksum
+from goniotwin.protocols.tmcl import Command, CommandFrame, MoveType, ReplyFrame, checksum
 from goniotwin.twin.devices.line import SerialDevice
 from tests.drivers.axis_bench import AxisBench
 
@@ -24,10 +24,10 @@ class RequestRecorder:
     def __init__(self, device: SerialDevice) -> None:
         self.device = device
         self.baudrate, self.outbox = device.baudrate, device.outbox
-        self.requests: list[Request] = []
+        self.requests: list[CommandFrame] = []
 
     def receive(self, data: bytes, t: float) -> None:
-        self.requests.append(Request.decode(data)) if len(data) == 9 and checksum(data[:8]) == data[8] else None
+        self.requests.append(CommandFrame.decode(data)) if len(data) == 9 and checksum(data[:8]) == data[8] else None
         self.device.receive(data, t)
 
     def reset(self, t: float) -> None:
@@ -37,8 +37,8 @@ class RequestRecorder:
 class FaultyAxisBench(AxisBench):
     """Axes on a wire with faults by a script or a seed, after the connection."""
 
-    def __init__(self, misfortune: Misfortune, **settings: object) -> None:
-        self.misfortune = Script(())
+    def __init__(self, misfortune: FaultPlan, **settings: object) -> None:
+        self.misfortune = ScriptedFaults(())
         super().__init__(dict(settings), wire=self._insert_faults)
         plug_in(self.faulty, self.clock, lambda end: setattr(self, "device", end))
         self.connect()
@@ -47,7 +47,7 @@ class FaultyAxisBench(AxisBench):
 
     def _insert_faults(self, device: SerialDevice) -> SerialDevice:
         self.recorder = RequestRecorder(device)
-        self.faulty = FaultyLine(self.recorder, Script(()), foreign=foreign_tmcl)
+        self.faulty = FaultyLine(self.recorder, ScriptedFaults(()), foreign=foreign_tmcl)
         return self.faulty
 
     def timed(self, call: object, *arguments: object) -> object:
@@ -73,9 +73,9 @@ class FaultyAxisBench(AxisBench):
 
 @pytest.mark.parametrize("fault", REPEATED_AT_ONCE)
 def test_a_read_is_repeated_after_any_single_fault(fault: Fault) -> None:
-    bench = FaultyAxisBench(Script(()))
+    bench = FaultyAxisBench(ScriptedFaults(()))
     bench.move(12.5)
-    bench.faulty.misfortune = Script([fault])
+    bench.faulty.misfortune = ScriptedFaults([fault])
     assert bench.axis.position_deg() == pytest.approx(12.5)
     assert bench.axis.encoder_deg() == pytest.approx(12.5, abs=1e-3)
     assert bench.axis.switches() == bench.axis.switches()
@@ -83,16 +83,16 @@ def test_a_read_is_repeated_after_any_single_fault(fault: Fault) -> None:
 
 @pytest.mark.parametrize("fault", REPEATED_AT_ONCE)
 def test_a_move_arrives_after_any_single_fault_of_its_command(fault: Fault) -> None:
-    bench = FaultyAxisBench(Script(()))
-    bench.faulty.misfortune = Script([Fault.NONE, Fault.NONE, fault])  # position, canary, move
+    bench = FaultyAxisBench(ScriptedFaults(()))
+    bench.faulty.misfortune = ScriptedFaults([Fault.NONE, Fault.NONE, fault])  # position, canary, move
     bench.move(12.5)
     assert bench.angle() == pytest.approx(12.5, abs=1.0 / PER_DEG)
 
 
 @pytest.mark.parametrize("fault", [each for each in ON_A_SERIAL_LINE if each is not Fault.RESET])
 def test_a_relative_move_is_received_once_at_most(fault: Fault) -> None:
-    bench = FaultyAxisBench(Script(()))
-    bench.faulty.misfortune = Script([Fault.NONE, Fault.NONE, fault])
+    bench = FaultyAxisBench(ScriptedFaults(()))
+    bench.faulty.misfortune = ScriptedFaults([Fault.NONE, Fault.NONE, fault])
     outcome = bench.timed(bench.axis.start_relative, 1.0)
     moves = [each for each in bench.recorder.requests if each.command == Command.MVP and each.type == MoveType.RELATIVE]
     assert len(moves) <= 1
@@ -104,21 +104,21 @@ def test_a_relative_move_is_received_once_at_most(fault: Fault) -> None:
 
 
 def test_a_move_without_any_reply_leaves_the_axis_unreferenced() -> None:
-    bench = FaultyAxisBench(Script(()))
-    bench.faulty.misfortune = Script([Fault.NONE, Fault.NONE, *[Fault.HANG] * 20])
+    bench = FaultyAxisBench(ScriptedFaults(()))
+    bench.faulty.misfortune = ScriptedFaults([Fault.NONE, Fault.NONE, *[Fault.HANG] * 20])
     with pytest.raises(DeviceError, match="MVP"):
         bench.axis.start(12.5)
     assert "received" in bench.axis.unreferenced_reason
-    bench.faulty.misfortune = Script(())
+    bench.faulty.misfortune = ScriptedFaults(())
     bench.axis.set_position()
     bench.move(12.5)
 
 
 def test_a_reset_is_detected_at_any_exchange() -> None:
     for place in range(12):
-        bench = FaultyAxisBench(Script(()))
+        bench = FaultyAxisBench(ScriptedFaults(()))
         bench.move(12.5)
-        bench.faulty.misfortune = Script([*[Fault.NONE] * place, Fault.RESET])
+        bench.faulty.misfortune = ScriptedFaults([*[Fault.NONE] * place, Fault.RESET])
         with pytest.raises(Forgotten):
             _read_until_error(bench)
 
@@ -130,7 +130,7 @@ def _read_until_error(bench: FaultyAxisBench) -> None:
 
 
 def test_a_disconnected_port_is_an_error_at_once_and_reopened_when_it_is_connected_again() -> None:
-    bench = FaultyAxisBench(Script(()))
+    bench = FaultyAxisBench(ScriptedFaults(()))
     bench.move(12.5)
     bench.faulty.pull()
     opened = len(bench.ports)
@@ -145,7 +145,7 @@ def test_a_disconnected_port_is_an_error_at_once_and_reopened_when_it_is_connect
 
 
 def test_a_power_cycle_during_a_disconnection_is_detected() -> None:
-    bench = FaultyAxisBench(Script(()))
+    bench = FaultyAxisBench(ScriptedFaults(()))
     bench.move(12.5)
     bench.faulty.pull()
     bench.line.reset(bench.clock.now())
@@ -156,7 +156,7 @@ def test_a_power_cycle_during_a_disconnection_is_detected() -> None:
 
 
 def test_a_stop_reopens_a_port_that_failed() -> None:
-    bench = FaultyAxisBench(Script(()))
+    bench = FaultyAxisBench(ScriptedFaults(()))
     bench.axis.start(90.0)
     bench.clock.sleep_until(bench.clock.now() + 0.5)
     bench.faulty.pull()
@@ -170,8 +170,8 @@ def test_a_stop_reopens_a_port_that_failed() -> None:
 
 
 def test_lost_error_flags_are_not_read_again_and_leave_the_axis_unreferenced() -> None:
-    bench = FaultyAxisBench(Script(()))
-    bench.faulty.misfortune = Script([Fault.LOST])
+    bench = FaultyAxisBench(ScriptedFaults(()))
+    bench.faulty.misfortune = ScriptedFaults([Fault.LOST])
     with pytest.raises(DeviceError):
         bench.axis.read_errors()
     assert "error flags" in bench.axis.unreferenced_reason
@@ -179,7 +179,7 @@ def test_lost_error_flags_are_not_read_again_and_leave_the_axis_unreferenced() -
 
 def test_the_checksum_passes_one_in_255_of_errors_in_two_bytes() -> None:
     """The checksum is a sum: for each error of the first byte, one of the 255 errors of the second compensates it."""
-    frame = Reply(2, 1, 100, Command.GAP, 64_000).encode()
+    frame = ReplyFrame(2, 1, 100, Command.GAP, 64_000).encode()
     passed = 0
     for first in range(1, 256):
         for second in range(1, 256):
@@ -191,7 +191,7 @@ def test_the_checksum_passes_one_in_255_of_errors_in_two_bytes() -> None:
 def test_unrequested_frames_are_discarded() -> None:
     bench = AxisBench().connect()
     bench.move(10.0)
-    bench.module.exchange(Request(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4))
+    bench.module.exchange(CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4))
     for k in range(5):
         bench.move(10.0 + k)
         assert bench.axis.position_deg() == pytest.approx(10.0 + k)
@@ -200,13 +200,13 @@ def test_unrequested_frames_are_discarded() -> None:
 def test_replies_to_another_host_or_from_another_module_are_discarded() -> None:
     bench = AxisBench().connect()
     for host, address in ((3, 1), (2, 9)):
-        bench.line.outbox.append((bench.clock.now() + 1e-3, Reply(host, address, 100, Command.GAP, 77_777).encode()))
+        bench.line.outbox.append((bench.clock.now() + 1e-3, ReplyFrame(host, address, 100, Command.GAP, 77_777).encode()))
         assert bench.axis.position_deg() == 0.0
 
 
 def storm(seed: int, steps: int = 30, share: float = 0.15) -> dict[str, int]:
     """Moves and reads on a wire with faults; every returned value is true. Returns counts of values, errors and faults."""
-    bench = FaultyAxisBench(Misfortune(seed, ON_A_SERIAL_LINE, share))
+    bench = FaultyAxisBench(FaultPlan(seed, ON_A_SERIAL_LINE, share))
     counts = {"values": 0, "errors": 0}
     for step in range(steps):
         target = float((seed * 7 + step * 13) % 90)
@@ -232,7 +232,7 @@ def storm(seed: int, steps: int = 30, share: float = 0.15) -> dict[str, int]:
                     bench.recover()
                     break
     faulty = bench.faulty.misfortune
-    bench.faulty.misfortune = Script(())
+    bench.faulty.misfortune = ScriptedFaults(())
     bench.clock.sleep_until(bench.clock.now() + 0.5)
     bench.recover()
     bench.move(45.0)

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from goniotwin.drivers import Axis, DeviceError, wait
-from goniotwin.mocks.faults import Fault, Script
+from goniotwin.mocks.faults import Fault, ScriptedFaults
 from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
-from goniotwin.protocols.tmcl import Command, Reply, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.twin.devices.line import SerialDevice
 from tests.drivers.axis_bench import AxisBench
 
@@ -135,9 +135,9 @@ def test_failures_of_a_stop_name_the_silent_axes() -> None:
 
 
 def test_a_stop_frame_without_reply_is_repeated() -> None:
-    bench = AxisBench(axes=4, wire=lambda device: FaultyLine(device, Script([]))).connect()
+    bench = AxisBench(axes=4, wire=lambda device: FaultyLine(device, ScriptedFaults([]))).connect()
     assert isinstance(bench.device, FaultyLine)
-    bench.device.misfortune = Script([Fault.NONE, Fault.LOST])
+    bench.device.misfortune = ScriptedFaults([Fault.NONE, Fault.LOST])
     assert bench.module.stop([each for axis in bench.axes.values() for each in axis.stop_requests()]) == []
 
 
@@ -201,8 +201,8 @@ def test_simultaneous_stops_all_succeed() -> None:
 def test_the_reply_to_a_stop_is_not_taken_for_the_reply_to_a_read() -> None:
     """The value of a reply is accepted only for the command of its request."""
     bench = StopBench()
-    bench.line.outbox.append((bench.clock.now() + 1e-3, Reply(2, 1, 100, Command.MST, 77).encode()))
-    assert bench.module.exchange(Request(1, Command.GAP, 1, 4)) == 0
+    bench.line.outbox.append((bench.clock.now() + 1e-3, ReplyFrame(2, 1, 100, Command.MST, 77).encode()))
+    assert bench.module.exchange(CommandFrame(1, Command.GAP, 1, 4)) == 0
 
 
 def test_after_a_stop_the_axes_can_be_moved_again() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from goniotwin.drivers import DeviceError, FilterWheel, NoAnswer, OrderFilter, Refused, wait
 from goniotwin.drivers.errors import Interrupted
-from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Script
+from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, ScriptedFaults
 from tests.conftest import RigOpener
 from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
 
@@ -125,13 +125,13 @@ def test_a_turn_reaches_its_position_or_is_an_error_under_each_fault(
     bench = MonochromatorBench(opened, echo, handshake)
     for clean in range(4):  # the fault is at the queries before, at the command, or at the exchange after
         for position in (5, 2):
-            bench.set_faults(Script([*[Fault.NONE] * clean, fault], clean))
+            bench.set_faults(ScriptedFaults([*[Fault.NONE] * clean, fault], clean))
             start = bench.clock.now()
             with contextlib.suppress(DeviceError):
                 wait(bench.clock, [bench.driver.start_filter(position)])
                 assert bench.plant.filter_position(bench.clock.now()) == position
             assert bench.clock.now() - start < 60.0
-            bench.set_faults(Script([]))
+            bench.set_faults(ScriptedFaults([]))
             with contextlib.suppress(DeviceError):  # an error that is still pending is raised here
                 bench.driver.wavelength_nm()
             bench.clock.sleep_until(bench.clock.now() + 10.0)

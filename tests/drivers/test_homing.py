@@ -4,8 +4,8 @@ import pytest
 
 from goniotwin.drivers import DeviceError, Homing, wait
 from goniotwin.drivers.errors import Forgotten, Interrupted, LimitError, Unreferenced
-from goniotwin.protocols.tmcl import Axis, Command, Request
-from goniotwin.protocols.tmcl_parameters import ErrorFlag, SearchMode
+from goniotwin.protocols.tmcl import Command, CommandFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter, ErrorFlag, SearchMode
 from tests.drivers.axis_bench import AxisBench
 
 PER_DEG = 5120
@@ -266,7 +266,7 @@ def test_a_stop_between_the_two_legs_ends_the_move() -> None:
     bench = AxisBench({"backlash_deg": 0.5}, {"backlash_deg": 0.4}).connect()
     bench.move(30.0)
     move = bench.axis.start(10.0)
-    while bench.axis.read_parameter(Axis.POSITION_REACHED) == 0:
+    while bench.axis.read_parameter(AxisParameter.POSITION_REACHED) == 0:
         bench.clock.sleep_until(bench.clock.now() + 0.01)
     bench.axis.stop()
     with pytest.raises(Interrupted):
@@ -294,5 +294,5 @@ def test_a_relative_move_needs_no_reference() -> None:
 def test_motor_currents_and_driver_flags() -> None:
     bench = AxisBench().connect()
     bench.axis.set_currents(50, 5)
-    assert bench.module.exchange(Request(1, Command.GAP, 6, 4)) == 50
+    assert bench.module.exchange(CommandFrame(1, Command.GAP, 6, 4)) == 50
     assert bench.axis.driver_flags().name == "STANDSTILL"

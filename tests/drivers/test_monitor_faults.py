@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, wait
-from goniotwin.mocks.faults import ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faults import ON_USB, Fault, FaultPlan, ScriptedFaults
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.usbtmc import HEADER_BYTES
@@ -137,7 +137,7 @@ class FaultyMonitorBench(MonitorBench):
         assert opened_rig.virtual is not None
         opened_rig.rig.monitor.close()
         devices = opened_rig.virtual.usb
-        devices["monitor"] = self.faulty = FaultyUsb(devices["monitor"], Script([]), opened_rig.virtual.clock)
+        devices["monitor"] = self.faulty = FaultyUsb(devices["monitor"], ScriptedFaults([]), opened_rig.virtual.clock)
         super().__init__(opened_rig.virtual)
         self.monitor.connect()
 
@@ -147,12 +147,12 @@ def test_a_single_fault_gives_no_wrong_value_and_the_driver_recovers(opened: Rig
     bench = FaultyMonitorBench(opened)
     truth = bench.mean()
     for clean in range(4):  # the fault is at the query, the request for its reply, or those of the canary
-        script = bench.faulty.misfortune = Script([*[Fault.NONE] * clean, fault])
+        script = bench.faulty.misfortune = ScriptedFaults([*[Fault.NONE] * clean, fault])
         calls = BoundedCalls(bench.clock, "monitor", MOST_S)
         with calls.attempt():
             assert bench.mean() == pytest.approx(truth, rel=2e-3)
         assert script.met == [fault]
-        bench.faulty.misfortune = Script([])
+        bench.faulty.misfortune = ScriptedFaults([])
         bench.clock.sleep_until(bench.clock.now() + 0.5)
         with contextlib.suppress(Forgotten):  # reported once
             bench.mean()
@@ -163,7 +163,7 @@ def test_a_reading_after_a_reset_is_rejected(opened: RigOpener) -> None:
     """After power-on it measures power for 635 nm, which is a plausible number."""
     bench = FaultyMonitorBench(opened)
     wait(bench.clock, [bench.monitor.start_mean(0.1, "power")])
-    bench.faulty.misfortune = Script([Fault.RESET])
+    bench.faulty.misfortune = ScriptedFaults([Fault.RESET])
     with pytest.raises(Forgotten, match="has reset; its settings are restored"):
         wait(bench.clock, [bench.monitor.start_mean(0.1, "power")])
     power = bench.monitor.start_mean(0.1, "power")
@@ -179,7 +179,7 @@ reply the error queue is read, too."""
 def storm(bench: FaultyMonitorBench, seed: int) -> BoundedCalls:
     """A part of all exchanges fail; every returned value is true. Then no exchange fails, and the driver recovers."""
     truth = bench.mean()
-    bench.faulty.misfortune = Misfortune(seed, ON_USB, 0.08, until=150)
+    bench.faulty.misfortune = FaultPlan(seed, ON_USB, 0.08, until=150)
     calls = BoundedCalls(bench.clock, "monitor", MOST_S)
     for _ in range(12):
         with calls.attempt():
@@ -188,7 +188,7 @@ def storm(bench: FaultyMonitorBench, seed: int) -> BoundedCalls:
             calls.wait(mean)
             assert mean.current_a == pytest.approx(truth, rel=2e-3)  # the lamp drifts by 2 % an hour
         bench.clock.sleep_until(bench.clock.now() + 0.2)
-    bench.faulty.misfortune = Script([])
+    bench.faulty.misfortune = ScriptedFaults([])
     bench.clock.sleep_until(bench.clock.now() + 0.5)
     for _ in range(2):  # lost settings are reported once
         with contextlib.suppress(DeviceError):
@@ -216,7 +216,7 @@ def test_a_thousand_buses_with_faults_give_no_wrong_value(opened: RigOpener, hun
 def test_a_lost_setting_is_an_error(opened: RigOpener) -> None:
     bench = FaultyMonitorBench(opened)
     bench.mean()
-    bench.faulty.misfortune = Script([Fault.UNHEARD])
+    bench.faulty.misfortune = ScriptedFaults([Fault.UNHEARD])
     with pytest.raises(NoAnswer, match="monitor: CONF:POW"):
         bench.monitor.start_mean(0.1, "power")
     power = bench.monitor.start_mean(0.1, "power")

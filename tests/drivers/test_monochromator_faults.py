@@ -5,7 +5,7 @@ import contextlib
 import pytest
 
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, wait
-from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, Misfortune, Script
+from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, FaultPlan, ScriptedFaults
 from goniotwin.protocols.cornerstone import Grating
 from tests.conftest import RigOpener
 from tests.drivers.bounded_calls import BoundedCalls
@@ -21,7 +21,7 @@ def test_a_relative_step_is_made_once_at_most_under_each_fault(
     bench = MonochromatorBench(opened, echo, handshake)
     for clean in range(3):  # the fault is at the query before, at the statement, or at the exchange after
         before = bench.true_wavelength_nm()
-        bench.set_faults(Script([*[Fault.NONE] * clean, fault]), late_s)
+        bench.set_faults(ScriptedFaults([*[Fault.NONE] * clean, fault]), late_s)
         start = bench.clock.now()
         with contextlib.suppress(DeviceError):
             wait(bench.clock, [bench.driver.start_step(100)])
@@ -44,7 +44,7 @@ first of these without reply within a second ends the call."""
 
 def storm(bench: MonochromatorBench, seed: int) -> BoundedCalls:
     """A fifth of all exchanges fail; every returned value is true. Then no exchange fails, and the driver recovers."""
-    bench.set_faults(Misfortune(seed, ON_A_TEXT_LINE, until=150), (0.1, 1.5, 5.0)[seed % 3])
+    bench.set_faults(FaultPlan(seed, ON_A_TEXT_LINE, until=150), (0.1, 1.5, 5.0)[seed % 3])
     calls = BoundedCalls(bench.clock, "monochromator", LONGEST_S)
     driver = bench.driver
     for wavelength in (400.0, 725.0, 633.1, 550.0, 612.34):
@@ -68,7 +68,7 @@ def storm(bench: MonochromatorBench, seed: int) -> BoundedCalls:
                 assert driver.grating() == Grating(1, 1200, "VIS")
             with calls.attempt(), calls.call():
                 assert driver.filter() == 1
-    bench.set_faults(Script([]))
+    bench.set_faults(ScriptedFaults([]))
     bench.clock.sleep_until(bench.clock.now() + 60.0)
     for _ in range(2):  # an earlier reset is reported once
         with contextlib.suppress(DeviceError):
@@ -128,7 +128,7 @@ def test_a_reset_of_the_unit_is_reported_once(opened: RigOpener) -> None:
 
 def test_a_unit_with_another_identity_is_refused(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = MonochromatorBench(opened)
-    bench.set_faults(Script([Fault.LOST]))
+    bench.set_faults(ScriptedFaults([Fault.LOST]))
     with pytest.raises(DeviceError):
         bench.driver.wavelength_nm()
     monkeypatch.setattr("goniotwin.twin.devices.cornerstone_statements.IDENTITY", "Cornerstone 130 virtual")

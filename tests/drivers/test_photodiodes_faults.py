@@ -7,7 +7,7 @@ import pytest
 
 from goniotwin.app.rig import OpenRig
 from goniotwin.drivers import DeviceError, NoAnswer, PhotodiodeArray
-from goniotwin.mocks.faults import ON_MODBUS, ON_MODBUS_RTU, Fault, Misfortune, Script
+from goniotwin.mocks.faults import ON_MODBUS, ON_MODBUS_RTU, Fault, FaultPlan, ScriptedFaults
 from goniotwin.protocols.clock import Clock
 from tests.drivers.bounded_calls import BoundedCalls
 from tests.drivers.photodiode_bench import BenchOpener, bench, insert_faults, read
@@ -26,7 +26,7 @@ def test_a_single_fault_gives_no_error_and_no_wrong_value(bench: BenchOpener, se
     gain = 0 if serial else 3
     read(array, clock, gain)
     expected = read(array, clock, gain)
-    script = Script([])
+    script = ScriptedFaults([])
     insert_faults(rig, script, late_s=1.0 + 0.02)
     read(array, clock, gain)
     script._script = [Fault.NONE, fault]
@@ -34,7 +34,7 @@ def test_a_single_fault_gives_no_error_and_no_wrong_value(bench: BenchOpener, se
     assert script.met == [fault]
 
 
-def read_with_faults(rig: OpenRig, serial: bool, misfortune: Misfortune, late_s: float) -> BoundedCalls:
+def read_with_faults(rig: OpenRig, serial: bool, misfortune: FaultPlan, late_s: float) -> BoundedCalls:
     """Groups of readings until the last fault; every returned value is true. Then there are no faults, and it recovers."""
     array, clock = rig.rig.photodiodes, rig.rig.clock
     gains = (0,) if serial else (3, 0, 2)
@@ -74,7 +74,7 @@ def read_with_random_faults(rig: OpenRig, serial: bool, seed: int) -> BoundedCal
     """A late reply comes after the timeout of 1 s: while the line is drained, while a marker is read, or after recovery."""
     late_s = 0.98 + 0.005 * (seed % 60)
     kinds = ON_MODBUS_RTU if serial else tuple(each for each in ON_MODBUS if each not in UNDETECTED_OVER_TCP)
-    return read_with_faults(rig, serial, Misfortune(seed, kinds, 0.02, until=200), late_s)
+    return read_with_faults(rig, serial, FaultPlan(seed, kinds, 0.02, until=200), late_s)
 
 
 @pytest.mark.parametrize("serial", [False, True])
@@ -101,7 +101,7 @@ def test_a_disconnected_wire_is_reopened_when_it_is_connected_again(bench: Bench
     rig = bench(serial)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     expected = read(array, clock)
-    script = Script([])
+    script = ScriptedFaults([])
     insert_faults(rig, script)
     script._script = [Fault.UNPLUGGED]
     if serial:
@@ -117,7 +117,7 @@ def test_changed_bytes_over_tcp_raise_only_device_errors(bench: BenchOpener, see
     """Modbus TCP has no checksum: a changed count passes. No other exception than DeviceError may be raised."""
     rig = bench(False)
     array, clock = rig.rig.photodiodes, rig.rig.clock
-    insert_faults(rig, Misfortune(seed, UNDETECTED_OVER_TCP, 0.5, until=100))
+    insert_faults(rig, FaultPlan(seed, UNDETECTED_OVER_TCP, 0.5, until=100))
     for _ in range(10):
         try:
             read(array, clock, 3)

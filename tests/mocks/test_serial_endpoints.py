@@ -14,14 +14,15 @@ from goniotwin.mocks.serial_endpoints import SerialEndpoints, ptys_exist
 from goniotwin.mocks.serial_ends import OWED_AT_MOST, owed
 from goniotwin.mocks.served import ServedRig
 from goniotwin.protocols.clock import RealClock
-from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.cornerstone260 import IDENTITY
 from tests.conftest import RigOpener
 
 pytestmark = pytest.mark.endpoint
 WALL = RealClock()
-ASK = Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4).encode()
+ASK = CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4).encode()
 
 
 @dataclass
@@ -82,7 +83,7 @@ def test_pytrinamic_drives_the_twin_over_a_pty(served: Served) -> None:
 
 def test_a_move_over_one_end_is_seen_at_the_other(served: Served) -> None:
     first = serial.serial_for_url(f"socket://127.0.0.1:{served.port}", timeout=5.0)
-    first.write(Request(1, Command.MVP, 0, 4, 5000).encode())
+    first.write(CommandFrame(1, Command.MVP, 0, 4, 5000).encode())
     assert len(first.read(9)) == 9
     first.close()
     clock = served.rig.clock
@@ -90,7 +91,7 @@ def test_a_move_over_one_end_is_seen_at_the_other(served: Served) -> None:
     assert served.rig.plant.angle_deg("sigma", clock.now()) == pytest.approx(5000 / 5120, abs=1e-6)
 
 
-def test_a_killed_client_leaves_it_well(served: Served) -> None:
+def test_a_killed_client_does_not_disturb_the_server(served: Served) -> None:
     for _ in range(20):
         client = socket.create_connection(("127.0.0.1", served.port))
         client.send(ASK[:5])  # half a frame, and gone
@@ -98,11 +99,11 @@ def test_a_killed_client_leaves_it_well(served: Served) -> None:
     served.rig.clock.sleep_until(served.rig.clock.now() + 2.0)  # longer than a partial frame lives
     port = serial.serial_for_url(f"socket://127.0.0.1:{served.port}", timeout=5.0)
     port.write(ASK)
-    assert Reply.decode(port.read(9)).command == Command.GAP
+    assert ReplyFrame.decode(port.read(9)).command == Command.GAP
     port.close()
 
 
-def test_a_client_that_does_not_read_holds_up_nobody(served: Served) -> None:
+def test_a_client_that_does_not_read_does_not_block_other_clients(served: Served) -> None:
     lazy = socket.create_connection(("127.0.0.1", served.port))
     for _ in range(2000):
         lazy.send(ASK * 50)
@@ -114,15 +115,15 @@ def test_a_client_that_does_not_read_holds_up_nobody(served: Served) -> None:
 
 
 @pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
-def test_whoever_opens_a_pty_is_not_told_what_was_said_to_others_before(served: Served) -> None:
+def test_a_new_client_of_a_pty_gets_no_earlier_answers(served: Served) -> None:
     other = serial.serial_for_url(f"socket://127.0.0.1:{served.port}", timeout=5.0)
     for _ in range(1000):  # 9 kB, more than the system keeps for a reader
         other.write(ASK)
         other.read(9)
     other.close()
     port = serial.Serial(str(served.pty), 115200, timeout=5.0)
-    port.write(Request(1, Command.GGP, 1, 2).encode())
-    assert Reply.decode(port.read(9)).command == Command.GGP
+    port.write(CommandFrame(1, Command.GGP, 1, 2).encode())
+    assert ReplyFrame.decode(port.read(9)).command == Command.GGP
     assert port.in_waiting == 0
     port.close()
 
@@ -145,7 +146,7 @@ def test_after_the_end_ports_and_names_are_free(opened: RigOpener, tmp_path: Pat
         assert not link.is_symlink()
 
 
-def test_a_client_that_floods_leaves_the_device_with_little_to_say(served: Served) -> None:
+def test_a_client_that_floods_gets_a_bounded_number_of_answers(served: Served) -> None:
     device = served.rig.serial["mono"]
     client = socket.create_connection(("127.0.0.1", served.mono_port))
     client.sendall(b"GOWAVE 900\n" + b"INFO?\n" * 3000)  # it moves first, and answers afterwards
@@ -158,7 +159,7 @@ def test_a_client_that_floods_leaves_the_device_with_little_to_say(served: Serve
     client.close()
 
 
-def test_what_was_asked_by_one_who_has_gone_is_not_told_to_the_next(served: Served) -> None:
+def test_answers_for_a_disconnected_client_do_not_reach_the_next(served: Served) -> None:
     client = socket.create_connection(("127.0.0.1", served.mono_port))
     client.sendall(b"GOWAVE 900\n" + b"INFO?\n" * 20)
     _until(lambda: bool(served.rig.serial["mono"].outbox))
@@ -170,7 +171,7 @@ def test_what_was_asked_by_one_who_has_gone_is_not_told_to_the_next(served: Serv
 
 
 @pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
-def test_whoever_hangs_up_takes_nothing_from_one_who_waits_at_the_pty(served: Served) -> None:
+def test_a_disconnection_does_not_affect_a_client_that_waits_at_the_pty(served: Served) -> None:
     port = serial.Serial(str(served.mono_pty), served.rig.serial["mono"].baudrate, timeout=5.0)
     port.write(b"GOWAVE 900\nINFO?\n")
     _until(lambda: bool(served.rig.serial["mono"].outbox))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from tests.conftest import Writer
 from tests.system.conftest import MAIN, Serve, at, until
 
@@ -20,7 +20,7 @@ def test_a_second_signal_does_not_interrupt_the_stop(
 ) -> None:
     there = tmp_path / "served.toml"
     _, lines = serve(write_rig(*QUIET), "--write-rig", there)
-    control = Control(at(lines, "control", "port")["port"])
+    control = ControlClient(at(lines, "control", "port")["port"])
     journal = tmp_path / "c.journal"
     run = subprocess.Popen(
         [*MAIN, "run", str(write_schedule()), "--rig", str(there), "--out", str(journal), "--transcript", tmp_path / "wires"],

@@ -15,7 +15,7 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import RigInUse, RigLock
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_values
 from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
@@ -40,7 +40,7 @@ class Bench:
     folder: Path
     schedule: Path
     rig: Path
-    control: Control
+    control: ControlClient
     undisturbed: Path
 
     def fail_and_resume(self, path: Path, limits: Limits, free_space: FreeSpace) -> int:
@@ -86,7 +86,7 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
     here, there, schedule = write_rig(*QUIET), tmp_path / "served.toml", write_schedule(THREE_SHIFTS)
     _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
     run_campaign(make_plan(read_schedule(schedule), read_rig(here)), tmp_path / "undisturbed.journal")
-    control = Control(at(lines, "control", "port")["port"])
+    control = ControlClient(at(lines, "control", "port")["port"])
     yield Bench(tmp_path, schedule, there, control, tmp_path / "undisturbed.journal")
     control.close()
 

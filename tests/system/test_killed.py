@@ -19,7 +19,7 @@ from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journa
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
@@ -48,7 +48,7 @@ class Bench:
     folder: Path
     schedule: Path
     rig: Path
-    control: Control
+    control: ControlClient
     plan: Plan
     rng: np.random.Generator
     error_lines: list[str] = field(default_factory=list)
@@ -120,7 +120,7 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
         schedule = write_schedule(THREE_SHIFTS, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
         _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
         plan = make_plan(read_schedule(schedule), read_rig(here))
-        control = Control(at(lines, "control", "port")["port"])
+        control = ControlClient(at(lines, "control", "port")["port"])
         made.append(Bench(tmp_path, schedule, there, control, plan, np.random.default_rng(seed)))
         return made[-1]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.rig import AXES
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from tests.conftest import RIG, Writer
 from tests.system.command_process import FORKED, CommandProcess
 from tests.system.conftest import Serve, at
@@ -21,7 +21,7 @@ def test_after_a_reset_between_two_runs_nothing_is_measured_until_the_positions_
     anywhere.write_text("\n".join(line for line in lines if not line.startswith("power_up_at_reference")), encoding="utf-8")
     rig, schedule = tmp_path / "served.toml", write_schedule()
     _, endpoints = serve(anywhere, "--speed", 20, "--write-rig", rig)
-    control = Control(at(endpoints, "control", "port")["port"])
+    control = ControlClient(at(endpoints, "control", "port")["port"])
 
     def status(*arguments: object) -> int:
         return CommandProcess(tmp_path, *arguments).wait()

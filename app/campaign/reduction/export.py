@@ -11,9 +11,9 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
 
 Exporter = Callable[[BsdfDataset, str | None, Path], int]
-LONGEST_LIST = 2000
+MAX_LISTED_RANGES = 2000
 """Ranges listed in the comments of a table."""
-POINTS_AT_ONCE = 20_000
+PART_POINTS = 20_000
 """Points written in one part: as text a point takes one or two kilobytes."""
 SQLITE = b"SQLite format 3\0"
 
@@ -46,9 +46,9 @@ def export_csv(reduced: BsdfDataset, sample: str | None, path: Path) -> int:
         *(f"overlaps of {name}: {each}" for name, each in reduced.overlaps.items() if name in chosen and each.pairs),
     ]
     parts = (
-        _columns(name, points.where(np.arange(begin, min(begin + POINTS_AT_ONCE, points.bsdf.size))))
+        _columns(name, points.where(np.arange(begin, min(begin + PART_POINTS, points.bsdf.size))))
         for name, points in chosen.items()
-        for begin in range(0, points.bsdf.size, POINTS_AT_ONCE)
+        for begin in range(0, points.bsdf.size, PART_POINTS)
     )
     _write(path, lambda: write_points_csv(path, about, parts))
     return sum(points.bsdf.size for points in chosen.values())
@@ -120,8 +120,8 @@ def _continued_ranges(grids: list[SpecularTable], wavelengths: np.ndarray) -> li
         for m, phi in enumerate(grid.phi_deg)
         for start, stop in _runs(grid.theta_deg, ~grid.measured[k, m])
     ]
-    more = [f"and {len(gaps) - LONGEST_LIST} more such ranges"] if len(gaps) > LONGEST_LIST else []
-    return [*lines, *gaps[:LONGEST_LIST], *more]
+    more = [f"and {len(gaps) - MAX_LISTED_RANGES} more such ranges"] if len(gaps) > MAX_LISTED_RANGES else []
+    return [*lines, *gaps[:MAX_LISTED_RANGES], *more]
 
 
 def _runs(values: np.ndarray, chosen: np.ndarray) -> list[tuple[float, float]]:

@@ -15,28 +15,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 
-MOST = 24
+MAX_NEIGHBOURS = 24
 """Largest number of neighbours on each side."""
 NEAR = 1.0 + 1e-9
 WINDOW = 5.0
 """Values within so many standard deviations of the field's directions are fitted together: the field does not resolve less."""
-LONGEST_RAD = math.radians(6.0)
+MAX_DISTANCE_RAD = math.radians(6.0)
 """Neighbours further away have no information on the curvature; photodiodes are 5 deg apart."""
 DETECTED = 3.0
 """A value above so many standard uncertainties has light; its logarithm is used."""
 RADIAL = 0.7
 """An arc passes close enough to the lobe's centre where theta changes by this share of the way along it."""
-LEAST_SINE = 0.1
+MIN_SINE = 0.1
 """Smaller circles about the normal are no neighbourhood across the arc."""
-SURE = 3.0
+NOISE_MARGIN = 3.0
 """Standard uncertainties by which a second derivative is reduced before a first derivative is taken from it."""
-AT_ONCE = 20_000
+CHUNK_POINTS = 20_000
 """Points processed together; more if they are of one wavelength and incidence."""
-DECIMALS = 6
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def local_parabola(line: Ints, x: Floats, y: Floats, window: float, longest: flo
     width = np.where(np.isfinite(half), half, 1.0)
     powers, products = np.zeros((5, x.size)), np.zeros((3, x.size))
     powers[0], products[0] = 1.0, y
-    for step in range(1, min(MOST, x.size - 1) + 1):
+    for step in range(1, min(MAX_NEIGHBOURS, x.size - 1) + 1):
         together = line[step:] == line[:-step]
         apart = x[step:] - x[:-step]
         reached = False
@@ -141,7 +141,7 @@ def field_uncertainty(points: BsdfPoints, variance: float) -> Floats:
     changes = np.any(np.diff(lights[:, np.lexsort(lights)], axis=1) != 0.0, axis=0)
     begin = 0
     for end in [*(np.flatnonzero(changes) + 1).tolist(), order.size]:
-        if end - begin >= AT_ONCE or end == order.size > begin:
+        if end - begin >= CHUNK_POINTS or end == order.size > begin:
             part = order[begin:end]
             values, which = merge_directions(points.where(part))
             result[part] = _uncertainty(values, variance)[which]
@@ -212,13 +212,13 @@ def _uncertainty(values: Directions, variance: float) -> Floats:
         return 0.5 * variance * curved
     plain = _second_derivatives(values, values.bsdf, values.u_bsdf, window, square=False)
     # A value with light next to one without, further apart than the field is wide: the shape of the lobe is unknown.
-    plain[light & ~(reach(values.plane, values.polar, window, LONGEST_RAD) <= window)] = np.nan
+    plain[light & ~(reach(values.plane, values.polar, window, MAX_DISTANCE_RAD) <= window)] = np.nan
     return 0.5 * variance * np.where(np.isfinite(curved), curved, plain)
 
 
 def _second_derivatives(values: Directions, y: Floats, u: Floats, window: float, *, square: bool) -> Floats:
     """Sum of the moduli of both second derivatives; `y` is the BSDF, or, with `square`, its logarithm: then over the BSDF."""
-    along = local_parabola(values.plane, values.polar, y, window, LONGEST_RAD)
+    along = local_parabola(values.plane, values.polar, y, window, MAX_DISTANCE_RAD)
     own = along.second + (along.first**2 if square else 0.0)
     across = _measured_across(values, y, window, along, square=square)
     return np.abs(own) + np.abs(
@@ -234,12 +234,12 @@ def _measured_across(values: Directions, y: Floats, window: float, along: Parabo
     polar = np.round(np.abs(values.polar), 2 + DECIMALS)
     azimuth = np.where(values.polar < 0.0, values.azimuth + math.pi, values.azimuth)
     order = np.lexsort((azimuth, polar, values.setting))
-    order = order[np.sin(polar[order]) > max(LEAST_SINE, 2.0 * window)]
+    order = order[np.sin(polar[order]) > max(MIN_SINE, 2.0 * window)]
     circle = np.cumsum((np.diff(polar[order], prepend=-1.0) != 0.0) | (np.diff(values.setting[order], prepend=-1) != 0))
-    found = local_parabola(circle, (azimuth * np.sin(polar))[order], y[order], window, LONGEST_RAD)
+    circles = local_parabola(circle, (azimuth * np.sin(polar))[order], y[order], window, MAX_DISTANCE_RAD)
     result = np.full(polar.size, np.nan)
     bent = along.first[order] / np.tan(values.polar[order])
-    result[order] = found.second + bent + (found.first**2 if square else 0.0)
+    result[order] = circles.second + bent + (circles.first**2 if square else 0.0)
     return result
 
 
@@ -260,7 +260,7 @@ def _by_symmetry(values: Directions, along: Parabola, own: Floats, u: Floats, wi
     # For an arc that passes beside the centre y' follows from the second derivative, if y is a parabola in theta. A second
     # derivative within its noise is not used.
     level = t**2 / np.maximum(theta, window) + (1.0 - t**2) / np.tan(np.clip(theta, window, math.radians(60.0)))
-    certain = np.sign(along.second) * np.maximum(np.abs(along.second) - SURE * along.leverage * u, 0.0)
+    certain = np.sign(along.second) * np.maximum(np.abs(along.second) - NOISE_MARGIN * along.leverage * u, 0.0)
     first = np.where(radial, first, certain / level)
     second = np.where(radial, second, first / np.maximum(theta, window))
     across = second + first * cot + (first**2 if square else 0.0) - own

@@ -28,9 +28,9 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
+from goniotwin.app.campaign.schedule.grids import HALF_TURN_DEG
 from goniotwin.arrays import Flags, Floats, Ints
 
-HALF_TURN_DEG = 180.0
 RESOLVED = 0.1
 """Largest relative uncertainty of a value whose ratio is used: the logarithm of a less certain value is that of noise."""
 VARIANCE_FLOOR = 1e-12
@@ -42,7 +42,7 @@ HUBER = 2.0
 ITERATIONS = 30
 CERTAIN = 4.0
 """A factor is significant if it differs from 1 by so many standard uncertainties."""
-OF_PAIRS = ("one", "other", "ratio", "variance", "together")
+PAIR_COLUMNS = ("one", "other", "ratio", "variance", "together")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class OverlapPairs:
 
     def where(self, chosen: Flags) -> "OverlapPairs":
         """A selection of the pairs."""
-        return OverlapPairs(*(getattr(self, name)[chosen] for name in OF_PAIRS))
+        return OverlapPairs(*(getattr(self, name)[chosen] for name in PAIR_COLUMNS))
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class OverlapCheck:
         z = np.concatenate(self._differences) if self._differences else np.zeros(0)
         none = np.zeros(0, dtype=np.int64)
         kept = self._pairs or [OverlapPairs(none, none, np.zeros(0), np.zeros(0), none)]
-        pairs = OverlapPairs(*(np.concatenate([getattr(each, name) for each in kept]) for name in OF_PAIRS))
+        pairs = OverlapPairs(*(np.concatenate([getattr(each, name) for each in kept]) for name in PAIR_COLUMNS))
         factors = fit_factors(pairs, np.sqrt(2.0) * self._monitor, self._seen)
         return Overlaps(z.size, float(np.sum(z**2)), float(np.abs(z).max()) if z.size else 0.0, factors)
 

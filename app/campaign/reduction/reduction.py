@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
-from goniotwin.app.campaign.geometry.directions import arc_views
+from goniotwin.app.campaign.geometry.arcs import arc_views, etalon_sigmas_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
@@ -47,7 +46,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.arrays import Ints
 
-ROWS_AT_ONCE = 256
+BLOCK_ROWS = 256
 """Rows in a block: their points take some megabytes."""
 RESUME = "goniotwin run --resume measures them"
 
@@ -101,7 +100,7 @@ class Reduction:
         self.tallies: dict[str, Tally] = {}
         self._without_etalon: dict[str, int] = {}
 
-    def blocks(self, sample: str, rows: int = ROWS_AT_ONCE) -> Iterator[PointBlock]:
+    def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of wavelength, sigma, gamma, half planes and time.
 
         A block has about `rows` rows; their number changes no value. Raises UserError.
@@ -134,7 +133,7 @@ class Reduction:
         # After the calibration: the field has the same effect on all photodiodes that look in a direction.
         return add_field_uncertainty(calibrated, self.rig.file)
 
-    def overlaps(self, sample: str, rows: int = ROWS_AT_ONCE) -> Overlaps | None:
+    def overlaps(self, sample: str, rows: int = BLOCK_ROWS) -> Overlaps | None:
         """The overlaps of a sample; None where its points are not calibrated by them.
 
         It reads all blocks once more. Raises UserError.

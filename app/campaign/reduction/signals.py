@@ -22,7 +22,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import PhotodiodeSettings
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
-LEAST_FREEDOM = 3.0
+MIN_FREEDOM = 3.0
 """Degrees of freedom of the dark readings: with fewer the noise is not known."""
 DARK_CURRENT_NOISE = 10.0
 """A dark current is detectable where it is above so many times the noise of one reading; only then can its loss be seen."""
@@ -59,9 +59,9 @@ class DarkReadings:
         self._monitor_a = np.array([each.monitor_a for each in readings])
         self._readings = np.array([independent_conversions(each) for each in readings])
         freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
-        if freedom < LEAST_FREEDOM:
+        if freedom < MIN_FREEDOM:
             raise UserError(
-                f"the dark readings have {freedom:.0f} degrees of freedom in all; the noise needs {LEAST_FREEDOM:.0f}; "
+                f"the dark readings have {freedom:.0f} degrees of freedom in all; the noise needs {MIN_FREEDOM:.0f}; "
                 "increase dark_readings in the schedule"
             )
         scatter = sum((((each.counts - each.counts.mean(axis=0)) ** 2).sum(axis=0) for each in readings), np.float64(0.0))

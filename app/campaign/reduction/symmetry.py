@@ -16,14 +16,14 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
-from goniotwin.app.campaign.schedule.refinement import Symmetry
+from goniotwin.app.campaign.schedule.grids import DECIMALS
+from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.arrays import Floats
 
 Columns = dict[str, Floats]
 RESOLVED = 0.05
 """Largest uncertainty of a relative difference that counts for the statement within what a symmetry holds."""
-DECIMALS = 6
-OF_PAIR = ("wavelength_nm", "sigma_deg", "shift_deg", "gamma", "beta", "photodiode")
+PAIR_KEYS = ("wavelength_nm", "sigma_deg", "shift_deg", "gamma", "beta", "photodiode")
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SymmetryResult:
     direction `where`: the largest of the well-known ones, or, where the symmetry does not hold, the worst.
     """
 
-    stated: Symmetry
+    stated: StatedSymmetry
     pairs: int
     chi_square: float
     worst: float
@@ -76,7 +76,7 @@ class SymmetryCheck:
     relative uncertainty that all points share, `monitor` the one that all points of a row share.
     """
 
-    def __init__(self, stated: Symmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
+    def __init__(self, stated: StatedSymmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
         self._stated = stated
         self._poses = {tuple(pose) for pose in np.unique(canonical_poses(mirrored, stated), axis=0).tolist()}
         self._angle_deg = angle_deg
@@ -96,7 +96,7 @@ class SymmetryCheck:
         slope = steepness(points)[chosen]
         here = points.where(chosen)
         own = np.maximum(here.u_bsdf**2 - self._common**2 * here.bsdf**2, 0.0) + (slope * self._angle_deg * here.bsdf) ** 2
-        columns = {name: np.asarray(getattr(here, name), dtype=float) for name in OF_PAIR if name not in ("gamma", "beta")}
+        columns = {name: np.asarray(getattr(here, name), dtype=float) for name in PAIR_KEYS if name not in ("gamma", "beta")}
         columns |= {"gamma": same[chosen, 0], "beta": same[chosen, 2], "value": here.bsdf, "variance": own}
         columns |= {"zenith": here.zenith_deg, "azimuth": here.azimuth_deg, "mirrored": here.mirrored.astype(float)}
         self._kept.append(columns)
@@ -108,7 +108,7 @@ class SymmetryCheck:
             return empty
         columns = {name: np.concatenate([each[name] for each in self._kept]) for name in self._kept[0]}
         keys, first, which = np.unique(
-            np.round(np.stack([columns[name] for name in OF_PAIR], axis=1), DECIMALS),
+            np.round(np.stack([columns[name] for name in PAIR_KEYS], axis=1), DECIMALS),
             axis=0, return_index=True, return_inverse=True,
         )  # fmt: skip
         mirrored = columns["mirrored"] > 0.0

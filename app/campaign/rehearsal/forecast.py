@@ -15,18 +15,18 @@ import numpy.typing as npt
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
-from goniotwin.app.campaign.reduction.reduction import ROWS_AT_ONCE, Reduction
+from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
 from goniotwin.arrays import Floats
 
 PERCENTILES = (5, 50, 95)
 WELL_KNOWN = 0.1
-OF_POINTS = (
+POINT_COLUMNS = (
     "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg", "theta_deg",
     "phi_deg",
 )  # fmt: skip
-ABOUT = (
+COMMENTS = (
     "in the order of wavelength, sigma, gamma and half planes",
     "relative_uncertainty: the predicted standard uncertainty over the value; empty where there is no value",
     "trusted: 0 where a direction is blocked by the mirror unit, or its value is flagged for another reason",
@@ -78,7 +78,7 @@ class Forecast:
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
 
-def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = ROWS_AT_ONCE) -> Forecast:
+def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = BLOCK_ROWS) -> Forecast:
     """The forecast from the journal `path`; each direction is written to the CSV `points`, with the comments `about`.
 
     Raises UserError where the CSV cannot be written, or there are no points for it.
@@ -94,7 +94,7 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
                 for _ in parts:
                     pass
             else:
-                write_points_csv(points, [*about, *ABOUT], itertools.chain([first], parts))
+                write_points_csv(points, [*about, *COMMENTS], itertools.chain([first], parts))
             unchecked = reduction.unchecked()
     except FormatError as error:
         raise UserError(str(error)) from None
@@ -127,7 +127,7 @@ def _parts(
             points = reduction.finish(block.points, overlaps)
             spreads.setdefault(name, UncertaintySpread()).add(points)
             columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(points.bsdf.size, name)}
-            columns |= {column: getattr(points, column) for column in OF_POINTS}
+            columns |= {column: getattr(points, column) for column in POINT_COLUMNS}
             columns |= {"bsdf_per_sr": points.bsdf, "relative_uncertainty": relative_uncertainty(points)}
             yield columns | {"trusted": points.good}
         if name in spreads:

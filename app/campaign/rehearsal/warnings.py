@@ -9,11 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import observing_arcs, polar_deg
-from goniotwin.app.campaign.geometry.directions import arc_views
+from goniotwin.app.campaign.geometry.arcs import arc_views, observing_arcs, polar_deg
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note
-from goniotwin.app.campaign.reduction.points import FIRST, Tally
+from goniotwin.app.campaign.reduction.points import FLAG_ORDER, Tally
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
@@ -26,7 +25,7 @@ NOTICEABLE = 0.01
 """Relative change of a value by the field of view, from which on there is a warning."""
 FAINTEST = 1e-3
 """Values below this share of a sample's largest are left out: far down a flank the relative change is large but irrelevant."""
-MOST_POSES = 200
+MAX_POSES = 200
 """Poses examined at each sigma, picked evenly from all."""
 FEW_STEPS = 1000.0
 """Steps of the converter, which has 32767 above zero: its noise of about one step is a thousandth of such a signal."""
@@ -84,7 +83,7 @@ def _poses(plan: Plan, sample: str) -> dict[float, list[tuple[float, float, floa
     for row in plan.rows:
         if row.kind == "measure" and row.sample == sample and row.pose is not None:
             poses.setdefault(row.pose[1], set()).add(row.pose)
-    return {sigma: sorted(each)[:: max(1, len(each) // MOST_POSES)] for sigma, each in poses.items()}
+    return {sigma: sorted(each)[:: max(1, len(each) // MAX_POSES)] for sigma, each in poses.items()}
 
 
 def _largest_change(
@@ -181,7 +180,7 @@ def value_warnings(file: ScheduleFile, tallies: Mapping[str, Tally], unchecked: 
 
 
 def _reasons(tally: Tally) -> str:
-    counts = {flag: tally.flagged[flag] for flag in FIRST if tally.flagged[flag]}
+    counts = {flag: tally.flagged[flag] for flag in FLAG_ORDER if tally.flagged[flag]}
     reasons = [f"{count} are {REASONS[flag][0]}" for flag, count in counts.items()]
     left = tally.directions - sum(counts.values())
     if left:

@@ -1,4 +1,4 @@
-"""Campaigns of a few rows on virtual rigs without noise, whose rows a test changes as a planner would."""
+"""Short campaigns on virtual rigs, with changed rows, stopped at a time, or with a journal of an older schema."""
 
 import contextlib
 import sqlite3
@@ -19,13 +19,16 @@ from goniotwin.app.rig import OpenRig, open_rig
 from goniotwin.protocols.clock import VirtualClock
 
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
+"""Changes of the rig file: no noise, no drift of the lamp."""
 THREE_SHIFTS = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2]")
+"""Change of the schedule: three arc shifts instead of two."""
 VALUES = """
 SELECT plan.identity, plan.kind, attempt.positions, attempt.flags, gain_v_per_a, monitor_a, readings, channels, counts
 FROM plan JOIN attempt USING (number) LEFT JOIN reading USING (number, attempt)
 WHERE plan.session IS NULL AND attempt.attempt = (SELECT MAX(attempt) FROM attempt latest WHERE latest.number = plan.number)
 ORDER BY plan.number, gain_v_per_a
 """
+"""Values of the planned rows, each of its last attempt, without times."""
 SCHEMA_1 = """
 CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE plan (
@@ -50,17 +53,17 @@ CREATE TABLE session (
 
 
 def change_rows(plan: Plan, change: Callable[[Row], Row | list[Row]]) -> Plan:
-    """The plan with each row changed, or followed by others; numbered anew."""
+    """The plan with each row replaced by one or several rows, numbered again."""
     rows: list[Row] = []
     for row in plan.rows:
-        found = change(row)
-        rows += found if isinstance(found, list) else [found]
+        changed = change(row)
+        rows += changed if isinstance(changed, list) else [changed]
     return replace(plan, rows=tuple(replace(row, number=k) for k, row in enumerate(rows)))
 
 
 @dataclass
 class RunResult:
-    """What a run came to."""
+    """Result of a run: final state, committed rows, events (kind, text), faults, duration in s."""
 
     state: State
     rows: list[CommittedRow]
@@ -69,7 +72,7 @@ class RunResult:
     seconds: float
 
     def of(self, kind: str, sample: str = "") -> list[CommittedRow]:
-        """The rows of a kind."""
+        """The rows of a kind, of all samples or of one."""
         return [each for each in self.rows if each.row.kind == kind and sample in ("", each.row.sample)]
 
 
@@ -79,23 +82,24 @@ def run_plan(
     prepare: Callable[[OpenRig], Any] = lambda _: None,
     operator: Operator | None = None,
     listeners: list[Listener] | None = None,
-    made: Callable[[Engine], Any] = lambda _: None,
+    use_engine: Callable[[Engine], Any] = lambda _: None,
 ) -> RunResult:
-    """Runs a plan on its virtual rig, which `prepare` may do something to before; `made` is told of the engine."""
+    """Run a plan on its virtual rig. `prepare` gets the connected rig, `use_engine` the engine before it runs."""
     with contextlib.ExitStack() as stack:
         opened = stack.enter_context(open_rig(plan.rig, VirtualClock()))
         opened.connect()
         prepare(opened)
         journal = stack.enter_context(Journal.create(path, plan, {}))
-        who = operator or operator_for(opened, plan.rig.file, None)
-        engine = Engine(opened.rig, plan, journal, who, listeners)
-        made(engine)
+        chosen = operator or operator_for(opened, plan.rig.file, None)
+        engine = Engine(opened.rig, plan, journal, chosen, listeners)
+        use_engine(engine)
         state = engine.run()
-        found = [(str(kind), str(text)) for kind, text in journal._db.execute("SELECT kind, text FROM event ORDER BY id")]
-        return RunResult(state, list(journal.rows()), found, engine.faults, journal.seconds)
+        events = [(str(kind), str(text)) for kind, text in journal._db.execute("SELECT kind, text FROM event ORDER BY id")]
+        return RunResult(state, list(journal.rows()), events, engine.faults, journal.seconds)
 
 
 def planned_values(journal: Path) -> list[tuple[Any, ...]]:
+    """Values of the planned rows of a journal, without times: equal for an interrupted and an undisturbed campaign."""
     connection = sqlite3.connect(journal)
     try:
         return connection.execute(VALUES).fetchall()
@@ -104,7 +108,7 @@ def planned_values(journal: Path) -> list[tuple[Any, ...]]:
 
 
 def run_until(plan: Plan, path: Path, t: float) -> None:
-    """A run that somebody stops at a time of the rig's clock."""
+    """Run a plan and stop it at a time of the rig's clock."""
     with open_rig(plan.rig, clock_for(plan.rig.file)) as opened:
         opened.connect()
         with Journal.create(path, plan, {}) as journal:
@@ -114,7 +118,7 @@ def run_until(plan: Plan, path: Path, t: float) -> None:
 
 
 def convert_to_schema_1(path: Path) -> None:
-    """The same as an older goniotwin wrote it."""
+    """Convert a journal to schema 1, as an older version of the program wrote it."""
     now = path.rename(path.with_suffix(".now"))
     database = sqlite3.connect(path)
     database.executescript(SCHEMA_1)

@@ -1,4 +1,4 @@
-"""The example rig with order-sorting filters, in the operator's part and in the twin's, and a schedule that changes them."""
+"""The example rig with order filters, in its rig file and in the twin, and a schedule that changes them."""
 
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -28,7 +28,7 @@ to_nm = 780
 cut_on_nm = 610
 
 """
-"""The way from each to the next is not the way from the first to the last: 3, 2 and 1 positions."""
+"""The distances between consecutive filters differ from that between the first and the last: 3, 2 and 1 positions."""
 GLASS = """
 [[twin.filters]]
 position = 4
@@ -39,13 +39,13 @@ position = 2
 cut_on_nm = 610
 
 """
-BELIEVED: Change = ("[photodiodes]\n", f"{FILTERS}[photodiodes]\n")
-THERE: Change = ("[twin.light]\n", f"{GLASS}[twin.light]\n")
-COLOURS = "[500, 600, 700]"
+RIG_FILTERS: Change = ("[photodiodes]\n", f"{FILTERS}[photodiodes]\n")
+TWIN_FILTERS: Change = ("[twin.light]\n", f"{GLASS}[twin.light]\n")
+WAVELENGTHS = "[500, 600, 700]"
 
 
 def second_order(share: float) -> Change:
-    """The grating's."""
+    """Change of the twin: the second order of the grating has this share of the first."""
     return ("[twin.samples.etalon]", f"[twin.monochromator]\nsecond_order = {share}\n\n[twin.samples.etalon]")
 
 
@@ -54,7 +54,7 @@ def rig_with(*changes: Change) -> RigDescription:
     return parse_rig(changed(RIG.read_text(encoding="utf-8"), (*QUIET, *changes)), RIG.parent, "rig with filters")
 
 
-def plan_with(*changes: Change, wavelengths: str = COLOURS, tables: str = "", rig: RigDescription | None = None) -> Plan:
-    """A small schedule at three wavelengths, one for each filter, on a rig with filters; or on another."""
+def plan_with(*changes: Change, wavelengths: str = WAVELENGTHS, tables: str = "", rig: RigDescription | None = None) -> Plan:
+    """A small schedule at three wavelengths, one per filter, on a rig with filters or on another rig."""
     text = changed(SMALL, (("wavelength_nm = [550]", f"wavelength_nm = {wavelengths}"), *changes)) + tables
-    return make_plan(parse_schedule(text, "schedule"), rig or rig_with(BELIEVED, THERE))
+    return make_plan(parse_schedule(text, "schedule"), rig or rig_with(RIG_FILTERS, TWIN_FILTERS))

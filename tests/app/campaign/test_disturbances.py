@@ -1,6 +1,6 @@
-"""Truth under trouble: each is corrected within the stated uncertainty, or flagged; none passes in silence.
+"""Disturbances of a campaign: each is corrected within the stated uncertainty, or flagged; none gives a wrong value silently.
 
-`make test-long` prints the table of them. The truth is the BSDF that the virtual rig's sample has.
+`make test-long` prints a table of the cases. The true value is the BSDF of the virtual rig's sample.
 """
 
 import math
@@ -23,7 +23,7 @@ from tests.app.campaign.campaign_bench import RunResult, run_plan
 from tests.conftest import RIG, Change, changed
 
 SCHEDULE = """
-name = "trouble"
+name = "disturbances"
 samples = ["{sample}"]
 etalon = "etalon"
 signature = {signature}
@@ -54,11 +54,11 @@ LIFTED = (
     ("signature_uncertainty = 0.01", "signature_uncertainty = 0.3"),
 )
 WIDE = "[1e8, 1e10, 1e11]"
-PLAY = tuple((old, f"{old}, backlash_deg = 0.2") for old in ("motor = 4, gear = 36.0", "beta = { motor = 5, gear = 18.0"))
+BACKLASH = tuple((old, f"{old}, backlash_deg = 0.2") for old in ("motor = 4, gear = 36.0", "beta = { motor = 5, gear = 18.0"))
 
 
-KNOWN_PLAY = (
-    *PLAY,
+STATED_BACKLASH = (
+    *BACKLASH,
     ("speed_deg_s = 10.0\n", "speed_deg_s = 10.0\nbacklash_deg = 0.2\n"),
     ("lower_deg = -5.0\n", "lower_deg = -5.0\nbacklash_deg = 0.2\n"),
 )
@@ -66,13 +66,13 @@ KNOWN_PLAY = (
 
 @dataclass(frozen=True)
 class Case:
-    """A trouble: what of rig and schedule is otherwise, what is `done` to the virtual rig in the middle of the sample's rows,
-    and what is `expected`: corrected, flagged, or that the run stops.
+    """A disturbance: changes of rig and schedule, a `disturb` action on the virtual rig in the middle of the sample's rows, and
+    the `expected` result: corrected, flagged, or stopped (the run).
     """
 
     name: str
     expected: str
-    done: Callable[[Plant, float], None] = lambda _plant, _t: None
+    disturb: Callable[[Plant, float], None] = lambda _plant, _t: None
     sample: str = "grey"
     rig: tuple[Change, ...] = ()
     gains: str = "[1e10, 1e11]"
@@ -81,7 +81,7 @@ class Case:
 
 
 def fade_all(plant: Plant, _: float) -> None:
-    """The light loses 1 % where the monitor does not see it."""
+    """Reduce the light by 1 % where the monitor does not measure it."""
     for photodiode in range(36):
         plant.fade(photodiode, 0.99)
 
@@ -97,21 +97,21 @@ CASES = (
     Case("14 % instrument signature", "corrected", sample="gaussian-5", gains=WIDE, signature=True, rig=FRAMES),
     Case("the same, of frames 0.5 mm off the sample", "corrected", signature=True, rig=LIFTED),
     Case("the same, of frames 0.5 mm off the sample", "corrected", sample="gaussian-5", gains=WIDE, signature=True, rig=LIFTED),
-    Case("0.2 deg backlash that the rig file knows of", "corrected", sample="gaussian-15", rig=KNOWN_PLAY),
-    Case("0.2 deg backlash that the rig file knows of", "corrected", sample="gaussian-5", gains=WIDE, rig=KNOWN_PLAY),
-    Case("0.2 deg backlash that nobody has told", "stopped", sample="gaussian-15", rig=PLAY),
+    Case("0.2 deg backlash stated in the rig file", "corrected", sample="gaussian-15", rig=STATED_BACKLASH),
+    Case("0.2 deg backlash stated in the rig file", "corrected", sample="gaussian-5", gains=WIDE, rig=STATED_BACKLASH),
+    Case("0.2 deg backlash not stated in the rig file", "stopped", sample="gaussian-15", rig=BACKLASH),
     Case("1 % step of the lamp", "corrected", lambda plant, t: plant.set_lamp(t, level=1.01)),
     Case("1 % loss of light behind the monitor", "flagged", fade_all),
     Case("1 % loss of light behind the monitor", "flagged", fade_all, sample="gaussian-5", gains=WIDE),
-    Case("a photodiode that dies", "flagged", lambda plant, _: plant.fade(7, 0.0)),
+    Case("a photodiode that fails", "flagged", lambda plant, _: plant.fade(7, 0.0)),
     Case("saturation at the peak, one gain", "flagged", sample="gaussian-15", gains="[1e11]"),
-    Case("saturation at the peak, automatic gains", "corrected", sample="gaussian-15", gains='"automatic"'),
+    Case("saturation at the peak, auto-range", "corrected", sample="gaussian-15", gains='"automatic"'),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Found:
-    """What came of it: points that are good and flagged, and those that are good and wrong by five standard uncertainties."""
+class CaseResult:
+    """Result of a case: numbers of good and flagged points, and of silent errors (good points wrong by WRONG_U u)."""
 
     case: Case
     run: RunResult
@@ -122,9 +122,11 @@ class Found:
     silent: int
 
     def __str__(self) -> str:
-        came = f"{100 * self.within:5.1f} % within 2 u, worst {self.worst:.1f} u" if self.good else f"the run {self.run.state}"
+        result = (
+            f"{100 * self.within:5.1f} % within 2 u, worst {self.worst:.1f} u" if self.good else f"the run {self.run.state}"
+        )
         case, counts = self.case, f"{self.good:5} {self.flagged:8} {self.silent:7}"
-        return f"{case.name:45} {case.sample:12} {case.expected:10} {counts}   {came}"
+        return f"{case.name:45} {case.sample:12} {case.expected:10} {counts}   {result}"
 
 
 def plan_of(case: Case, grid: tuple[str, str], *changes: Change) -> Plan:
@@ -132,8 +134,8 @@ def plan_of(case: Case, grid: tuple[str, str], *changes: Change) -> Plan:
     text = SCHEDULE.format(
         sample=case.sample, signature=str(case.signature).lower(), sigma=sigma, shift=shift, gains=case.gains, tables=TABLES
     )
-    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (SAMPLES, *case.rig, *changes)), RIG.parent, "troubled rig")
-    return make_plan(parse_schedule(text, "troubled schedule"), rig)
+    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (SAMPLES, *case.rig, *changes)), RIG.parent, "disturbed rig")
+    return make_plan(parse_schedule(text, "disturbed schedule"), rig)
 
 
 def points_of(path: Path, case: Case) -> BsdfPoints | None:
@@ -141,7 +143,7 @@ def points_of(path: Path, case: Case) -> BsdfPoints | None:
         return reduce_journal(journal).samples.get(case.sample)
 
 
-def met(case: Case, grid: tuple[str, str], folder: Path) -> Found:
+def run_case(case: Case, grid: tuple[str, str], folder: Path) -> CaseResult:
     plan = plan_of(case, grid)
     if case.drift_of_all:
         rate = case.drift_of_all * 3600.0 / plan.seconds
@@ -150,32 +152,36 @@ def met(case: Case, grid: tuple[str, str], folder: Path) -> Found:
     middle = rows[len(rows) // 2]
     rigs: list[OpenRig] = []
 
-    def trouble(event: Event) -> None:
+    def listen(event: Event) -> None:
         if isinstance(event, RowStarted) and event.row.number == middle:
             assert rigs[0].virtual is not None
             plant, clock = rigs[0].virtual.plant, rigs[0].rig.clock
             at = clock.now() + 0.6 * event.row.seconds
-            clock.at(at, lambda: case.done(plant, at))
+            clock.at(at, lambda: case.disturb(plant, at))
 
-    run = run_plan(plan, folder / "trouble.journal", rigs.append, listeners=[trouble])
-    points = points_of(folder / "trouble.journal", case) if run.state is State.DONE else None
+    run = run_plan(plan, folder / "disturbed.journal", rigs.append, listeners=[listen])
+    points = points_of(folder / "disturbed.journal", case) if run.state is State.DONE else None
     if points is None:
-        return Found(case, run, 0, 0, 0.0, 0.0, 0)
+        return CaseResult(case, run, 0, 0, 0.0, 0.0, 0)
     expected = theoretical_bsdf(plan.rig, case.sample, points)
     usable = points.good & np.isfinite(expected) & ~points.flags["field"]
     z = np.abs(points.bsdf - expected)[usable] / points.u_bsdf[usable]
-    flags = [flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range", "field")]  # of any run
+    flags = [
+        flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range", "field")
+    ]  # flags that any run has
     flagged = np.any(flags, axis=0) & ~points.shadowed
     within = float(np.mean(z <= 2.0)) if z.size else 1.0
-    return Found(case, run, int(usable.sum()), int(flagged.sum()), within, float(z.max(initial=0.0)), int(np.sum(z > WRONG_U)))
+    return CaseResult(
+        case, run, int(usable.sum()), int(flagged.sum()), within, float(z.max(initial=0.0)), int(np.sum(z > WRONG_U))
+    )
 
 
-def least_within(count: int) -> float:
-    """Of so many normal values 95.45 % are within two standard deviations; chance takes three of a binomial's own from that."""
+def min_share_within(count: int) -> float:
+    """Least share of `count` values within 2 u: 95.45 % of normal values, less three standard deviations of the binomial."""
     return 0.9545 - 3.0 * math.sqrt(0.9545 * 0.0455 / max(count, 1))
 
 
-def judge(found: Found) -> None:
+def check_result(found: CaseResult) -> None:
     case = found.case
     assert found.silent == 0, str(found)
     if case.expected == "stopped":
@@ -183,24 +189,24 @@ def judge(found: Found) -> None:
         assert any("encoder" in fault for fault in found.run.faults)
         return
     assert found.run.state is State.DONE, (case.name, found.run.faults)
-    assert found.within >= least_within(found.good), str(found)
+    assert found.within >= min_share_within(found.good), str(found)
     assert (found.flagged > 0) or case.expected == "corrected", str(found)
 
 
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.name}-{case.sample}" for case in CASES])
-def test_each_trouble_is_corrected_or_flagged(case: Case, tmp_path: Path) -> None:
-    judge(met(case, SMALL_GRID, tmp_path))
+def test_each_disturbance_is_corrected_or_flagged(case: Case, tmp_path: Path) -> None:
+    check_result(run_case(case, SMALL_GRID, tmp_path))
 
 
 @pytest.mark.long
-def test_the_table_of_troubles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_of_disturbances(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = []
     for k, case in enumerate(CASES):
         (tmp_path / str(k)).mkdir()
-        found.append(met(case, LARGE_GRID, tmp_path / str(k)))
+        found.append(run_case(case, LARGE_GRID, tmp_path / str(k)))
     with capsys.disabled():
-        print(f"\n{'trouble':45} {'sample':12} {'is to be':10} {'good':>5} {'flagged':>8} {'silent':>7}   came to")
+        print(f"\n{'disturbance':45} {'sample':12} {'expected':10} {'good':>5} {'flagged':>8} {'silent':>7}   result")
         print("\n".join(str(each) for each in found))
-        print(f"silent: good points that are wrong by more than {WRONG_U:g} of their standard uncertainties u")
+        print(f"silent: good points that are wrong by more than {WRONG_U:g} standard uncertainties u")
     for each in found:
-        judge(each)
+        check_result(each)

@@ -15,7 +15,7 @@ from goniotwin.app.rig.served_file import served_rig
 from goniotwin.drivers import OrderFilter
 from goniotwin.mocks.served import Endpoint
 from goniotwin.twin.plant import OrderSorting, WheelFilter
-from tests.app.campaign.filter_rig import BELIEVED, FILTERS, THERE, second_order
+from tests.app.campaign.filter_rig import FILTERS, RIG_FILTERS, TWIN_FILTERS, second_order
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 
@@ -41,7 +41,7 @@ def test_the_operators_filters_are_sorted_by_wavelength(write_rig: Writer) -> No
 
 
 def test_the_twins_filters_are_its_own(write_rig: Writer) -> None:
-    model = read_rig(write_rig(THERE, second_order(0.1))).model()
+    model = read_rig(write_rig(TWIN_FILTERS, second_order(0.1))).model()
     assert model is not None
     assert model.order_sorting == OrderSorting(0.1, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
     assert model.order_sorting.filters[0].transmittance == 0.9
@@ -105,14 +105,14 @@ def test_an_impossible_filter_wheel_of_the_twin_is_refused(write_rig: Writer, te
 
 def test_the_model_hash_covers_the_twins_filters_and_is_unchanged_without(write_rig: Writer) -> None:
     """Journals from versions without filters can be resumed."""
-    assert read_rig(RIG).model_hash() == read_rig(write_rig(BELIEVED)).model_hash()
-    cut = (THERE, ("cut_on_nm = 610", "cut_on_nm = 600"))
-    several = [(), (THERE,), (second_order(0.1),), (THERE, second_order(0.1)), cut]
+    assert read_rig(RIG).model_hash() == read_rig(write_rig(RIG_FILTERS)).model_hash()
+    cut = (TWIN_FILTERS, ("cut_on_nm = 610", "cut_on_nm = 600"))
+    several = [(), (TWIN_FILTERS,), (second_order(0.1),), (TWIN_FILTERS, second_order(0.1)), cut]
     assert len({read_rig(write_rig(*changes)).model_hash() for changes in several}) == len(several)
 
 
 def test_the_described_twin_has_the_filters_of_the_real_rigs_file() -> None:
-    text = changed(RIG.read_text(encoding="utf-8"), (BELIEVED, ("baudrate = 9600", "baudrate = 19200")))
+    text = changed(RIG.read_text(encoding="utf-8"), (RIG_FILTERS, ("baudrate = 9600", "baudrate = 19200")))
     text = text.partition("# ---- what the virtual rig is")[0].replace("[simulated]\nseed = 1\n", "")
     for name in ("axes", "mono"):
         text = text.replace(f"twin://virtual/{name}", f"/dev/{name}")
@@ -127,7 +127,7 @@ def test_the_described_twin_has_the_filters_of_the_real_rigs_file() -> None:
 
 
 def test_a_served_rigs_file_keeps_the_operators_filters() -> None:
-    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (BELIEVED, THERE)), RIG.parent, "x")
+    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (RIG_FILTERS, TWIN_FILTERS)), RIG.parent, "x")
     ends = [Endpoint(f"adc-{k}", "adam-6017", host="127.0.0.1", port=5020 + k) for k in range(5)]
     ends += [Endpoint(name, name, path=f"/dev/pts/{name}") for name in ("axes", "mono", "monitor")]
     text = served_rig(rig, ends, 1.0)

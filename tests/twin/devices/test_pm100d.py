@@ -4,7 +4,7 @@ import pytest
 import usb.core
 import usbtmc
 
-from goniotwin.mocks.usb_endpoints import installed
+from goniotwin.mocks.usb_endpoints import install_backend
 from goniotwin.protocols.clock import RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import MsgId, message, request_in
 from goniotwin.twin import VirtualRig
@@ -31,7 +31,7 @@ def ask(instrument: Pm100d, program: bytes, t: float = 10.0) -> bytes:
     return answer.rstrip(b"\n")
 
 
-def test_it_says_who_it_is_and_that_it_is_a_twin(instrument: Pm100d) -> None:
+def test_the_identification_names_the_model_and_the_twin(instrument: Pm100d) -> None:
     assert ask(instrument, b"*IDN?\n") == b"Thorlabs,PM100D,TWIN0001,2.8.0"
 
 
@@ -68,7 +68,7 @@ def test_errors_queue_up_and_are_read_once(instrument: Pm100d, program: bytes, c
     assert ask(instrument, b"SYST:ERR?\n") == b'+0,"No error"'
 
 
-def test_a_full_error_queue_says_so(instrument: Pm100d) -> None:
+def test_a_full_error_queue_reports_overflow(instrument: Pm100d) -> None:
     for _ in range(20):
         instrument.execute(b"NONSENSE\n", 10.0)
     errors = [ask(instrument, b"SYST:ERR?\n") for _ in range(11)]
@@ -127,7 +127,7 @@ def test_python_usbtmc_unmodified_talks_to_the_twin(opened: RigOpener) -> None:
     """An independent client, found through pyusb as if the instrument were on the bus."""
     rig = opened(clock=RealClock(speed=100.0)).virtual
     assert rig is not None
-    with installed(TwinUsbBackend(rig)):
+    with install_backend(TwinUsbBackend(rig)):
         client = usbtmc.Instrument("USB::0x1313::0x8078::TWIN0001::INSTR")
         assert client.ask("*IDN?") == "Thorlabs,PM100D,TWIN0001,2.8.0"
         client.write("SENSE:AVERAGE:COUNT 10")

@@ -1,11 +1,11 @@
-"""The journal's own code on a SQLite of which every write, sync and removal is known.
+"""SQLite with a record of every write, sync and removal, for the code of the journal.
 
-The connection is apsw's, whose VFS may be written in Python; to the journal it looks like one of the standard library's, with
-the same statements, pragmas and transactions. Two things differ, neither of which changes what is written and synced, and
-when: the library is apsw's own SQLite, and the lock is exclusive, since a VFS in Python has no shared memory.
+The connection is apsw's, because its VFS can be written in Python; for the journal it acts as a connection of the standard
+library, with the same statements, pragmas and transactions. Two things differ, and neither changes what is written and synced,
+and when: the library is apsw's own SQLite, and the lock is exclusive, because a VFS in Python has no shared memory.
 
-As the VFS of SQLite for Unix does it, the folder is synced with the first sync of each journal and each -wal file that is
-opened (os_unix.c, UNIXFILE_DIRSYNC), and with a removal that asks for it.
+As in SQLite's VFS for Unix, the folder is synced with the first sync of each journal and each -wal file that is opened
+(os_unix.c, UNIXFILE_DIRSYNC), and with a removal that requests it.
 """
 
 import itertools
@@ -16,79 +16,79 @@ from typing import Any
 
 import apsw
 
-from tests.app.campaign.journal.simulated_disk import Doing, FolderSynced, Named, Renamed, Resized, Synced, Written
+from tests.app.campaign.journal.simulated_disk import FolderSynced, Named, Operation, Renamed, Resized, Synced, Written
 
 CHANGING = ("INSERT", "UPDATE", "DELETE", "REPLACE")
 DIRECTORY_SYNCED = apsw.SQLITE_OPEN_WAL | apsw.SQLITE_OPEN_MAIN_JOURNAL
 _vfs_numbers = itertools.count()
 
 
-class WatchedDisk(apsw.VFS):
-    """Does everything on the real disk too, and writes down what."""
+class RecordingVfs(apsw.VFS):
+    """VFS that does everything on the real disk and records it in `operations`."""
 
     def __init__(self) -> None:
-        self.name = f"watched-{next(_vfs_numbers)}"
-        self.doings: list[Doing] = []
+        self.name = f"recorded-{next(_vfs_numbers)}"
+        self.operations: list[Operation] = []
         self._files: dict[str, int] = {}
         self._numbers = itertools.count()
         super().__init__(self.name, base="")
 
-    def xOpen(self, name: Any, flags: list[int]) -> "WatchedFile":
+    def xOpen(self, name: Any, flags: list[int]) -> "RecordingFile":
         path = name.filename() if isinstance(name, apsw.URIFilename) else name
-        there = Path(path).exists()
-        opened = WatchedFile(self, name, flags)
-        if not there:
+        existed = Path(path).exists()
+        opened = RecordingFile(self, name, flags)
+        if not existed:
             self._files[path] = next(self._numbers)
-            self.doings.append(Named(Path(path).name, self._files[path]))
+            self.operations.append(Named(Path(path).name, self._files[path]))
         opened.number = self._files[path]
         opened.syncs_folder = bool(flags[0] & DIRECTORY_SYNCED)
         return opened
 
     def xDelete(self, filename: str, syncdir: bool) -> None:
         super().xDelete(filename, syncdir)
-        self.removed(Path(filename))
+        self.record_removal(Path(filename))
         if syncdir:
-            self.doings.append(FolderSynced())
+            self.operations.append(FolderSynced())
 
-    def removed(self, path: Path) -> None:
-        """A name is gone."""
+    def record_removal(self, path: Path) -> None:
+        """Record the removal of a name."""
         if self._files.pop(str(path), None) is not None:
-            self.doings.append(Named(path.name, None))
+            self.operations.append(Named(path.name, None))
 
-    def renamed(self, path: Path, to: Path) -> None:
-        """A name is another."""
+    def record_rename(self, path: Path, to: Path) -> None:
+        """Record the change of a name."""
         self._files[str(to)] = self._files.pop(str(path))
-        self.doings.append(Renamed(path.name, to.name))
+        self.operations.append(Renamed(path.name, to.name))
 
 
-class WatchedFile(apsw.VFSFile):
-    """One that is open."""
+class RecordingFile(apsw.VFSFile):
+    """An open file of a RecordingVfs."""
 
     number = -1
     syncs_folder = False
 
-    def __init__(self, disk: WatchedDisk, name: Any, flags: list[int]) -> None:
+    def __init__(self, disk: RecordingVfs, name: Any, flags: list[int]) -> None:
         self._disk = disk
         super().__init__("", name, flags)
 
     def xWrite(self, data: bytes, offset: int) -> None:
         super().xWrite(data, offset)
-        self._disk.doings.append(Written(self.number, offset, bytes(data)))
+        self._disk.operations.append(Written(self.number, offset, bytes(data)))
 
     def xTruncate(self, newsize: int) -> None:
         super().xTruncate(newsize)
-        self._disk.doings.append(Resized(self.number, newsize))
+        self._disk.operations.append(Resized(self.number, newsize))
 
     def xSync(self, flags: int) -> None:
         super().xSync(flags)
-        self._disk.doings.append(Synced(self.number))
+        self._disk.operations.append(Synced(self.number))
         if self.syncs_folder:
             self.syncs_folder = False
-            self._disk.doings.append(FolderSynced())
+            self._disk.operations.append(FolderSynced())
 
 
-class Found:
-    """What a statement has found, as the standard library's cursor says it."""
+class Cursor:
+    """Result of a statement, with the interface of the standard library's cursor."""
 
     def __init__(self, rows: Iterable[tuple[Any, ...]], lastrowid: int) -> None:
         self._rows = iter(rows)
@@ -105,21 +105,21 @@ class Found:
 
 
 class Connection:
-    """As `sqlite3.Connection`: a transaction begins with the first statement that changes something, and ends with `with`."""
+    """As `sqlite3.Connection`: a transaction starts with the first statement that changes data, and ends with `with`."""
 
-    def __init__(self, disk: WatchedDisk, path: Path, translate: Callable[[str], str], checkpoint_pages: int) -> None:
+    def __init__(self, disk: RecordingVfs, path: Path, translate: Callable[[str], str], checkpoint_pages: int) -> None:
         self._translate = translate
         self._db = apsw.Connection(str(path), vfs=disk.name)
         self._db.execute("PRAGMA locking_mode = EXCLUSIVE")
         self._db.execute(f"PRAGMA wal_autocheckpoint = {checkpoint_pages}")
 
-    def execute(self, statement: str, bindings: Iterable[Any] = ()) -> Found:
-        self._begin_where_needed(statement)
+    def execute(self, statement: str, bindings: Iterable[Any] = ()) -> Cursor:
+        self._begin_if_needed(statement)
         rows = self._db.execute(self._translate(statement), tuple(bindings)).fetchall()
-        return Found(rows, self._db.last_insert_rowid())
+        return Cursor(rows, self._db.last_insert_rowid())
 
     def executemany(self, statement: str, bindings: Iterable[Iterable[Any]]) -> None:
-        self._begin_where_needed(statement)
+        self._begin_if_needed(statement)
         self._db.executemany(statement, [tuple(each) for each in bindings])
 
     def close(self) -> None:
@@ -132,6 +132,6 @@ class Connection:
         if self._db.in_transaction:
             self._db.execute("COMMIT" if kind is None else "ROLLBACK")
 
-    def _begin_where_needed(self, statement: str) -> None:
+    def _begin_if_needed(self, statement: str) -> None:
         if statement.lstrip().upper().startswith(CHANGING) and not self._db.in_transaction:
             self._db.execute("BEGIN")

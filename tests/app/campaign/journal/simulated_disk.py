@@ -1,12 +1,12 @@
-"""A disk whose power may go: what was done to its files, in order, and what is on it if it ends there.
+"""A simulated disk with power loss: the recorded operations on its files, and the files that remain after a power loss.
 
-Assumed of the disk and its file system, no more:
-- what was written to a file, and its length, are there for certain once the file has been synced; until then any of it may be
-  there or not, in pieces of 512 bytes, each on its own and in any order;
-- powersafe overwrite, as SQLite assumes it (and the drives of this century have it): bytes beside those being written stay
-  as they were, so that of a piece that is written in part nothing but that part changes;
-- what was created, renamed and removed in a folder is there for certain once the folder has been synced; until then the
-  first so many of these are there and the rest is not.
+Assumptions about the disk and its file system:
+- what was written to a file, and its length, are certain once the file was synced; until then any of it may be on the disk or
+  not, in blocks of 512 bytes, independently and in any order;
+- powersafe overwrite, as SQLite assumes it (and the drives of this century have it): bytes beside those being written keep
+  their values, so that a block that is written in part changes in that part only;
+- creating, renaming and removing a file is certain once the folder was synced; until then the first of these operations, any
+  number of them, are done and the rest are not.
 """
 
 import itertools
@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-PIECE = 512
+BLOCK = 512
 
 
 @dataclass(frozen=True)
 class Written:
-    """Bytes into a file."""
+    """Bytes written to a file."""
 
     file: int
     offset: int
@@ -29,7 +29,7 @@ class Written:
 
 @dataclass(frozen=True)
 class Resized:
-    """A file to a length."""
+    """A file set to a length."""
 
     file: int
     size: int
@@ -37,14 +37,14 @@ class Resized:
 
 @dataclass(frozen=True)
 class Synced:
-    """A file: all that was done to it before."""
+    """A file synced: all earlier operations on it are certain."""
 
     file: int
 
 
 @dataclass(frozen=True)
 class Named:
-    """A file in the folder; None takes the name away."""
+    """A name given to a file in the folder; None removes the name."""
 
     name: str
     file: int | None
@@ -52,7 +52,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Renamed:
-    """A file in the folder, at once."""
+    """A file in the folder renamed, atomically."""
 
     name: str
     to: str
@@ -60,75 +60,75 @@ class Renamed:
 
 @dataclass(frozen=True)
 class FolderSynced:
-    """All names."""
+    """The folder synced: all names are certain."""
 
 
 @dataclass(frozen=True)
-class Told:
-    """No doing of the disk: a row was said to be on it."""
+class Acknowledged:
+    """Not an operation of the disk: a row was reported as committed."""
 
     number: int
     digest: str
 
 
 Change = Written | Resized
-Naming = Named | Renamed
-Doing = Change | Synced | Naming | FolderSynced | Told
+NameChange = Named | Renamed
+Operation = Change | Synced | NameChange | FolderSynced | Acknowledged
 
 
 @dataclass
 class _File:
-    """What is on the disk for certain, and what was done since."""
+    """Certain content of a file, and the changes that are not synced."""
 
     certain: bytearray = field(default_factory=bytearray)
-    since: list[Change] = field(default_factory=list)
+    pending: list[Change] = field(default_factory=list)
 
 
-def after_the_power_came_back(doings: Iterable[Doing], lots: np.random.Generator | None) -> dict[str, bytes]:
-    """The files by their names where the power went after these doings.
+def files_after_power_loss(operations: Iterable[Operation], rng: np.random.Generator | None) -> dict[str, bytes]:
+    """The files by name, where the power is lost after these operations.
 
-    Without lots nothing is there but what is for certain; with them a part of the rest, from none of it to all.
+    Without `rng` only the certain content remains; with it also a random part of the rest, from none to all.
     """
     files: dict[int, _File] = {}
     names: dict[str, int] = {}
-    naming: list[Naming] = []
-    for each in doings:
+    name_changes: list[NameChange] = []
+    for each in operations:
         if isinstance(each, Written | Resized):
-            files.setdefault(each.file, _File()).since.append(each)
+            files.setdefault(each.file, _File()).pending.append(each)
         elif isinstance(each, Synced):
             file = files.setdefault(each.file, _File())
-            for change in file.since:
-                _carry_out(file.certain, change)
-            file.since.clear()
+            for change in file.pending:
+                _apply(file.certain, change)
+            file.pending.clear()
         elif isinstance(each, Named | Renamed):
-            naming.append(each)
+            name_changes.append(each)
         elif isinstance(each, FolderSynced):
-            _rename(names, naming)
-            naming.clear()
-    share = 0.0 if lots is None else float(lots.choice([0.0, 0.1, 0.5, 0.9, 1.0]))
-    if lots is not None:
-        _rename(names, naming[: int(lots.integers(len(naming) + 1))])
+            _apply_names(names, name_changes)
+            name_changes.clear()
+    share = 0.0 if rng is None else float(rng.choice([0.0, 0.1, 0.5, 0.9, 1.0]))
+    if rng is not None:
+        _apply_names(names, name_changes[: int(rng.integers(len(name_changes) + 1))])
         for file in files.values():
-            for change in _torn(file.since, share, lots):
-                _carry_out(file.certain, change)
+            for change in _torn(file.pending, share, rng):
+                _apply(file.certain, change)
     return {name: bytes(files.get(number, _File()).certain) for name, number in names.items()}
 
 
-def _torn(changes: Iterable[Change], share: float, lots: np.random.Generator) -> Iterator[Change]:
-    """A share of them by lot, each piece on its own."""
+def _torn(changes: Iterable[Change], share: float, rng: np.random.Generator) -> Iterator[Change]:
+    """A random share of the changes, block by block."""
     for change in changes:
         if isinstance(change, Resized):
-            if lots.random() < share:
+            if rng.random() < share:
                 yield change
             continue
         begin, end = change.offset, change.offset + len(change.data)
-        cuts = [begin, *range(begin // PIECE * PIECE + PIECE, end, PIECE), end]
+        cuts = [begin, *range(begin // BLOCK * BLOCK + BLOCK, end, BLOCK), end]
         for first, last in itertools.pairwise(cuts):
-            if lots.random() < share:
+            if rng.random() < share:
                 yield Written(change.file, first, change.data[first - begin : last - begin])
 
 
-def _carry_out(content: bytearray, change: Change) -> None:
+def _apply(content: bytearray, change: Change) -> None:
     if isinstance(change, Resized):
         del content[change.size :]
         content.extend(bytes(change.size - len(content)))
@@ -137,8 +137,8 @@ def _carry_out(content: bytearray, change: Change) -> None:
         content[change.offset : change.offset + len(change.data)] = change.data
 
 
-def _rename(names: dict[str, int], naming: Iterable[Naming]) -> None:
-    for each in naming:
+def _apply_names(names: dict[str, int], name_changes: Iterable[NameChange]) -> None:
+    for each in name_changes:
         if isinstance(each, Renamed):
             names[each.to] = names.pop(each.name)
         elif each.file is None:

@@ -1,4 +1,4 @@
-"""The journal: what it refuses, what it says of itself, what damage to it looks like."""
+"""The journal: refusals, its entries about the campaign, and damaged files."""
 
 import sqlite3
 from pathlib import Path
@@ -12,7 +12,7 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.errors import UserError
 
 
-def test_no_journal_is_overwritten(plan: Plan, tmp_path: Path) -> None:
+def test_a_journal_is_not_overwritten(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     path.write_bytes(b"precious")
     with pytest.raises(UserError, match="exists already"):
@@ -21,14 +21,14 @@ def test_no_journal_is_overwritten(plan: Plan, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"not a database at all", b"SQLite format 3\0"])
-def test_a_file_that_is_no_journal_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_journal_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.journal"
     path.write_bytes(content)
     with pytest.raises(UserError, match=r"a\.journal"):
         Journal.open(path)
 
 
-def test_a_journal_says_what_it_is(plan: Plan, tmp_path: Path) -> None:
+def test_a_journal_has_schedule_rig_and_model(plan: Plan, tmp_path: Path) -> None:
     run_campaign(plan, tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as journal:
         assert journal.simulated
@@ -39,7 +39,7 @@ def test_a_journal_says_what_it_is(plan: Plan, tmp_path: Path) -> None:
             journal.value("nonsense")
 
 
-def test_a_journal_that_cannot_be_made_leaves_nothing(plan: Plan, tmp_path: Path) -> None:
+def test_a_journal_that_cannot_be_created_leaves_no_file(plan: Plan, tmp_path: Path) -> None:
     twice = Plan(plan.schedule, plan.rig, (plan.rows[0], plan.rows[0]))
     with pytest.raises(UserError, match="cannot be written"):
         Journal.create(tmp_path / "a.journal", twice, {})
@@ -58,7 +58,7 @@ DAMAGES = [
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_journal_is_one_line(plan: Plan, tmp_path: Path, damage: str) -> None:
+def test_a_damaged_journal_gives_one_line(plan: Plan, tmp_path: Path, damage: str) -> None:
     path = tmp_path / "a.journal"
     run_campaign(plan, path)
     database = sqlite3.connect(path)

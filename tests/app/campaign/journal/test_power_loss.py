@@ -1,4 +1,4 @@
-"""The power goes at any moment of a campaign: what was told to be on the disk is there when it comes back."""
+"""Power loss at any moment of a campaign: each row that was reported as committed is on the disk afterwards."""
 
 import sqlite3
 from collections.abc import Callable
@@ -18,17 +18,17 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_values
-from tests.app.campaign.journal.recorded_sqlite import Connection, WatchedDisk
-from tests.app.campaign.journal.simulated_disk import Doing, Told, after_the_power_came_back
+from tests.app.campaign.journal.recorded_sqlite import Connection, RecordingVfs
+from tests.app.campaign.journal.simulated_disk import Acknowledged, Operation, files_after_power_loss
 from tests.conftest import Writer
 from tests.system.command_process import row_digest
 
 NAME = "a.journal"
 FEW_PAGES, USUAL_PAGES = 12, 1000
-"""In the -wal file before they go into the journal: so few that it happens every third row, and SQLite's own number."""
-GONE_ON_WITH = 5
-"""Each fifth of the journals is gone on with, which takes a while."""
-Watch = Callable[..., list[Doing]]
+"""Pages in the -wal file before a checkpoint: so few that one occurs every third row, and SQLite's default."""
+RESUMED_EVERY = 5
+"""Every fifth journal is resumed; that takes a while."""
+Record = Callable[..., list[Operation]]
 
 
 @pytest.fixture
@@ -36,74 +36,74 @@ def steady(write_rig: Writer, write_schedule: Writer) -> Plan:
     return make_plan(read_schedule(write_schedule(THREE_SHIFTS)), read_rig(write_rig(*QUIET)))
 
 
-def as_it_is(statement: str) -> str:
-    """The statement."""
+def unchanged(statement: str) -> str:
+    """The statement itself."""
     return statement
 
 
 @pytest.fixture
-def watch(steady: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Watch:
-    """Begins a campaign, stops it in the middle, goes on with it; returns all that was done to the disk."""
+def record(steady: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
+    """Start a campaign, stop it in the middle, resume it; return all operations on the disk."""
 
-    def watched(pages: int, translate: Callable[[str], str] = as_it_is) -> list[Doing]:
-        disk = WatchedDisk()
+    def record_campaign(pages: int, translate: Callable[[str], str] = unchanged) -> list[Operation]:
+        disk = RecordingVfs()
         connect, rename, unlink = sqlite3.connect, Path.rename, Path.unlink
 
-        def connected(database: Any, **options: Any) -> Any:
-            only_read = "uri" in options
-            return connect(database, **options) if only_read else Connection(disk, database, translate, pages)
+        def connect_recorded(database: Any, **options: Any) -> Any:
+            read_only = "uri" in options
+            return connect(database, **options) if read_only else Connection(disk, database, translate, pages)
 
-        def renamed(path: Path, to: Path) -> Path:
-            moved = rename(path, to)
-            disk.renamed(path, to)
-            return moved
+        def rename_recorded(path: Path, to: Path) -> Path:
+            target = rename(path, to)
+            disk.record_rename(path, to)
+            return target
 
-        def unlinked(path: Path, missing_ok: bool = False) -> None:
+        def unlink_recorded(path: Path, missing_ok: bool = False) -> None:
             unlink(path, missing_ok)
-            disk.removed(path)
+            disk.record_removal(path)
 
-        def told(stop_after: int, event: Event) -> None:
+        def acknowledge(stop_after: int, event: Event) -> None:
             if isinstance(event, RowCommitted):
-                disk.doings.append(Told(event.row.number, row_digest(event.data)))
+                disk.operations.append(Acknowledged(event.row.number, row_digest(event.data)))
                 if event.done == stop_after:
                     raise KeyboardInterrupt
 
         path = tmp_path / f"{disk.name}.journal"
         with monkeypatch.context() as patch:
-            patch.setattr(sqlite3, "connect", connected)
-            patch.setattr(Path, "rename", renamed)
-            patch.setattr(Path, "unlink", unlinked)
-            assert run_campaign(steady, path, listeners=[partial(told, 6)]).state is State.IDLE
-            assert resume_campaign(path, listeners=[partial(told, 0)]).state is State.DONE
-        return disk.doings
+            patch.setattr(sqlite3, "connect", connect_recorded)
+            patch.setattr(Path, "rename", rename_recorded)
+            patch.setattr(Path, "unlink", unlink_recorded)
+            assert run_campaign(steady, path, listeners=[partial(acknowledge, 6)]).state is State.IDLE
+            assert resume_campaign(path, listeners=[partial(acknowledge, 0)]).state is State.DONE
+        return disk.operations
 
-    return watched
+    return record_campaign
 
 
-def the_disk_after(doings: list[Doing], lots: np.random.Generator | None, folder: Path) -> Path:
-    """In a folder of its own; the journal, if there is one."""
+def write_files_after_power_loss(operations: list[Operation], rng: np.random.Generator | None, folder: Path) -> Path:
+    """Write the files that remain after a power loss to a new folder; return the path of the journal, which may not exist."""
     folder.mkdir()
-    for name, content in after_the_power_came_back(doings, lots).items():
+    for name, content in files_after_power_loss(operations, rng).items():
         (folder / name).write_bytes(content)
     found = [path for path in folder.glob("*.journal") if not path.name.startswith(".")]
     return found[0] if found else folder / "none"
 
 
-def told_by(doings: list[Doing]) -> dict[int, str]:
-    """The rows that were said to be on the disk."""
-    return {each.number: each.digest for each in doings if isinstance(each, Told)}
+def acknowledged_rows(operations: list[Operation]) -> dict[int, str]:
+    """The rows that were reported as committed, with the digests of their data."""
+    return {each.number: each.digest for each in operations if isinstance(each, Acknowledged)}
 
 
-def there(path: Path) -> dict[int, str]:
-    """The rows that are."""
+def rows_of(path: Path) -> dict[int, str]:
+    """The rows of a journal, with the digests of their data."""
     if not path.exists():
         return {}
     with Journal.open(path) as journal:
         return {each.row.number: row_digest(each.data) for each in journal.rows()}
 
 
-def check_whole(path: Path, plan: Plan) -> None:
-    """The journal is one, and says rightly what is left of the plan."""
+def check_journal(path: Path, plan: Plan) -> None:
+    """Check the integrity of a journal, and that its remaining work is the rest of the plan."""
     with Journal.open(path) as journal:
         done = journal.committed_numbers()
         left = [row for row in plan.rows if row.number not in done]
@@ -121,41 +121,42 @@ def check_whole(path: Path, plan: Plan) -> None:
 
 @pytest.mark.parametrize("pages", [FEW_PAGES, USUAL_PAGES])
 @pytest.mark.parametrize("cuts", [pytest.param(20, id="20"), pytest.param(100, id="100", marks=pytest.mark.long)])
-def test_when_the_power_goes_nothing_that_was_told_is_lost(
-    watch: Watch, steady: Plan, tmp_path: Path, pages: int, cuts: int
-) -> None:
-    """From the first doing to the last, one moment by lot of each stretch; every other time a part of what was not synced is
-    there, torn in pieces."""
+def test_a_power_loss_loses_no_acknowledged_row(record: Record, steady: Plan, tmp_path: Path, pages: int, cuts: int) -> None:
+    """One random moment in each of `cuts` intervals, from the first operation to the last.
+
+    Every other time a random part of the operations that were not synced is on the disk, block by block.
+    """
     run_campaign(steady, tmp_path / "undisturbed.journal")
-    doings = watch(pages)
-    (journal,) = tmp_path.glob("watched-*.journal")
-    assert the_disk_after(doings, None, tmp_path / "end").read_bytes() == journal.read_bytes()  # nothing escapes the watch
-    lots = np.random.default_rng(cuts)
-    gone_on_with = 0
-    for k, part in enumerate(lots.uniform(size=cuts)):
-        before = doings[: round((k + part) / cuts * len(doings))]
-        path = the_disk_after(before, lots if k % 2 else None, tmp_path / f"{k}")
-        assert told_by(before).items() <= there(path).items()
+    operations = record(pages)
+    (journal,) = tmp_path.glob("recorded-*.journal")
+    complete = write_files_after_power_loss(operations, None, tmp_path / "end")
+    assert complete.read_bytes() == journal.read_bytes()  # no operation is missing in the record
+    rng = np.random.default_rng(cuts)
+    resumed = 0
+    for k, part in enumerate(rng.uniform(size=cuts)):
+        before = operations[: round((k + part) / cuts * len(operations))]
+        path = write_files_after_power_loss(before, rng if k % 2 else None, tmp_path / f"{k}")
+        assert acknowledged_rows(before).items() <= rows_of(path).items()
         if not path.exists():
             continue
-        check_whole(path, steady)
-        if k % GONE_ON_WITH == 0 and len(there(path)) < len(steady.rows):
+        check_journal(path, steady)
+        if k % RESUMED_EVERY == 0 and len(rows_of(path)) < len(steady.rows):
             assert resume_campaign(path).state is State.DONE
             assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
-            gone_on_with += 1
-    assert gone_on_with > cuts // 10
+            resumed += 1
+    assert resumed > cuts // 10
 
 
 @pytest.mark.parametrize("lazy", ["NORMAL", "OFF"])
-def test_a_journal_that_waits_for_the_disk_less_often_would_lose_rows(watch: Watch, tmp_path: Path, lazy: str) -> None:
-    """So the test above can fail, and `synchronous = FULL` is needed."""
-    doings = watch(USUAL_PAGES, lambda statement: statement.replace("synchronous = FULL", f"synchronous = {lazy}"))
-    lots = np.random.default_rng(1)
+def test_a_journal_with_fewer_syncs_loses_rows(record: Record, tmp_path: Path, lazy: str) -> None:
+    """The test above can fail, and `synchronous = FULL` is necessary."""
+    operations = record(USUAL_PAGES, lambda statement: statement.replace("synchronous = FULL", f"synchronous = {lazy}"))
+    rng = np.random.default_rng(1)
     lost = 0
-    for k, end in enumerate(lots.integers(len(doings), size=40)):
+    for k, end in enumerate(rng.integers(len(operations), size=40)):
         try:
-            found = there(the_disk_after(doings[:end], None, tmp_path / f"{k}"))
+            found = rows_of(write_files_after_power_loss(operations[:end], None, tmp_path / f"{k}"))
         except UserError:  # damaged
             found = {}
-        lost += not told_by(doings[:end]).items() <= found.items()
+        lost += not acknowledged_rows(operations[:end]).items() <= found.items()
     assert lost > 10

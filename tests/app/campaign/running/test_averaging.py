@@ -1,4 +1,4 @@
-"""Averaging until a relative uncertainty is reached, or the time is up; and the wait for a warm lamp."""
+"""Averaging to a target uncertainty or a time limit, and the warm-up of the lamp."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,14 +20,14 @@ from tests.conftest import Writer
 ONE_GAIN = ("[1e8, 1e10]", "[1e11]")
 
 
-def test_few_readings_that_look_like_much_light_are_not_believed_at_once() -> None:
-    """Hundreds would do if what four readings say were so; but no more than four times as many are asked for."""
+def test_few_readings_request_at_most_four_times_their_number() -> None:
+    """Four readings estimate that hundreds are needed; at most four times their number are requested."""
     counts = np.array([[1016], [1024], [1020], [1020]], dtype=np.uint16)
-    dark, wanted = np.array([1000.0]), np.array([True])
+    dark, selected = np.array([1000.0]), np.array([True])
     whole = counts.var(axis=0, ddof=1)[0] / (0.01 * 20.0) ** 2
     assert 200 < whole < 300
-    assert readings_needed(counts, dark, wanted, 0.01, 1000) == 4 * len(counts)
-    assert readings_needed(np.repeat(counts, 20, axis=0), dark, wanted, 0.01, 1000) == pytest.approx(whole, rel=0.3)
+    assert readings_needed(counts, dark, selected, 0.01, 1000) == 4 * len(counts)
+    assert readings_needed(np.repeat(counts, 20, axis=0), dark, selected, 0.01, 1000) == pytest.approx(whole, rel=0.3)
 
 
 def averaged(target: float, longest_s: float) -> Callable[[Row], Row]:
@@ -38,14 +38,14 @@ def averaged(target: float, longest_s: float) -> Callable[[Row], Row]:
 
 
 def dim_plan(write_rig: Writer, write_schedule: Writer, target: float, longest_s: float, radiance: float = 20.0) -> Plan:
-    """A hundredth of the light, so that noise matters."""
+    """Plan with one hundredth of the light, so that noise dominates."""
     rig = write_rig(("[twin.light]", f"[twin.light]\nradiance = {radiance}"))
     plan = make_plan(read_schedule(write_schedule(ONE_GAIN)), read_rig(rig))
     return change_rows(plan, averaged(target, longest_s))
 
 
 def uncertainties(run: RunResult, plan: Plan) -> list[np.ndarray]:
-    """Relative, of the etalon's upper photodiodes in each row, by their scatter."""
+    """Relative uncertainties of the etalon's upper photodiodes in each row, from their scatter."""
     dark = run.of("dark")[0].data.readings[0].counts.mean(axis=0)[:17]
     found = []
     for each in run.of("measure", "etalon"):
@@ -54,9 +54,7 @@ def uncertainties(run: RunResult, plan: Plan) -> list[np.ndarray]:
     return found
 
 
-def test_a_row_is_averaged_until_its_photodiodes_are_known_well_enough(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
-) -> None:
+def test_a_row_is_averaged_to_its_target_uncertainty(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.01, 20.0)
     run = run_plan(plan, tmp_path / "a.journal")
     settings = photodiode_settings(plan.rig.file)
@@ -66,7 +64,7 @@ def test_a_row_is_averaged_until_its_photodiodes_are_known_well_enough(
         assert (found <= 0.0101).sum() >= 16
 
 
-def test_the_time_ends_it_where_the_uncertainty_does_not(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_the_time_limit_ends_the_averaging(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.005, 2.0)
     settings = photodiode_settings(plan.rig.file)
     for each in run_plan(plan, tmp_path / "a.journal").of("measure"):
@@ -82,23 +80,25 @@ def test_bright_photodiodes_take_the_fewest_readings(write_rig: Writer, write_sc
     ]
 
 
-def test_a_clipped_photodiode_and_a_dark_one_keep_nobody_waiting() -> None:
+def test_saturated_photodiodes_and_those_without_light_need_no_further_readings() -> None:
     rng = np.random.default_rng(1)
     counts = np.round(rng.normal([40_000.0, 33_000.0, 65_600.0], [10.0, 10.0, 0.0], (8, 3))).clip(0, 65_535).astype(np.uint16)
     dark = np.full(3, 33_000.0)
-    wanted = ~saturation(counts)
-    assert readings_needed(counts, dark, wanted, 0.01, 1000) == 8
-    assert 8 < readings_needed(counts, dark, wanted, 0.0002, 1000) <= 1000
+    selected = ~saturation(counts)
+    assert readings_needed(counts, dark, selected, 0.01, 1000) == 8
+    assert 8 < readings_needed(counts, dark, selected, 0.0002, 1000) <= 1000
 
 
-def test_a_joined_reading_has_the_middle_of_its_lots(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_a_merged_reading_has_the_mean_time_of_both(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     run = run_plan(dim_plan(write_rig, write_schedule, 0.01, 20.0), tmp_path / "a.journal")
     for each in run.of("measure", "etalon"):
         reading = each.data.readings[0]
         assert each.data.started_s < reading.first_s < middle_s(reading) < each.data.ended_s - reading.period_s
 
 
-def test_a_resumed_campaign_averages_alike(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_a_resumed_campaign_takes_the_same_number_of_readings(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
     rig = write_rig(*QUIET)
     plan = make_plan(read_schedule(write_schedule(ONE_GAIN)), read_rig(rig))
     plan = change_rows(plan, averaged(1e-3, 3.0))
@@ -108,10 +108,10 @@ def test_a_resumed_campaign_averages_alike(write_rig: Writer, write_schedule: Wr
     assert planned_values(tmp_path / "a.journal") == planned_values(tmp_path / "whole.journal")
 
 
-# ---- a warm lamp ----
+# ---- warm-up of the lamp ----
 
 
-def warmed(plan: Plan, target: float, longest_s: float) -> Plan:
+def add_warm_up(plan: Plan, target: float, longest_s: float) -> Plan:
     def change(row: Row) -> Row | list[Row]:
         if row.number:
             return row
@@ -120,35 +120,35 @@ def warmed(plan: Plan, target: float, longest_s: float) -> Plan:
     return change_rows(plan, change)
 
 
-def test_a_lamp_that_drifts_is_waited_for(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    """3 % in ten minutes at first; after five minutes it is steady."""
+def test_the_warm_up_lasts_until_the_lamp_is_steady(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    """The lamp drifts by 3 % in ten minutes; after five minutes it is steady."""
     plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(QUIET[0], ("= 0.02", "= 0.18"))))
 
-    def settles(opened: OpenRig) -> None:
+    def stop_drift(opened: OpenRig) -> None:
         assert opened.virtual is not None
         plant = opened.virtual.plant
         opened.rig.clock.at(300.0, lambda: plant.set_lamp(300.0, drift_per_hour=0.0))
 
-    run = run_plan(warmed(plan, 0.002, 3600.0), tmp_path / "a.journal", settles)
+    run = run_plan(add_warm_up(plan, 0.002, 3600.0), tmp_path / "a.journal", stop_drift)
     (row,) = run.of("warm-up")
     assert row.data.flags == ()
-    # Ten minutes after it has settled the line through the last ten minutes is level; a little earlier it is nearly so.
+    # Ten minutes after the end of the drift the fitted line over the last ten minutes is level; slightly earlier it nearly is.
     assert 600.0 < row.data.ended_s - row.data.started_s < 920.0
-    told = [text for kind, text in run.events if kind == "warm-up"]
-    assert len(told) >= 10
-    assert "+2.995 %" in told[0]
-    assert "% in 10 min" in told[0]
+    texts = [text for kind, text in run.events if kind == "warm-up"]
+    assert len(texts) >= 10
+    assert "+2.995 %" in texts[0]
+    assert "% in 10 min" in texts[0]
 
 
-def test_a_lamp_that_never_settles_is_flagged(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_a_lamp_that_stays_unsteady_is_flagged(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(QUIET[0], ("= 0.02", "= 0.18"))))
-    run = run_plan(warmed(plan, 0.002, 200.0), tmp_path / "a.journal")
+    run = run_plan(add_warm_up(plan, 0.002, 200.0), tmp_path / "a.journal")
     (row,) = run.of("warm-up")
     assert row.data.flags == (NOT_WARM,)
     assert row.data.ended_s - row.data.started_s == pytest.approx(200.0, abs=15.0)
 
 
-def test_noise_alone_does_not_pass_for_a_slope_nor_hide_one() -> None:
+def test_noise_is_not_a_slope_and_does_not_hide_one() -> None:
     rng = np.random.default_rng(2)
     for drift, expected in ((0.0, True), (0.02, False)):
         trace = WarmUpTrace()

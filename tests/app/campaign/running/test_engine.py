@@ -1,4 +1,4 @@
-"""The engine and its journal."""
+"""The engine: rows, pause, stop, faults, and what it writes to the journal."""
 
 import sqlite3
 import threading
@@ -17,7 +17,7 @@ from goniotwin.app.campaign.running.events import Event, Listener, Positions, Ro
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
-from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.protocols.clock import Clock, VirtualClock
 from tests.conftest import Writer
 
 
@@ -65,12 +65,12 @@ def test_a_campaign_commits_every_row_in_order(plan: Plan, tmp_path: Path) -> No
     assert measured[0].data.positions["beta_encoder"] == pytest.approx(180.0, abs=0.01)
 
 
-def test_the_foretold_duration_is_the_journals(plan: Plan, tmp_path: Path) -> None:
+def test_the_estimated_duration_is_that_of_the_journal(plan: Plan, tmp_path: Path) -> None:
     outcome = run_campaign(plan, tmp_path / "a.journal")
     assert outcome.seconds == pytest.approx(plan.seconds, rel=0.01)
 
 
-def test_the_shutter_is_closed_for_darks_and_at_the_end(bench: MakeBench) -> None:
+def test_the_shutter_is_closed_for_dark_readings_and_at_the_end(bench: MakeBench) -> None:
     states: list[tuple[str, bool]] = []
     holder: list[Bench] = []
 
@@ -86,7 +86,7 @@ def test_the_shutter_is_closed_for_darks_and_at_the_end(bench: MakeBench) -> Non
     assert states[-1][0] == "dark"
 
 
-def test_a_listener_that_fails_stops_nothing_and_is_named(bench: MakeBench) -> None:
+def test_a_listener_that_fails_is_named_and_does_not_stop_the_run(bench: MakeBench) -> None:
     def broken(event: Event) -> None:
         if isinstance(event, RowStarted) and event.row.number == 2:
             raise RuntimeError("the plot is broken")
@@ -99,7 +99,7 @@ def test_a_listener_that_fails_stops_nothing_and_is_named(bench: MakeBench) -> N
     database.close()
 
 
-def test_a_stop_in_the_middle_of_a_move_keeps_what_was_committed(bench: MakeBench) -> None:
+def test_a_stop_during_a_move_keeps_the_committed_rows(bench: MakeBench) -> None:
     clock = VirtualClock()
     made: Bench = bench(clock, [])
     clock.at(clock.now() + 10.0, lambda: made.engine.stop())
@@ -113,23 +113,23 @@ def test_a_stop_in_the_middle_of_a_move_keeps_what_was_committed(bench: MakeBenc
     assert [rig.plant.angle_deg(axis, clock.now() + 1000.0) for axis in ("gamma", "sigma", "beta", "shift")] == before
 
 
-def test_a_lost_device_ends_the_run_and_yields_no_row(bench: MakeBench) -> None:
+def test_a_device_that_does_not_respond_ends_the_run_and_gives_no_row(bench: MakeBench) -> None:
     holder: list[Bench] = []
 
-    def pull_the_plug(event: Event) -> None:
+    def disconnect(event: Event) -> None:
         if isinstance(event, RowCommitted) and event.row.number == 3:
             rig = holder[0].opened.virtual
             assert rig is not None
-            rig.modbus["adc-2"].unit = 9  # the module is silent from now on
+            rig.modbus["adc-2"].unit = 9  # the module does not respond from now on
 
-    holder.append(bench(VirtualClock(), [pull_the_plug]))
+    holder.append(bench(VirtualClock(), [disconnect]))
     made = holder[0]
     assert made.engine.run() is State.FAILED
     assert made.journal.row_counts()[0] == 4
     assert "photodiodes module 2" in made.journal.faults()[0]
 
 
-def test_a_slipped_axis_ends_the_run_and_yields_no_row(bench: MakeBench) -> None:
+def test_an_axis_that_slips_ends_the_run_and_gives_no_row(bench: MakeBench) -> None:
     holder: list[Bench] = []
 
     def jam(event: Event) -> None:
@@ -148,47 +148,51 @@ def test_a_slipped_axis_ends_the_run_and_yields_no_row(bench: MakeBench) -> None
     assert all(part in fault for part in ("counter is at 30.000 deg", "encoder", "goniotwin home", "goniotwin here"))
 
 
-def test_a_rig_with_a_lost_axis_is_refused_and_leaves_no_journal(
+def test_a_rig_with_an_unreferenced_axis_is_refused_and_leaves_no_journal(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
     rig = write_rig(("settling_s = 0.2\npower_up_at_reference = true", "settling_s = 0.2"))
-    lost = make_plan(read_schedule(write_schedule()), read_rig(rig))
+    unreferenced = make_plan(read_schedule(write_schedule()), read_rig(rig))
     with pytest.raises(UserError, match=rf"sigma: .*beta: .*goniotwin here --rig {rig} sigma DEG"):
-        run_campaign(lost, tmp_path / "lost.journal")
-    assert not (tmp_path / "lost.journal").exists()
-    result = check_plan(lost)
+        run_campaign(unreferenced, tmp_path / "unreferenced.journal")
+    assert not (tmp_path / "unreferenced.journal").exists()
+    result = check_plan(unreferenced)
     assert result["unreferenced"] == ["sigma", "beta"]
-    assert "sigma, beta: after each power-up" in describe_check(lost, result)
+    assert "sigma, beta: after each power-up" in describe_check(unreferenced, result)
 
 
-def test_a_pause_takes_effect_at_the_next_row_and_repeats_none(bench: MakeBench) -> None:
-    paused = threading.Event()
+def test_a_pause_takes_effect_at_the_next_row_and_repeats_no_row(bench: MakeBench) -> None:
+    """Pause and resume come from other threads than the one that runs the engine."""
     committed: list[int] = []
-    holder: list[Bench] = []
+    found: list[tuple[list[int], bool]] = []
+    others: list[threading.Thread] = []
+
+    def call(action: Callable[[], object]) -> None:
+        others.append(threading.Thread(target=action))
+        others[-1].start()
 
     def listen(event: Event) -> None:
         if isinstance(event, RowCommitted):
             committed.append(event.row.number)
             if event.row.number == 2:
-                holder[0].engine.pause()
+                call(made.engine.pause)
+                others[-1].join()
         elif event == StateChanged(State.PAUSED):
-            paused.set()
+            rig = made.opened.virtual
+            assert rig is not None
+            found.append((list(committed), rig.plant.shutter_open.at(rig.clock.now())))
+            call(made.engine.resume)  # waits for the engine, which still holds its lock here
 
-    holder.append(bench(RealClock(speed=200.0), [listen], 0.1))
-    thread = threading.Thread(target=holder[0].engine.run)
-    thread.start()
-    assert paused.wait(30.0)
-    rig = holder[0].opened.virtual
-    assert rig is not None
-    assert committed == [0, 1, 2]
-    assert not rig.plant.shutter_open.at(rig.clock.now())
-    holder[0].engine.resume()
-    thread.join(60.0)
-    assert committed == [row.number for row in holder[0].plan.rows]
-    assert holder[0].engine.state is State.DONE
+    made = bench(VirtualClock(), [listen], 0.1)
+    assert made.engine.run() is State.DONE
+    for other in others:
+        other.join()
+    assert found == [([0, 1, 2], False)]
+    assert committed == [row.number for row in made.plan.rows]
+    assert made.engine.state is State.DONE
 
 
-def test_positions_are_told_while_the_axes_move(bench: MakeBench) -> None:
+def test_positions_are_reported_while_the_axes_move(bench: MakeBench) -> None:
     seen: list[float] = []
 
     def listen(event: Event) -> None:
@@ -211,13 +215,13 @@ def test_ctrl_c_is_a_stop(bench: MakeBench) -> None:
     assert made.engine.faults == []
 
 
-def test_a_full_disk_ends_the_run_and_keeps_what_was_acknowledged(bench: MakeBench) -> None:
-    acknowledged: list[int] = []
+def test_a_full_disk_ends_the_run_and_keeps_the_committed_rows(bench: MakeBench) -> None:
+    committed: list[int] = []
     holder: list[Bench] = []
 
     def fill_the_disk(event: Event) -> None:
         if isinstance(event, RowCommitted):
-            acknowledged.append(event.row.number)
+            committed.append(event.row.number)
             if event.row.number == 3:
                 database = holder[0].journal._db
                 (pages,) = database.execute("PRAGMA page_count").fetchone()
@@ -228,29 +232,29 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_acknowledged(bench: MakeBen
     assert "full" in holder[0].engine.faults[0]
     holder[0].journal.close()
     with Journal.open(holder[0].journal.path) as journal:
-        assert journal.row_counts()[0] == len(acknowledged) >= 4
+        assert journal.row_counts()[0] == len(committed) >= 4
 
 
-def test_whatever_goes_wrong_the_axes_come_to_rest_and_it_is_told(bench: MakeBench) -> None:
+def test_an_error_of_the_program_stops_the_axes_and_is_in_the_journal(bench: MakeBench) -> None:
     made = bench(VirtualClock(), [])
-    engine = Engine(made.opened.rig, made.plan, made.journal, Nobody())
+    engine = Engine(made.opened.rig, made.plan, made.journal, FaultyOperator())
     with pytest.raises(ZeroDivisionError):
         engine.run()
     assert engine.state is State.FAILED
-    assert made.journal.faults() == ["ZeroDivisionError: a mistake of ours"]
+    assert made.journal.faults() == ["ZeroDivisionError: an error of the program"]
 
 
-class Nobody:
-    """An operator with a mistake in it."""
+class FaultyOperator:
+    """Operator whose code has an error."""
 
     def mount(self, sample: str) -> None:
-        raise ZeroDivisionError("a mistake of ours")
+        raise ZeroDivisionError("an error of the program")
 
     def confirm_fix(self, fault: str) -> bool:
         raise ZeroDivisionError(fault)
 
 
-def test_darks_are_no_older_than_the_schedule_allows(write_rig: Writer, write_schedule: Writer) -> None:
+def test_dark_readings_are_as_recent_as_the_schedule_requires(write_rig: Writer, write_schedule: Writer) -> None:
     long = ("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 5, step = 0.1 }")
     plan = make_plan(read_schedule(write_schedule(long)), read_rig(write_rig()))
     age = 0.0

@@ -1,4 +1,4 @@
-"""Going on with a campaign: what is measured then, what is refused, and what a killed program leaves."""
+"""Resuming a campaign: its rows, refusals, and journals of older schemas."""
 
 import itertools
 import sqlite3
@@ -14,7 +14,7 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
-from goniotwin.app.campaign.running.resume import check_same_rig, recorded_rig
+from goniotwin.app.campaign.running.resume import check_same_rig, recorded_rig, remaining_work
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, parse_rig, read_rig
@@ -31,11 +31,11 @@ def steady(write_rig: Writer, write_schedule: Writer) -> Plan:
 
 @pytest.fixture
 def journals(tmp_path: Path) -> tuple[Path, Path]:
-    """Copies of the golden ones, which have the first version of the model's hash: a finished and an interrupted one."""
+    """Copies of the golden journals, with the first version of the model's hash: a finished and an interrupted one."""
     return contents.copied(tmp_path)
 
 
-def test_wherever_it_was_stopped_the_planned_rows_are_those_of_an_undisturbed_run(steady: Plan, tmp_path: Path) -> None:
+def test_a_campaign_stopped_at_any_time_has_the_planned_rows_of_an_undisturbed_run(steady: Plan, tmp_path: Path) -> None:
     run_campaign(steady, tmp_path / "whole.journal")
     whole = planned_values(tmp_path / "whole.journal")
     for k, share in enumerate((0.02, 0.3, 0.45, 0.5, 0.8, 0.98)):
@@ -62,7 +62,7 @@ def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) 
             break
         assert done >= before
         before = done
-        _resumed_and_stopped(path, start + 14.0)
+        _resume_until(path, start + 14.0)
     assert done == of
     assert planned_values(path) == planned_values(tmp_path / "whole.journal")
     with Journal.open(path) as journal:
@@ -74,9 +74,7 @@ def test_a_campaign_may_be_interrupted_many_times(steady: Plan, tmp_path: Path) 
         assert reduce_journal(journal).samples["gaussian-5"].good.any()
 
 
-def _resumed_and_stopped(path: Path, t: float) -> None:
-    from goniotwin.app.campaign.running.resume import remaining_work
-
+def _resume_until(path: Path, t: float) -> None:
     with Journal.reopen(path) as journal:
         rest = remaining_work(journal, None)
         with open_rig(rest.plan.rig, clock_for(rest.plan.rig.file, rest.start_s)) as opened:
@@ -87,7 +85,7 @@ def _resumed_and_stopped(path: Path, t: float) -> None:
             engine.run()
 
 
-def test_before_it_goes_on_the_sample_is_mounted_a_dark_taken_and_the_light_compared(steady: Plan, tmp_path: Path) -> None:
+def test_a_resume_starts_with_a_mount_a_dark_reading_and_a_drift_check(steady: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     run_until(steady, path, 0.9 * steady.seconds)
     done, planned = planned_values(path), len(steady.rows)
@@ -105,7 +103,7 @@ def test_before_it_goes_on_the_sample_is_mounted_a_dark_taken_and_the_light_comp
     assert order[first : first + 4] == [planned, planned + 1, planned + 2, first]
 
 
-def test_a_finished_campaign_has_nothing_to_go_on_with(plan: Plan, tmp_path: Path) -> None:
+def test_a_finished_campaign_is_not_resumed(plan: Plan, tmp_path: Path) -> None:
     run_campaign(plan, tmp_path / "a.journal")
     before = (tmp_path / "a.journal").read_bytes()
     with pytest.raises(UserError, match=r"a\.journal: all of its 10 rows are measured"):
@@ -114,7 +112,7 @@ def test_a_finished_campaign_has_nothing_to_go_on_with(plan: Plan, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (("gear = 36.0", "gear = 35.0"), r"axes\.sigma\.gear"),
         (("gain_uncertainty = 0.001", "gain_uncertainty = 0.002"), r"photodiodes\.gain_uncertainty"),
@@ -122,13 +120,13 @@ def test_a_finished_campaign_has_nothing_to_go_on_with(plan: Plan, tmp_path: Pat
         (("seed = 1", "seed = 2"), "simulated"),
     ],
 )
-def test_a_rig_that_has_changed_is_refused_and_nothing_is_lost(
-    plan: Plan, tmp_path: Path, write_rig: Writer, change: tuple[str, str], told: str
+def test_a_changed_rig_is_refused_and_the_journal_is_not_changed(
+    plan: Plan, tmp_path: Path, write_rig: Writer, change: tuple[str, str], message: str
 ) -> None:
     path = tmp_path / "a.journal"
     run_until(plan, path, 10.0)
     before = path.read_bytes()
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         resume_campaign(path, read_rig(write_rig(change, name="changed.toml")))
     assert path.read_bytes() == before
 
@@ -140,7 +138,7 @@ def test_ports_may_change(plan: Plan, tmp_path: Path, write_rig: Writer) -> None
     assert resume_campaign(path, other).state is State.DONE
 
 
-def test_a_journal_that_another_program_works_on_is_refused_with_who_has_it(plan: Plan, tmp_path: Path) -> None:
+def test_a_journal_in_use_is_refused_with_the_number_of_the_process(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     run_until(plan, path, 10.0)
     held = RigLock([str(path.absolute())], "measuring paint")
@@ -152,7 +150,7 @@ def test_a_journal_that_another_program_works_on_is_refused_with_who_has_it(plan
         held.release()
 
 
-def test_a_journal_of_the_first_schema_is_read_and_gone_on_with(steady: Plan, tmp_path: Path) -> None:
+def test_a_journal_of_schema_1_is_read_and_resumed(steady: Plan, tmp_path: Path) -> None:
     run_campaign(steady, tmp_path / "whole.journal")
     path = tmp_path / "old.journal"
     run_until(steady, path, 0.6 * steady.seconds)
@@ -163,7 +161,7 @@ def test_a_journal_of_the_first_schema_is_read_and_gone_on_with(steady: Plan, tm
         assert 0 < done < of
         assert next(row.readings for row in journal.planned_rows() if row.kind == "dark") == 4
         assert len(list(journal.rows())) == done
-    assert path.read_bytes() == before  # to be looked at it is not changed
+    assert path.read_bytes() == before  # reading does not change it
     assert resume_campaign(path, steady.rig).state is State.DONE
     assert planned_values(path) == planned_values(tmp_path / "whole.journal")
 
@@ -186,36 +184,36 @@ def test_with_noise_the_differences_to_an_undisturbed_run_are_standard_normal(
     good = first.good & second.good
     assert np.array_equal(first.good, second.good)
     standard = (first.bsdf - second.bsdf)[good] / np.hypot(first.u_bsdf, second.u_bsdf)[good]
-    assert np.any(standard != 0.0)  # the rows after the break are other draws
+    assert np.any(standard != 0.0)  # the rows after the interruption have other noise
     assert np.mean(standard**2) < 1.5
     assert np.abs(standard).max() < 4.5
 
 
-def stating(recorded: RigDescription, simulated: str) -> RigDescription:
-    """The rig's file without its [twin], as where another process serves it, with other entries of [simulated]."""
+def rig_with_entries(recorded: RigDescription, simulated: str) -> RigDescription:
+    """The rig file without its [twin], as a served rig has it, with other entries of [simulated]."""
     text = recorded.text.partition("[twin]\n")[0].replace("twin://virtual/", "served-")
     text = text.replace("[simulated]\nseed = 1\n", f"[simulated]\nseed = 1\n{simulated}\n")
     return parse_rig(text.replace('usb = "served-monitor"', 'usb = "1313:8078:TWIN0001"'), Path(), "served.toml")
 
 
-def test_a_served_rig_is_known_by_either_version_of_its_models_hash(journals: tuple[Path, Path]) -> None:
+def test_a_served_rig_is_recognised_by_either_version_of_its_models_hash(journals: tuple[Path, Path]) -> None:
     with Journal.open(journals[1]) as journal:
         recorded = recorded_rig(journal)
         new, old = map(str, recorded.model_hashes())
         assert journal.value("model") == f'"{old}"'
         for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{new}"', f'model = "{old}"'):
-            check_same_rig(journal, recorded, stating(recorded, stated))
+            check_same_rig(journal, recorded, rig_with_entries(recorded, stated))
         for stated in ("", 'model = "0123456789abcdef"', f'model = "{old[::-1]}"\nold_model = "2:{old}"'):
             with pytest.raises(UserError, match="the model's hash differs"):
-                check_same_rig(journal, recorded, stating(recorded, stated))
+                check_same_rig(journal, recorded, rig_with_entries(recorded, stated))
 
 
-def test_a_campaign_of_a_served_rig_is_resumed_where_the_hash_that_it_has_is_stated(journals: tuple[Path, Path]) -> None:
-    """Its own rig file has no [twin] of which another version could be computed."""
+def test_a_campaign_of_a_served_rig_is_resumed_if_the_rig_states_the_recorded_hash(journals: tuple[Path, Path]) -> None:
+    """The recorded rig has no [twin] from which another version of the hash could be computed."""
     with Journal.open(journals[1]) as journal:
         new, old = recorded_rig(journal).model_hashes()
-        recorded = stating(recorded_rig(journal), f'model = "{old}"')
+        recorded = rig_with_entries(recorded_rig(journal), f'model = "{old}"')
         for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{old}"'):
-            check_same_rig(journal, recorded, stating(recorded_rig(journal), stated))
+            check_same_rig(journal, recorded, rig_with_entries(recorded_rig(journal), stated))
         with pytest.raises(UserError, match="the model's hash differs"):
-            check_same_rig(journal, recorded, stating(recorded_rig(journal), f'model = "{new}"'))
+            check_same_rig(journal, recorded, rig_with_entries(recorded_rig(journal), f'model = "{new}"'))

@@ -1,4 +1,4 @@
-"""What a campaign that is gone on with does first: axes that are lost are homed, and the light is compared with what it was."""
+"""The start of a resumed session: homing of unreferenced axes, drift check, skipped rows, warm-up."""
 
 import sqlite3
 from collections.abc import Callable
@@ -26,8 +26,8 @@ from tests.app.campaign.campaign_bench import QUIET, planned_values, run_until
 from tests.app.test_referencing import HOMES
 from tests.conftest import SMALL, Writer
 
-MORE = SMALL.replace("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3]")
-CHECKED = MORE + "\n[drift]\nevery_s = 600\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
+FOUR_SHIFTS = SMALL.replace("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3]")
+CHECKED = FOUR_SHIFTS + "\n[drift]\nevery_s = 600\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
 FADED = 0.9
 PAPER = """Source\tMeasured
 Symmetry\tPlaneSymmetrical
@@ -47,13 +47,13 @@ DataBegin
 """
 
 
-def gone_on(path: Path, meanwhile: Callable[[OpenRig], None]) -> tuple[State, list[tuple[str, str]]]:
-    """As `resume_campaign`, after something has happened to the rig; how it ended, and the session's events."""
+def resume_with(path: Path, change: Callable[[OpenRig], None]) -> tuple[State, list[tuple[str, str]]]:
+    """As `resume_campaign`, after a `change` of the rig; return the final state and the events."""
     with Journal.reopen(path) as journal:
         rest = remaining_work(journal, None)
         with open_rig(rest.plan.rig, clock_for(rest.plan.rig.file, rest.start_s)) as opened:
             opened.connect()
-            meanwhile(opened)
+            change(opened)
             operator = operator_for(opened, rest.plan.rig.file, None)
             state = Engine(opened.rig, rest.plan, journal, operator, work=rest.work).run()
     return state, events(path)
@@ -67,38 +67,38 @@ def events(path: Path) -> list[tuple[str, str]]:
         connection.close()
 
 
-def less_light(opened: OpenRig) -> None:
-    """Behind the beam splitter, where the monitor does not see it."""
+def dim_light(opened: OpenRig) -> None:
+    """Reduce the light behind the beam splitter, where the monitor does not measure it."""
     assert opened.virtual is not None
     for photodiode in range(36):
         opened.virtual.plant.fade(photodiode, FADED)
 
 
-def nothing(_: OpenRig) -> None:
-    """Undisturbed."""
+def no_change(_: OpenRig) -> None:
+    """Leave the rig as it is."""
 
 
-def half_done(plan: Plan, path: Path) -> None:
-    """Stopped in the middle of the sample, the last that is mounted."""
+def run_half(plan: Plan, path: Path) -> None:
+    """Run a plan and stop it in the middle of the last mounted sample."""
     seconds = np.cumsum([row.seconds for row in plan.rows])
     last = [k for k, row in enumerate(plan.rows) if row.kind == "measure"][-2]
     run_until(plan, path, float(seconds[last - 1]) + 0.5 * plan.rows[last].seconds)
 
 
-@pytest.fixture(params=[MORE, CHECKED], ids=["without drift checks", "with drift checks"])
+@pytest.fixture(params=[FOUR_SHIFTS, CHECKED], ids=["without drift checks", "with drift checks"])
 def plan(request: pytest.FixtureRequest, write_rig: Writer, write_schedule: Writer) -> Plan:
     return make_plan(read_schedule(write_schedule(text=request.param)), read_rig(write_rig(*QUIET)))
 
 
-def test_light_that_has_changed_meanwhile_is_told_and_what_comes_after_flagged(plan: Plan, tmp_path: Path) -> None:
+def test_a_change_of_the_light_is_in_the_journal_and_later_rows_are_flagged(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
-    half_done(plan, path)
-    state, said = gone_on(path, less_light)
+    run_half(plan, path)
+    state, recorded = resume_with(path, dim_light)
     assert state is State.DONE
-    told = [text for kind, text in said if kind == "drift" and text.startswith("resumed 2/")]
-    assert len(told) == 1
-    assert "beyond the limit: the light has changed by -" in told[0]
-    change = float(told[0].split("changed by ")[1].split(" %")[0])
+    texts = [text for kind, text in recorded if kind == "drift" and text.startswith("resumed 2/")]
+    assert len(texts) == 1
+    assert "beyond the limit: the light has changed by -" in texts[0]
+    change = float(texts[0].split("changed by ")[1].split(" %")[0])
     assert change == pytest.approx(100.0 * (FADED - 1.0), abs=0.1)
     with Journal.open(path) as journal:
         resumed_at = journal.sessions()[1].started_s
@@ -109,26 +109,26 @@ def test_light_that_has_changed_meanwhile_is_told_and_what_comes_after_flagged(p
     assert not points.good[points.drifted].any()
 
 
-def test_light_that_has_not_changed_is_told_too_and_nothing_flagged(plan: Plan, tmp_path: Path) -> None:
+def test_constant_light_is_in_the_journal_and_no_row_is_flagged(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
-    half_done(plan, path)
-    state, said = gone_on(path, nothing)
+    run_half(plan, path)
+    state, recorded = resume_with(path, no_change)
     assert state is State.DONE
-    (told,) = [text for kind, text in said if kind == "drift" and text.startswith("resumed 2/")]
-    assert ": the light has changed by +0.0" in told or ": the light has changed by -0.0" in told
+    (texts,) = [text for kind, text in recorded if kind == "drift" and text.startswith("resumed 2/")]
+    assert ": the light has changed by +0.0" in texts or ": the light has changed by -0.0" in texts
     with Journal.open(path) as journal:
         assert not reduce_journal(journal).samples["gaussian-5"].drifted.any()
 
 
-def test_an_axis_that_is_lost_is_homed_before_it_goes_on(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_an_unreferenced_axis_is_homed_on_resume(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     needs_homing = (
         "settling_s = 0.2\npower_up_at_reference = true\n\n" + HOMES[0][1],
         "settling_s = 0.2\nhoming_required = true\n\n" + HOMES[0][1],
     )
-    plan = make_plan(read_schedule(write_schedule(text=MORE)), read_rig(write_rig(*QUIET, *HOMES, needs_homing)))
+    plan = make_plan(read_schedule(write_schedule(text=FOUR_SHIFTS)), read_rig(write_rig(*QUIET, *HOMES, needs_homing)))
     path = tmp_path / "a.journal"
     with pytest.raises(UserError, match="sigma"):
-        run_campaign(plan, path)  # a campaign that begins asks first
+        run_campaign(plan, path)  # a new campaign does not home by itself
     with open_rig(plan.rig, clock_for(plan.rig.file)) as opened, Journal.create(path, plan, {}) as journal:
         opened.connect()
         wait(opened.rig.clock, [opened.rig.axes["sigma"].start_homing()])
@@ -142,23 +142,23 @@ def test_an_axis_that_is_lost_is_homed_before_it_goes_on(write_rig: Writer, writ
     assert all(sigma == pytest.approx(30.0, abs=0.01) or sigma == pytest.approx(0.0, abs=0.01) for sigma in sigmas)
 
 
-def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
+def test_skipped_rows_are_measured_on_resume(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the etalon and of the sample: each is mounted again for its own."""
-    policy = MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n'
+    """Rows of the etalon and of the sample: each is mounted again for its rows."""
+    policy = FOUR_SHIFTS + '\n[faults]\nwire = "skip"\nattempts = 1\n'
     plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*QUIET)))
     run_campaign(plan, tmp_path / "whole.journal")
     failing = [row.number for row in plan.rows if row.kind == "measure" and row.pose is not None and row.pose[3] in (1.0, 3.0)]
     execute = RowExecutor.execute
 
-    def fails(executor: RowExecutor, row: Row) -> RowData:
+    def fail(executor: RowExecutor, row: Row) -> RowData:
         if row.number in failing:
             raise NoAnswer("photodiodes", "read", "no answer")
         return execute(executor, row)
 
     path = tmp_path / "a.journal"
-    monkeypatch.setattr(RowExecutor, "execute", fails)
+    monkeypatch.setattr(RowExecutor, "execute", fail)
     outcome = run_campaign(plan, path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows) - 4, 4)
     found = campaign_summary(path)
@@ -182,20 +182,21 @@ def test_rows_that_were_skipped_are_measured_when_it_is_gone_on_with(
         resume_campaign(path)
 
 
-def test_values_that_lack_their_etalon_are_told(
+def test_values_without_an_etalon_row_are_in_the_notes(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = make_plan(
-        read_schedule(write_schedule(text=MORE + '\n[faults]\nwire = "skip"\nattempts = 1\n')), read_rig(write_rig(*QUIET))
+        read_schedule(write_schedule(text=FOUR_SHIFTS + '\n[faults]\nwire = "skip"\nattempts = 1\n')),
+        read_rig(write_rig(*QUIET)),
     )
     execute = RowExecutor.execute
 
-    def fails(executor: RowExecutor, row: Row) -> RowData:
+    def fail(executor: RowExecutor, row: Row) -> RowData:
         if row.sample == "etalon" and row.pose is not None and row.pose[3] == 1.0:
             raise NoAnswer("photodiodes", "read", "no answer")
         return execute(executor, row)
 
-    monkeypatch.setattr(RowExecutor, "execute", fails)
+    monkeypatch.setattr(RowExecutor, "execute", fail)
     run_campaign(plan, tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as journal:
         found = reduce_journal(journal)
@@ -203,25 +204,25 @@ def test_values_that_lack_their_etalon_are_told(
     assert 1.0 not in found.samples["gaussian-5"].shift_deg
 
 
-def test_a_warm_up_is_done_again(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    text = MORE + "\n[warm_up]\npercent_per_10min = 50\nlongest_s = 600\n"
+def test_the_warm_up_is_repeated_on_resume(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    text = FOUR_SHIFTS + "\n[warm_up]\npercent_per_10min = 50\nlongest_s = 600\n"
     plan = make_plan(read_schedule(write_schedule(text=text)), read_rig(write_rig(*QUIET)))
-    half_done(plan, tmp_path / "a.journal")
+    run_half(plan, tmp_path / "a.journal")
     assert resume_campaign(tmp_path / "a.journal").state is State.DONE
     with Journal.open(tmp_path / "a.journal") as journal:
-        added = [each.row.identity for each in journal.rows() if each.row.unplanned]
-    assert added[0] == "resumed 2/nothing/warm-up"
-    assert [identity.split("/")[-1] for identity in added[1:]] == ["mount", "dark", "drift"]
+        unplanned = [each.row.identity for each in journal.rows() if each.row.unplanned]
+    assert unplanned[0] == "resumed 2/nothing/warm-up"
+    assert [identity.split("/")[-1] for identity in unplanned[1:]] == ["mount", "dark", "drift"]
 
 
-def test_a_virtual_rig_whose_samples_have_changed_is_refused(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_a_virtual_rig_with_a_changed_sample_is_refused(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     table = tmp_path / "paper.bsdf"
     block = "TIS\t0.628\n" + 3 * "0.2\t0.2\t0.2\n"
     table.write_text(PAPER + 3 * block + "DataEnd\n", encoding="utf-8")
     sample = '[twin.samples.paper]\nmodel = "zemax"\nfile = "paper.bsdf"\n\n[twin.samples.etalon]'
     rig = write_rig(*QUIET, ("[twin.samples.etalon]", sample))
-    plan = make_plan(read_schedule(write_schedule(("gaussian-5", "paper"), text=MORE)), read_rig(rig))
-    half_done(plan, tmp_path / "a.journal")
+    plan = make_plan(read_schedule(write_schedule(("gaussian-5", "paper"), text=FOUR_SHIFTS)), read_rig(rig))
+    run_half(plan, tmp_path / "a.journal")
     table.write_text(table.read_text(encoding="utf-8").replace("0.2", "0.1"), encoding="utf-8")
     with pytest.raises(UserError, match="the model's hash differs"):
         resume_campaign(tmp_path / "a.journal")

@@ -1,4 +1,4 @@
-"""What the schedule ends: it is told, has a status of its own, and a rehearsal goes on as an operator would."""
+"""Sessions ended by a stop condition: message, exit status, and rehearsals that resume as an operator would."""
 
 import os
 import sqlite3
@@ -23,12 +23,12 @@ SHORT = SMALL + "\n[stop]\nlongest_s = 10\n"
 DIM = SMALL + "\n[stop]\nlamp_below = 0.75\n"
 
 
-def rehearsed(schedule: Path, rig: Path, out: Path) -> Rehearsal:
+def run_rehearsal(schedule: Path, rig: Path, out: Path) -> Rehearsal:
     return rehearse(*plan_rehearsal(read_schedule(schedule), read_rig(rig), {}), out=out)
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_session_that_the_schedule_ends_says_why_and_has_its_own_status(
+def test_a_session_ended_by_the_schedule_has_a_reason_and_its_own_exit_status(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call
 ) -> None:
     journal = tmp_path / "a.journal"
@@ -41,8 +41,8 @@ def test_a_session_that_the_schedule_ends_says_why_and_has_its_own_status(
     assert json_result(call("runs", tmp_path, "--json"))["campaigns"][0]["sessions"] == 2
 
 
-def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    found = rehearsed(write_schedule(text=SHORT), write_rig(*QUIET), tmp_path / "a.journal")
+def test_a_rehearsal_resumes_session_after_session(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    found = run_rehearsal(write_schedule(text=SHORT), write_rig(*QUIET), tmp_path / "a.journal")
     assert found.done
     assert found.result["rows"] == found.result["planned"]
     assert found.result["sessions"] >= 3
@@ -50,10 +50,10 @@ def test_a_rehearsal_goes_on_with_session_after_session(write_rig: Writer, write
     assert found.result["relative_uncertainty"]["gaussian-5"]["trusted"] > 0
 
 
-def test_a_rehearsal_that_comes_no_further_says_so(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    """Its lamp loses a thirtieth of its light in a second, and nobody changes it."""
+def test_a_rehearsal_without_progress_ends_with_a_warning(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    """The lamp loses a thirtieth of its light per second, and is not replaced."""
     rig = write_rig(QUIET[0], ("drift_per_hour = 0.02", "drift_per_hour = -120.0"))
-    found = rehearsed(write_schedule(text=DIM), rig, tmp_path / "a.journal")
+    found = run_rehearsal(write_schedule(text=DIM), rig, tmp_path / "a.journal")
     assert (found.done, found.result["state"]) == (False, "stopped")
     assert found.result["rows"] < found.result["planned"]
     assert any("ends before all rows are measured" in each and "the lamp is at" in each for each in found.result["warnings"])
@@ -61,7 +61,7 @@ def test_a_rehearsal_that_comes_no_further_says_so(write_rig: Writer, write_sche
 
 
 @pytest.mark.skipif(not hasattr(os, "link"), reason="this system has no hard links")
-def test_a_journal_is_one_under_all_its_names(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_a_journal_is_locked_under_all_its_names(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET)))
     first, second = tmp_path / "a.journal", tmp_path / "b.journal"
     run_until(plan, first, 0.5 * plan.seconds)
@@ -76,9 +76,7 @@ def test_a_journal_is_one_under_all_its_names(write_rig: Writer, write_schedule:
     assert resume_campaign(second).rows == len(plan.rows)
 
 
-def test_a_damaged_journal_is_not_gone_on_with_and_stays_as_it_is(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
-) -> None:
+def test_a_damaged_journal_is_not_resumed_and_not_changed(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET)))
     path = tmp_path / "a.journal"
     run_until(plan, path, 0.5 * plan.seconds)
@@ -93,14 +91,14 @@ def test_a_damaged_journal_is_not_gone_on_with_and_stays_as_it_is(
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [(b"", "is empty"), (b"not a database at all, but some text", "is not a journal"), (None, "is a folder")],
 )
-def test_what_is_no_journal_is_called_what_it_is(tmp_path: Path, content: bytes | None, told: str) -> None:
+def test_a_file_that_is_not_a_journal_is_named_as_what_it_is(tmp_path: Path, content: bytes | None, message: str) -> None:
     path = tmp_path / "a.journal"
     if content is None:
         path.mkdir()
     else:
         path.write_bytes(content)
-    with pytest.raises(UserError, match=f"a.journal: {told}"):
+    with pytest.raises(UserError, match=f"a.journal: {message}"):
         Journal.open(path)
