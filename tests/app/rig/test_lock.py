@@ -14,7 +14,7 @@ from goniotwin.protocols.clock import RealClock
 HOLD = """
 import sys
 from pathlib import Path
-from goniotwin.app.rig.lock import RigInUse, RigLock
+from goniotwin.app.rig.lock import RigLock
 from goniotwin.protocols.clock import RealClock
 lock = RigLock(["/dev/axes"], "measuring paint", Path(sys.argv[1]))
 print("held", flush=True)
