@@ -138,7 +138,7 @@ class ControlServer(LoopbackServer):
     """Server of the control port on loopback, one thread for each client."""
 
     def __init__(self, door: ControlPort, port: int = 0) -> None:
-        class Handler(socketserver.StreamRequestHandler):
+        class ControlHandler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 with contextlib.suppress(OSError):
                     while line := self.rfile.readline(LONGEST_LINE):
@@ -152,7 +152,7 @@ class ControlServer(LoopbackServer):
                     line = self.rfile.readline(LONGEST_LINE)
                 return whole
 
-        super().__init__("control", Handler, port)
+        super().__init__("control", ControlHandler, port)
 
 
 class ControlClient:

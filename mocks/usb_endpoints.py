@@ -55,11 +55,11 @@ class UsbEndpoints:
         self.bus_ids = {name: f"{BUS}-{k + 1}" for k, name in enumerate(rig.usb)}
         endpoints = self
 
-        class Handler(socketserver.BaseRequestHandler):
+        class UsbIpHandler(socketserver.BaseRequestHandler):
             def handle(self) -> None:
                 endpoints.serve(self.request)
 
-        self._server = LoopbackServer("USB endpoints", Handler, port)
+        self._server = LoopbackServer("USB endpoints", UsbIpHandler, port)
 
     @property
     def port(self) -> int:
