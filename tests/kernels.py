@@ -27,6 +27,7 @@ from goniotwin.twin.optics import (
     forward_throughput,
     from_specular,
     light_direction,
+    record,
     shadow_map,
     throughput,
 )
@@ -76,6 +77,7 @@ def traced() -> None:
     shadow_map(Instrument(), SIGMA_DEG, 10.0)
     forward_illumination(IlluminationUnit(), rays=PATHS)
     adjoint_illumination(IlluminationUnit(), rays=PATHS)
+    record(IlluminationUnit(), rays=PATHS, seed=1)
 
 
 PARTS = {"fast": (rig_and_plan, samples), "forward": (traced,)}

@@ -88,3 +88,12 @@ def test_every_link_of_the_documents_leads_to_a_file_and_every_name_in_it_is_def
                 }
                 wanted = {part for part in symbol.groups() if part}
                 assert wanted <= defined, f"{document.name}: {name} is not in {target}"
+
+
+def test_no_test_imports_a_benchmark() -> None:
+    """What both use is with the tests; benchmarks import it from there."""
+    for path in (REPOSITORY / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [name for name in names if name.partition(".")[0] == "benchmarks"], path

@@ -107,7 +107,7 @@ def test_a_tilted_sample_alone_is_the_papers_limit() -> None:
     assert rms_table(with_tilt(OPEN, 0.05))[1, 1] == pytest.approx(4.75, abs=0.1)
 
 
-@parted(16)
+@parted(64)
 def test_the_worst_corner_is_the_worst_of_all_4096(found: Table3, part: int) -> None:
     components = tilts(OPEN)
     corner = found.corner(30.0, 5.0)

@@ -23,8 +23,18 @@ from tests.conftest import RIG, SMALL, Writer, changed
 
 WHITE = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')
 GLASS = '[twin.samples.glass]\nmodel = "lambertian"\nreflectance = 0.4\ntransmittance = 0.3\nside = "both"\n\n'
-SIZES = pytest.mark.parametrize(
-    "sizes", [pytest.param((7, 10**9), id="two sizes"), pytest.param((1, 7, 40, 10**9), id="all", marks=pytest.mark.long)]
+FEW = (
+    ('["gaussian-5"]', '["glass", "gaussian-5"]'), ("beta_deg = [180]", "beta_deg = [0, 45, 180]"),
+)  # fmt: skip
+MANY = (*FEW, ("[30]", "[30, 45]"), ("[550]", "[500, 550]"))
+JOURNALS = pytest.mark.parametrize(
+    ("journal", "sizes"),
+    [
+        pytest.param(FEW, (7, 10**9), id="few rows, two sizes"),
+        pytest.param(MANY, (1, 7, 40, 10**9), id="many rows", marks=pytest.mark.long),
+    ],
+    indirect=["journal"],
+    scope="module",
 )
 EVERYTHING = (
     SMALL + 'side = "both"\nlight = "both"\nsignature = true\nrepeats = 2\n'
@@ -34,16 +44,12 @@ EVERYTHING = (
 
 
 @pytest.fixture(scope="module")
-def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def journal(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two samples, lit on both sides, in both lights, with every table that the reduction evaluates. Tests only read it."""
     folder = tmp_path_factory.mktemp("blocks")
-    changes = (
-        ('["gaussian-5"]', '["glass", "gaussian-5"]'), ("beta_deg = [180]", "beta_deg = [0, 45, 180]"), ("[30]", "[30, 45]"),
-        ("[550]", "[500, 550]"),
-    )  # fmt: skip
     sheets = (WHITE, ("[twin.samples.etalon]", f"{GLASS}[twin.samples.etalon]"))
     rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), sheets), RIG.parent, "rig.toml")
-    schedule = parse_schedule(changed(EVERYTHING, changes), "schedule.toml")
+    schedule = parse_schedule(changed(EVERYTHING, request.param), "schedule.toml")
     run_campaign(make_plan(schedule, rig), folder / "a.journal")
     return folder / "a.journal"
 
@@ -56,7 +62,7 @@ def bits(points: BsdfPoints) -> list[bytes]:
     return [getattr(points, field.name).tobytes() for field in fields(points)]
 
 
-@SIZES
+@JOURNALS
 def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
     with Journal.open(journal) as opened:
         reduction, whole = Reduction(opened), reduce_journal(opened)
@@ -76,7 +82,7 @@ def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple
     assert whole.samples["glass"].back.any()
 
 
-@SIZES
+@JOURNALS
 def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
     forecasts = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
     assert all(each.spread == forecasts[0].spread for each in forecasts)
