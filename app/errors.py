@@ -1,5 +1,8 @@
-"""What a person gets to read when something that they gave us will not do."""
+"""The error that the user of a command sees."""
 
 
 class UserError(Exception):
-    """One line that names the thing, says what is wrong with it, and what to do. The command ends with status 2."""
+    """User-facing error: one line that names the file, option or device, the fault and the remedy; no traceback.
+
+    The command ends with status 2.
+    """

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.reduction import Reduced
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.campaign.reduction.reduction import reduce_journal as reduce_open_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.samples import parse_sample
@@ -15,17 +15,17 @@ from goniotwin.app.simulation.simulate import simulate as simulate_task
 
 
 def open_journal(path: str | Path) -> Journal:
-    """A campaign's journal, opened for reading; close it, or use it in a `with` statement.
+    """Open a campaign's data file (journal) for reading; close it, or use it in a `with` statement.
 
-    Raises UserError for a file that is no journal, or a damaged one.
+    Raises UserError for a file that is not a journal, or is damaged.
     """
     return Journal.open(Path(path))
 
 
-def reduce_journal(journal: Journal | str | Path) -> Reduced:
-    """The BSDF of each sample of a journal with its standard uncertainty (1/sr), flags and directions (deg).
+def reduce_journal(journal: Journal | str | Path) -> BsdfDataset:
+    """Reduce a journal to the BSDF of each sample (1/sr), its standard uncertainty (1/sr), flags and directions (deg).
 
-    Takes an open journal or a path. Raises UserError for a file that is no journal, or one without an etalon's readings.
+    Takes an open journal or a path. Raises UserError for a file that is not a journal, or has no readings of the etalon.
     """
     if isinstance(journal, Journal):
         return reduce_open_journal(journal)
@@ -37,11 +37,12 @@ def simulate(
     sample: str, sigma_deg: Sequence[float] = (0.0, 30.0, 60.0), *, wavelengths_nm: Sequence[float] | None = None,
     back: bool = False, transmitted: bool = False,
 ) -> Simulation:  # fmt: skip
-    """Luminance factors of a sample as the instrument measures them, by the fast estimator (paper, figure 7).
+    """Simulate the luminance factors of a sample as the instrument measures them, by the fast estimator (paper, figure 7).
 
-    `sample` is a model in the words of `goniotwin simulate --sample`; `sigma_deg` are angles of incidence in degrees, from 0
-    to less than 90, ascending; `wavelengths_nm` in nanometres, ascending, or None for a grey table. With `back` the back is
-    lit; `transmitted` looks at the other side. Raises UserError for a model or a grid that cannot be simulated.
+    `sample` is a model as in `goniotwin simulate --sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
+    than 90, ascending; `wavelengths_nm` in nanometres, ascending, or None for a grey table. With `back` the light is on the
+    back of the sample; with `transmitted` the detectors are on the other side of it than the light. Raises UserError for a
+    model or a grid that cannot be simulated.
     """
     sigmas = np.asarray(sigma_deg, dtype=float)
     if sigmas.ndim != 1 or not sigmas.size or not ((sigmas >= 0.0) & (sigmas < 90.0)).all() or (np.diff(sigmas) <= 0.0).any():

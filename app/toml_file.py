@@ -1,4 +1,4 @@
-"""TOML files that people write: read, checked against a model, and complained about in one line."""
+"""TOML files: reading, validation against a model, and error messages of one line."""
 
 import difflib
 import tomllib
@@ -10,83 +10,83 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from goniotwin.app.errors import UserError
 
 
-class Table(BaseModel):
-    """A table of a file: no key that it does not know, nothing that is not finite, nothing changed afterwards."""
+class TomlTable(BaseModel):
+    """A table of a file: unknown keys and numbers that are not finite are refused; the fields are frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-Model = TypeVar("Model", bound=Table)
+Model = TypeVar("Model", bound=TomlTable)
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """The text of a TOML file and what it says. Raises UserError."""
+    """The text of a TOML file and its content. Raises UserError."""
     try:
-        text = path.read_text(encoding="utf-8-sig")  # some editors begin with a mark
+        text = path.read_text(encoding="utf-8-sig")  # some editors write a byte order mark
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}; check the name") from None
     except UnicodeDecodeError:
-        raise UserError(f"{path}: is not a text file in UTF-8; is it the right file?") from None
+        raise UserError(f"{path}: is not a text file in UTF-8; check the name, or save it as UTF-8") from None
     return text, parse_toml(text, str(path))
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """What TOML text says. Raises UserError with the line where it is none."""
+    """The content of a TOML text. Raises UserError with the line of a syntax error."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{name}: is not TOML: {error}; mend that place") from None
+        raise UserError(f"{name}: is not TOML: {error}; correct that line") from None
 
 
-def checked(model: type[Model], content: dict[str, Any], name: str) -> Model:
-    """The content as a model. Raises UserError: file, key, reason; and how many more there are."""
+def validate_table(model: type[Model], content: dict[str, Any], name: str) -> Model:
+    """The content as a model. Raises UserError with the file, the key, the reason, and the number of further errors."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        # A mistyped key is both unknown and missing; what was typed says more.
-        faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
-        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        where = ".".join(_place(content, faults[0]))
-        raise UserError(f"{name}: {where or 'the file'}: {_reason(model, faults[0])}{more}") from None
+        # A mistyped key is reported as unknown and as missing; the unknown one has the text that was typed.
+        errors = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
+        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+        where = ".".join(_place(content, errors[0]))
+        raise UserError(f"{name}: {where or 'the file'}: {_reason(model, errors[0])}{more}") from None
 
 
-def _place(content: dict[str, Any], fault: Any) -> list[str]:
-    """The keys that lead to a fault, without pydantic's names for the members of a union, which are no keys of the file."""
+def _place(content: dict[str, Any], detail: Any) -> list[str]:
+    """The path of keys to an error, without pydantic's names of the members of a union, which are not keys of the file."""
     here: Any = content
     place = []
-    for depth, part in enumerate(fault["loc"], 1):
+    for depth, part in enumerate(detail["loc"], 1):
         try:
             here = here[part]
         except (KeyError, IndexError, TypeError):
-            if fault["type"] != "missing" or depth < len(fault["loc"]):
+            if detail["type"] != "missing" or depth < len(detail["loc"]):
                 continue
         place.append(str(part))
     return place
 
 
-def _reason(model: type[Table], fault: Any) -> str:
-    if fault["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(str(fault["loc"][-1]), _known_keys(model), n=1)
-        return "there is no such key" + (f"; did you mean {close[0]!r}?" if close else "; remove it, or mend its name")
-    if fault["type"] == "missing":
+def _reason(model: type[TomlTable], detail: Any) -> str:
+    if detail["type"] == "extra_forbidden":
+        close = difflib.get_close_matches(str(detail["loc"][-1]), _known_keys(model), n=1)
+        return "there is no such key" + (f"; did you mean {close[0]!r}?" if close else "; remove it, or correct its name")
+    if detail["type"] == "missing":
         return "is missing; add it"
-    if fault["type"] == "value_error":
-        return str(fault["ctx"]["error"])
-    given = fault["input"]
-    if fault["type"] == "union_tag_invalid":
-        return f"should be a {' or a '.join(_named(fault['ctx']['expected_tags']))}, not a {fault['ctx']['tag']}"
-    if fault["type"].startswith("date_") and isinstance(given, str):
+    if detail["type"] == "value_error":
+        return str(detail["ctx"]["error"])
+    given = detail["input"]
+    if detail["type"] == "union_tag_invalid":
+        return f"should be a {' or a '.join(_tag_names(detail['ctx']['expected_tags']))}, not a {detail['ctx']['tag']}"
+    if detail["type"].startswith("date_") and isinstance(given, str):
         return f"should be a date, not text: {given} without the quotes"
     shown = "" if isinstance(given, dict | list) else f", not {given!r}"
-    return f"{fault['msg'][0].lower()}{fault['msg'][1:]}{shown}"
+    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
 
 
-def _named(tags: str) -> list[str]:
+def _tag_names(tags: str) -> list[str]:
     return [tag.strip(" '") for tag in tags.split(",")]
 
 
 def _known_keys(model: Any, seen: frozenset[Any] = frozenset()) -> list[str]:
-    """All keys of a model and of the models in it: enough for a guess at what was meant."""
+    """All keys of a model and of the models in it: the candidates for a correction of a mistyped key."""
     if model in seen:
         return []
     if isinstance(model, type) and issubclass(model, BaseModel):

@@ -1,11 +1,11 @@
-"""What an exchange costs: each driver against its twin device in this process, on the virtual clock.
+"""Time of an exchange: each driver against its twin device in this process, on the virtual clock.
 
     python -m benchmarks.exchanges [--rounds 9] [--json]
 
-Both sides are in the figure: the driver with its checks, the bus library, the door, the twin device with the plant behind
-it. A call may take several exchanges (a position is believed once the canary has been seen), so these are counted on the
-wire. The rounds of all cases are interleaved, and so are those of the measure that stands for the machine: nine bytes
-through pyserial's own `loop://`. Compare machines, or versions, by the ratio to it; microseconds are of this machine.
+The time includes both sides: the driver with its checks, the bus library, the twin device and the plant. A call may take
+several exchanges (a position is confirmed by the canary), so that these are counted on the wire. The rounds of all cases
+are interleaved with those of a reference: nine bytes through pyserial's `loop://`. Compare machines or versions by the ratio
+to the reference; microseconds hold for this machine.
 """
 
 import argparse
@@ -22,7 +22,7 @@ import usb.core
 
 from goniotwin.app.rig import parse_rig
 from goniotwin.app.rig.addresses import ModbusUnits
-from goniotwin.app.rig.settings import axis_settings, monitor_settings, monochromator_settings
+from goniotwin.app.rig.file import axis_settings, monitor_settings, monochromator_settings
 from goniotwin.drivers import Axis, Monitor, Monochromator, TmclModule, wait
 from goniotwin.drivers.photodiodes.adam import AdamModule
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
@@ -43,8 +43,8 @@ MEAN_S = 0.01
 Call = Callable[[], object]
 
 
-class Bench:
-    """A virtual rig and what of its drivers is timed. `tap` is on the wire of whatever is made from it."""
+class BenchmarkRig:
+    """A virtual rig for the drivers to be timed. `tap` is on their wires."""
 
     def __init__(self, tap: Tap = no_tap, *changes: tuple[str, str]) -> None:
         text = RIG.read_text(encoding="utf-8")
@@ -58,15 +58,15 @@ class Bench:
         self.name = register("benchmark", self.virtual)
 
     def serial(self, device: str) -> Callable[[int, float], serial.Serial]:
-        """Opens a serial line of the rig."""
+        """Opener of a serial line of the rig."""
         return lambda baudrate, timeout: serial.serial_for_url(
             f"twin://{self.name}/{device}", baudrate=baudrate, timeout=timeout
         )
 
 
 def axis(tap: Tap) -> Call:
-    """Where an axis is."""
-    bench = Bench(tap)
+    """Position of an axis."""
+    bench = BenchmarkRig(tap)
     module = TmclModule(bench.serial("axes"), bench.clock, tap=tap)
     module.connect()
     each = Axis(module, axis_settings(bench.file)["sigma"], bench.clock)
@@ -75,8 +75,8 @@ def axis(tap: Tap) -> Call:
 
 
 def cornerstone(tap: Tap) -> Call:
-    """Which wavelength passes."""
-    bench = Bench(tap)
+    """Wavelength of the monochromator."""
+    bench = BenchmarkRig(tap)
     monochromator = Monochromator(bench.serial("mono"), monochromator_settings(bench.file), bench.clock, tap)
     monochromator.connect()
     return monochromator.wavelength_nm
@@ -84,15 +84,15 @@ def cornerstone(tap: Tap) -> Call:
 
 def modbus_tcp(tap: Tap) -> Call:
     """Eight counts of an ADAM-6017."""
-    return _counts(Bench(tap), adam.ADAM_6017)
+    return _counts(BenchmarkRig(tap), adam.ADAM_6017)
 
 
 def modbus_rtu(tap: Tap) -> Call:
     """Eight counts of an ADAM-4117."""
-    return _counts(Bench(tap, *ON_RTU), adam.ADAM_4117)
+    return _counts(BenchmarkRig(tap, *ON_RTU), adam.ADAM_4117)
 
 
-def _counts(bench: Bench, model: adam.Model) -> Call:
+def _counts(bench: BenchmarkRig, model: adam.Model) -> Call:
     unit = ModbusUnits(bench.virtual).unit(f"twin://{bench.name}/adc-0")
     unit.tap = bench.tap
     module = AdamModule("photodiodes module 0", unit, model, adam.PLUS_MINUS_10_V, bench.clock)
@@ -102,7 +102,7 @@ def _counts(bench: Bench, model: adam.Model) -> Call:
 
 def usbtmc(tap: Tap) -> Call:
     """A mean of 30 samples of a PM100D."""
-    bench = Bench(tap)
+    bench = BenchmarkRig(tap)
     backend = TwinUsbBackend(bench.virtual)
     monitor = Monitor(lambda: usb.core.find(backend=backend), monitor_settings(bench.file), bench.clock, tap)
     monitor.connect()
@@ -121,8 +121,8 @@ def loop() -> Call:
 
 
 @dataclass(frozen=True)
-class Case:
-    """A driver's call; an exchange is known by the bytes in one `direction`."""
+class ExchangeCase:
+    """A call of a driver; its exchanges are counted by the bytes in one `direction`."""
 
     name: str
     make: Callable[[Tap], Call]
@@ -130,11 +130,11 @@ class Case:
 
 
 CASES = (
-    Case("TMCL, position of an axis", axis),
-    Case("Cornerstone, wavelength", cornerstone),
-    Case("Modbus TCP, 8 registers", modbus_tcp),
-    Case("Modbus RTU, 8 registers", modbus_rtu),
-    Case("SCPI over USBTMC, mean current", usbtmc, FROM_DEVICE),
+    ExchangeCase("TMCL, position of an axis", axis),
+    ExchangeCase("Cornerstone, wavelength", cornerstone),
+    ExchangeCase("Modbus TCP, 8 registers", modbus_tcp),
+    ExchangeCase("Modbus RTU, 8 registers", modbus_rtu),
+    ExchangeCase("SCPI over USBTMC, mean current", usbtmc, FROM_DEVICE),
 )
 
 
@@ -150,38 +150,38 @@ class Figure:
     ratio: float
 
 
-def exchanges_a_call(case: Case) -> float:
-    """Counted on the wire, over some calls."""
-    calls, seen = 100, 0
+def exchanges_a_call(case: ExchangeCase) -> float:
+    """Exchanges per call, counted on the wire."""
+    calls, count = 100, 0
 
     def tap(direction: str, data: bytes) -> None:
-        nonlocal seen
-        seen += bool(data) and direction == case.direction
+        nonlocal count
+        count += bool(data) and direction == case.direction
 
     call = case.make(tap)
     call()
-    seen = 0
+    count = 0
     for _ in range(calls):
         call()
-    return seen / calls
+    return count / calls
 
 
 def microseconds(call: Call, calls: int) -> float:
-    """A call, on average."""
-    begun = time.perf_counter()
+    """Mean duration of a call, microseconds."""
+    started = time.perf_counter()
     for _ in range(calls):
         call()
-    return 1e6 * (time.perf_counter() - begun) / calls
+    return 1e6 * (time.perf_counter() - started) / calls
 
 
 def calls_a_round(call: Call) -> int:
-    """So many that a round takes ROUND_S."""
+    """Number of calls of a round of ROUND_S."""
     microseconds(call, 50)  # the first are slower
     return max(1, round(1e6 * ROUND_S / microseconds(call, 200)))
 
 
-def measured(rounds: int) -> list[Figure]:
-    """All cases, the loop first."""
+def figures(rounds: int) -> list[Figure]:
+    """Figures of all cases, the loop first."""
     calls = [loop(), *(case.make(no_tap) for case in CASES)]
     exchanges = [1.0, *(exchanges_a_call(case) for case in CASES)]
     numbers = [calls_a_round(call) for call in calls]
@@ -200,20 +200,20 @@ def measured(rounds: int) -> list[Figure]:
 
 
 def main() -> None:
-    """Prints a table, or JSON."""
-    parser = argparse.ArgumentParser(description="What an exchange costs, each driver in process.")
-    parser.add_argument("--rounds", type=int, default=9, help="of about 0.1 s each")
+    """Print a table, or JSON."""
+    parser = argparse.ArgumentParser(description="Time of an exchange, each driver in process.")
+    parser.add_argument("--rounds", type=int, default=9, help="number of rounds of about 0.1 s")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
-    figures = measured(options.rounds)
+    rows = figures(options.rounds)
     if options.json:
         machine = {"python": platform.python_version(), "machine": platform.machine(), "system": platform.system()}
-        print(json.dumps({**machine, "rounds": options.rounds, "figures": [vars(each) for each in figures]}, indent=2))
+        print(json.dumps({**machine, "rounds": options.rounds, "figures": [vars(each) for each in rows]}, indent=2))
         return
     print(f"Python {platform.python_version()}, {platform.machine()}; {options.rounds} rounds of {ROUND_S:g} s")
     print(f"{'':36}{'exchanges':>10}{'us an exchange':>16}{'lowest':>9}{'highest':>9}{'of loop://':>12}")
     print(f"{'':36}{'a call':>10}{'(median)':>16}")
-    for each in figures:
+    for each in rows:
         print(
             f"{each.name:36}{each.exchanges:10.2f}{each.median_us:16.1f}{each.low_us:9.1f}{each.high_us:9.1f}{each.ratio:12.2f}"
         )

@@ -1,17 +1,17 @@
-"""What a row of a rehearsal costs, through all the wires; and how much memory a long one takes.
+"""Time per row of a rehearsal, through all the wires; and the memory of a long rehearsal.
 
     python -m benchmarks.rehearsal [--rounds 5] [--json]
     python -m benchmarks.rehearsal --memory 10000 100000 [--json]
 
-The rows are those of `quick.toml`: 36 photodiodes, four axes, two gains of four readings; the journal does not wait for the
-disk (synchronous=OFF). The first rehearsal warms everything up and is not counted. The wall time of each row is taken from
-commit to commit; the figure is the median of all rows that measure. Beside it stand what part of it is pymodbus's own: as
-many reads of eight registers through its client and its server's framing and PDUs, with nothing behind them; and the
-measure that stands for the machine, nine bytes through pyserial's own `loop://`. Compare machines, or versions, by the ratio.
+Time: the rows of `quick.toml`, with 36 photodiodes, four axes and two gains of four readings; the journal does not wait for the
+disk (synchronous=OFF). The first rehearsal is a warm-up and does not count. The wall time of a row is taken from commit to
+commit; the result is the median of all rows that measure. Two reference times are reported with it: pymodbus's own share, that
+is, as many reads of eight registers through its client and its server's framing and PDUs, with no device behind them; and a
+measure of the machine, nine bytes through pyserial's own `loop://`. Compare machines or versions by the ratio to the latter.
 
-With `--memory` a schedule of so many rows (shifts and wavelengths, one gain, one reading) is rehearsed, each in a process of
-its own, as the command does it, with the forecast of every direction as CSV: how much more memory that has at the most, until
-its very end, than at the thousandth row, the plan being there from the beginning (Linux).
+Memory (`--memory`, Linux): a schedule of so many rows (shifts and wavelengths, one gain, one reading) is rehearsed, each in a
+process of its own, as the command does it, with the forecast of every direction as CSV. The result is the largest increase of
+the resident memory after row 1000, up to the end of the process. The plan exists from the beginning, so it is not counted.
 """
 
 import argparse
@@ -34,9 +34,9 @@ from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.rehearsal.rehearsal import performed, prepared, rehearse
-from goniotwin.app.campaign.rehearsal.row_statistics import Watch
-from goniotwin.app.campaign.rehearsal.warnings import heeded
+from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse, run_on_twin
+from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
+from goniotwin.app.campaign.rehearsal.warnings import relevant_photodiodes
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import photodiode_settings, read_rig
@@ -62,18 +62,18 @@ dark_readings = 4
 dark_every_s = 600
 """
 WAVELENGTHS_NM, MEASURED = 300.0, 2 * 5
-"""The span of the wavelengths; the rows at each: two samples, five shifts."""
+"""Range of the wavelengths in nm; rows at each wavelength: two samples, five shifts."""
 
 
-class Rows:
-    """A listener: the wall time of each row that measures."""
+class RowTimes:
+    """A listener that records the wall time of each row that measures."""
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
         self._last = time.perf_counter()
 
     def __call__(self, event: Event) -> None:
-        """Heeds the commits."""
+        """Take the commits; other events are ignored."""
         if isinstance(event, RowCommitted):
             now = time.perf_counter()
             if event.row.kind == "measure":
@@ -81,19 +81,19 @@ class Rows:
             self._last = now
 
 
-class NothingBehind(ModbusTcpClient):
-    """pymodbus's client, answered by pymodbus's framing and PDUs with eight zeros."""
+class ClientWithoutDevice(ModbusTcpClient):
+    """pymodbus's client; pymodbus's framing and PDUs answer each request with eight zeros."""
 
     def __init__(self) -> None:
         super().__init__("nowhere", retries=0)
         self._framer, self._decoder, self._answer = FramerSocket(DecodePDU(True)), DecodePDU(True), b""
 
     def connect(self) -> bool:
-        """There is nobody to connect to."""
+        """There is no device to connect to."""
         return True
 
     def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
-        """Has the answer made."""
+        """Take a request, and make the answer to it."""
         del addr
         _, unit, transaction, pdu = self._framer.decode(request)
         assert self._decoder.decode(pdu) is not None
@@ -102,14 +102,14 @@ class NothingBehind(ModbusTcpClient):
         return len(request)
 
     def recv(self, size: int | None) -> bytes:
-        """The answer."""
+        """The answer to the last request."""
         del size
         return self._answer
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Milliseconds of wall time; `exchanges` are of Modbus, a row, and `floor_ms` what they cost in pymodbus alone."""
+    """Wall times in ms; `exchanges` is the number of Modbus exchanges in a row, `floor_ms` their time in pymodbus alone."""
 
     rows: int
     median_ms: float
@@ -121,22 +121,25 @@ class Figures:
 
     @property
     def of_loop(self) -> float:
-        """The median over the measure that stands for the machine."""
+        """The median over the measure of the machine."""
         return 1e3 * self.median_ms / self.loop_us
 
 
-def once(plan: Plan) -> list[float]:
-    """One rehearsal: seconds of its rows."""
-    rows = Rows()
+def row_seconds(plan: Plan) -> list[float]:
+    """Run one rehearsal; the wall times of its rows in s."""
+    rows = RowTimes()
     with tempfile.TemporaryDirectory() as folder:
-        performed(
-            plan, Path(folder) / "rehearsal.journal", Watch(photodiode_settings(plan.rig.file), partial(heeded, plan)), [rows]
+        run_on_twin(
+            plan,
+            Path(folder) / "rehearsal.journal",
+            RowStatistics(photodiode_settings(plan.rig.file), partial(relevant_photodiodes, plan)),
+            [rows],
         )
     return rows.seconds
 
 
-def modbus_exchanges_a_row(plan: Plan) -> float:
-    """Counted where the drivers ask."""
+def modbus_exchanges_per_row(plan: Plan) -> float:
+    """Modbus exchanges per row, counted in the drivers."""
     asked = 0
     exchange = ModbusBus.exchange
 
@@ -147,32 +150,32 @@ def modbus_exchanges_a_row(plan: Plan) -> float:
 
     ModbusBus.exchange = counted  # type: ignore[method-assign, assignment]
     try:
-        rows = len(once(plan))
+        rows = len(row_seconds(plan))
     finally:
         ModbusBus.exchange = exchange  # type: ignore[method-assign]
     return asked / rows
 
 
-def seconds_each(call: object, calls: int = 2000) -> float:
-    """A call, on average."""
+def seconds_per_call(call: object, calls: int = 2000) -> float:
+    """Mean wall time of a call, s."""
     assert callable(call)
-    begun = time.perf_counter()
+    start = time.perf_counter()
     for _ in range(calls):
         call()
-    return (time.perf_counter() - begun) / calls
+    return (time.perf_counter() - start) / calls
 
 
-def measured(rounds: int) -> Figures:
-    """The rehearsals interleaved with what they are compared to."""
-    plan, _ = prepared(read_schedule(QUICK), read_rig(RIG), {})
-    exchanges = modbus_exchanges_a_row(plan)
-    client = NothingBehind()
+def measure(rounds: int) -> Figures:
+    """Measure the rehearsals, interleaved with the reference times."""
+    plan, _ = plan_rehearsal(read_schedule(QUICK), read_rig(RIG), {})
+    exchanges = modbus_exchanges_per_row(plan)
+    client = ClientWithoutDevice()
     port = serial.serial_for_url("loop://", timeout=1.0)
     rows, floors, loops = [], [], []
     for _ in range(rounds):
-        rows.append(once(plan))
-        floors.append(seconds_each(lambda: client.read_holding_registers(0, count=8, device_id=1)))
-        loops.append(seconds_each(lambda: (port.write(FRAME), port.read(len(FRAME)))))
+        rows.append(row_seconds(plan))
+        floors.append(seconds_per_call(lambda: client.read_holding_registers(0, count=8, device_id=1)))
+        loops.append(seconds_per_call(lambda: (port.write(FRAME), port.read(len(FRAME)))))
     medians = [1e3 * statistics.median(each) for each in rows]
     return Figures(
         sum(len(each) for each in rows), statistics.median(medians), min(medians), max(medians), exchanges,
@@ -181,38 +184,38 @@ def measured(rounds: int) -> Figures:
 
 
 def resident_bytes() -> int:
-    """Of this process, now. Linux only: elsewhere the system tells no more than the most that there has ever been."""
+    """Resident memory of this process now. Linux only: other systems report only the largest value so far."""
     return int(STATM.read_text(encoding="ascii").split()[1]) * resource.getpagesize()
 
 
-def most_bytes() -> int:
-    """The most that this process has been resident with since `forget_most`. Linux only."""
+def peak_bytes() -> int:
+    """Largest resident memory of this process since `reset_peak`. Linux only."""
     line = next(each for each in STATUS.read_text(encoding="ascii").splitlines() if each.startswith("VmHWM:"))
     return 1024 * int(line.split()[1])
 
 
-def forget_most() -> None:
-    """Begins to look for the most anew."""
+def reset_peak() -> None:
+    """Start a new search for the largest resident memory."""
     CLEAR_REFS.write_text("5", encoding="ascii")
 
 
 def memory(rows: int) -> dict[str, float]:
-    """Rehearses a schedule of about so many rows in this process, as the command does it."""
+    """Rehearse a schedule of about so many rows in this process, as the command does it; the memory it takes."""
     step = WAVELENGTHS_NM / max(1, round(rows / MEASURED) - 1)
-    plan, _ = prepared(parse_schedule(LONG.format(step=step), "long.toml"), read_rig(RIG), {})
+    plan, _ = plan_rehearsal(parse_schedule(LONG.format(step=step), "long.toml"), read_rig(RIG), {})
     at: dict[int, int] = {}
 
-    def weigh(event: Event) -> None:
+    def record_memory(event: Event) -> None:
         if isinstance(event, RowCommitted) and event.done in (FROM_ROW, event.total):
             at[event.done] = resident_bytes()
             if event.done == FROM_ROW:
-                forget_most()
+                reset_peak()
 
-    begun = time.perf_counter()
+    start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        rehearse(plan, points=Path(folder) / "points.csv", listeners=[weigh])
-    seconds = time.perf_counter() - begun
-    last, most = len(plan.rows), most_bytes()
+        rehearse(plan, points=Path(folder) / "points.csv", listeners=[record_memory])
+    seconds = time.perf_counter() - start
+    last, most = len(plan.rows), peak_bytes()
     return {
         "rows": last, "seconds": seconds, "most_mb": most / 1e6, "grown_in_rows_mb": (at[last] - at[FROM_ROW]) / 1e6,
         "grown_mb": (most - at[FROM_ROW]) / 1e6, "bytes_a_row": (most - at[FROM_ROW]) / (last - FROM_ROW),
@@ -220,10 +223,10 @@ def memory(rows: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Prints a table, or JSON."""
-    parser = argparse.ArgumentParser(description="What a row of a rehearsal costs.")
-    parser.add_argument("--rounds", type=int, default=5, help="of one rehearsal each")
-    parser.add_argument("--memory", type=int, nargs="+", metavar="ROWS", help="rehearse so many rows and tell the memory")
+    """Print a table, or JSON."""
+    parser = argparse.ArgumentParser(description="Time per row and memory of a rehearsal.")
+    parser.add_argument("--rounds", type=int, default=5, help="number of rehearsals")
+    parser.add_argument("--memory", type=int, nargs="+", metavar="ROWS", help="rehearse so many rows and print the memory")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
     machine = {"python": platform.python_version(), "machine": platform.machine(), "system": platform.system()}
@@ -237,11 +240,11 @@ def main() -> None:
         if options.json:
             print(json.dumps({**machine, **found}))
         else:
-            told = f"{found['most_mb']:.0f} MB at the most, {found['grown_mb']:.1f} MB more than at row {FROM_ROW}"
-            each = f"{found['bytes_a_row']:.0f} bytes a row; until the last row {found['grown_in_rows_mb']:.1f} MB more"
-            print(f"{found['rows']:.0f} rows in {found['seconds']:.0f} s: {told}, {each}")
+            peak = f"peak {found['most_mb']:.0f} MB, {found['grown_mb']:.1f} MB more than at row {FROM_ROW}"
+            each = f"{found['bytes_a_row']:.0f} bytes per row; {found['grown_in_rows_mb']:.1f} MB more at the last row"
+            print(f"{found['rows']:.0f} rows in {found['seconds']:.0f} s: {peak}, {each}")
         return
-    figures = measured(options.rounds)
+    figures = measure(options.rounds)
     if options.json:
         print(json.dumps({**machine, "rounds": options.rounds, **vars(figures), "of_loop": figures.of_loop}, indent=2))
         return

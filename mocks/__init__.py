@@ -1,5 +1,5 @@
 """Mock hardware: twin devices where programs that know nothing of the twin look for real ones."""
 
-from goniotwin.mocks.usb_endpoints import installed
+from goniotwin.mocks.usb_endpoints import install_backend
 
-__all__ = ["installed"]
+__all__ = ["install_backend"]

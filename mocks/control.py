@@ -1,8 +1,8 @@
-"""The back door of a served virtual rig: one JSON object a line, over TCP on loopback; no wire of the instrument.
+"""The simulation control port of a served virtual rig: one JSON object a line, over TCP on loopback; no wire of the instrument.
 
     {"do": "mount", "sample": "etalon"}         {"do": "lamp", "drift_per_hour": 0.1, "level": 0.9}
     {"do": "tilt", "deg": 0.05}                 {"do": "jam", "axis": "beta", "jammed": true}
-    {"do": "state"}                             {"do": "faults", ...} and the plugs: see `mocks.bad_wires`
+    {"do": "state"}                             {"do": "faults", ...} and the plugs: see `mocks.faulty_wires`
 
 Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`.
 """
@@ -24,16 +24,16 @@ STEEPEST_TILT_DEG = 10.0
 AXES = ("gamma", "sigma", "beta", "shift")
 
 
-class Refused(ValueError):
-    """An order that cannot be carried out, in words."""
+class OrderRefused(ValueError):
+    """An order that cannot be carried out; the message has the reason."""
 
 
 Order = dict[str, Any]
 Action = Callable[[Order], dict[str, Any] | None]
 
 
-class BackDoor:
-    """What can be done to a virtual rig from outside its wires; `others` are the orders of whoever serves it."""
+class ControlPort:
+    """Orders to a virtual rig from outside its wires; `others` are those that concern the served endpoints."""
 
     def __init__(self, rig: VirtualRig, others: dict[str, Action] | None = None) -> None:
         self._rig = rig
@@ -50,44 +50,44 @@ class BackDoor:
     def obey(self, line: bytes) -> dict[str, Any]:
         """The answer to one line; what goes wrong is in it."""
         try:
-            order = read(line)
+            order = parse_order(line)
             what = order.get("do")
             if not isinstance(what, str) or what not in self._actions:
-                raise Refused(f'an order is {{"do": ...}} with one of: {", ".join(sorted(self._actions))}')
-            # the others' orders wait for threads that need the rig themselves
+                raise OrderRefused(f'an order is {{"do": ...}} with one of: {", ".join(sorted(self._actions))}')
+            # the other orders wait for threads that need the rig themselves
             with self._rig.lock if what in self._own else contextlib.nullcontext():
                 return {"ok": True, **(self._actions[what](order) or {})}
         except OSError as error:
             return refusal(str(error))
-        except (Refused, KeyError) as error:
+        except (OrderRefused, KeyError) as error:
             return refusal(str(error.args[0] if error.args else error))
 
     def _mount(self, order: Order) -> None:
         if "sample" not in order:
-            raise Refused("sample is missing: give a name, or null to take it out")
+            raise OrderRefused("sample is missing: give a name, or null to take it out")
         sample = order["sample"]
         if sample is not None and not isinstance(sample, str):
-            raise Refused("sample is a name, or null for none")
+            raise OrderRefused("sample is a name, or null for none")
         self._rig.mount(sample)
 
     def _lamp(self, order: Order) -> None:
         drift = number(order, "drift_per_hour") if "drift_per_hour" in order else None
         level = number(order, "level") if "level" in order else None
         if level is not None and level < 0.0:
-            raise Refused(f"level is 0 or more, 1 for the nominal one, not {level:g}")
+            raise OrderRefused(f"level is 0 or more, 1 for the nominal one, not {level:g}")
         self._rig.plant.set_lamp(self._clock.now(), drift_per_hour=drift, level=level)
 
     def _tilt(self, order: Order) -> None:
         deg = number(order, "deg")
         if abs(deg) > STEEPEST_TILT_DEG:
-            raise Refused(f"deg is from -{STEEPEST_TILT_DEG:g} to {STEEPEST_TILT_DEG:g}, not {deg:g}")
+            raise OrderRefused(f"deg is from -{STEEPEST_TILT_DEG:g} to {STEEPEST_TILT_DEG:g}, not {deg:g}")
         self._rig.plant.tilt_sample(deg, self._clock.now())
 
     def _jam(self, order: Order) -> None:
         axis = order.get("axis")
         if not isinstance(axis, str) or axis not in self._rig.plant.shafts:
-            raise Refused(f"axis is one of: {', '.join(self._rig.plant.shafts)}")
-        self._rig.plant.shafts[axis].jam(self._clock.now(), yes_or_no(order, "jammed", default=True))
+            raise OrderRefused(f"axis is one of: {', '.join(self._rig.plant.shafts)}")
+        self._rig.plant.shafts[axis].jam(self._clock.now(), truth_value(order, "jammed", default=True))
 
     def _state(self, order: Order) -> dict[str, Any]:
         del order
@@ -103,41 +103,41 @@ class BackDoor:
 
 
 def number(order: Order, key: str) -> float:
-    """A finite number of an order. Raises Refused."""
+    """Finite number of an order. Raises OrderRefused."""
     value = order.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not -1e9 < value < 1e9:
-        raise Refused(f"{key} is a number, not {reprlib.repr(value)}")
+        raise OrderRefused(f"{key} is a number, not {reprlib.repr(value)}")
     return float(value)
 
 
-def yes_or_no(order: Order, key: str, *, default: bool) -> bool:
-    """True or false of an order. Raises Refused."""
+def truth_value(order: Order, key: str, *, default: bool) -> bool:
+    """True or false of an order. Raises OrderRefused."""
     value = order.get(key, default)
     if not isinstance(value, bool):
-        raise Refused(f"{key} is true or false, not {reprlib.repr(value)}")
+        raise OrderRefused(f"{key} is true or false, not {reprlib.repr(value)}")
     return value
 
 
-def read(line: bytes) -> Order:
-    """The order of a line, whatever stands in it. Raises Refused."""
+def parse_order(line: bytes) -> Order:
+    """Order in a line of any content. Raises OrderRefused."""
     try:
         order = json.loads(line)
     except RecursionError:
-        raise Refused("not JSON: nested too deeply") from None
+        raise OrderRefused("not JSON: nested too deeply") from None
     except ValueError as error:  # of JSON, of UTF-8, or of a number with thousands of digits
-        raise Refused(f"not JSON: {error}") from None
+        raise OrderRefused(f"not JSON: {error}") from None
     return order if isinstance(order, dict) else {}
 
 
 def refusal(error: str) -> dict[str, Any]:
-    """The answer that says why not."""
+    """The answer to a refused order, with the reason."""
     return {"ok": False, "error": error}
 
 
 class ControlServer(LoopbackServer):
-    """Serves a back door on a port of loopback, a thread a client."""
+    """Server of the control port on loopback, one thread for each client."""
 
-    def __init__(self, door: BackDoor, port: int = 0) -> None:
+    def __init__(self, door: ControlPort, port: int = 0) -> None:
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 with contextlib.suppress(OSError):
@@ -155,7 +155,7 @@ class ControlServer(LoopbackServer):
         super().__init__("control", Handler, port)
 
 
-class Control:
+class ControlClient:
     """A client: the operator of a rig that another process serves."""
 
     def __init__(self, port: int, timeout_s: float = 10.0) -> None:
@@ -163,22 +163,22 @@ class Control:
         self._file = self._socket.makefile("rwb")
 
     def do(self, what: str, **order: object) -> dict[str, Any]:
-        """Carries an order out. Raises Refused where it cannot be, OSError where nobody serves any more."""
+        """Carry out an order. Raises OrderRefused where it cannot be, OSError after the end of the server."""
         self._file.write(json.dumps({"do": what, **order}).encode() + b"\n")
         self._file.flush()
         line = self._file.readline()
         if not line:
-            raise ConnectionResetError("nobody serves the rig any more")
+            raise ConnectionResetError("the rig is not served any more")
         answer: dict[str, Any] = json.loads(line)
         if not answer.pop("ok"):
-            raise Refused(answer["error"])
+            raise OrderRefused(answer["error"])
         return answer
 
     def mount(self, sample: str) -> None:
-        """Puts a sample into the sample unit of the served rig."""
+        """Mount a sample in the served rig."""
         self.do("mount", sample=sample)
 
     def close(self) -> None:
-        """Hangs up."""
+        """Close the connection."""
         self._file.close()
         self._socket.close()

@@ -1,7 +1,7 @@
-"""Wires that fail, on purpose and by a seed: what happens to which exchange is a function of the seed and its number.
+"""Wires that fail on purpose: the fault of an exchange is a function of the seed and the number of the exchange.
 
-A fault sits between a device and whoever listens to it, in process and on real endpoints alike. The device itself stays
-right; what it is asked, or what it says, does not.
+A fault sits between a device and its clients, in process and on real endpoints alike. The device itself works;
+requests or replies do not arrive as they were sent.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ from goniotwin.twin.plant.noise import mix, process_key
 
 
 class Fault(StrEnum):
-    """What can happen to an exchange."""
+    """Fault of one exchange."""
 
     NONE = "none"
     LATE = "late reply"
@@ -50,12 +50,12 @@ ON_USB = (
     Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.CORRUPTED, Fault.HANG, Fault.UNPLUGGED, Fault.RESET,
     Fault.STALL, Fault.NAK,
 )  # fmt: skip
-"""The bus itself sees to addresses, order, checksums and repetition, so that nothing is merged, repeated or garbled."""
+"""The bus itself handles addresses, order, checksums and repetition, so that nothing is merged, repeated or garbled."""
 
 
 @dataclass
-class Misfortune:
-    """Decides, exchange by exchange. `share` of them fail, each with one of `kinds`; after `until` of them none does.
+class FaultPlan:
+    """Seeded random faults. A `share` of the exchanges fail, each with one of `kinds`; after `until` exchanges none does.
 
     A hang lasts `hang` exchanges.
     """
@@ -73,7 +73,7 @@ class Misfortune:
         self.met: list[Fault] = []
 
     def next(self) -> Fault:
-        """What happens to this exchange."""
+        """Fault of the next exchange."""
         number = self._count
         self._count += 1
         if self._hung:
@@ -93,19 +93,19 @@ class Misfortune:
 
     @property
     def exchanges(self) -> int:
-        """How many there have been."""
+        """Number of exchanges so far."""
         return self._count
 
 
-class Script(Misfortune):
-    """Given faults, one an exchange, in order; then none. The seed says which byte is changed, where a reply is cut."""
+class ScriptedFaults(FaultPlan):
+    """Given faults, one an exchange, in order; then none. The seed decides which byte is changed and where a reply is cut."""
 
     def __init__(self, faults: Iterable[Fault], seed: int = 0) -> None:
         super().__init__(seed, ())
         self._script = list(faults)
 
     def next(self) -> Fault:
-        """The next of them."""
+        """Fault of the next exchange."""
         self._count += 1
         fault = self._script.pop(0) if self._script else Fault.NONE
         if fault is not Fault.NONE:
@@ -113,8 +113,8 @@ class Script(Misfortune):
         return fault
 
 
-def corrupted(data: bytes, misfortune: Misfortune) -> bytes:
-    """One byte of them changed: in one bit, which leaves a digit a digit more often, or in any."""
+def corrupt(data: bytes, misfortune: FaultPlan) -> bytes:
+    """Change one byte: in one bit, so that a digit often remains a digit, or in any bits."""
     if not data:
         return data
     place = misfortune.draw(misfortune.exchanges + (1 << 33), len(data))
@@ -123,12 +123,12 @@ def corrupted(data: bytes, misfortune: Misfortune) -> bytes:
     return data[:place] + bytes((data[place] ^ change,)) + data[place + 1 :]
 
 
-def truncated(data: bytes, misfortune: Misfortune) -> bytes:
-    """The beginning of them, not all."""
+def truncate(data: bytes, misfortune: FaultPlan) -> bytes:
+    """Cut the end off."""
     return data[: misfortune.draw(misfortune.exchanges + (1 << 35), max(1, len(data)))]
 
 
-def noise(misfortune: Misfortune) -> bytes:
-    """One to four bytes of anything."""
+def noise(misfortune: FaultPlan) -> bytes:
+    """One to four random bytes."""
     length = 1 + misfortune.draw(misfortune.exchanges + (1 << 36), 4)
     return bytes(misfortune.draw(misfortune.exchanges + (1 << 37) + k, 256) for k in range(length))

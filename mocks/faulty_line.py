@@ -1,6 +1,6 @@
-"""A serial line or a Modbus connection that fails: it stands in for the device at the door or at the endpoint.
+"""A serial line or a Modbus connection that fails: it takes the place of the device at the door or at the endpoint.
 
-    line = FaultyLine(rig.serial["axes"], Misfortune(seed, ON_A_SERIAL_LINE), foreign=foreign_tmcl)
+    line = FaultyLine(rig.serial["axes"], FaultPlan(seed, ON_A_SERIAL_LINE), foreign=foreign_tmcl)
     plug_in(line, rig.clock, lambda end: rig.serial.update(axes=end))             # in this process
     rig.modbus_wires["adc-0"] = lambda station: End(FaultyLine(station, ...))     # a connection each
 
@@ -13,22 +13,22 @@ from collections.abc import Callable
 from pymodbus.framer import FramerRTU
 from serial import SerialException
 
-from goniotwin.mocks.faults import Fault, Misfortune, corrupted, noise, truncated
+from goniotwin.mocks.faults import Fault, FaultPlan, corrupt, noise, truncate
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import checksum
 from goniotwin.twin.devices.line import SerialDevice
 
-Foreign = Callable[[bytes], bytes]
-"""Makes of a reply one of another address, with a checksum that is right."""
-Refusal = Callable[[bytes, int], bytes]
+ForeignReply = Callable[[bytes], bytes]
+"""Turns a reply into one of another address, with a correct checksum."""
+ExceptionReply = Callable[[bytes, int], bytes]
 """The exception response of a code to a request."""
 MBAP = 7
 CODES = (adam.ILLEGAL_FUNCTION, adam.ILLEGAL_ADDRESS, adam.ILLEGAL_VALUE, adam.DEVICE_FAILURE, adam.BUSY)
 
 
 class FaultyLine:
-    """`device` behind a bad wire. `late_s` is how much too late a late reply is.
+    """`device` behind a bad wire. `late_s` is the delay of a late reply.
 
     A wire without addresses has no `foreign` replies, one that is not Modbus no `refusal`. `unplug` is called when the plug
     is pulled. `plugs` counts how often it was.
@@ -37,10 +37,10 @@ class FaultyLine:
     def __init__(
         self,
         device: SerialDevice,
-        misfortune: Misfortune,
+        misfortune: FaultPlan,
         late_s: float = 0.1,
-        foreign: Foreign | None = None,
-        refusal: Refusal | None = None,
+        foreign: ForeignReply | None = None,
+        refusal: ExceptionReply | None = None,
         unplug: Callable[[], object] = lambda: None,
     ) -> None:
         self.device = device
@@ -55,7 +55,7 @@ class FaultyLine:
         self._held: list[bytes] = []
 
     def receive(self, data: bytes, t: float) -> None:
-        """Brings the bytes to the device, or not, and does to its replies what is to happen to them."""
+        """Pass bytes to the device and its replies back, with the fault of this exchange."""
         fault = self.misfortune.next()
         if fault in (Fault.UNHEARD, Fault.HANG):
             return
@@ -67,7 +67,7 @@ class FaultyLine:
             self.device.reset(t)
         there = len(self.outbox)
         if fault is not Fault.UNPLUGGED or self.misfortune.draw(self.misfortune.exchanges + (1 << 39), 2):
-            self.device.receive(corrupted(data, self.misfortune) if fault is Fault.GARBLED else data, t)
+            self.device.receive(corrupt(data, self.misfortune) if fault is Fault.GARBLED else data, t)
         if fault is Fault.UNPLUGGED:
             self.pull()
             return
@@ -76,14 +76,14 @@ class FaultyLine:
             self.outbox.extend(self._failed(fault, ready, reply))
 
     def pull(self) -> None:
-        """Pulls the plug. What the device was about to say is said to nobody."""
+        """Pull the plug. Replies that were not sent yet are lost."""
         self.plugs += 1
         self.outbox.clear()
         self._held = []
         self.unplug()
 
     def reset(self, t: float) -> None:
-        """Of the device behind it."""
+        """Reset the device behind the line."""
         self.device.reset(t)
 
     def _failed(self, fault: Fault, ready: float, reply: bytes) -> list[tuple[float, bytes]]:
@@ -94,12 +94,12 @@ class FaultyLine:
             case Fault.LOST:
                 return []
             case Fault.TRUNCATED:
-                return [(ready, held + truncated(reply, self.misfortune))]
+                return [(ready, held + truncate(reply, self.misfortune))]
             case Fault.MERGED:
                 self._held = [held + reply]
                 return []
             case Fault.CORRUPTED:
-                return [(ready, held + corrupted(reply, self.misfortune))]
+                return [(ready, held + corrupt(reply, self.misfortune))]
             case Fault.REPEATED:
                 return [(ready, held + reply + reply)]
             case Fault.FOREIGN if self._foreign is not None:
@@ -109,8 +109,8 @@ class FaultyLine:
         return [(ready, held + reply)]
 
 
-class End:
-    """What a port in this process has open of a faulty line: once the plug has been out it is dead for good.
+class FaultyEnd:
+    """Open end of a faulty line in this process: dead for good once the plug has been out.
 
     Everything then raises SerialException, as a real port does.
     """
@@ -131,12 +131,12 @@ class End:
         raise AttributeError("the outbox is the device's own")
 
     def receive(self, data: bytes, t: float) -> None:
-        """Brings the bytes to the line."""
+        """Pass bytes to the line."""
         self._check()
         self._line.receive(data, t)
 
     def reset(self, t: float) -> None:
-        """Of the device behind it all."""
+        """Reset the device behind the line."""
         self._line.reset(t)
 
     def _check(self) -> None:
@@ -149,10 +149,10 @@ def plug_in(line: FaultyLine, clock: Clock, put: Callable[[SerialDevice], object
 
     def again() -> None:
         line.outbox.clear()
-        put(End(line))
+        put(FaultyEnd(line))
 
     line.unplug = lambda: clock.at(clock.now() + away_s, again)
-    put(End(line))
+    put(FaultyEnd(line))
 
 
 def foreign_tmcl(reply: bytes) -> bytes:
@@ -171,12 +171,12 @@ def foreign_rtu(reply: bytes) -> bytes:
     return _with_crc(bytes((reply[0] + 1,)) + reply[1:-2])
 
 
-def refusal_tcp(request: bytes, code: int) -> bytes:
+def exception_tcp(request: bytes, code: int) -> bytes:
     """An exception response over TCP."""
     return request[:4] + b"\0\3" + bytes((request[MBAP - 1], request[MBAP] | 0x80, code))
 
 
-def refusal_rtu(request: bytes, code: int) -> bytes:
+def exception_rtu(request: bytes, code: int) -> bytes:
     """An exception response on a serial line."""
     return _with_crc(bytes((request[0], request[1] | 0x80, code)))
 

@@ -1,13 +1,13 @@
 """A USB instrument behind a bus that fails: it stands in for the instrument on the virtual bus.
 
-    rig.usb["monitor"] = FaultyUsb(rig.usb["monitor"], Misfortune(seed, ON_USB), rig.clock)
+    rig.usb["monitor"] = FaultyUsb(rig.usb["monitor"], FaultPlan(seed, ON_USB), rig.clock)
 
 What fails is an exchange: what the host writes to bulk OUT, and what comes back until it writes again. A payload is never
 damaged in silence, because the bus has checksums of its own and repeats by itself; what is damaged (CORRUPTED) is a header,
 as a driver's or a hub's error would.
 """
 
-from goniotwin.mocks.faults import Fault, Misfortune, corrupted, truncated
+from goniotwin.mocks.faults import Fault, FaultPlan, corrupt, truncate
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.usbtmc import HEADER_BYTES
 from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
@@ -21,7 +21,7 @@ class FaultyUsb(UsbTmcDevice):
     """
 
     def __init__(
-        self, device: UsbTmcDevice, misfortune: Misfortune, clock: Clock, late_s: float = 1.5, away_s: float = 0.3
+        self, device: UsbTmcDevice, misfortune: FaultPlan, clock: Clock, late_s: float = 1.5, away_s: float = 0.3
     ) -> None:
         self._misfortune = misfortune
         self._clock = clock
@@ -31,12 +31,12 @@ class FaultyUsb(UsbTmcDevice):
         super().__init__(device.instrument, device.latency_s, keeps_fifo=device.keeps_fifo, clear_s=device.clear_s)
 
     @property
-    def misfortune(self) -> Misfortune:
+    def misfortune(self) -> FaultPlan:
         """What decides what happens. Another one begins with a bus that is well."""
         return self._misfortune
 
     @misfortune.setter
-    def misfortune(self, misfortune: Misfortune) -> None:
+    def misfortune(self, misfortune: FaultPlan) -> None:
         self._misfortune = misfortune
         self._fault = Fault.NONE
 
@@ -73,9 +73,9 @@ class FaultyUsb(UsbTmcDevice):
             case Fault.LOST:
                 return b""
             case Fault.TRUNCATED:
-                return truncated(data, self._misfortune)
+                return truncate(data, self._misfortune)
             case Fault.CORRUPTED:
-                return corrupted(data[:HEADER_BYTES], self._misfortune) + data[HEADER_BYTES:]
+                return corrupt(data[:HEADER_BYTES], self._misfortune) + data[HEADER_BYTES:]
         return data
 
     def _draw(self, bit: int, below: int) -> int:

@@ -1,4 +1,4 @@
-"""A TCP server on loopback, a thread a client: what the back door and the USB/IP endpoint stand on."""
+"""A TCP server on loopback, one thread for each client: the base of the control port and the USB/IP endpoint."""
 
 import socketserver
 import threading

@@ -2,7 +2,7 @@
 
 pymodbus's servers listen, accept and open ports. What a module does with the bytes is decided where it is in process too
 (`twin.devices.modbus`): pymodbus's own handler answers functions that these modules lack, loses pipelined requests, and
-says "device failure" for a foreign unit where a module is silent.
+returns "device failure" for a foreign unit where a module is silent.
 
 The modules' limits of eight connections and of idle time (to be confirmed on hardware) are not kept here.
 """
@@ -29,10 +29,10 @@ from goniotwin.twin.rig import CONVERTER_LINE
 LOOPBACK = "127.0.0.1"
 GAP_S = 0.02
 """What ends a frame on an endpoint: its bytes come when the system brings them, not when the baud rate would."""
-UNHEARD_AT_MOST = 4096
-"""What has arrived and waits to be heard; on a serial line, which cannot be told to wait, more is lost."""
+UNREAD_LIMIT = 4096
+"""Limit of bytes that wait to be read; on a serial line, which has no flow control, more is lost."""
 FULL_WAIT_S = 0.02
-NOBODY = SimDevice(id=0, simdata=[SimData(0, values=0, datatype=DataType.REGISTERS)])
+NO_DEVICE = SimDevice(id=0, simdata=[SimData(0, values=0, datatype=DataType.REGISTERS)])
 Station = Callable[[], SerialDevice]
 
 
@@ -58,7 +58,7 @@ class ModbusEndpoints:
         return found
 
     def add_tcp(self, name: str, port: int = 0) -> None:
-        """A module on a port of loopback, 0 for a free one; `ports` says which from `start` on. Raises KeyError."""
+        """A module on a port of loopback, 0 for a free one; `ports` has it after `start`. Raises KeyError."""
         self._known(name)
         self._tcp[name] = port
 
@@ -180,13 +180,13 @@ class _Handler(ServerRequestHandler):
             self.close()
             return
         crowded = bool(self._unheard)
-        if len(self._unheard) < UNHEARD_AT_MOST:
+        if len(self._unheard) < UNREAD_LIMIT:
             self._unheard += data
         if not crowded:
             self._take_turn()
 
     def callback_disconnected(self, exc: Exception | None) -> None:
-        """What was asked by one who has gone is neither heard nor answered."""
+        """Discard requests of a client that has gone."""
         super().callback_disconnected(exc)
         self._forget()
 
@@ -227,11 +227,11 @@ class _Handler(ServerRequestHandler):
 
 class _TcpServer(ModbusTcpServer):
     def __init__(self, rig: VirtualRig, station: Station, port: int, unplugged: Callable[[], bool]) -> None:
-        super().__init__(NOBODY, address=(LOOPBACK, port))
+        super().__init__(NO_DEVICE, address=(LOOPBACK, port))
         self._rig, self._station, self._unplugged = rig, station, unplugged
 
     def callback_new_connection(self) -> _Handler:
-        """A connection has a station of its own; nobody answers behind a plug that has been pulled."""
+        """A connection has a station of its own; there is no reply behind a plug that has been pulled."""
         handler = _Handler(self, self._rig, self._station(), refused=self._unplugged())
         if self._unplugged():
             self.loop.call_soon(handler.close)
@@ -240,7 +240,7 @@ class _TcpServer(ModbusTcpServer):
 
 class _RtuServer(ModbusSerialServer):
     def __init__(self, rig: VirtualRig, station: Station, port: str, baudrate: int) -> None:
-        super().__init__(NOBODY, framer=FramerType.RTU, port=port, baudrate=baudrate)
+        super().__init__(NO_DEVICE, framer=FramerType.RTU, port=port, baudrate=baudrate)
         self._rig, self._station = rig, station
 
     def callback_new_connection(self) -> _Handler:

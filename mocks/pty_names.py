@@ -1,7 +1,7 @@
 """Stable names of pseudo-terminals: symbolic links in a folder that is one server's alone for as long as it serves.
 
 A folder is claimed by a lock on the folder itself, which the system lifts when its holder ends, however it ends. So a link
-to a pseudo-terminal that is found in a folder just claimed has been left by somebody who is gone, and may be replaced.
+to a pseudo-terminal in a folder that was just claimed is left over from an ended server, and may be replaced.
 Nothing else is: neither a file, nor a folder, nor a link to something else. What is removed is what was put.
 """
 
@@ -18,7 +18,7 @@ class PtyNames:
         self._put: dict[Path, str] = {}
 
     def put(self, link: Path, terminal: str) -> None:
-        """`link` names the pseudo-terminal from now on. Raises OSError in words where the name is somebody else's."""
+        """`link` names the pseudo-terminal from now on. Raises OSError where the name belongs to another program."""
         self._claim(link.parent)
         if link.is_symlink():
             target = str(link.readlink())

@@ -1,16 +1,16 @@
-"""Differences between what a device said when it was recorded and what another says now, byte by byte."""
+"""Differences between a recorded device and another one, byte by byte."""
 
 from dataclasses import dataclass, replace
 from itertools import takewhile, zip_longest
 
-from goniotwin.mocks.transcript import FROM_DEVICE, TO_DEVICE, Exchange, Passed
+from goniotwin.mocks.transcript import FROM_DEVICE, TO_DEVICE, Exchange, Transfer
 
 SHOWN = 48
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Bytes that are not those of the transcript, from its line `line` on; `asked` is what was told before."""
+    """Bytes that are not those of the transcript, from its line `line` on; `asked` is the request before."""
 
     line: int
     direction: str
@@ -27,53 +27,53 @@ class Difference:
 
     def __str__(self) -> str:
         places = [f"byte {k}: {_hex(one)} recorded, {_hex(other)} now" for k, one, other in self.places]
-        who = "to the device" if self.direction == TO_DEVICE else "from the device"
+        direction = "to the device" if self.direction == TO_DEVICE else "from the device"
         more = f", and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
         file = f"{self.file}, " if self.file else ""
-        return f"{file}line {self.line}, {who}: " + "; ".join(places[:SHOWN]) + more
+        return f"{file}line {self.line}, {direction}: " + "; ".join(places[:SHOWN]) + more
 
 
-def told_otherwise(recorded: Passed | None, now: bytes, end: Passed | None) -> Difference:
-    """What a driver says instead of what it said; without `recorded`, after the `end` of the transcript."""
+def describe_differences(recorded: Transfer | None, now: bytes, end: Transfer | None) -> Difference:
+    """Difference between a driver's request and the recorded one; without `recorded`, after the `end` of the transcript."""
     at = recorded or end
     line, file = (at.line, at.file) if at is not None else (0, "")
     return Difference(line, TO_DEVICE, recorded.data if recorded is not None else b"", now, file=file)
 
 
-def compared(recorded: list[Exchange], said: list[bytes]) -> list[Difference]:
+def compare_exchanges(recorded: list[Exchange], replies: list[bytes]) -> list[Difference]:
     """Exchange by exchange. Bytes may come one exchange sooner or later: drivers read them when they please.
 
-    What the device says after the last recorded byte is no difference: the recording had ended.
+    Bytes of the device after the last recorded one are no difference: the recording had ended.
     """
     found: list[Difference] = []
-    late: list[Passed] = []  # recorded, and not said yet
-    early = b""  # said, and not recorded yet
+    late: list[Transfer] = []  # recorded, not received yet
+    early = b""  # received, not recorded yet
     before = None
-    for number, (exchange, new) in enumerate(zip(recorded, said, strict=True)):
+    for number, (exchange, new) in enumerate(zip(recorded, replies, strict=True)):
         then, now = [*late, *exchange.answers], early + new
-        if not _agree(_joined(then), now) and _agree(exchange.said, new):
+        if not _agree(_joined(then), now) and _agree(exchange.reply, new):
             found += _differing(late, early, before)
             then, now = exchange.answers, new
         if _agree(_joined(then), now):
             late, early = _from(then, len(now)), now[len(_joined(then)) :]
             # What has waited since the exchange before will not come any more.
-            overdue, stale = max(0, len(_joined(late)) - len(exchange.said)), max(0, len(early) - len(new))
+            overdue, stale = max(0, len(_joined(late)) - len(exchange.reply)), max(0, len(early) - len(new))
             found += _differing(_up_to(late, overdue), early[:stale], before)
             late, early = _from(late, overdue), early[stale:]
         else:
-            following = (recorded[number + 1].said, said[number + 1]) if number + 1 < len(said) else (b"", b"")
+            following = (recorded[number + 1].reply, replies[number + 1]) if number + 1 < len(replies) else (b"", b"")
             late, early = _surplus(then, now, *following)
             end = len(_joined(then)) - len(_joined(late))
-            found += _differing(_up_to(then, end), now[: len(now) - len(early)], exchange.told)
-        before = exchange.told
+            found += _differing(_up_to(then, end), now[: len(now) - len(early)], exchange.sent)
+        before = exchange.sent
     return found + _differing(late, b"", before)
 
 
-def _joined(pieces: list[Passed]) -> bytes:
+def _joined(pieces: list[Transfer]) -> bytes:
     return b"".join(piece.data for piece in pieces)
 
 
-def _from(pieces: list[Passed], start: int) -> list[Passed]:
+def _from(pieces: list[Transfer], start: int) -> list[Transfer]:
     """What is left of recorded bytes after the first `start`."""
     left = []
     for piece in pieces:
@@ -83,7 +83,7 @@ def _from(pieces: list[Passed], start: int) -> list[Passed]:
     return left
 
 
-def _up_to(pieces: list[Passed], size: int) -> list[Passed]:
+def _up_to(pieces: list[Transfer], size: int) -> list[Transfer]:
     first = []
     for piece in pieces:
         if size > 0:
@@ -97,10 +97,10 @@ def _agree(one: bytes, other: bytes) -> bool:
     return one.startswith(other) or other.startswith(one)
 
 
-def _surplus(then: list[Passed], now: bytes, next_recorded: bytes, next_said: bytes) -> tuple[list[Passed], bytes]:
+def _surplus(then: list[Transfer], now: bytes, next_recorded: bytes, next_reply: bytes) -> tuple[list[Transfer], bytes]:
     """Of an exchange that differs: what belongs to the next, on one of the sides, because that fits there."""
     late, early = _from(then, len(now)), now[len(_joined(then)) :]
-    fits = _alike(_joined(late) + next_recorded, early + next_said) > _alike(next_recorded, next_said)
+    fits = _alike(_joined(late) + next_recorded, early + next_reply) > _alike(next_recorded, next_reply)
     return (late, early) if fits else ([], b"")
 
 
@@ -109,7 +109,7 @@ def _alike(one: bytes, other: bytes) -> int:
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
 
 
-def _differing(recorded: list[Passed], now: bytes, asked: Passed | None) -> list[Difference]:
+def _differing(recorded: list[Transfer], now: bytes, asked: Transfer | None) -> list[Difference]:
     """Line by line of the transcript as long as lengths agree; one difference for all from where they do not."""
     question = asked.data if asked is not None else b""
     if not recorded:

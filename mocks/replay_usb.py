@@ -1,7 +1,7 @@
 """Replay of a USBTMC instrument's transcript: against the twin's, or, in the instrument's place, against drivers.
 
-What was told is a control request where it has the eight bytes of a setup packet (CLEAR_FEATURE among them), else a bulk
-message, whose header alone has twelve. Of what came then, the first after a control request is its answer; what follows
+A recorded request is a control request where it has the eight bytes of a setup packet (CLEAR_FEATURE among them), else a bulk
+message, whose header alone has twelve. Of the answers, the first after a control request is its answer; what follows
 READ_STATUS_BYTE's are notices of the interrupt endpoint; all else is bulk IN. What failed (a stall, a timeout) is in no
 transcript: it shows as the answer that is not there.
 """
@@ -11,20 +11,20 @@ import struct
 from collections import deque
 
 from goniotwin.mocks.replay import ROUNDING_S, replay_all
-from goniotwin.mocks.replay_difference import Difference, told_otherwise
-from goniotwin.mocks.transcript import FROM_DEVICE, Exchange, Passed, exchanges
-from goniotwin.protocols.usbtmc import Request
+from goniotwin.mocks.replay_difference import Difference, describe_differences
+from goniotwin.mocks.transcript import FROM_DEVICE, Exchange, Transfer, exchanges
+from goniotwin.protocols.usbtmc import ClassRequest
 from goniotwin.twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
 
 SETUP = struct.Struct("<BBHHH")
 CLEAR_HALT = (0x02, 1)
-NOBODY = float("inf")
+NEVER_S = float("inf")
 
 
 class UsbReplay:
-    """What an instrument was told, told to a twin device."""
+    """A transcript of an instrument, replayed to a twin device."""
 
-    def __init__(self, device: UsbTmcDevice, transcript: list[Passed]) -> None:
+    def __init__(self, device: UsbTmcDevice, transcript: list[Transfer]) -> None:
         self._device = device
         self._left = deque(exchanges(transcript))
         self._found: list[Difference] = []
@@ -32,38 +32,38 @@ class UsbReplay:
 
     @property
     def due(self) -> float:
-        """When the next thing was told, s; infinity after the last."""
+        """Time of the next recorded request, s; infinity after the last."""
         if not self._left:
-            return NOBODY
-        told = self._left[0].told
-        return told.t if told is not None else float("-inf")
+            return NEVER_S
+        sent = self._left[0].sent
+        return sent.t if sent is not None else float("-inf")
 
     def step(self) -> None:
-        """Tells it, and reads from the device what was read then."""
+        """Send it, and read from the device what was read in the recording."""
         exchange = self._left.popleft()
-        told, answers = exchange.told, deque(exchange.answers)
+        sent, answers = exchange.sent, deque(exchange.answers)
         read = self._read
-        if told is not None:
-            self._now = max(self._now, told.t)
-            if _is_setup(told.data):
-                self._compare(told, answers.popleft() if answers else None, self._control(told.data))
-                read = self._notice if _asks_for_status(told.data) else read
+        if sent is not None:
+            self._now = max(self._now, sent.t)
+            if _is_setup(sent.data):
+                self._compare(sent, answers.popleft() if answers else None, self._control(sent.data))
+                read = self._notice if _asks_for_status(sent.data) else read
             else:
-                self._write(told.data)
+                self._write(sent.data)
                 if not answers and self._left:
-                    self._compare(told, None, self._read(self.due))
+                    self._compare(sent, None, self._read(self.due))
         for answer in answers:
-            self._compare(told, answer, read(NOBODY))
+            self._compare(sent, answer, read(NEVER_S))
 
     def differences(self) -> list[Difference]:
-        """Between what was recorded and what the device has said."""
+        """Differences between the recording and the replies of the device."""
         return self._found
 
-    def _compare(self, told: Passed | None, answer: Passed | None, now: bytes) -> None:
+    def _compare(self, sent: Transfer | None, answer: Transfer | None, now: bytes) -> None:
         recorded = answer.data if answer is not None else b""
-        at = answer if answer is not None else told
+        at = answer if answer is not None else sent
         if now != recorded and at is not None:
-            asked = told.data if told is not None else b""
+            asked = sent.data if sent is not None else b""
             self._found.append(Difference(at.line, FROM_DEVICE, recorded, now, asked, at.file))
 
     def _control(self, setup: bytes) -> bytes:
@@ -94,23 +94,23 @@ class UsbReplay:
             return b""
 
 
-def replay_to_usb(device: UsbTmcDevice, transcript: list[Passed]) -> list[Difference]:
-    """Tells the device what it was told, at the same times, and compares what it says."""
-    told = UsbReplay(device, transcript)
-    replay_all([told])
-    return told.differences()
+def replay_to_usb(device: UsbTmcDevice, transcript: list[Transfer]) -> list[Difference]:
+    """Send the recorded requests at the recorded times, and compare the replies."""
+    sent = UsbReplay(device, transcript)
+    replay_all([sent])
+    return sent.differences()
 
 
 class RecordedUsb(UsbTmcDevice):
-    """An instrument that says what it said: drivers that tell it something else than was recorded are found out.
+    """An instrument that replies as recorded: requests of a driver that differ from the recording are reported.
 
         rig.usb["monitor"] = RecordedUsb(rig.usb["monitor"], transcript)
 
-    It answers as fast as it did. From the first difference on it stalls what it is asked on endpoint 0, and says nothing on
+    It answers as fast as it did. From the first difference on it stalls requests on endpoint 0, and sends nothing on
     the others. No transcript has the descriptors: they are those of `device`.
     """
 
-    def __init__(self, device: UsbTmcDevice, transcript: list[Passed]) -> None:
+    def __init__(self, device: UsbTmcDevice, transcript: list[Transfer]) -> None:
         super().__init__(device.instrument, device.latency_s)
         self.differences: list[Difference] = []
         self._recorded = deque(exchanges(transcript))
@@ -131,7 +131,7 @@ class RecordedUsb(UsbTmcDevice):
             self.clear_halt(index)
             return b""
         setup = SETUP.pack(kind, request, value, index, length)
-        answers = self._told(setup, t - self.latency_s)
+        answers = self._match(setup, t - self.latency_s)
         if not answers:
             raise Stall
         (self._interrupts if _asks_for_status(setup) else self._bulk).extend(answers[1:])
@@ -139,11 +139,11 @@ class RecordedUsb(UsbTmcDevice):
 
     def clear_halt(self, endpoint: int) -> None:
         """CLEAR_FEATURE(ENDPOINT_HALT)."""
-        self._told(SETUP.pack(*CLEAR_HALT, 0, endpoint, 0), float("-inf"))
+        self._match(SETUP.pack(*CLEAR_HALT, 0, endpoint, 0), float("-inf"))
 
     def bulk_out(self, data: bytes, t: float) -> None:
         """What the host writes."""
-        self._bulk.extend(self._told(data, t - 0.5 * self.latency_s))
+        self._bulk.extend(self._match(data, t - 0.5 * self.latency_s))
 
     def bulk_in_ready(self) -> float | None:
         """When it comes that came next."""
@@ -165,16 +165,16 @@ class RecordedUsb(UsbTmcDevice):
         del t
         return self._interrupts.popleft()[1]
 
-    def _told(self, data: bytes, t: float) -> list[tuple[float, bytes]]:
+    def _match(self, data: bytes, t: float) -> list[tuple[float, bytes]]:
         """What came then, each with the time at which the device has it ready; nothing once something was different."""
         if self.differences:
             return []
         expected = self._recorded.popleft() if self._recorded else Exchange(None)
-        told = expected.told
-        if told is None or told.data != data:
-            self.differences.append(told_otherwise(told, data, self._end))
+        sent = expected.sent
+        if sent is None or sent.data != data:
+            self.differences.append(describe_differences(sent, data, self._end))
             return []
-        return [(t + each.t - told.t - 0.5 * self.latency_s - ROUNDING_S, each.data) for each in expected.answers]
+        return [(t + each.t - sent.t - 0.5 * self.latency_s - ROUNDING_S, each.data) for each in expected.answers]
 
 
 def _is_setup(data: bytes) -> bool:
@@ -182,4 +182,4 @@ def _is_setup(data: bytes) -> bool:
 
 
 def _asks_for_status(data: bytes) -> bool:
-    return _is_setup(data) and data[1] == Request.READ_STATUS_BYTE
+    return _is_setup(data) and data[1] == ClassRequest.READ_STATUS_BYTE

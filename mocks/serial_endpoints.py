@@ -1,6 +1,6 @@
 """Twin devices with a serial line, on real endpoints: pseudo-terminals with stable names, and TCP.
 
-One thread serves them all. A device is asked when bytes arrive and when it has said that it will have something to
+One thread serves them all. A device is polled when bytes arrive and when it has announced that it will have something to
 send; nothing polls. Pseudo-terminals exist on Linux and macOS; on Windows there is TCP.
 """
 
@@ -16,10 +16,10 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from goniotwin.mocks.pty_names import PtyNames, baudrate
-from goniotwin.mocks.serial_ends import OWED_AT_MOST, End, Line, owed
+from goniotwin.mocks.serial_ends import OWED_AT_MOST, Line, OpenEnd, owed
 from goniotwin.protocols.clock import RealClock
 from goniotwin.twin.devices.line import SerialDevice
-from goniotwin.twin.devices.tmcm6214 import Unasked
+from goniotwin.twin.devices.tmcm6214 import UnsolicitedReply
 
 LOOPBACK = "127.0.0.1"
 CHUNK = 4096
@@ -69,7 +69,7 @@ class SerialEndpoints:
         self._names.close()
         for key in list(self._selector.get_map().values()):
             self._selector.unregister(key.fileobj)
-            if isinstance(key.data, End):
+            if isinstance(key.data, OpenEnd):
                 self._close(key.data)
             elif isinstance(key.fileobj, socket.socket):
                 key.fileobj.close()
@@ -132,7 +132,7 @@ class SerialEndpoints:
             os.close(master)
             os.close(slave)
             raise
-        self._attach(End(line, master, slave=slave))
+        self._attach(OpenEnd(line, master, slave=slave))
 
     def _line(self, name: str, device: SerialDevice) -> Line:
         return self._lines.setdefault(name, Line(name, device))
@@ -185,9 +185,9 @@ class SerialEndpoints:
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._attach(End(line, connection.fileno(), connection))
+        self._attach(OpenEnd(line, connection.fileno(), connection))
 
-    def _hear(self, end: End) -> None:
+    def _hear(self, end: OpenEnd) -> None:
         try:
             data = end.read()
         except BlockingIOError:
@@ -217,11 +217,11 @@ class SerialEndpoints:
                 except OSError:
                     self._detach(end)
 
-    def _attach(self, end: End) -> None:
+    def _attach(self, end: OpenEnd) -> None:
         end.line.ends.append(end)
         self._selector.register(end.connection if end.connection is not None else end.descriptor, selectors.EVENT_READ, end)
 
-    def _detach(self, end: End) -> None:
+    def _detach(self, end: OpenEnd) -> None:
         if end in end.line.ends:
             end.line.ends.remove(end)
             self._selector.unregister(end.connection if end.connection is not None else end.descriptor)
@@ -229,15 +229,15 @@ class SerialEndpoints:
             self._forgive(end.line)
 
     def _forgive(self, line: Line) -> None:
-        """What has been asked by those who have gone is told to nobody, if nobody else is there."""
+        """Discard replies to clients that have gone, where no other client is connected."""
         if not line.pty_asked and all(end.connection is None for end in line.ends):
             with self._lock:
-                unasked = [each for each in line.device.outbox if isinstance(each[1], Unasked)]
+                unasked = [each for each in line.device.outbox if isinstance(each[1], UnsolicitedReply)]
                 line.device.outbox.clear()
                 line.device.outbox.extend(unasked)
 
     @staticmethod
-    def _close(end: End) -> None:
+    def _close(end: OpenEnd) -> None:
         if end.connection is not None:
             end.connection.close()
         else:

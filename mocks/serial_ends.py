@@ -17,11 +17,11 @@ UNSENT_LIMIT = 65_536
 
 @dataclass
 class Line:
-    """A device and those who listen to it. Whatever the device sends goes to every open end."""
+    """A device and its clients. Whatever the device sends goes to every open end."""
 
     name: str
     device: SerialDevice
-    ends: list["End"] = field(default_factory=list)
+    ends: list["OpenEnd"] = field(default_factory=list)
     links: list[Path] = field(default_factory=list)
     plugged: bool = True
     pty_asked: bool = False
@@ -29,7 +29,7 @@ class Line:
 
 
 @dataclass
-class End:
+class OpenEnd:
     """One open end of a line: a file descriptor, the bytes that could not be written yet."""
 
     line: Line
@@ -41,8 +41,8 @@ class End:
     def write(self, data: bytes) -> None:
         """As much as goes without waiting; the rest is kept. Raises OSError where the other side is gone.
 
-        A pseudo-terminal keeps no rest: what its client does not read is lost, as at a serial port, and whoever opens it
-        after a time of silence is not told what was said to others.
+        A pseudo-terminal keeps no rest: what its client does not read is lost, as at a serial port, and a client that opens it
+        after a time of silence does not get earlier replies.
         """
         self.unsent += data
         if len(self.unsent) > UNSENT_LIMIT:

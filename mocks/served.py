@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from goniotwin.mocks.bad_wires import BadWires
-from goniotwin.mocks.control import BackDoor, ControlServer
+from goniotwin.mocks.control import ControlPort, ControlServer
+from goniotwin.mocks.faulty_wires import FaultyWires
 from goniotwin.mocks.modbus_endpoints import GAP_S, ModbusEndpoints
 from goniotwin.mocks.serial_endpoints import LOOPBACK, SerialEndpoints, ptys_exist
 from goniotwin.mocks.usb_endpoints import UsbEndpoints
@@ -44,22 +44,22 @@ class Endpoint:
 
 
 class ServedRig:
-    """Serial lines on pseudo-terminals and TCP, Modbus modules on TCP, the monitor over USB/IP, the back door beside them."""
+    """Serial lines on pseudo-terminals and TCP, Modbus modules on TCP, the monitor over USB/IP, and the control port."""
 
     def __init__(self, model: TwinModel, speed: float, folder: Path, *, control: bool = True) -> None:
         self.clock = RealClock(speed)
         self.rig = VirtualRig.build(model, self.clock)
         self._folder = folder
-        self._wires = BadWires(self.rig, self.clock)
+        self._wires = FaultyWires(self.rig, self.clock)
         self._lines = SerialEndpoints(self.clock, self.rig.lock)
         self._modules = ModbusEndpoints(self.rig)
         self._usb = UsbEndpoints(self.rig)
-        self._control = ControlServer(BackDoor(self.rig, self._wires.orders)) if control else None
+        self._control = ControlServer(ControlPort(self.rig, self._wires.orders)) if control else None
         self._endpoints: list[Endpoint] = []
 
     @property
     def endpoints(self) -> list[Endpoint]:
-        """All of them, once started; the back door, where there is one, is the last."""
+        """All of them, once started; the control port, where there is one, is the last."""
         return list(self._endpoints)
 
     def start(self) -> None:
@@ -68,7 +68,7 @@ class ServedRig:
         self._lines.start()
         if self._control is not None:
             self._control.start()
-            self._endpoints.append(Endpoint(CONTROL, "back door", host=LOOPBACK, port=self._control.port))
+            self._endpoints.append(Endpoint(CONTROL, "simulation control port", host=LOOPBACK, port=self._control.port))
 
     def stop(self) -> None:
         """Closes everything; ports and names are free again."""

@@ -1,4 +1,4 @@
-"""Transcripts read back: what passed over a wire, when, in which direction; and what was said to what."""
+"""Transcripts read back: bytes on a wire with time and direction, and the exchanges they make."""
 
 import heapq
 import re
@@ -16,7 +16,7 @@ class TranscriptError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class Transfer:
     """Bytes that passed at a time, s; `line` of `file` is where they stand."""
 
     t: float
@@ -28,18 +28,18 @@ class Passed:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What the device was told, and what it said until it was told the next thing; before the first it was told nothing."""
+    """A request and the replies until the next request; the first exchange may have no request."""
 
-    told: Passed | None
-    answers: list[Passed] = field(default_factory=list)
+    sent: Transfer | None
+    answers: list[Transfer] = field(default_factory=list)
 
     @property
-    def said(self) -> bytes:
-        """All of it in one piece."""
+    def reply(self) -> bytes:
+        """All replies in one piece."""
         return b"".join(answer.data for answer in self.answers)
 
 
-def read_transcript(path: Path) -> list[Passed]:
+def read_transcript(path: Path) -> list[Transfer]:
     """All that passed, in order. Raises TranscriptError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -59,20 +59,20 @@ def read_transcript(path: Path) -> list[Passed]:
             raise TranscriptError(f"{path}, line {number}: is no line of a transcript: {line[:60]!a}")
         if abs(t := float(match["t"])) > LATEST_S:
             raise TranscriptError(f"{path}, line {number}: {match['t'][:60]} s is no time")
-        found.append(Passed(t, match["direction"], bytes.fromhex(match["bytes"]), number, path.name))
+        found.append(Transfer(t, match["direction"], bytes.fromhex(match["bytes"]), number, path.name))
     return found
 
 
-def merged(transcripts: Iterable[list[Passed]]) -> list[Passed]:
+def merge_transcripts(transcripts: Iterable[list[Transfer]]) -> list[Transfer]:
     """The transcripts of several units on one line, as the line saw them: in order of time, each in its own order.
 
-    Where times are equal an answer comes first: nobody asks before it is there.
+    Where times are equal a reply comes first: the next request follows it.
     """
     return list(heapq.merge(*transcripts, key=lambda passed: (passed.t, passed.direction == TO_DEVICE)))
 
 
-def exchanges(transcript: list[Passed], byte_s: float = 0.0) -> list[Exchange]:
-    """What was told, each with what the device said until the next thing.
+def exchanges(transcript: list[Transfer], byte_s: float = 0.0) -> list[Exchange]:
+    """Requests, each with the replies until the next request.
 
     Where a byte takes `byte_s`, what must have begun to come before the first byte of a question was there does not
     answer it, and is left to the exchange before: drivers may write down a line only when they have all of it.
@@ -86,6 +86,6 @@ def exchanges(transcript: list[Passed], byte_s: float = 0.0) -> list[Exchange]:
             found.append(Exchange(None))
         last = found[-1]
         begun = passed.t - byte_s * len(passed.data)
-        too_soon = byte_s > 0.0 and last.told is not None and begun < last.told.t + 0.5 * byte_s
+        too_soon = byte_s > 0.0 and last.sent is not None and begun < last.sent.t + 0.5 * byte_s
         (found[-2] if too_soon and not last.answers and len(found) > 1 else last).answers.append(passed)
     return found

@@ -44,7 +44,7 @@ BUS = 1
 
 
 class UsbEndpoints:
-    """All USB devices of a rig on one port. `bus_ids` says which is which."""
+    """All USB devices of a rig on one port. `bus_ids` has the id of each."""
 
     def __init__(self, rig: VirtualRig, port: int = 0) -> None:
         self._rig = rig
@@ -108,7 +108,7 @@ class UsbEndpoints:
                 bus_id = request.bus_id
                 _Import(connection, self._backend, self._rig, name, buffer).serve()
         except (OSError, usbip.UsbIpError):
-            return  # whoever speaks something else, or no more, is hung up on
+            return  # a client that does not speak USB/IP, or has gone, is disconnected
         finally:
             with self._lock:
                 self._open.discard(connection)
@@ -242,7 +242,7 @@ def _hang_up(connection: socket.socket) -> None:
 
 
 @contextmanager
-def installed(backend: IBackend) -> Iterator[None]:
+def install_backend(backend: IBackend) -> Iterator[None]:
     """Meanwhile `usb.core.find()` without a backend of its own finds the devices of `backend`, in this process."""
     real: Callable[..., IBackend | None] = usb.backend.libusb1.get_backend
     usb.backend.libusb1.get_backend = lambda find_library=None: backend  # noqa: ARG005  (pyusb's own signature)

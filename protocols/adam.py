@@ -111,7 +111,7 @@ VOLTAGE_RANGES = {code: each for code, each in RANGES.items() if not each.curren
 
 @dataclass(frozen=True)
 class Model:
-    """A kind of module: its name, the words in which it says it, its ranges, its digital outputs, its wire.
+    """A kind of module: its name, the text in which it reports it, its ranges, its digital outputs, its wire.
 
     `statistics`: whether it has registers of average, maximum, minimum and floats, and the coils that go with them.
     """

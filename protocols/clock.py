@@ -48,7 +48,7 @@ class Event:
 
 
 class VirtualClock:
-    """A clock that jumps to where it is told to, for one thread.
+    """A clock that jumps to a given time, for one thread.
 
     What should happen in the middle of a jump (a stop, a fault) is an event at a time. An action may itself sleep:
     the clock is then later than the sleeper asked for, as it would be on a real machine.

@@ -23,7 +23,7 @@ _NUMBER = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 _TERMINATOR = re.compile(rb"[\r\n]")
 
 
-class Error(IntEnum):
+class ErrorCode(IntEnum):
     """What `ERROR?` answers."""
 
     NONE = 0
@@ -41,8 +41,8 @@ class Error(IntEnum):
         return self.name.replace("_", " ").lower()
 
 
-class Unit(Enum):
-    """What a wavelength is told in: nm, um or 1/cm, with the decimals that the unit writes."""
+class WavelengthUnit(Enum):
+    """Unit of wavelengths: nm, um or 1/cm, with the decimals that the device writes."""
 
     NM = 3
     UM = 6
@@ -50,16 +50,16 @@ class Unit(Enum):
 
     def to_nm(self, value: float) -> float:
         """In nm; infinity for a wavenumber of 0."""
-        if self is Unit.WN:
+        if self is WavelengthUnit.WN:
             return 1e7 / value if value else math.inf
-        return value * 1e3 if self is Unit.UM else value
+        return value * 1e3 if self is WavelengthUnit.UM else value
 
     def encode(self, wavelength_nm: float) -> str:
         """As the device writes it; 0 where a wavelength of 0 has no wavenumber."""
         value = wavelength_nm
-        if self is Unit.WN:
+        if self is WavelengthUnit.WN:
             value = 1e7 / wavelength_nm if wavelength_nm else 0.0
-        elif self is Unit.UM:
+        elif self is WavelengthUnit.UM:
             value = wavelength_nm * 1e-3
         return f"{value:.{self.value}f}"
 

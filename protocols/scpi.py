@@ -30,7 +30,7 @@ class ScpiError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class MessageUnit:
     """One program message unit: the header in capitals from the root, query or not, its parameters."""
 
     header: tuple[str, ...]
@@ -38,12 +38,12 @@ class Unit:
     parameters: tuple[str, ...]
 
 
-def parse(message: bytes) -> list[Unit]:
+def parse(message: bytes) -> list[MessageUnit]:
     """The units of a message, in order. Raises ScpiError as `units` does."""
     return list(units(message))
 
 
-def units(message: bytes) -> Iterator[Unit]:
+def units(message: bytes) -> Iterator[MessageUnit]:
     """The units of a message one by one; `;` joins on the level of the unit before, `;:` at the root.
 
     Raises ScpiError where the message goes wrong, after the units before that: -101 for characters that are not ASCII,
@@ -68,7 +68,7 @@ def units(message: bytes) -> Iterator[Unit]:
         if words.startswith("*"):
             if not _NODE.fullmatch(words[1:]):
                 raise ScpiError(-102, f"Syntax error: {_printable(words)}")
-            yield Unit((words,), query, parameters)
+            yield MessageUnit((words,), query, parameters)
             continue
         if words.startswith(":"):
             path, words = (), words[1:]
@@ -79,7 +79,7 @@ def units(message: bytes) -> Iterator[Unit]:
             raise ScpiError(-112, "Program mnemonic too long")
         header = path + nodes
         path = header[:-1]
-        yield Unit(header, query, parameters)
+        yield MessageUnit(header, query, parameters)
 
 
 def _outside_quotes(text: str, separator: str) -> list[str]:

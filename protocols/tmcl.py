@@ -4,15 +4,14 @@ Source: Trinamic, "TMCM-6214 TMCL Firmware Manual" V1.06 (frames, commands, axis
 Programming Manual" 2.22. The parameters' numbers are in `tmcl_parameters`.
 
 The sum finds every error that changes one byte. Of errors that change two bytes at random it passes one in 255, and it
-passes an exchange of two bytes always: who decodes has to look at addresses, command and echoed value as well.
+always passes an exchange of two bytes: a decoder has to check addresses, command and echoed value as well.
 """
 
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from goniotwin.protocols.tmcl_parameters import Axis as Axis
-from goniotwin.protocols.tmcl_parameters import Search
+from goniotwin.protocols.tmcl_parameters import AxisParameter, SearchCommand
 
 FRAME_BYTES = 9
 HOST_ADDRESS = 2
@@ -51,8 +50,8 @@ class Command(IntEnum):
     GET_INFO = 157
 
 
-class Status(IntEnum):
-    """What a module says of a request."""
+class ReplyStatus(IntEnum):
+    """Status of a reply."""
 
     OK = 100
     LOADED = 101
@@ -84,7 +83,7 @@ def checksum(data: bytes) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CommandFrame:
     """What the host sends: module address, command, type, motor or bank, signed 32 bit value."""
 
     address: int
@@ -102,7 +101,7 @@ class Request:
         return body + bytes((checksum(body),))
 
     @classmethod
-    def decode(cls, frame: bytes) -> "Request":
+    def decode(cls, frame: bytes) -> "CommandFrame":
         """A request from its nine bytes. Raises FrameError for a wrong length or checksum."""
         return cls(*_unpack(frame))
 
@@ -111,7 +110,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class ReplyFrame:
     """What a module answers: host address, module address, status, echoed command, signed 32 bit value."""
 
     host: int
@@ -129,12 +128,12 @@ class Reply:
         return body + bytes((checksum(body),))
 
     @classmethod
-    def decode(cls, frame: bytes) -> "Reply":
+    def decode(cls, frame: bytes) -> "ReplyFrame":
         """A reply from its nine bytes. Raises FrameError for a wrong length or checksum."""
         return cls(*_unpack(frame))
 
     def __str__(self) -> str:
-        return f"{_name(Command, self.command)} {_name(Status, self.status)} value {self.value}"
+        return f"{_name(Command, self.command)} {_name(ReplyStatus, self.status)} value {self.value}"
 
 
 def split(buffer: bytes) -> tuple[list[bytes], bytes]:
@@ -184,9 +183,9 @@ def _name(names: type[IntEnum], number: int) -> str:
 
 def _type_name(command: int, number: int) -> str:
     if command in (Command.SAP, Command.GAP, Command.STAP, Command.RSAP):
-        return f"{number} {_name(Axis, number)}"
+        return f"{number} {_name(AxisParameter, number)}"
     if command == Command.MVP:
         return _name(MoveType, number)
     if command == Command.RFS:
-        return _name(Search, number)
+        return _name(SearchCommand, number)
     return str(number)

@@ -7,7 +7,7 @@ Those marked (*) are to be confirmed on hardware.
 from enum import IntEnum, IntFlag
 
 
-class Axis(IntEnum):
+class AxisParameter(IntEnum):
     """Axis parameters (AP). Positions in microsteps, velocities in pps, accelerations in pps/s."""
 
     TARGET_POSITION = 0
@@ -49,7 +49,7 @@ class Axis(IntEnum):
     UNIT_MODE = 255
 
 
-class Global(IntEnum):
+class GlobalParameter(IntEnum):
     """Global parameters of bank 0."""
 
     EEPROM_LOCK = 73  # (*) 1234 locks, 4321 unlocks
@@ -96,7 +96,7 @@ class DriverFlag(IntFlag):
     STANDSTILL = 128
 
 
-class Search(IntEnum):
+class SearchCommand(IntEnum):
     """The types of RFS."""
 
     START = 0

@@ -24,7 +24,7 @@ class MsgId(IntEnum):
     TRIGGER = 128
 
 
-class Request(IntEnum):
+class ClassRequest(IntEnum):
     """bRequest of the class requests."""
 
     INITIATE_ABORT_BULK_OUT = 1
@@ -43,10 +43,10 @@ class Request(IntEnum):
     @property
     def of_endpoint(self) -> bool:
         """Whether it goes to an endpoint (bmRequestType 0xA2); the others go to the interface (0xA1)."""
-        return self <= Request.CHECK_ABORT_BULK_IN_STATUS
+        return self <= ClassRequest.CHECK_ABORT_BULK_IN_STATUS
 
 
-class Status(IntEnum):
+class RequestStatus(IntEnum):
     """USBTMC_status, the first byte of each answer."""
 
     SUCCESS = 0x01
@@ -186,7 +186,7 @@ def next_status_tag(tag: int) -> int:
 def capabilities(*, trigger: bool = True) -> bytes:
     """The answer to GET_CAPABILITIES of a USB488 device that speaks SCPI."""
     answer = bytearray(24)
-    answer[0] = Status.SUCCESS
+    answer[0] = RequestStatus.SUCCESS
     answer[2:4] = answer[12:14] = (0x0100).to_bytes(2, "little")
     answer[4] = 0b100  # INDICATOR_PULSE
     answer[5] = 0b1  # TermChar

@@ -5,7 +5,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from goniotwin.protocols.clock import Clock, RealClock
-from goniotwin.twin.devices import Adam4117, Adam6017, AdamModule, Cornerstone260, Pm100d, RtuStation, TmclLine, UsbTmcDevice
+from goniotwin.twin.devices import (
+    Adam4117,
+    Adam6017,
+    ConverterModule,
+    Cornerstone260,
+    Pm100d,
+    RtuStation,
+    TmclLine,
+    UsbTmcDevice,
+)
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.plant import Plant, TwinModel
 
@@ -21,7 +30,7 @@ class VirtualRig:
     plant: Plant
     clock: Clock
     serial: dict[str, SerialDevice] = field(default_factory=dict)
-    modbus: dict[str, AdamModule] = field(default_factory=dict)
+    modbus: dict[str, ConverterModule] = field(default_factory=dict)
     usb: dict[str, UsbTmcDevice] = field(default_factory=dict)
     lock: threading.RLock = field(default_factory=threading.RLock)
     """Held by whoever brings bytes to a device: all of them share one plant."""

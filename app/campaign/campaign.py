@@ -14,7 +14,7 @@ from goniotwin.app.campaign.running.operator import HumanOperator, Operator, Ser
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
-from goniotwin.app.rig.lock import Held, RigLock
+from goniotwin.app.rig.lock import RigInUse, RigLock
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -100,8 +100,8 @@ def _lock(resource: str, journal_path: Path, plan: Plan) -> Iterator[None]:
     """Hold the lock of a resource. Raises UserError with the program that holds it already."""
     try:
         lock = RigLock([resource], f"{plan.schedule.file.name} ({journal_path})")
-    except Held as held:
-        raise Held(str(journal_path), held.holder) from None
+    except RigInUse as held:
+        raise RigInUse(str(journal_path), held.holder) from None
     try:
         yield
     finally:

@@ -10,6 +10,16 @@ def duration_text(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min {whole % 60:02d} s" if hours else f"{minutes} min {whole % 60:02d} s"
 
 
+def rounded_duration_text(seconds: float) -> str:
+    """A duration with its two largest units: `4 s`, `2 min 05 s`, `3 h 07 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
 def number_list(values: Iterable[int]) -> str:
     """Whole numbers in ascending order, three or more consecutive ones as a range, such as `0 to 4, 7, 9`."""
     runs: list[list[int]] = []

@@ -29,12 +29,12 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
 
     Exit status: 2 if the rig cannot do the schedule.
     """
-    from goniotwin.app.campaign.planning.check import checked_plan, in_words
+    from goniotwin.app.campaign.planning.check import check_plan, describe_check
 
     plan = _make_plan(schedule, rig)
     plan.rig.model()  # reads the files of the samples, so that an error in them shows now
-    result = checked_plan(plan)
-    answer(as_json, result, lambda: print(in_words(plan, result)))
+    result = check_plan(plan)
+    answer(as_json, result, lambda: print(describe_check(plan, result)))
 
 
 @app.command()
@@ -67,16 +67,16 @@ def rehearse(
 
     Exit status: 0 if all rows are done, 1 after a fault, 3 if the schedule's [stop] ended it.
     """
-    from goniotwin.app.campaign.rehearsal.rehearsal import prepared, rehearse
-    from goniotwin.app.campaign.rehearsal.report import in_words
+    from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
+    from goniotwin.app.campaign.rehearsal.report import report_text
     from goniotwin.app.campaign.schedule.file import read_schedule
     from goniotwin.app.rig import read_rig
 
     _check_writable(points, out)
-    plan, assumed = prepared(read_schedule(schedule), read_rig(rig), _sample_models(sample or []))
+    plan, assumed = plan_rehearsal(read_schedule(schedule), read_rig(rig), _sample_models(sample or []))
     with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         rehearsal = rehearse(plan, assumed, out=out, points=points, listeners=[progress])
-    answer(as_json, rehearsal.result, lambda: print(in_words(rehearsal)))
+    answer(as_json, rehearsal.result, lambda: print(report_text(rehearsal)))
     for fault in rehearsal.result["faults"]:
         print_error(fault)
     if not rehearsal.done:
@@ -110,7 +110,7 @@ def run(
     Ctrl-C. After 1, 3 and 130 the journal has all measured rows, and --resume continues.
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-    from goniotwin.app.campaign.reduction.verdicts import checked_in
+    from goniotwin.app.campaign.reduction.reduction import check_journal
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.rig import read_rig
 
@@ -138,7 +138,7 @@ def run(
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
     }
-    if (checks := checked_in(journal)) is not None:
+    if (checks := check_journal(journal)) is not None:
         result["checks"] = checks.as_dict()
     for fault in outcome.faults:
         print_error(fault)
@@ -211,7 +211,7 @@ def _sample_models(texts: list[str]) -> dict[str, str]:
 def _check_writable(points: Path | None, out: Path | None) -> None:
     """Check, before a long rehearsal, that its files can be written after it. Raises UserError."""
     from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.whole_file import refuse_unwritable
+    from goniotwin.app.formats.file import check_writable
 
     if out is not None and out.exists():
         raise UserError(f"--out {out}: exists, and a journal is never overwritten; choose another name")
@@ -220,7 +220,7 @@ def _check_writable(points: Path | None, out: Path | None) -> None:
     for option, path in (("--points", points), ("--out", out)):
         if path is not None:
             try:
-                refuse_unwritable(path)
+                check_writable(path)
             except FormatError as error:
                 raise UserError(f"{option} {error}") from None
 

@@ -12,10 +12,9 @@ from rich.table import Table
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.comparison import Comparison, compare
+from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut_figure
 from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
-from goniotwin.app.campaign.reduction.figure import cut_figure
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.output import RowProgress
@@ -66,7 +65,7 @@ def run_demo(
     return result, lambda terminal: _print_result(terminal, result, measured, noise_free)
 
 
-def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[Reduced, float]:
+def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[BsdfDataset, float]:
     with RowProgress(console, f"{plan.schedule.file.name}, {title}", len(plan.rows)) as progress:
         outcome = run_campaign(plan, journal, listeners=[progress], transcript=transcript)
     if outcome.state is State.IDLE:

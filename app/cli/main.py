@@ -127,7 +127,7 @@ def copy_examples(
     Existing files are never overwritten.
     """
     from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.whole_file import write_whole
+    from goniotwin.app.formats.file import write_file
 
     sources = sorted(examples.FOLDER.glob("*/*.toml"))
     copies = {source: folder / source.relative_to(examples.FOLDER) for source in sources}
@@ -137,7 +137,7 @@ def copy_examples(
     try:
         for source, copy in copies.items():
             copy.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(copy, source.read_bytes())
+            write_file(copy, source.read_bytes())
     except (OSError, FormatError) as error:
         raise UserError(f"{folder}: cannot be written: {error}; choose another folder") from None
     copied = list(copies.values())

@@ -16,7 +16,7 @@ from goniotwin.drivers.usb import usbtmc
 from goniotwin.mocks.replay import LineReplay, Replay, replay_all
 from goniotwin.mocks.replay_difference import Difference
 from goniotwin.mocks.replay_usb import UsbReplay
-from goniotwin.mocks.transcript import TO_DEVICE, Passed, TranscriptError, merged, read_transcript
+from goniotwin.mocks.transcript import TO_DEVICE, TranscriptError, Transfer, merge_transcripts, read_transcript
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.modbus import TcpStation
@@ -77,7 +77,7 @@ def replay_transcripts(paths: Sequence[Path], rig: RigDescription, device: str |
     if device is not None and len(paths) > 1:
         raise UserError(f"--device is for one transcript, and there are {len(paths)}; leave it out")
     virtual = VirtualRig.build(model, VirtualClock())
-    transcripts: dict[str, list[Passed]] = {}
+    transcripts: dict[str, list[Transfer]] = {}
     for path in paths:
         name = device if device is not None else path.stem
         _check_device(name, rig, virtual, path, from_file_name=device is None)
@@ -98,9 +98,9 @@ def replay_transcripts(paths: Sequence[Path], rig: RigDescription, device: str |
     )
 
 
-def _wires(rig: RigDescription, virtual: VirtualRig, transcripts: dict[str, list[Passed]]) -> list[tuple[Replay, Explain]]:
+def _wires(rig: RigDescription, virtual: VirtualRig, transcripts: dict[str, list[Transfer]]) -> list[tuple[Replay, Explain]]:
     wires: list[tuple[Replay, Explain]] = []
-    on_line: list[list[Passed]] = []
+    on_line: list[list[Transfer]] = []
     for name, transcript in transcripts.items():
         if name == "axes":
             wires.append((LineReplay(virtual.serial[AXES], transcript), tmcl.explain))
@@ -116,7 +116,7 @@ def _wires(rig: RigDescription, virtual: VirtualRig, transcripts: dict[str, list
                 wires.append((LineReplay(TcpStation(module), transcript, 0.5 * module.latency_s), explain))
     if on_line:
         # One serial line has a file for each of its units.
-        wires.append((LineReplay(virtual.serial[CONVERTER_LINE], merged(on_line)), explain_rtu))
+        wires.append((LineReplay(virtual.serial[CONVERTER_LINE], merge_transcripts(on_line)), explain_rtu))
         _address_units(rig, virtual)
     return wires
 
@@ -149,7 +149,7 @@ def _check_device(name: str, rig: RigDescription, virtual: VirtualRig, path: Pat
     raise UserError(f"{rig.name}: has no device {name!r}; it has {known}")
 
 
-def _read_transcript(path: Path) -> list[Passed]:
+def _read_transcript(path: Path) -> list[Transfer]:
     try:
         transcript = read_transcript(path)
     except TranscriptError as error:

@@ -87,7 +87,7 @@ def usb(
 
     The program is not modified."""
     from goniotwin.app.rig import read_rig
-    from goniotwin.mocks import installed
+    from goniotwin.mocks import install_backend
     from goniotwin.protocols.clock import RealClock
     from goniotwin.twin import VirtualRig
     from goniotwin.twin.doors import TwinUsbBackend
@@ -97,7 +97,7 @@ def usb(
         raise UserError(f"{program}: no such program; check the name")
     virtual = VirtualRig.build(_twin_model(description), RealClock())
     sys.argv = [str(program), *context.args]
-    with installed(TwinUsbBackend(virtual)):
+    with install_backend(TwinUsbBackend(virtual)):
         runpy.run_path(str(program), run_name="__main__")
 
 

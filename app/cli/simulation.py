@@ -121,26 +121,26 @@ def simulate(
             f"simulate: {missing} is missing; write goniotwin simulate --sample gaussian:width_deg=5 --out FILE.ddr"
         )
     from goniotwin.app.rig.samples import parse_sample, table_files
-    from goniotwin.app.simulation.detectors import numbers
-    from goniotwin.app.simulation.estimate import Effort
-    from goniotwin.app.simulation.files import check_names, summary, write
+    from goniotwin.app.simulation.detectors import parse_list
+    from goniotwin.app.simulation.estimate import EstimatorSettings
+    from goniotwin.app.simulation.files import check_file_names, summary, write_simulation
     from goniotwin.app.simulation.simulate import Task
     from goniotwin.app.simulation.simulate import simulate as simulate_task
 
     def parse(text: str | None, name: str, low: float, high: float) -> "Floats | None":
-        return None if text is None else numbers(text, name, low, high)
+        return None if text is None else parse_list(text, name, low, high)
 
     instrument, frames = _instrument_and_frames(rig, no_obstruction)
     wavelengths = parse(wavelength, "--wavelength", 200.0, 2500.0)
     read = table_files(sample) + ([] if source is None else [source])
     task = Task(
         sample=parse_sample(sample),
-        sigma_deg=numbers(sigma, "--sigma", 0.0, SIGMA_END_DEG),
+        sigma_deg=parse_list(sigma, "--sigma", 0.0, SIGMA_END_DEG),
         instrument=instrument,
-        effort=Effort(estimator, rays, paths, error, seed),
+        estimator=EstimatorSettings(estimator, rays, paths, error, seed),
         wavelengths_nm=wavelengths,
         back=side == "back",
-        transmitted=check_names(out, read, transmitted),
+        transmitted=check_file_names(out, read, transmitted),
         stray=with_stray,
         frames=frames,
         source=_read_source(source, wavelengths, interval, bandwidth, instrument),
@@ -152,7 +152,7 @@ def simulate(
     with ShareProgress(Console(stderr=True), "simulating") as progress:
         simulation = simulate_task(task, progress)
     for path in out:
-        write(simulation, path)
+        write_simulation(simulation, path)
     result = summary(simulation, out)
     answer(as_json, result, lambda: _print_summary(result))
 
@@ -190,15 +190,21 @@ def illumination(
         raise UserError("--rays: is the number of rays in a rayset; give --rayset FILE.h5 too")
 
     from goniotwin.app.formats import FormatError, write_rayset
-    from goniotwin.app.simulation.illumination import check_names, estimate_in_words, illuminated, summary, write_illumination
-    from goniotwin.app.simulation.source import unit_for
+    from goniotwin.app.simulation.illumination import (
+        check_file_names,
+        format_estimate,
+        simulate_illumination,
+        summary,
+        write_illumination,
+    )
+    from goniotwin.app.simulation.source import illumination_unit
 
-    check_names(out, rayset)
+    check_file_names(out, rayset)
     instrument, _ = _instrument_and_frames(rig)
-    unit = unit_for(instrument, wavelength, interval, bandwidth)
+    unit = illumination_unit(instrument, wavelength, interval, bandwidth)
     count = None if rayset is None else (RAYSET_RAYS if rays is None else rays)
     with ShareProgress(Console(stderr=True), "illumination") as progress:
-        light = illuminated(unit, error, seed, count, progress)
+        light = simulate_illumination(unit, error, seed, count, progress)
     write_illumination(light, out)
     if rayset is not None and light.rayset is not None:
         try:
@@ -209,7 +215,7 @@ def illumination(
 
     def show() -> None:
         side = f"{unit.field_side_mm:g} x {unit.field_side_mm:g} mm"
-        fluxes = ", ".join(estimate_in_words(*each) for each in (("forward", light.forward), ("adjoint", light.adjoint)))
+        fluxes = ", ".join(format_estimate(*each) for each in (("forward", light.forward), ("adjoint", light.adjoint)))
         print(f"SIMULATED, the illumination of the sample: {out}")
         print(f"flux into {side}: {fluxes}; they differ by {abs(light.difference_over_error):.1f} standard errors")
         width, width_error = light.adjoint.full_width_deg
@@ -235,7 +241,7 @@ def table3(
     """
     from goniotwin.app.simulation.paper.table3 import STEPS
     from goniotwin.app.simulation.paper.table3 import table3 as compute_table3
-    from goniotwin.app.simulation.paper.table3_report import as_dict, figures, show
+    from goniotwin.app.simulation.paper.table3_report import as_dict, print_table3, write_figures
 
     done = 0
 
@@ -247,10 +253,10 @@ def table3(
     with ShareProgress(Console(stderr=True), "table 3") as progress:
         table = compute_table3(step)
         progress(1.0, "done")
-    files = {name: str(path) for name, path in figures(table, out).items()} if out is not None else {}
+    files = {name: str(path) for name, path in write_figures(table, out).items()} if out is not None else {}
 
     def show_all() -> None:
-        show(Console(highlight=False), table)
+        print_table3(Console(highlight=False), table)
         for name, path in files.items():
             print(f"{name}: {path}")
 
@@ -266,10 +272,10 @@ def shadow(
     as_json: Json = False,
 ) -> None:
     """Map the directions blocked by the mirror unit, on both arcs."""
-    from goniotwin.app.simulation.detectors import numbers
-    from goniotwin.app.simulation.shadow import shadows, write_shadows
+    from goniotwin.app.simulation.detectors import parse_list
+    from goniotwin.app.simulation.shadow import shadow_maps, write_shadows
 
-    maps = shadows(_instrument_and_frames(rig)[0], [float(each) for each in numbers(sigma, "--sigma", 0.0, 180.0)], step)
+    maps = shadow_maps(_instrument_and_frames(rig)[0], [float(each) for each in parse_list(sigma, "--sigma", 0.0, 180.0)], step)
     write_shadows(maps, out)
     blocked = {
         f"{each.sigma_deg:g} {'lower' if each.lower else 'upper'}": int((each.visible[:, :-1] < 1.0).sum()) for each in maps
@@ -304,7 +310,7 @@ def _read_source(
     instrument: "Instrument",
 ) -> "Source | None":
     """Read the rayset of --source. Raises UserError."""
-    from goniotwin.app.simulation.source import read_source, unit_for
+    from goniotwin.app.simulation.source import illumination_unit, read_source
 
     if path is None:
         given = [name for name, value in (("--interval", interval), ("--bandwidth", bandwidth)) if value is not None]
@@ -313,7 +319,7 @@ def _read_source(
         return None
     if wavelengths is not None and wavelengths.size != 1:
         raise UserError(f"--source: a rayset has one wavelength, --wavelength has {wavelengths.size}; give that one")
-    unit = unit_for(
+    unit = illumination_unit(
         instrument,
         WAVELENGTH_NM if wavelengths is None else float(wavelengths[0]),
         INTERVAL_NM if interval is None else interval,

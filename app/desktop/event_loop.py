@@ -1,57 +1,93 @@
-"""Requests to end (Ctrl-C, SIGTERM, SIGHUP) in Qt's event loop.
+"""Python in Qt's event loop: signals that end the program, and the garbage collector in the window's thread.
 
-A KeyboardInterrupt that is raised in a slot is lost there. So the signal's handler only puts `requested` into the event queue.
+A KeyboardInterrupt that is raised in a slot is lost. So a signal handler only puts a Qt signal into the event queue. Python
+runs a handler between two of its own statements, and an event loop that waits runs none. So the system writes the number of
+the signal to a socket that the loop watches (signal.set_wakeup_fd): the loop enters Python, and the handler runs.
 
-Python runs a handler between two of its own statements, and an event loop that waits runs none. So the system writes the
-signal's number to a socket that the loop watches (signal.set_wakeup_fd): the loop enters Python, and the handler runs.
+The garbage collector runs in the thread that happens to allocate. In the rig's thread it would destroy widgets that are part
+of a reference cycle, and Qt crashes if a widget is destroyed outside of the window's thread. (pyqtgraph's `GarbageCollector`
+does the same, but cannot be stopped.)
 """
 
 import contextlib
+import gc
 import signal
 import socket
 from collections.abc import Iterator
 
-from PySide6.QtCore import QObject, QSocketNotifier, Signal, Slot
+from PySide6.QtCore import QObject, QSocketNotifier, QTimer, Signal, Slot
 
 from goniotwin.app.end_signals import EndSignalHandlers, call_on_end_signal
 
-MOST_BYTES = 4096
+RECEIVE_BYTES = 4096
+COLLECT_MS = 500
 
 
-class Interrupt(QObject):
-    """Emits `requested` once for the first request to end; it is to be connected with a queued connection."""
+class EndSignalNotifier(QObject):
+    """Emits `received` at the first signal that ends the program; connect it with a queued connection."""
 
-    requested = Signal()
+    received = Signal()
 
     def __init__(self, reader: socket.socket) -> None:
         super().__init__()
         self._reader = reader
         self._notifier = QSocketNotifier(reader.fileno(), QSocketNotifier.Type.Read, self)
-        self._notifier.activated.connect(self._empty)
+        self._notifier.activated.connect(self._read)
 
-    def end(self) -> None:
-        """The socket is watched no longer."""
+    def disable(self) -> None:
+        """Stop watching the socket."""
         self._notifier.setEnabled(False)
 
     @Slot()
-    def _empty(self) -> None:
-        """The numbers are not looked at: handlers run because Python runs."""
+    def _read(self) -> None:
+        """Empty the socket. The numbers are not needed: the handlers run because Python runs."""
         with contextlib.suppress(BlockingIOError):
-            self._reader.recv(MOST_BYTES)
+            self._reader.recv(RECEIVE_BYTES)
 
 
 @contextlib.contextmanager
-def interrupts() -> Iterator[tuple[Interrupt, EndSignalHandlers]]:
-    """While it lasts, requests to end go to an `Interrupt`. For the main thread, around its event loop."""
+def end_signal_notifier() -> Iterator[tuple[EndSignalNotifier, EndSignalHandlers]]:
+    """An `EndSignalNotifier` and its handlers, for the time of the context: the main thread's event loop."""
     reader, writer = socket.socketpair()
     with reader, writer:
         reader.setblocking(False)
-        writer.setblocking(False)  # set_wakeup_fd asks for it
-        interrupt = Interrupt(reader)
-        before = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+        writer.setblocking(False)  # required by set_wakeup_fd
+        notifier = EndSignalNotifier(reader)
+        previous = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
         try:
-            with call_on_end_signal(interrupt.requested.emit) as requests:
-                yield interrupt, requests
+            with call_on_end_signal(notifier.received.emit) as handlers:
+                yield notifier, handlers
         finally:
-            signal.set_wakeup_fd(before)
-            interrupt.end()
+            signal.set_wakeup_fd(previous)
+            notifier.disable()
+
+
+class GarbageCollector(QObject):
+    """Between `start` and `stop` garbage is collected by a timer of this object's thread, and in no other thread."""
+
+    _running = 0
+
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(parent)
+        self._timer = QTimer(self, interval=COLLECT_MS)
+        self._timer.timeout.connect(self._collect)
+
+    def start(self) -> None:
+        """Start; call it before there is another thread."""
+        GarbageCollector._running += 1
+        gc.disable()
+        self._timer.start()
+
+    def stop(self) -> None:
+        """Stop; call it when there is no other thread any more."""
+        self._timer.stop()
+        GarbageCollector._running -= 1
+        if not GarbageCollector._running:  # the last of several windows
+            gc.enable()
+
+    @Slot()
+    def _collect(self) -> None:
+        """Collect the generations that the interpreter itself would collect."""
+        full = [count > limit for count, limit in zip(gc.get_count(), gc.get_threshold(), strict=True)]
+        if full[0]:
+            gc.collect(2 if full[1] and full[2] else 1 if full[1] else 0)

@@ -1,4 +1,4 @@
-"""What the window knows: hears what the rig's thread tells, and has it shown."""
+"""The presenter: receives the messages of the rig's thread, keeps the state of rig, plan and run, and shows it in the view."""
 
 from pathlib import Path
 
@@ -7,96 +7,97 @@ from PySide6.QtCore import QObject, Qt, Signal, Slot
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State, StateChanged
 from goniotwin.app.desktop.model.messages import (
-    DeviceLost,
+    DeviceFault,
     DeviceStatus,
     Message,
-    MountWanted,
+    MountRequested,
     PlanMade,
     PlanRefused,
     RigClosed,
     RigOpened,
-    RunBegan,
     RunEnded,
     RunRefused,
+    RunStarted,
     StopFailed,
 )
-from goniotwin.app.desktop.model.permissions import BUSY, Allowed, allowed
+from goniotwin.app.desktop.model.permissions import BUSY, Permissions, permissions
 from goniotwin.app.desktop.run.live_plot import LivePlot
-from goniotwin.app.desktop.view import Parts
+from goniotwin.app.desktop.view import MainView
 
-SAID = {
-    State.RUNNING: "The run goes on.",
+STATUS = {
+    State.RUNNING: "Running.",
     State.PAUSING: "Pausing after this row.",
-    State.PAUSED: "Paused with the shutter closed. Resume goes on with the next row.",
-    State.RECOVERING: "A device has failed; it is dealt with as the schedule says.",
+    State.PAUSED: "Paused, with the shutter closed. Resume continues with the next row.",
+    State.RECOVERING: "Device fault: reconnecting.",
     State.STOPPING: "Stopping.",
 }
 
 
-class Session(QObject):
-    """The rig, the plan and the run as far as they have been told.
+class Presenter(QObject):
+    """The state of rig, plan and run, as the messages so far give it.
 
-    `told` is the only thing that crosses threads, and `_heed` its only slot: one that is no `@Slot` would be called in the
-    rig's thread, and crash. Who else wants to listen takes `heard`, which comes in the window's thread afterwards.
+    `message_received` is the only signal that crosses threads, and `_handle` its only slot: a function that is not a `@Slot`
+    would be called in the rig's thread, and crash. Other listeners connect to `message_shown`, which is emitted afterwards in
+    the window's thread.
     """
 
-    told = Signal(object)
-    heard = Signal(object)
+    message_received = Signal(object)
+    message_shown = Signal(object)
     changed = Signal()
-    mount_wanted = Signal(str)
-    ended = Signal()
+    mount_requested = Signal(str)
+    run_ended = Signal()
 
-    def __init__(self, parts: Parts, rig_path: Path, parent: QObject) -> None:
+    def __init__(self, view: MainView, rig_path: Path, parent: QObject) -> None:
         super().__init__(parent)
         self.state = State.IDLE
         self.rig: RigOpened | None = None
         self.rig_path = rig_path
         self.plan: Plan | None = None
         self.journal: Path | None = None
-        self._parts = parts
+        self._view = view
         self._no_plan = ""
         self._opening = True
         self._progress = (0, 0)
-        self._stop_trouble = ""
-        self._live = LivePlot(parts.plot, self)
-        self._live.failed.connect(parts.set_plot_trouble)
-        self.told.connect(self._heed, Qt.ConnectionType.QueuedConnection)
+        self._stop_error = ""
+        self._live_plot = LivePlot(view.plot, self)
+        self._live_plot.failed.connect(view.set_plot_error)
+        self.message_received.connect(self._handle, Qt.ConnectionType.QueuedConnection)
 
     @property
     def busy(self) -> bool:
-        """Whether a run goes on."""
+        """Whether a run is in progress."""
         return self.state in BUSY
 
     @property
-    def allowed(self) -> Allowed:
-        """What may be done now."""
-        return allowed(self.rig, self.plan, self._no_plan, self.state, self._opening)
+    def permissions(self) -> Permissions:
+        """Which controls are enabled now."""
+        return permissions(self.rig, self.plan, self._no_plan, self.state, self._opening)
 
     @property
     def title(self) -> str:
-        """What goes on in a line: for the window's frame, which is seen when the window is not."""
+        """The window's title: rig and progress, which are visible in a task bar too."""
         done, of = self._progress
-        doing = f"{self.state} {100 * done // max(of, 1)} %" if self.busy else str(self.state)
+        progress = f"{self.state} {100 * done // max(of, 1)} %" if self.busy else str(self.state)
         name = self.rig.description.file.name if self.rig else "no rig"
-        return " – ".join(part for part in (self._mark, name, doing, "goniotwin") if part)
+        return " – ".join(part for part in (self._mark, name, progress, "goniotwin") if part)
 
-    def opening(self, path: Path) -> None:
-        """A rig has been asked for."""
+    def show_opening(self, path: Path) -> None:
+        """Show that a rig is being opened."""
         self._opening, self.rig_path = True, path
-        self._parts.say(f"Connecting the devices of {path} …")
+        self._view.show_status(f"Connecting the devices of {path} …")
         self.changed.emit()
 
-    def starting(self) -> None:
-        """A run has been asked for; known at once, so that a second click finds Start disabled."""
+    def show_starting(self) -> None:
+        """Show that a run is being started; at once, so that Start is disabled for a second click."""
         self.state = State.RUNNING
-        self._stop_trouble = ""
-        self._parts.set_plot_trouble("")
+        self._stop_error = ""
+        self._view.set_plot_error("")
         self.changed.emit()
 
     def close(self) -> None:
-        """Nothing that is told from now on is shown."""
-        self._live.end()
-        self.told.disconnect(self._heed)
+        """Show no further messages."""
+        self._live_plot.stop()
+        self.message_received.disconnect(self._handle)
 
     @property
     def _mark(self) -> str:
@@ -105,110 +106,111 @@ class Session(QObject):
         return f"SIMULATED (seed {self.rig.description.seed})"
 
     @Slot(object)
-    def _heed(self, message: Message) -> None:
+    def _handle(self, message: Message) -> None:
         match message:
             case Positions(degrees):
-                self._parts.axes.set_positions(degrees)
+                self._view.axes.set_positions(degrees)
             case RowStarted() | RowCommitted():
-                self._heed_row(message)
+                self._show_row(message)
             case StateChanged(state, _reason):
                 self.state = state
-                self._parts.say(SAID.get(state, self._parts.status))
-            case RunBegan(plan, journal):
+                self._view.show_status(STATUS.get(state, self._view.status))
+            case RunStarted(plan, journal):
                 self.journal = journal
-                self._live.begin(plan, self._mark)
+                self._live_plot.start(plan, self._mark)
                 self._show_progress(0, len(plan.rows), plan.seconds)
-                self._parts.set_saved(f"Saved row by row in {journal}")
+                self._view.set_saved(f"Saved row by row in {journal}")
             case RunEnded():
-                self._end(message)
+                self._show_end(message)
             case RunRefused(reason):
                 self.state = State.IDLE
-                self._parts.say(f"Not started: {reason}", bad=True)
-                self.ended.emit()
-            case MountWanted(text):
-                self.mount_wanted.emit(text)
+                self._view.show_status(f"Not started: {reason}", error=True)
+                self.run_ended.emit()
+            case MountRequested(text):
+                self.mount_requested.emit(text)
             case PlanMade() | PlanRefused():
-                self._heed_plan(message)
+                self._show_plan(message)
             case StopFailed(reasons):
-                self._stop_trouble = "STOP DID NOT REACH EVERY AXIS: use the main switch. " + " ".join(reasons)
-                self._parts.say(self._stop_trouble, bad=True)
-            case RigOpened() | RigClosed() | DeviceLost():
-                self._heed_rig(message)
+                self._stop_error = "STOP DID NOT REACH EVERY AXIS: use the main switch. " + " ".join(reasons)
+                self._view.show_status(self._stop_error, error=True)
+            case RigOpened() | RigClosed() | DeviceFault():
+                self._show_rig(message)
         if not isinstance(message, Positions):
             self.changed.emit()
-        self.heard.emit(message)
+        self.message_shown.emit(message)
 
-    def _heed_plan(self, message: PlanMade | PlanRefused) -> None:
+    def _show_plan(self, message: PlanMade | PlanRefused) -> None:
         if isinstance(message, PlanMade):
             self.plan, self._no_plan = message.plan, ""
             self._show_progress(0, len(message.plan.rows), message.plan.seconds)
-            if self.rig is not None and not self.rig.silent:
-                self._parts.say("Ready to start.")
+            if self.rig is not None and not self.rig.not_responding:
+                self._view.show_status("Ready to start.")
         else:
             self.plan, self._no_plan = None, message.reason
             self._show_progress(0, 0, None)
             if self.rig is not None:
-                self._parts.say(message.reason, bad=True)
-        self._parts.schedule.set_plan(self.plan)
+                self._view.show_status(message.reason, error=True)
+        self._view.schedule.set_plan(self.plan)
 
-    def _heed_rig(self, message: RigOpened | RigClosed | DeviceLost) -> None:
+    def _show_rig(self, message: RigOpened | RigClosed | DeviceFault) -> None:
         match message:
-            case RigOpened(description, devices, paced):
+            case RigOpened(description, devices, virtual):
                 self._opening, self.rig = False, message
-                self.plan = None  # it was made for the rig before; the one for this rig is on its way
-                self._parts.set_simulated(description.simulated, description.seed)
-                self._parts.devices.set_devices(devices)
-                self._parts.axes.set_positions({})
-                self._parts.run.set_paced(paced)
-                self._live.begin(None, self._mark)
-                if message.silent:
-                    silent = " and ".join(message.silent)
-                    self._parts.say(f"No answer from {silent}: see Devices for the reason, then connect again.", bad=True)
+                self.plan = None  # made for the previous rig; the plan for this one follows
+                self._view.set_simulated(description.simulated, description.seed)
+                self._view.devices.set_devices(devices)
+                self._view.axes.set_positions({})
+                self._view.run.set_virtual(virtual)
+                self._live_plot.start(None, self._mark)
+                if message.not_responding:
+                    names = " and ".join(message.not_responding)
+                    text = f"Not responding: {names}. See Devices for the reason, then connect again."
+                    self._view.show_status(text, error=True)
                 else:
-                    self._parts.say("All devices answer.")
+                    self._view.show_status("All devices are connected.")
             case RigClosed(reason):
-                ended = self.busy
+                was_busy = self.busy
                 self._opening, self.rig, self.state = False, None, State.IDLE
-                self._parts.set_simulated(False, None)
-                self._parts.devices.set_devices({})
-                self._parts.axes.set_positions({})
-                self._live.begin(None, "")
-                self._parts.say(reason, bad=True)
-                if ended:
-                    self.ended.emit()
-            case DeviceLost(device, reason) if self.rig is not None:
+                self._view.set_simulated(False, None)
+                self._view.devices.set_devices({})
+                self._view.axes.set_positions({})
+                self._live_plot.start(None, "")
+                self._view.show_status(reason, error=True)
+                if was_busy:
+                    self.run_ended.emit()
+            case DeviceFault(device, reason) if self.rig is not None:
                 devices = {**self.rig.devices, device: DeviceStatus(False, reason)}
-                self.rig = RigOpened(self.rig.description, devices, self.rig.paced)
-                self._parts.devices.set_devices(devices)
-                self._parts.axes.set_positions({})
-                self._parts.say(reason, bad=True)
-        self._parts.rig.set_rig(self.rig, self.rig_path)
+                self.rig = RigOpened(self.rig.description, devices, self.rig.virtual)
+                self._view.devices.set_devices(devices)
+                self._view.axes.set_positions({})
+                self._view.show_status(reason, error=True)
+        self._view.rig.set_rig(self.rig, self.rig_path)
 
-    def _heed_row(self, event: RowStarted | RowCommitted) -> None:
+    def _show_row(self, event: RowStarted | RowCommitted) -> None:
         if isinstance(event, RowStarted):
-            self._parts.axes.set_targets(event.row.pose)
+            self._view.axes.set_targets(event.row.pose)
             if self.state is State.RUNNING:
-                self._parts.say(f"Measuring row {event.row.number + 1}: {event.row.identity}")
+                self._view.show_status(f"Measuring row {event.row.number + 1}: {event.row.identity}")
         else:
             self._show_progress(event.done, event.total, event.seconds_left)
-        self._live.heed(event)
+        self._live_plot.add_row(event)
 
     def _show_progress(self, done: int, of: int, left_s: float | None) -> None:
         self._progress = (done, of)
-        self._parts.run.set_progress(done, of, left_s)
+        self._view.run.set_progress(done, of, left_s)
 
-    def _end(self, end: RunEnded) -> None:
+    def _show_end(self, end: RunEnded) -> None:
         self.state = end.state
-        self._parts.axes.set_targets(None)
+        self._view.axes.set_targets(None)
         done, of = self._progress
-        if self._stop_trouble:
-            self._parts.say(self._stop_trouble, bad=True)
+        if self._stop_error:
+            self._view.show_status(self._stop_error, error=True)
         elif end.state is State.DONE:
-            self._parts.say(f"Done: {of} rows.")
+            self._view.show_status(f"Done: {of} rows.")
         elif end.state is State.IDLE:
             why = "" if end.reason in ("", "stopped") else f": {end.reason}"
-            self._parts.say(f"Stopped after {done} of {of} rows{why}. They are kept; Start begins a new journal.")
+            self._view.show_status(f"Stopped after {done} of {of} rows{why}. They are saved; Start creates a new journal.")
         else:
-            self._parts.say(f"Failed after {done} of {of} rows, which are kept: {end.reason}", bad=True)
-        self._parts.set_saved(f"Saved in {end.journal}")
-        self.ended.emit()
+            self._view.show_status(f"Failed after {done} of {of} rows, which are saved: {end.reason}", error=True)
+        self._view.set_saved(f"Saved in {end.journal}")
+        self.run_ended.emit()

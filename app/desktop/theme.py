@@ -1,4 +1,4 @@
-"""Light and dark: Fusion's palette, and the colours that the plot and the marks take from the same place."""
+"""The colour schemes, light and dark: the palette of Qt's Fusion style, and the colours of the plot and of the marks."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,7 +12,10 @@ Scheme = Literal["light", "dark"]
 
 @dataclass(frozen=True)
 class Colours:
-    """One scheme. Text on its ground has a contrast of at least 4.5 to 1; marks differ in form too, not only in hue."""
+    """The colours of a scheme.
+
+    The contrast of text to its background is at least 4.5 to 1. Marks differ in shape too, not only in hue.
+    """
 
     window: str
     base: str
@@ -29,25 +32,25 @@ class Colours:
     stop: str
     stop_pressed: str
     points: str
-    hidden: str
+    blocked: str
 
 
 LIGHT = Colours(
     window="#f3f4f6", base="#ffffff", button="#e6e8ec", text="#1b1f24", dim="#59616b", line="#c3c8d0",
     accent="#0b62c4", on_accent="#ffffff", good="#17692c", bad="#b3161b",
     simulated="#ffd24d", on_simulated="#1b1f24", stop="#c1121f", stop_pressed="#8d0c16",
-    points="#0b62c4", hidden="#6b7280",
+    points="#0b62c4", blocked="#6b7280",
 )  # fmt: skip
 DARK = Colours(
     window="#1e2126", base="#15171b", button="#2d3138", text="#e8eaed", dim="#a4abb5", line="#454b55",
     accent="#5aa5ff", on_accent="#10131a", good="#66cf80", bad="#ff8080",
     simulated="#e0b02f", on_simulated="#15171b", stop="#d11a28", stop_pressed="#8d0c16",
-    points="#5aa5ff", hidden="#9aa2ad",
+    points="#5aa5ff", blocked="#9aa2ad",
 )  # fmt: skip
 
 
 class Theme(QObject):
-    """Follows the desktop's scheme, or keeps to a forced one (for tests and pictures)."""
+    """The scheme of the desktop environment, or a forced one (for tests and pictures)."""
 
     changed = Signal()
 
@@ -62,12 +65,12 @@ class Theme(QObject):
 
     @property
     def colours(self) -> Colours:
-        """The colours now."""
+        """The colours of the present scheme."""
         dark = self._forced == "dark" if self._forced else self._hints.colorScheme() == Qt.ColorScheme.Dark
         return DARK if dark else LIGHT
 
     def force(self, scheme: Scheme | None) -> None:
-        """Keeps to a scheme from now on; None follows the desktop again."""
+        """Force a scheme from now on; None follows the desktop environment again."""
         self._forced = scheme
         self._follow()
 

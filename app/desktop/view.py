@@ -1,4 +1,4 @@
-"""What is where in the window."""
+"""The contents of the window: all panels and their places, the banner of a simulated rig, the lines of text at the bottom."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -7,21 +7,21 @@ from PySide6.QtCore import Qt, Slot
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.rig.panels import AxesPanel, DevicesPanel
+from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.run.panel import RunPanel
-from goniotwin.app.desktop.run.scan_plot import CutPlot
 from goniotwin.app.desktop.setup.panels import RigPanel, SchedulePanel
 from goniotwin.app.desktop.theme import Colours
 
 LEFT_WIDTH = 330
 
 
-class Parts(QWidget):
-    """All that is in the window; it only shows."""
+class MainView(QWidget):
+    """The contents of the window. It only shows."""
 
     def __init__(self, colours: Colours, folder: Path, speed: float) -> None:
         super().__init__()
         self._colours = colours
-        self._bad = False
+        self._status_is_error = False
         self._banner = QLabel()
         self._banner.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.rig = RigPanel()
@@ -29,61 +29,61 @@ class Parts(QWidget):
         self.axes = AxesPanel()
         self.schedule = SchedulePanel(folder)
         self.run = RunPanel(speed, colours)
-        self.plot = CutPlot(colours)
-        self._status = _wrapped("What is going on")
-        self._saved = _wrapped("Where it is saved")
-        self._trouble = _wrapped("What is wrong with the plot")
+        self.plot = ScanPlot(colours)
+        self._status = _text_label("Status")
+        self._saved = _text_label("Journal")
+        self._plot_error = _text_label("Error of the plot")
         self._lay_out()
         self.set_colours(colours)
         self.set_simulated(False, None)
-        self.set_plot_trouble("")
+        self.set_plot_error("")
         self.set_saved("")
 
     @property
     def status(self) -> str:
-        """What is said at the bottom."""
+        """The status line."""
         return self._status.text()
 
     @property
     def banner(self) -> str:
-        """What is said across the top; empty for a real rig."""
+        """The banner across the top; empty for a real rig."""
         return "" if self._banner.isHidden() else self._banner.text()
 
     @property
     def saved(self) -> str:
-        """What is said about the journal."""
+        """The line with the path of the journal."""
         return self._saved.text()
 
     @property
-    def trouble(self) -> str:
-        """What is wrong with the plot; empty where nothing is."""
-        return self._trouble.text()
+    def plot_error(self) -> str:
+        """The error of the plot; empty without one."""
+        return self._plot_error.text()
 
-    def say(self, text: str, *, bad: bool = False) -> None:
-        """Tells the person what is going on."""
-        self._bad = bad
-        self._status.setText(f"✗ {text}" if bad else text)
+    def show_status(self, text: str, *, error: bool = False) -> None:
+        """Show the status line."""
+        self._status_is_error = error
+        self._status.setText(f"✗ {text}" if error else text)
         self._colour_texts()
 
     def set_simulated(self, simulated: bool, seed: int | None) -> None:
-        """Across the whole window, for as long as a simulated rig is open."""
+        """Show or hide the banner of a simulated rig."""
         self._banner.setVisible(simulated)
-        self._banner.setText(f"SIMULATED  ·  seed {seed}  ·  nothing here is real")
+        self._banner.setText(f"SIMULATED  ·  seed {seed}  ·  not a real measurement")
         self._banner.setAccessibleName(self._banner.text())
 
     def set_saved(self, text: str) -> None:
-        """Where the measured rows are."""
+        """Show the line with the path of the journal."""
         self._saved.setText(text)
         self._saved.setVisible(bool(text))
 
     @Slot(str)
-    def set_plot_trouble(self, text: str) -> None:
-        """What is wrong with the plot; empty where nothing is."""
-        self._trouble.setText(text)
-        self._trouble.setVisible(bool(text))
+    def set_plot_error(self, text: str) -> None:
+        """Show an error of the plot; hide it if empty."""
+        self._plot_error.setText(text)
+        self._plot_error.setVisible(bool(text))
 
     def set_colours(self, colours: Colours) -> None:
-        """Follows the scheme."""
+        """Take the colours of a scheme."""
         self._colours = colours
         self._banner.setStyleSheet(
             f"background: {colours.simulated}; color: {colours.on_simulated}; font-weight: bold; padding: 4px"
@@ -94,8 +94,8 @@ class Parts(QWidget):
         self._colour_texts()
 
     def _colour_texts(self) -> None:
-        self._status.setStyleSheet(f"color: {self._colours.bad}; font-weight: bold" if self._bad else "")
-        self._trouble.setStyleSheet(f"color: {self._colours.bad}")
+        self._status.setStyleSheet(f"color: {self._colours.bad}; font-weight: bold" if self._status_is_error else "")
+        self._plot_error.setStyleSheet(f"color: {self._colours.bad}")
         self._saved.setStyleSheet(f"color: {self._colours.dim}")
 
     def _lay_out(self) -> None:
@@ -115,7 +115,7 @@ class Parts(QWidget):
         right = QVBoxLayout()
         right.setSpacing(6)
         right.addWidget(self.plot, 1)
-        for each in (self._trouble, self.run, self._status, self._saved):
+        for each in (self._plot_error, self.run, self._status, self._saved):
             right.addWidget(each)
         body = QHBoxLayout()
         body.setContentsMargins(10, 6, 10, 8)
@@ -131,7 +131,7 @@ class Parts(QWidget):
         self._order_tabs()
 
     def _order_tabs(self) -> None:
-        """What is set up first comes first; Stop is reached by its own keys from anywhere."""
+        """Set the tab order to that of the work: set-up first. Stop has keys of its own."""
         order = [
             self.rig.open_button, self.rig.again_button, self.schedule.open_button, self.schedule.folder_button,
             self.run.start_button, self.run.pause_button, self.run.speeds, self.run.stop_button,
@@ -140,7 +140,8 @@ class Parts(QWidget):
             QWidget.setTabOrder(first, second)
 
 
-def _wrapped(name: str) -> QLabel:
+def _text_label(name: str) -> QLabel:
+    """A label for a line of text that wraps and can be selected; `name` for screen readers."""
     label = QLabel()
     label.setWordWrap(True)
     label.setAccessibleName(name)

@@ -1,7 +1,4 @@
-"""How numbers are spelled in files: strictly read, and written with nine significant digits and a decimal point.
-
-The grids of BSDF tables: lists of angles that ascend, and finite values of the shape that the lists say.
-"""
+"""Numbers in text files: strict parsing, formatting with nine significant digits, and checks of the grids of BSDF tables."""
 
 import itertools
 import math
@@ -11,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word
 from goniotwin.arrays import Floats
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -21,7 +18,7 @@ NO_VALUE = re.compile(r"[+-]?(?:nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
 
 
 class NotANumber(Exception):
-    """A word that is no number: what it is instead, and what to do."""
+    """A word that is not a finite number: what is wrong with it, and what to do."""
 
     def __init__(self, wrong: str, remedy: str) -> None:
         super().__init__(wrong, remedy)
@@ -30,40 +27,41 @@ class NotANumber(Exception):
 
 
 def parse_number(word: str) -> float:
-    """The finite number that a word spells; raises NotANumber."""
+    """The finite number that a word spells. Raises NotANumber."""
     if NUMBER.fullmatch(word):
         value = float(word)
         if math.isfinite(value):
             return value
-        raise NotANumber(f"{shown(word)} is larger than a 64-bit float", "correct the number")
+        raise NotANumber(f"{quote_word(word)} is larger than a 64-bit float", "correct the number")
     if DECIMAL_COMMA.fullmatch(word):
-        raise NotANumber(f"{shown(word)} has a decimal comma", "write a decimal point")
+        raise NotANumber(f"{quote_word(word)} has a decimal comma", "write a decimal point")
     if NO_VALUE.fullmatch(word):
-        raise NotANumber(f"{shown(word)} is no value", "write a finite number, or leave that angle out of the grid")
-    raise NotANumber(f"{shown(word)} is not a number", "correct it")
+        raise NotANumber(f"{quote_word(word)} is not finite", "write a finite number, or leave that angle out of the grid")
+    raise NotANumber(f"{quote_word(word)} is not a number", "correct it")
 
 
-def digits(value: float) -> str:
-    """A number to nine significant digits."""
+def format_number(value: float) -> str:
+    """A number with nine significant digits and a decimal point."""
     return f"{value:.9g}"
 
 
-def row(values: Iterable[float], separator: str = " ") -> str:
-    """Numbers in one line."""
+def format_row(values: Iterable[float], separator: str = " ") -> str:
+    """Numbers in one line, with nine significant digits each."""
     return separator.join(f"{value:.9g}" for value in values)
 
 
-def angle_row(path: StrPath, name: str, angles: Floats, separator: str = " ") -> str:
-    """A list of angles in one line; raises FormatError if two of them are the same once written."""
-    written = [float(digits(angle)) for angle in angles]
+def format_angles(path: StrPath, name: str, angles: Floats, separator: str = " ") -> str:
+    """A list of angles (n,) in one line. Raises FormatError if two of them are equal after rounding to nine digits."""
+    written = [float(format_number(angle)) for angle in angles]
     for before, after in itertools.pairwise(written):
         if not before < after:
-            raise FormatError(path, f"{name} has two angles that are both written {digits(after)}", "leave one out")
-    return row(written, separator)
+            wrong = f"{name} has two angles that are both written {format_number(after)}"
+            raise FormatError(path, wrong, "leave one of them out")
+    return format_row(written, separator)
 
 
-def ascending(name: str, values: ArrayLike, low: float, high: float) -> Floats:
-    """`values` as a copy in float64; raises ValueError unless a list that ascends strictly within low..high."""
+def ascending_array(name: str, values: ArrayLike, low: float, high: float) -> Floats:
+    """A copy (n,) in float64. Raises ValueError unless it is a list that ascends strictly within low..high."""
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"{name} has the shape {array.shape}; give a list of one number or more")
@@ -74,12 +72,12 @@ def ascending(name: str, values: ArrayLike, low: float, high: float) -> Floats:
     return array
 
 
-def finite(name: str, values: ArrayLike, shape: Sequence[int]) -> Floats:
-    """`values` as a copy in float64; raises ValueError unless all finite and of this shape."""
+def finite_array(name: str, values: ArrayLike, shape: Sequence[int]) -> Floats:
+    """A copy of this shape in float64. Raises ValueError for another shape, or for values that are not finite."""
     array = np.array(values, dtype=np.float64)
     if array.shape != tuple(shape):
-        raise ValueError(f"{name} has the shape {array.shape}; the lists of angles say {tuple(shape)}")
+        raise ValueError(f"{name} has the shape {array.shape}; by the lists of angles it is {tuple(shape)}")
     missing = int(np.count_nonzero(~np.isfinite(array)))
     if missing:
-        raise ValueError(f"{name} has {missing} of {array.size} that are not finite; fill or leave out these nodes")
+        raise ValueError(f"{name} has {missing} of {array.size} values that are not finite; fill or leave out these nodes")
     return array

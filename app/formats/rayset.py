@@ -1,6 +1,6 @@
-"""Rayset files: HDF5 behind a line of text, with the columns and units that docs/rayset.md describes.
+"""Rayset files: HDF5 after one line of text, with the columns and units that docs/rayset.md describes.
 
-The text has the SHA-256 of all that follows, for HDF5's library, given a damaged file, may end the process.
+The line has the SHA-256 of the HDF5 content, which is checked first: the HDF5 library can crash on a damaged file.
 """
 
 import hashlib
@@ -12,19 +12,18 @@ from typing import Any
 import h5py
 import numpy as np
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.whole_file import read_whole, write_whole
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_file, write_file
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.rayset import Rayset
 
 FORMAT = "goniotwin rayset"
 VERSION = 1
-AGAIN = "record the rayset again, or copy the file again"
+RECORD_AGAIN = "record the rayset again, or copy the file again"
 
 
 @dataclass(frozen=True)
-class Column:
-    """A dataset of the file: the `Rayset`'s field, numbers a ray (0: one, not in a row of its own), unit, meaning."""
+class RaysetColumn:
+    """A dataset of the file: the field of `Rayset`, the numbers per ray (0: one, in a flat list), unit and meaning."""
 
     field: str
     width: int
@@ -33,12 +32,14 @@ class Column:
 
 
 COLUMNS = {
-    "position": Column("positions_mm", 3, "mm", "where the ray crosses the reference plane: x across, y along the light, z up"),
-    "direction": Column("directions", 3, "1", "along the light, same axes; length without meaning"),
-    "wavelength": Column("wavelength_nm", 0, "nm", "wavelength of the ray"),
-    "flux": Column("flux", 0, "", "what the ray carries, in the unit of the attribute flux_unit"),
+    "position": RaysetColumn(
+        "positions_mm", 3, "mm", "where the ray crosses the reference plane: x across, y along the light, z up"
+    ),
+    "direction": RaysetColumn("directions", 3, "1", "along the light, same axes; length without meaning"),
+    "wavelength": RaysetColumn("wavelength_nm", 0, "nm", "wavelength of the ray"),
+    "flux": RaysetColumn("flux", 0, "", "what the ray carries, in the unit of the attribute flux_unit"),
 }
-# Attributes of the file, the fields that they are, and their types.
+# Attributes of the file: the field of `Rayset` and its type.
 ATTRIBUTES: dict[str, tuple[str, type]] = {
     "flux_unit": ("unit", str),
     "plane_y_mm": ("plane_mm", float),
@@ -46,14 +47,14 @@ ATTRIBUTES: dict[str, tuple[str, type]] = {
     "emitted_flux": ("emitted_flux", float),
     "seed": ("seed", int),
 }
-# HDF5's user block: the library leaves it alone, and looks for its own signature behind it.
+# The user block of HDF5: the library ignores it and looks for its signature after it.
 BLOCK = 512
 HEADING = "goniotwin rayset, simulated; HDF5 from byte 512 on, of which sha256="
-STATED = re.compile(re.escape(HEADING).encode() + rb"([0-9a-f]{64})\n *\n")
+HEADING_PATTERN = re.compile(re.escape(HEADING).encode() + rb"([0-9a-f]{64})\n *\n")
 
 
 def write_rayset(path: StrPath, rayset: Rayset) -> None:
-    """Write a rayset, whole or not at all; it says that it is simulated. Raises FormatError if that is impossible."""
+    """Write a rayset, marked as simulated, completely or not at all. Raises FormatError."""
     content = io.BytesIO()
     with h5py.File(content, "w", userblock_size=BLOCK) as file:
         file.attrs["format"] = FORMAT
@@ -68,37 +69,38 @@ def write_rayset(path: StrPath, rayset: Rayset) -> None:
             data.attrs["meaning"] = column.meaning
     body = content.getvalue()[BLOCK:]
     heading = f"{HEADING}{hashlib.sha256(body).hexdigest()}\n".encode()
-    write_whole(path, heading.ljust(BLOCK - 1) + b"\n" + body)
+    write_file(path, heading.ljust(BLOCK - 1) + b"\n" + body)
 
 
 def read_rayset(path: StrPath) -> Rayset:
-    """Read a rayset. Raises FormatError for anything that is not one, or is not as it was written."""
-    content = read_whole(path)
-    stated = STATED.fullmatch(content[:BLOCK])
-    if stated is None:
-        raise FormatError(path, "is no rayset", "name a rayset that was written by goniotwin")
-    if hashlib.sha256(content[BLOCK:]).hexdigest().encode() != stated[1]:
-        raise FormatError(path, "is damaged: its content does not give the sha256 that it states", AGAIN)
+    """Read a rayset. Raises FormatError for another kind of file, and for a file that changed after it was written."""
+    content = read_file(path)
+    heading = HEADING_PATTERN.fullmatch(content[:BLOCK])
+    if heading is None:
+        raise FormatError(path, "is not a rayset", "give a rayset that was written by goniotwin")
+    if hashlib.sha256(content[BLOCK:]).hexdigest().encode() != heading[1]:
+        raise FormatError(path, "is damaged: its content does not match the sha256 in its first line", RECORD_AGAIN)
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             return Rayset(**_fields(path, file))
     except FormatError:
         raise
     except ValueError as error:
-        raise FormatError(path, str(error), AGAIN) from error
+        raise FormatError(path, str(error), RECORD_AGAIN) from error
     except (OSError, KeyError, RuntimeError, TypeError) as error:
-        raise FormatError(path, "cannot be read as HDF5", AGAIN) from error
+        raise FormatError(path, "cannot be read as HDF5", RECORD_AGAIN) from error
 
 
 def _fields(path: StrPath, file: h5py.File) -> dict[str, Any]:
-    stated = _attribute(path, file, "format", str)
-    if stated != FORMAT:
-        raise FormatError(path, f"is no rayset: its format is {shown(stated)}", "name a rayset that was written by goniotwin")
+    given = _attribute(path, file, "format", str)
+    if given != FORMAT:
+        wrong = f"is not a rayset: its format is {quote_word(given)}"
+        raise FormatError(path, wrong, "give a rayset that was written by goniotwin")
     version = _attribute(path, file, "version", int)
     if version != VERSION:
         raise FormatError(path, f"is a rayset of version {version}, not {VERSION}", "read it with the program that wrote it")
     if not _attribute(path, file, "simulated", bool):
-        raise FormatError(path, "does not say that it is simulated", "only simulated raysets are read")
+        raise FormatError(path, "is not marked as simulated", "give a rayset that was written by goniotwin")
     fields = {field: _attribute(path, file, name, kind) for name, (field, kind) in ATTRIBUTES.items()}
     for name, column in COLUMNS.items():
         fields[column.field] = _column(path, file, name, column, str(fields["unit"]))
@@ -107,23 +109,25 @@ def _fields(path: StrPath, file: h5py.File) -> dict[str, Any]:
 
 def _attribute(path: StrPath, file: h5py.File, name: str, kind: type) -> Any:
     if name not in file.attrs:
-        raise FormatError(path, f"the attribute {name} is missing", "name a rayset, or copy the file again")
+        raise FormatError(path, f"the attribute {name} is missing", RECORD_AGAIN)
     value = file.attrs[name]
     accepted = {str: str, bool: np.bool_, int: np.integer, float: np.floating}[kind]
     if not isinstance(value, accepted):
-        raise FormatError(path, f"the attribute {name} is {shown(str(value))}, no {kind.__name__}", AGAIN)
+        raise FormatError(path, f"the attribute {name} is {quote_word(str(value))}, not of type {kind.__name__}", RECORD_AGAIN)
     return kind(value)
 
 
-def _column(path: StrPath, file: h5py.File, name: str, column: Column, flux_unit: str) -> Floats:
+def _column(path: StrPath, file: h5py.File, name: str, column: RaysetColumn, flux_unit: str) -> Floats:
     data = file.get(name)
     if not isinstance(data, h5py.Dataset):
-        raise FormatError(path, f"the column {name} is missing", AGAIN)
+        raise FormatError(path, f"the column {name} is missing", RECORD_AGAIN)
     expected = 2 if column.width else 1
     if data.dtype.kind != "f" or data.ndim != expected or (column.width and data.shape[1] != column.width):
-        wanted = f"(n, {column.width})" if column.width else "(n,)"
-        raise FormatError(path, f"the column {name} has {data.dtype} {data.shape}, not numbers {wanted}", AGAIN)
+        shape = f"(n, {column.width})" if column.width else "(n,)"
+        raise FormatError(path, f"the column {name} has {data.dtype} {data.shape}, not numbers {shape}", RECORD_AGAIN)
     unit = data.attrs.get("unit")
     if unit != (column.unit or flux_unit):
-        raise FormatError(path, f"the column {name} is in {shown(str(unit))}, not {column.unit or flux_unit}", AGAIN)
+        raise FormatError(
+            path, f"the column {name} is in {quote_word(str(unit))}, not {column.unit or flux_unit}", RECORD_AGAIN
+        )
     return np.asarray(data[()], dtype=np.float64)

@@ -1,7 +1,7 @@
-"""Zemax (Radiant) tabular .bsdf files with the content Monochrome.
+"""Zemax (Radiant) tabular .bsdf files with SpectralContent Monochrome.
 
-Same geometry as .ddr: ScatterRadial is the angle to the specular direction, ScatterAzimuth the azimuth about it, zero
-in the plane of incidence towards the normal. Values are BSDF in 1/sr (no factor pi).
+The geometry is that of .ddr: ScatterRadial is the angle from the specular direction, ScatterAzimuth the azimuth about it,
+zero in the plane of incidence towards the normal. Values are BSDF in 1/sr (no factor pi).
 """
 
 import difflib
@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.formats.errors import FormatError, StrPath, shown
-from goniotwin.app.formats.numerals import angle_row, ascending, digits, finite, row
-from goniotwin.app.formats.text_file import comment_lines, marked, write_text
-from goniotwin.app.formats.text_words import Words
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word
+from goniotwin.app.formats.numerals import ascending_array, finite_array, format_angles, format_number, format_row
+from goniotwin.app.formats.text import Words, comment_lines, mark_comments, write_text
 from goniotwin.arrays import Floats
 
 SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D")
@@ -32,8 +31,8 @@ HEADER = ("Source", "Symmetry", "SpectralContent", "ScatterType", *LIMITS_DEG)
 class ZemaxBsdf:
     """A BSDF in specular coordinates. Angles in degrees, each list ascending.
 
-    `values` [rotation, incidence, azimuth, radial] in 1/sr; `tis` [rotation, incidence] is the total integrated
-    scatter that the file states. `source` is a word such as "Measured". Raises ValueError where these do not fit.
+    `values` has the axes [rotation, incidence, azimuth, radial], in 1/sr; `tis` [rotation, incidence] is the total integrated
+    scatter stated in the file. `source` is a word such as "Measured". Raises ValueError where these do not fit together.
     """
 
     source: str
@@ -48,25 +47,25 @@ class ZemaxBsdf:
     comments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Checks, and copies the arrays."""
+        """Check the fields, and copy the arrays."""
         if self.symmetry not in SYMMETRIES:
             raise ValueError(f"symmetry is one of {SYMMETRIES}, not {self.symmetry!r}")
         if self.scatter_type not in SCATTER_TYPES:
             raise ValueError(f"scatter_type is one of {SCATTER_TYPES}, not {self.scatter_type!r}")
         keep = object.__setattr__
         for field, (name, limits) in zip(LISTS, LIMITS_DEG.items(), strict=True):
-            keep(self, field, ascending(name, getattr(self, field), *limits))
+            keep(self, field, ascending_array(name, getattr(self, field), *limits))
         if self.symmetry == "PlaneSymmetrical" and self.azimuth_deg[-1] > 180:
             wrong = f"ScatterAzimuth goes to {self.azimuth_deg[-1]:g} deg, but PlaneSymmetrical has 0 to 180 only"
-            raise ValueError(f"{wrong}; write ASymmetrical, or the list to 180")
+            raise ValueError(f"{wrong}; write ASymmetrical, or end the list at 180")
         blocks = (self.sample_rotation_deg.size, self.incidence_deg.size)
-        keep(self, "values", finite("values", self.values, (*blocks, self.azimuth_deg.size, self.radial_deg.size)))
-        keep(self, "tis", finite("tis", self.tis, blocks))
+        keep(self, "values", finite_array("values", self.values, (*blocks, self.azimuth_deg.size, self.radial_deg.size)))
+        keep(self, "tis", finite_array("tis", self.tis, blocks))
         keep(self, "comments", tuple(self.comments))
 
 
 def read_zemax(path: StrPath) -> ZemaxBsdf:
-    """Read a .bsdf file with SpectralContent Monochrome; raises FormatError for anything else."""
+    """Read a .bsdf file with SpectralContent Monochrome. Raises FormatError for anything else."""
     try:
         return _Reader(Words(path, "#")).table()
     except FormatError:
@@ -113,19 +112,19 @@ class _Reader:
         while self.words.peek() not in ("monochrome", "databegin", None):
             word = self.words.take("a keyword")
             if word.lower().startswith("tristimulus"):
-                raise self.words.fault(f"{shown(word)}: tristimulus data are not read", "export it as Monochrome")
+                raise self.words.error(f"{quote_word(word)}: tristimulus data are not supported", "export it as Monochrome")
             if word.lower() not in self.keywords:
                 near = difflib.get_close_matches(word, HEADER, 1)
-                remedy = f"is it {near[0]}?" if near else "remove it, or make it a comment with #"
-                raise self.words.fault(f"{shown(word)} is no keyword of a .bsdf file", remedy)
+                remedy = f"did you mean {near[0]}?" if near else "remove it, or make it a comment with #"
+                raise self.words.error(f"{quote_word(word)} is not a keyword of a .bsdf file", remedy)
             name, read = self.keywords[word.lower()]
             if name in self.word_of or name in self.angles_of:
-                raise self.words.fault(f"{name} is given twice", "leave one of them")
+                raise self.words.error(f"{name} is given twice", "remove one of them")
             read(name)
         missing = [name for name in HEADER if name not in self.word_of and name not in self.angles_of]
         if missing:
             wrong = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
-            raise FormatError(self.words.path, wrong, "a Zemax tabular .bsdf file needs this before its data")
+            raise FormatError(self.words.path, wrong, "add it before the data")
         self.words.expect("Monochrome")
         self.words.expect("DataBegin")
 
@@ -137,7 +136,7 @@ class _Reader:
         line = self.words.line
         value = self.words.take_line(f"the value of {name}")
         if self.words.line != line:
-            raise self.words.fault(f"{name} has no value", "write it in the same line", line)
+            raise self.words.error(f"{name} has no value", "write the value in the same line", line)
         if name == "Source":
             self.word_of[name] = value
             return
@@ -145,35 +144,35 @@ class _Reader:
         spelled = {word.lower(): word for word in known}.get(value.replace(" ", "").lower())
         if spelled is None:
             if name == "SpectralContent" and value.lower() == "xyz":
-                raise self.words.fault("SpectralContent XYZ (tristimulus) is not read", "export it as Monochrome")
-            raise self.words.fault(f"{name} {shown(value)} is not known", f"write {' or '.join(known)}")
+                raise self.words.error("SpectralContent XYZ (tristimulus) is not supported", "export it as Monochrome")
+            raise self.words.error(f"{name} {quote_word(value)} is not known", f"write {' or '.join(known)}")
         self.word_of[name] = spelled
 
     def _next_block(self, done: int, blocks: int) -> None:
         if self.words.peek() == "dataend":
             self.words.take("DataEnd")
-            wrong = f"{done} blocks of data, but SampleRotation and AngleOfIncidence say {blocks}"
-            raise self.words.fault(wrong, "add the missing blocks, or correct the lists")
+            wrong = f"{done} blocks of data, but SampleRotation and AngleOfIncidence need {blocks}"
+            raise self.words.error(wrong, "add the missing blocks, or correct the lists")
         self.words.expect("TIS")
 
     def _end(self, blocks: int) -> None:
         if self.words.peek() == "tis":
             self.words.take("DataEnd")
-            wrong = f"more blocks of data than the {blocks} that SampleRotation and AngleOfIncidence say"
-            raise self.words.fault(wrong, "remove blocks, or correct the lists")
+            wrong = f"more blocks of data than the {blocks} of SampleRotation and AngleOfIncidence"
+            raise self.words.error(wrong, "remove blocks, or correct the lists")
         self.words.expect("DataEnd")
         if self.words.peek() is not None:
             word = self.words.take("the end")
-            raise self.words.fault(f"{shown(word)} stands after DataEnd", "remove what follows DataEnd")
+            raise self.words.error(f"{quote_word(word)} follows DataEnd", "remove everything after DataEnd")
 
 
 def write_zemax(path: StrPath, table: ZemaxBsdf) -> None:
-    """Write a .bsdf file: nine significant digits, comments at the top, whole or not at all. Raises FormatError."""
+    """Write a .bsdf file with nine significant digits and comments at the top, completely or not at all. Raises FormatError."""
     source = comment_lines([table.source], ascii_only=True)
     if len(source) != 1 or source[0].split() != table.source.split() or not source[0].strip() or "#" in source[0]:
-        raise FormatError(path, f"the source {shown(table.source)} cannot be written", "name it in plain words")
+        raise FormatError(path, f"the source {quote_word(table.source)} cannot be written", "write it in plain words")
     lines = [
-        *marked(comment_lines(table.comments, ascii_only=True), "#"),
+        *mark_comments(comment_lines(table.comments, ascii_only=True), "#"),
         f"Source\t{source[0].strip()}",
         f"Symmetry\t{table.symmetry}",
         "SpectralContent\tMonochrome",
@@ -181,11 +180,11 @@ def write_zemax(path: StrPath, table: ZemaxBsdf) -> None:
     ]
     for name, field in zip(LIMITS_DEG, LISTS, strict=True):
         angles: Floats = getattr(table, field)
-        lines += [f"{name}\t{angles.size}", angle_row(path, name, angles, "\t")]
+        lines += [f"{name}\t{angles.size}", format_angles(path, name, angles, "\t")]
     lines += ["", "Monochrome", "DataBegin"]
     for rotation in range(table.sample_rotation_deg.size):
         for incidence in range(table.incidence_deg.size):
-            lines.append(f"TIS\t{digits(table.tis[rotation, incidence])}")
-            lines += [row(values, "\t") for values in table.values[rotation, incidence].tolist()]
+            lines.append(f"TIS\t{format_number(table.tis[rotation, incidence])}")
+            lines += [format_row(values, "\t") for values in table.values[rotation, incidence].tolist()]
     lines.append("DataEnd")
     write_text(path, "\n".join(lines) + "\n")

@@ -1,14 +1,15 @@
-"""The rig file: where the devices are and what the operator believes of them; and opening what it names."""
+"""The rig file: addresses and nominal properties of the devices; opening the devices of a rig file."""
 
-from goniotwin.app.rig.file import AXES, RigFile
-from goniotwin.app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
-from goniotwin.app.rig.settings import (
+from goniotwin.app.rig.file import (
+    AXES,
+    RigFile,
     arc_clearance,
     axis_settings,
-    believed_instrument,
     monochromator_settings,
+    nominal_instrument,
     photodiode_settings,
 )
+from goniotwin.app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
 
 __all__ = [
     "AXES",
@@ -17,8 +18,8 @@ __all__ = [
     "RigFile",
     "arc_clearance",
     "axis_settings",
-    "believed_instrument",
     "monochromator_settings",
+    "nominal_instrument",
     "open_rig",
     "parse_rig",
     "photodiode_settings",

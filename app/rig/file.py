@@ -1,44 +1,44 @@
-"""The rig file: where the devices are, what the operator believes of them, and, for a virtual rig, what it is.
+"""The rig file: its tables, and the drivers' settings that they give.
 
-How high an etalon's radiance factor can be: what is higher was written in percent.
+The operator's part has the addresses of the devices and their nominal properties (gears, offsets, limits, gains, geometry).
+`[twin]` is the description of a virtual rig: see `twin_file`.
 """
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from goniotwin.app.rig.filters import OrderFilterTable, refuse_bands, refuse_positions_taken_twice
-from goniotwin.app.rig.twin_file import TwinTable
-from goniotwin.app.toml_file import Table
+from goniotwin.app.rig.addresses import TWIN
+from goniotwin.app.rig.twin_file import FilterPosition, Fraction, PolarAngle, TwinTable, refuse_repeated_positions
+from goniotwin.app.toml_file import TomlTable
+from goniotwin.drivers import (
+    ArcClearance,
+    AxisSettings,
+    FilterWheel,
+    Homing,
+    MonitorSettings,
+    MonochromatorSettings,
+    OrderFilter,
+    PhotodiodeSettings,
+)
 from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument
 
-MOST, MOST_NEAR_GRAZING = 1.5, 5.0
-"""What is white in every direction has 1, in a broad lobe somewhat more, and only one near grazing much more."""
+AXES = ("gamma", "sigma", "beta", "shift")
+TINY_NM = 1e-6
+HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
+"""The ideal diffuser has 1 in every direction; a broad lobe has somewhat more, and a lobe near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
 
 
-def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
-    """Raises ValueError for a radiance factor that no diffuser has."""
-    most = MOST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else MOST
-    if radiance_factor > most:
-        raise ValueError(
-            f"a radiance factor of {radiance_factor:g} is above {most:g}, and no diffuser's is (1 is the ideal one); "
-            f"if it is in percent, write {0.01 * radiance_factor:g}"
-        )
+class SimulatedTable(TomlTable):
+    """The mark of a simulated rig, with the seed of the virtual rig.
 
-
-AXES = ("gamma", "sigma", "beta", "shift")
-Sense = Literal[1, -1]
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-Polar = Annotated[float, Field(ge=0.0, le=90.0)]
-
-
-class Simulated(Table):
-    """That nothing here is real: the seed of the virtual rig.
-
-    Where another process serves it, so that the file has no [twin]: its model's hash (`old_model`: in its first version, which
-    older journals have), how fast its time passes, and the port of its back door, through which samples are mounted.
+    A rig that another process serves has no [twin] in its file. Its table has the hash of the model (`old_model` is the hash
+    in its first version, which older journals have), the simulation speed, and the simulation control port, through which
+    samples are mounted.
     """
 
     seed: int = 1
@@ -48,10 +48,10 @@ class Simulated(Table):
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 
-class HomingTable(Table):
-    """A reference search: its mode as Trinamic counts them (1 to 8, and 64 or 128 more), and the angle of the reference.
+class HomingTable(TomlTable):
+    """A reference search: its mode by Trinamic's numbers (1 to 8, plus 64 or 128), and the angle of the reference.
 
-    Without `angle_deg` the reference is where the axis' microsteps are 0.
+    Without `angle_deg` the reference is at microstep 0 of the axis.
     """
 
     mode: Annotated[int, Field(ge=1, le=136)]
@@ -64,19 +64,20 @@ class HomingTable(Table):
     @classmethod
     def _known_mode(cls, mode: int) -> int:
         if mode not in (*range(1, 9), *range(65, 69), *range(133, 137)):
-            raise ValueError(f"{mode} is no reference search: 1 to 8 are, 1 to 4 with 64 added and 5 to 8 with 128 added")
+            raise ValueError(f"{mode} is not a reference search; give 1 to 8, 65 to 68 (64 added) or 133 to 136 (128 added)")
         return mode
 
 
-class AxisTable(Table):
-    """An axis as the operator believes it to be; gears are motor turns a turn of the axis.
+class AxisTable(TomlTable):
+    """The nominal properties of an axis; `gear` is in motor turns per turn of the axis.
 
-    Against backlash every move arrives from one side, which its zero is for. `switches` has the limit switches stop the
-    motor, `max_deviation_deg` the encoder, `stall_speed_deg_s` a stall above that speed; 0 is off. `encoder_tolerance_deg` is
-    how far counter and encoder may be apart at rest (0 is off; 0.05 deg and the backlash where it is not given).
+    With a backlash every move arrives from the side `approach_from`, for which the zero offset holds. The motor is stopped by
+    the limit switches (`switches`), by a deviation of the encoder (`max_deviation_deg`), or by a stall above
+    `stall_speed_deg_s`; 0 is off. `encoder_tolerance_deg` is the permitted difference of counter and encoder at rest (0 is
+    off; the default is 0.05 deg plus the backlash).
 
-    `power_up_at_reference`: whenever the controller is switched on or resets, the axis stands where its microsteps are 0,
-    as a parking position or a brake sees to. Without it the axis then goes nowhere until it is homed or told its place.
+    `power_up_at_reference`: after power-up or a reset of the controller the axis is at microstep 0, kept there by a parking
+    position or a brake. Without it the axis is then unreferenced, and does not move until it is homed or its position is set.
     """
 
     motor: Annotated[int, Field(ge=0, le=5)]
@@ -85,7 +86,7 @@ class AxisTable(Table):
     upper_deg: float
     speed_deg_s: PositiveFloat
     acceleration_deg_s2: PositiveFloat
-    sense: Sense = 1
+    sense: Literal[1, -1] = 1
     zero_offset_deg: float = 0.0
     module: Annotated[int, Field(ge=1, le=255)] = 1
     full_steps: PositiveInt = 200
@@ -96,19 +97,19 @@ class AxisTable(Table):
     settling_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.1
     encoder: bool = True
     encoder_counts: PositiveInt | None = None
-    max_deviation_deg: Annotated[float, Field(ge=0.0)] = 0.0
-    stall_speed_deg_s: Annotated[float, Field(ge=0.0)] = 0.0
+    max_deviation_deg: NonNegativeFloat = 0.0
+    stall_speed_deg_s: NonNegativeFloat = 0.0
     switches: bool = False
     swap_switches: bool = False
     right_polarity: Literal[0, 1] = 0
     left_polarity: Literal[0, 1] = 0
     soft_stop: bool = False
-    backlash_deg: Annotated[float, Field(ge=0.0)] = 0.0
+    backlash_deg: NonNegativeFloat = 0.0
     approach_from: Literal["below", "above"] = "below"
     homing: HomingTable | None = None
     homing_required: bool = False
     power_up_at_reference: bool = False
-    encoder_tolerance_deg: Annotated[float, Field(ge=0.0)] | None = None
+    encoder_tolerance_deg: NonNegativeFloat | None = None
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> "AxisTable":
@@ -123,7 +124,7 @@ class AxisTable(Table):
         return self
 
 
-class AxesTable(Table):
+class AxesTable(TomlTable):
     """The motion controller and its axes."""
 
     kind: Literal["tmcl"]
@@ -140,17 +141,65 @@ class AxesTable(Table):
         wired: dict[tuple[int, int], str] = {}
         for name in AXES:
             axis: AxisTable = getattr(self, name)
-            place = (axis.module, axis.motor)
-            if place in wired:
-                raise ValueError(f"{wired[place]} and {name} are both motor {axis.motor} of module {axis.module}")
-            wired[place] = name
+            motor = (axis.module, axis.motor)
+            if motor in wired:
+                wrong = f"{wired[motor]} and {name} are both motor {axis.motor} of module {axis.module}"
+                raise ValueError(f"{wrong}; correct one of them")
+            wired[motor] = name
         return self
 
 
-class MonochromatorTable(Table):
-    """The monochromator and its timing; `filter_s` is that of the filter wheel from a position to the next.
+class OrderFilterTable(TomlTable):
+    """An order-sorting filter: its position in the wheel, and the wavelengths from `from_nm` (included) to `to_nm` for it.
 
-    With `filters` the wheel is turned with the wavelength; without any nothing turns it.
+    `to_nm` is included if no other band begins there. The filter transmits from `cut_on_nm` on; without `cut_on_nm`, as for
+    an empty position, it is assumed to block nothing.
+    """
+
+    position: FilterPosition
+    name: Annotated[str, Field(min_length=1)]
+    from_nm: PositiveFloat
+    to_nm: PositiveFloat
+    cut_on_nm: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _transmits_its_band(self) -> "OrderFilterTable":
+        if not self.from_nm < self.to_nm:
+            raise ValueError(f"from_nm {self.from_nm:g} is not below to_nm {self.to_nm:g}; exchange them")
+        if self.cut_on_nm is not None and self.cut_on_nm > self.from_nm:
+            raise ValueError(
+                f"cut_on_nm {self.cut_on_nm:g} is above from_nm {self.from_nm:g}, so the filter blocks a part of its own band; "
+                "let the band begin higher, or use another filter"
+            )
+        return self
+
+    def __str__(self) -> str:
+        return f"{self.name!r} ({self.from_nm:g} to {self.to_nm:g} nm)"
+
+
+def check_filter_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_nm: float) -> None:
+    """Check that the bands do not overlap and leave no gap from `lowest_nm` to `highest_nm`.
+
+    Raises ValueError with the keys to correct.
+    """
+    ordered = sorted(filters, key=lambda each: each.from_nm)
+    for below, above in pairwise(ordered):
+        if above.from_nm < below.to_nm - TINY_NM:
+            raise ValueError(f"filters: the bands of {below} and {above} overlap; make to_nm of one the from_nm of the other")
+    ends = [(0.0, ordered[0].from_nm), *((a.to_nm, b.from_nm) for a, b in pairwise(ordered)), (ordered[-1].to_nm, float("inf"))]
+    for end, begin in ends:
+        missing = max(end, lowest_nm), min(begin, highest_nm)
+        if missing[1] - missing[0] > TINY_NM:
+            raise ValueError(
+                f"filters: there is no filter for {missing[0]:g} to {missing[1]:g} nm; widen a band with from_nm or to_nm, "
+                "give the empty position for it, or narrow lowest_nm and highest_nm"
+            )
+
+
+class MonochromatorTable(TomlTable):
+    """The monochromator and its times; `filter_s` is the time of the filter wheel from one position to the next.
+
+    With `filters` the wheel turns with the wavelength; without filters it does not turn.
     """
 
     kind: Literal["cornerstone"]
@@ -159,10 +208,10 @@ class MonochromatorTable(Table):
     lowest_nm: PositiveFloat = 380.0
     highest_nm: PositiveFloat = 780.0
     slew_nm_per_s: PositiveFloat = 175.0
-    slew_settle_s: Annotated[float, Field(ge=0.0)] = 0.1
-    shutter_s: Annotated[float, Field(ge=0.0)] = 0.15
-    filter_s: Annotated[float, Field(ge=0.0)] = 1.0
-    grating_s: Annotated[float, Field(ge=0.0)] = 8.0
+    slew_settle_s: NonNegativeFloat = 0.1
+    shutter_s: NonNegativeFloat = 0.15
+    filter_s: NonNegativeFloat = 1.0
+    grating_s: NonNegativeFloat = 8.0
     slit_um_per_s: PositiveFloat = 500.0
     tolerance_nm: PositiveFloat = 0.05
     filters: list[OrderFilterTable] = []
@@ -170,23 +219,23 @@ class MonochromatorTable(Table):
     @model_validator(mode="after")
     def _one_filter_at_every_wavelength(self) -> "MonochromatorTable":
         if self.filters:
-            refuse_positions_taken_twice(self.filters)
-            refuse_bands(self.filters, self.lowest_nm, self.highest_nm)
+            refuse_repeated_positions([each.position for each in self.filters])
+            check_filter_bands(self.filters, self.lowest_nm, self.highest_nm)
         return self
 
 
-class PhotodiodesTable(Table):
-    """The converters, the amplifiers before them, and where the photodiodes sit on the two arcs.
+class PhotodiodesTable(TomlTable):
+    """The converters, their amplifiers, and the polar angles of the photodiodes on the two arcs.
 
-    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is how long one question takes.
+    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is the duration of one request.
     """
 
     kind: Literal["adam-6017", "adam-4117"]
     units: Annotated[list[str], Field(min_length=1)]
-    upper_deg: Annotated[list[Polar], Field(min_length=1)]
-    lower_deg: list[Polar]
+    upper_deg: Annotated[list[PolarAngle], Field(min_length=1)]
+    lower_deg: list[PolarAngle]
     gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)]
-    gain_uncertainty: Share = 1.0e-3
+    gain_uncertainty: Fraction = 1.0e-3
     range_code: int = adam.PLUS_MINUS_10_V
     conversions_per_s: PositiveFloat = 100.0
     settling_s: Annotated[float, Field(gt=0.0, le=600.0)] = 0.25
@@ -197,14 +246,14 @@ class PhotodiodesTable(Table):
     def _known_range(cls, code: int) -> int:
         if code not in adam.VOLTAGE_RANGES:
             known = ", ".join(f"0x{each:04X}" for each in adam.VOLTAGE_RANGES)
-            raise ValueError(f"0x{code:04X} is no code of a voltage range; there are {known}")
+            raise ValueError(f"0x{code:04X} is not the code of a voltage range; give one of {known}")
         return code
 
     @field_validator("gains_v_per_a")
     @classmethod
     def _each_gain_once(cls, gains: list[float]) -> list[float]:
         if sorted(set(gains)) != gains:
-            raise ValueError("the gains do not ascend; list each once, the lowest first, as the outputs number them")
+            raise ValueError("the gains do not ascend; list each once, the lowest first, in the order of the outputs' numbers")
         return gains
 
     @model_validator(mode="after")
@@ -212,19 +261,20 @@ class PhotodiodesTable(Table):
         diodes = len(self.upper_deg) + len(self.lower_deg)
         needed = -(-diodes // adam.CHANNELS)
         if len(self.units) != needed:
-            raise ValueError(f"{diodes} photodiodes take {needed} units of {adam.CHANNELS}, not {len(self.units)}")
+            wrong = f"{diodes} photodiodes need {needed} units of {adam.CHANNELS} channels, not {len(self.units)}"
+            raise ValueError(f"{wrong}; correct units, upper_deg or lower_deg")
         return self
 
     @model_validator(mode="after")
     def _gain_can_be_set(self) -> "PhotodiodesTable":
         model = adam.MODELS[self.kind]
         if len(self.gains_v_per_a) > 1 << model.outputs:
-            raise ValueError(f"an {model.title} has no outputs that could choose between gains; list the one that is fixed")
+            raise ValueError(f"an {model.title} has no outputs to select a gain; list the one fixed gain")
         return self
 
 
-class MonitorTable(Table):
-    """The monitor photodiode's instrument."""
+class MonitorTable(TomlTable):
+    """The instrument of the monitor photodiode."""
 
     kind: Literal["pm100d"]
     usb: str
@@ -232,19 +282,19 @@ class MonitorTable(Table):
     wavelength_nm: PositiveFloat = 550.0
     range_a: PositiveFloat = 500e-9
     samples_per_s: PositiveFloat = 3000.0
-    relative_uncertainty: Share = 3.0e-4
+    relative_uncertainty: Fraction = 3.0e-4
 
 
-class GeometryTable(Table):
-    """The geometry that decides which directions the mirror unit hides, and which a value is a mean of.
+class GeometryTable(TomlTable):
+    """The nominal dimensions that decide which directions the mirror unit blocks, and over which directions a value is a mean.
 
-    `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm` of the exit
-    pupil, seen over the mirrors, is half of the beam's divergence (5 mm: 0.7 deg, assumed).
+    `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm`, the radius
+    of the exit pupil, seen over the mirrors, is half of the beam's divergence (5 mm: 0.7 deg, assumed).
     """
 
     mirror_distance_mm: PositiveFloat = 200.0
     mirror_side_mm: PositiveFloat = 20.0
-    mirror_mount_mm: Annotated[float, Field(ge=0.0)] = 0.0
+    mirror_mount_mm: NonNegativeFloat = 0.0
     spot_side_mm: PositiveFloat = 5.0
     arc_radius_mm: PositiveFloat = 300.0
     detector_diameter_mm: PositiveFloat = 5.0
@@ -253,29 +303,39 @@ class GeometryTable(Table):
     shadow_margin_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.2
 
     @model_validator(mode="after")
-    def _can_be_built(self) -> "GeometryTable":
+    def _is_possible(self) -> "GeometryTable":
         self.instrument()
         return self
 
     def instrument(self) -> Instrument:
-        """The instrument that the operator believes in. Raises ValueError for dimensions that make none."""
+        """The instrument with these dimensions. Raises ValueError for impossible dimensions."""
         return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
 
 
-class SampleUnitTable(Table):
-    """What holds the sample. `signature_uncertainty` is the share (standard uncertainty) by which the instrument's own light is
-    otherwise with a sample in its place than without: the sample hides some of it, and sends its own light to the frames. The
-    default is that of frames 0.5 mm off the sample (2 mm: 0.5); of frames that lie on it 0.01 is more than enough.
+class SampleUnitTable(TomlTable):
+    """The sample holder. `signature_uncertainty` is the relative standard uncertainty of the instrument signature with a sample
+    mounted, because it is measured without: the sample blocks a part of it, and scatters light onto the frames. The default
+    is for frames 0.5 mm off the sample (2 mm: 0.5); for frames that lie on the sample 0.01 is more than enough.
     """
 
-    signature_uncertainty: Share = 0.3
+    signature_uncertainty: Fraction = 0.3
 
 
-class EtalonTable(Table):
-    """The etalon's certificate: its radiance factor (1 is the ideal diffuser), with its relative standard uncertainty."""
+def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
+    """Raise ValueError for a radiance factor that is too high for a diffuser: it is probably in percent."""
+    highest = HIGHEST_NEAR_GRAZING if zenith_deg > NEAR_GRAZING_DEG else HIGHEST_RADIANCE_FACTOR
+    if radiance_factor > highest:
+        raise ValueError(
+            f"a radiance factor of {radiance_factor:g} is above {highest:g}, too high for a diffuser (1 is the ideal one); "
+            f"if it is in percent, write {0.01 * radiance_factor:g}"
+        )
+
+
+class EtalonTable(TomlTable):
+    """The etalon's certificate: radiance factor (1 is the ideal diffuser) and its relative standard uncertainty."""
 
     radiance_factor: PositiveFloat = 1.0
-    relative_uncertainty: Share = 0.0
+    relative_uncertainty: Fraction = 0.0
 
     @field_validator("radiance_factor")
     @classmethod
@@ -284,11 +344,11 @@ class EtalonTable(Table):
         return factor
 
 
-class RigFile(Table):
+class RigFile(TomlTable):
     """The whole file."""
 
     name: str
-    simulated: Simulated | None = None
+    simulated: SimulatedTable | None = None
     axes: AxesTable
     monochromator: MonochromatorTable
     photodiodes: PhotodiodesTable
@@ -300,17 +360,78 @@ class RigFile(Table):
 
     @property
     def addresses(self) -> list[str]:
-        """Where the devices are."""
+        """Addresses of all devices."""
         return [self.axes.port, self.monochromator.port, *self.photodiodes.units, self.monitor.usb]
 
     @model_validator(mode="after")
-    def _says_what_it_is(self) -> "RigFile":
-        virtual = [address for address in self.addresses if address.startswith("twin://")]
+    def _virtual_rig_is_complete(self) -> "RigFile":
+        virtual = [address for address in self.addresses if address.startswith(TWIN)]
         if virtual and self.simulated is None:
-            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table")
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table; add it")
         if virtual and self.twin is None:
-            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [twin] table that says what it is")
+            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [twin] table that describes it; add it")
         names = {address.split("/")[2] for address in virtual}
         if len(names) > 1:
-            raise ValueError(f"its twin:// addresses name several virtual rigs: {', '.join(sorted(names))}; name one")
+            raise ValueError(f"its twin:// addresses have several virtual rigs: {', '.join(sorted(names))}; use one name")
         return self
+
+
+def axis_settings(file: RigFile) -> dict[str, AxisSettings]:
+    """The settings of each axis, by its name."""
+    return {name: _axis_settings(name, getattr(file.axes, name)) for name in AXES}
+
+
+def monochromator_settings(file: RigFile) -> MonochromatorSettings:
+    """The settings of the monochromator."""
+    table = file.monochromator
+    return MonochromatorSettings(**table.model_dump(exclude={"kind", "port", "filters"}), wheel=filter_wheel(table.filters))
+
+
+def photodiode_settings(file: RigFile) -> PhotodiodeSettings:
+    """The settings of the photodiodes and their converters."""
+    table = file.photodiodes
+    values = table.model_dump(exclude={"units", "upper_deg", "lower_deg", "gains_v_per_a"})
+    if adam.MODELS[table.kind].serial and "exchange_s" not in table.model_fields_set:
+        values["exchange_s"] = adam.RTU_EXCHANGE_S
+    return PhotodiodeSettings(
+        upper_deg=tuple(table.upper_deg),
+        lower_deg=tuple(table.lower_deg),
+        gains_v_per_a=tuple(table.gains_v_per_a),
+        **values,
+    )
+
+
+def monitor_settings(file: RigFile) -> MonitorSettings:
+    """The settings of the monitor."""
+    return MonitorSettings(**file.monitor.model_dump(exclude={"kind", "usb"}))
+
+
+def nominal_instrument(file: RigFile) -> Instrument:
+    """The instrument with the operator's nominal dimensions, for the directions blocked by the mirror unit."""
+    return file.geometry.instrument()
+
+
+def arc_clearance(file: RigFile) -> ArcClearance:
+    """The clearance of the arc for this rig's photodiodes."""
+    return ArcClearance(top_polar_deg=max(*file.photodiodes.upper_deg, *file.photodiodes.lower_deg, 0.0))
+
+
+def _axis_settings(name: str, table: AxisTable) -> AxisSettings:
+    homing = table.homing
+    return AxisSettings(
+        name=name,
+        speed=table.speed_deg_s,
+        acceleration=table.acceleration_deg_s2,
+        microstep_exponent=table.microsteps.bit_length() - 1,
+        stall_speed=table.stall_speed_deg_s,
+        homing=None
+        if homing is None
+        else Homing(homing.mode, homing.speed_deg_s, homing.switch_speed_deg_s, homing.angle_deg, homing.longest_s),
+        **table.model_dump(exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps", "stall_speed_deg_s", "homing"}),
+    )
+
+
+def filter_wheel(filters: Sequence[OrderFilterTable]) -> FilterWheel:
+    """The filter wheel for the driver, its filters by ascending wavelength."""
+    ordered = sorted(filters, key=lambda each: each.from_nm)
+    return FilterWheel(tuple(OrderFilter(each.position, each.name, each.from_nm, each.cut_on_nm) for each in ordered))

@@ -1,4 +1,4 @@
-"""One controller a rig: a lock on each address, which the system takes back when the process that holds it dies."""
+"""One controlling program per rig: a lock on each device address; the system releases it when its process ends."""
 
 import contextlib
 import getpass
@@ -11,16 +11,17 @@ from pathlib import Path
 from typing import IO
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import place_of
+from goniotwin.app.rig.addresses import canonical_address
 from goniotwin.protocols.clock import RealClock, calendar_stamp
 
 FOLDER = "goniotwin-locks"
 LONGEST_NOTE = 400
-A_LOOK_S = 0.05
+PROBE_S = 0.05
+"""How long `holder_of` of another program can hold a lock."""
 
 
-class Held(UserError):
-    """Another program has it."""
+class RigInUse(UserError):
+    """An address is locked by another program; `holder` is the text of its note."""
 
     def __init__(self, address: str, holder: str) -> None:
         super().__init__(f"{address}: is in use by {holder}; wait for it, or end it")
@@ -28,28 +29,28 @@ class Held(UserError):
 
 
 class RigLock:
-    """Holds addresses until `release`, or until the process ends, however it ends."""
+    """Locks on device addresses, held until `release` or until the process ends, also if it is killed."""
 
-    def __init__(self, addresses: list[str], doing: str, folder: Path | None = None) -> None:
-        """Takes all or none. Raises UserError that says who has one, and since when."""
+    def __init__(self, addresses: list[str], purpose: str, folder: Path | None = None) -> None:
+        """Lock all addresses or none. Raises RigInUse with the holder of an address and the start of its lock."""
         self._folder = folder if folder is not None else Path(tempfile.gettempdir()) / FOLDER
         self._files: list[IO[str]] = []
-        note = f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {doing}"
+        note = f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {purpose}"
         try:
-            for place, address in sorted({place_of(address): address for address in addresses}.items()):
-                self._take(place, address, note)
+            for canonical, address in sorted({canonical_address(address): address for address in addresses}.items()):
+                self._lock(canonical, address, note)
         except UserError:
             self.release()
             raise
 
     def release(self) -> None:
-        """Gives all back; nothing more where that is done already."""
+        """Release all locks. A second call has no effect."""
         for file in self._files:
             file.close()
         self._files = []
 
-    def _take(self, place: str, address: str, note: str) -> None:
-        path = self._folder / f"{hashlib.sha256(place.encode()).hexdigest()[:20]}.lock"
+    def _lock(self, canonical: str, address: str, note: str) -> None:
+        path = self._folder / f"{hashlib.sha256(canonical.encode()).hexdigest()[:20]}.lock"
         try:
             self._folder.mkdir(mode=0o777, parents=True, exist_ok=True)
             with contextlib.suppress(OSError):
@@ -57,46 +58,46 @@ class RigLock:
             file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+", encoding="utf-8")
         except OSError as error:
             raise UserError(f"{path}: the lock of {address} cannot be made: {error.strerror}; check that folder") from None
-        if not _locked(file) and not _locked_soon(file):
+        if not _try_lock(file) and not _try_lock_again(file):
             file.seek(0)
             holder = file.read(LONGEST_NOTE).strip() or "another program"
             file.close()
-            raise Held(address, holder)
+            raise RigInUse(address, holder)
         self._files.append(file)
-        with contextlib.suppress(OSError):  # a full disk has no room for the note, and it is held all the same
+        with contextlib.suppress(OSError):  # a full disk has no space for the note; the lock is held without it
             os.ftruncate(file.fileno(), 0)
             os.lseek(file.fileno(), 0, os.SEEK_SET)
             os.write(file.fileno(), f"{note}\n".encode())
 
 
 def holder_of(address: str) -> str | None:
-    """Who has an address now; None where nobody has. Raises UserError where that cannot be told."""
+    """The note of the program that holds the lock of an address, None if it is free. Raises UserError if that is unknown."""
     try:
-        RigLock([address], "looking who has it").release()
-    except Held as held:
-        return held.holder
+        RigLock([address], "checking the lock").release()
+    except RigInUse as error:
+        return error.holder
     return None
 
 
-def _locked_soon(file: IO[str]) -> bool:
-    """Somebody who only looks who has it holds it for an instant."""
+def _try_lock_again(file: IO[str]) -> bool:
+    """Try again after `PROBE_S`: a program that only checks the lock holds it for a moment."""
     clock = RealClock()
-    clock.sleep_until(clock.now() + A_LOOK_S)
-    return _locked(file)
+    clock.sleep_until(clock.now() + PROBE_S)
+    return _try_lock(file)
 
 
 def _user() -> str:
     try:
         return getpass.getuser()
     except (KeyError, OSError):
-        return "somebody"
+        return "an unknown user"
 
 
 if sys.platform == "win32":
     import msvcrt
 
-    def _locked(file: IO[str]) -> bool:
-        """Whether the lock is ours now; it lies on a byte far behind the note, which others may read."""
+    def _try_lock(file: IO[str]) -> bool:
+        """Lock the file; False if another program has it. The locked byte is far behind the note, which stays readable."""
         try:
             file.seek(1 << 20)
             msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
@@ -107,8 +108,8 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-    def _locked(file: IO[str]) -> bool:
-        """Whether the lock is ours now."""
+    def _try_lock(file: IO[str]) -> bool:
+        """Lock the file; False if another program has it."""
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

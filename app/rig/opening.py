@@ -1,4 +1,4 @@
-"""From a rig file to drivers on their wires: the one place that opens things by name."""
+"""Opening of a rig file: drivers on their wires. Only this module opens ports and devices by name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ import serial
 import usb.core
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import USBIP_PORT, ModbusUnits, host_and_port, is_port
-from goniotwin.app.rig.file import RigFile
-from goniotwin.app.rig.lock import RigLock
-from goniotwin.app.rig.model_hash import model_hashes
-from goniotwin.app.rig.settings import (
+from goniotwin.app.rig.addresses import TWIN, USBIP, ModbusUnits, usbip_address
+from goniotwin.app.rig.file import (
+    RigFile,
     arc_clearance,
     axis_settings,
     monitor_settings,
     monochromator_settings,
     photodiode_settings,
 )
+from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
-from goniotwin.app.toml_file import checked, parse_toml, read_toml
+from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
 from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.motion import tmcl
@@ -33,12 +33,10 @@ from goniotwin.protocols.clock import Clock
 from goniotwin.twin import TwinModel, VirtualRig
 from goniotwin.twin.doors import TwinUsbBackend, register, unregister
 
-TWIN, USBIP = "twin://", "usbip:"
-
 
 @dataclass(frozen=True)
 class RigDescription:
-    """A rig file that has been read: its text, what it says, and from where its files are named."""
+    """A rig file: its text, its tables, and the folder that paths in it are relative to."""
 
     text: str
     file: RigFile
@@ -47,16 +45,19 @@ class RigDescription:
 
     @property
     def simulated(self) -> bool:
-        """Whether nothing of it is real."""
+        """Whether the rig is simulated."""
         return self.file.simulated is not None
 
     @property
     def seed(self) -> int | None:
-        """Of a simulated rig."""
+        """The seed of a simulated rig, None for a real one."""
         return self.file.simulated.seed if self.file.simulated is not None else None
 
     def model(self) -> TwinModel | None:
-        """What the virtual rig is; None where the file has no [twin]. Raises UserError for a sample's file."""
+        """The model of the virtual rig, None where the file has no [twin].
+
+        Raises UserError for the file of a sample that cannot be read.
+        """
         if self.file.twin is None:
             return None
         return twin_model(self.file.twin, self.seed or 0, self.folder, self.name)
@@ -66,30 +67,30 @@ class RigDescription:
         return self.model_hashes()[0]
 
     def model_hashes(self) -> tuple[str | None, ...]:
-        """All hashes by which the virtual rig's model may be known, older ones too; the one that is written now first."""
+        """All hashes that identify the model of the virtual rig: the present version first, then the older one."""
         model = self.model()
         if model is not None:
             return model_hashes(model)
-        stated = self.file.simulated
-        if stated is None:
+        table = self.file.simulated
+        if table is None:
             return (None,)
-        return (stated.model,) if stated.old_model is None else (stated.model, stated.old_model)
+        return (table.model,) if table.old_model is None else (table.model, table.old_model)
 
 
 def read_rig(path: Path) -> RigDescription:
-    """A rig file. Raises UserError: file, key, reason."""
+    """Read a rig file. Raises UserError with the file, the key and the reason."""
     text, content = read_toml(path)
-    return RigDescription(text, checked(RigFile, content, str(path)), path.parent, str(path))
+    return RigDescription(text, validate_table(RigFile, content, str(path)), path.parent, str(path))
 
 
 def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
-    """A rig file's text, such as a journal holds. Raises UserError."""
-    return RigDescription(text, checked(RigFile, parse_toml(text, name), name), folder, name)
+    """Parse the text of a rig file, such as a journal contains. Raises UserError."""
+    return RigDescription(text, validate_table(RigFile, parse_toml(text, name), name), folder, name)
 
 
 @dataclass
 class OpenRig:
-    """Drivers with their wires, not yet connected; the virtual rig behind them where there is one."""
+    """Drivers with their wires, not connected yet, and the virtual rig behind them, if any."""
 
     rig: Rig
     virtual: VirtualRig | None
@@ -98,14 +99,14 @@ class OpenRig:
     _lock: RigLock | None = None
 
     def connect(self) -> None:
-        """Connects every device. Raises UserError for the first that does not answer; closes everything then."""
+        """Connect every device. Raises UserError for the first that does not respond, after closing everything."""
         for error in self.rig.connect().values():
             if error is not None:
                 self.close()
                 raise UserError(str(error))
 
     def close(self) -> None:
-        """Gives everything back. Nothing moves."""
+        """Close all devices, files and locks. No axis moves."""
         self.rig.close()
         if self._name is not None:
             unregister(self._name)
@@ -118,12 +119,12 @@ class OpenRig:
 
     @property
     def transcript_failure(self) -> str | None:
-        """Why transcripts are not written to their end; None where they are, or are not wanted."""
+        """The reason why the transcripts are incomplete; None if they are complete, or not written at all."""
         return self._transcript.failure if self._transcript is not None else None
 
-    def lock(self, addresses: list[str], doing: str) -> None:
-        """Keeps other programs from real devices until `close`. Raises UserError that says who has one."""
-        self._lock = RigLock(addresses, doing)
+    def lock(self, addresses: list[str], purpose: str) -> None:
+        """Lock real devices against other programs until `close`. Raises RigInUse with the program that has one."""
+        self._lock = RigLock(addresses, purpose)
 
     def __enter__(self) -> "OpenRig":
         return self
@@ -133,30 +134,59 @@ class OpenRig:
 
 
 def open_rig(description: RigDescription, clock: Clock, transcript: Path | None = None) -> OpenRig:
-    """Drivers for a rig, and for a virtual one its devices, living by `clock`. Nothing is connected yet.
+    """Drivers of a rig on `clock`, and the devices of a virtual rig. Nothing is connected yet.
 
-    With a folder in `transcript` each byte on each wire is written there. Raises UserError.
+    With a folder in `transcript` every byte on every wire is written to files there. Raises UserError.
     """
     file = description.file
     try:
-        written = Transcript(transcript, clock) if transcript is not None else None
+        transcripts = Transcript(transcript, clock) if transcript is not None else None
     except OSError as error:
-        raise UserError(f"{transcript}: cannot hold transcripts: {error.strerror}; name another folder") from None
+        raise UserError(f"{transcript}: cannot hold transcripts: {error.strerror}; give another folder") from None
 
     def tap(device: str, explain: Explain) -> Tap:
-        return written.tap(device, explain) if written is not None else no_tap
+        return transcripts.tap(device, explain) if transcripts is not None else no_tap
 
     virtual, name = None, None
     model = description.model()
     address: Callable[[str], str] = str
     if model is not None and any(each.startswith(TWIN) for each in file.addresses):
         virtual = VirtualRig.build(model, clock)
-        stated = next(each for each in file.addresses if each.startswith(TWIN)).split("/")[2]
-        name = register(stated, virtual)
+        file_name = next(each for each in file.addresses if each.startswith(TWIN)).split("/")[2]
+        name = register(file_name, virtual)  # another one if this process has a virtual rig of that name already
 
-        def address(stated_address: str) -> str:
-            return stated_address.replace(f"{TWIN}{stated}/", f"{TWIN}{name}/", 1)
+        def address(file_address: str) -> str:
+            return file_address.replace(f"{TWIN}{file_name}/", f"{TWIN}{name}/", 1)
 
+    try:
+        rig = _rig(description, clock, tap, virtual, address)
+    except UserError:
+        if name is not None:
+            unregister(name)
+        if transcripts is not None:
+            transcripts.close()
+        raise
+    opened = OpenRig(rig, virtual, name, transcripts)
+    try:
+        opened.lock(
+            [each.partition("?")[0] for each in file.addresses if not each.startswith(TWIN)],
+            f"{file.name} ({description.name})",
+        )
+    except UserError:
+        opened.close()
+        raise
+    return opened
+
+
+def _rig(
+    description: RigDescription,
+    clock: Clock,
+    tap: Callable[[str, Explain], Tap],
+    virtual: VirtualRig | None,
+    address: Callable[[str], str],
+) -> Rig:
+    """Drivers of a rig; `address` gives the address in this process of one in the file. Raises UserError for a wrong one."""
+    file = description.file
     settings = axis_settings(file)
     module = TmclModule(
         _serial(address(file.axes.port)),
@@ -170,7 +200,7 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     units = [addresses.unit(address(each)) for each in file.photodiodes.units]
     for k, unit in enumerate(units):
         unit.tap = tap(f"photodiodes-{k}", addresses.explain(unit))
-    rig = Rig(
+    return Rig(
         clock=clock,
         axes_module=module,
         axes={axis: Axis(module, each, clock) for axis, each in settings.items()},
@@ -190,20 +220,10 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
         simulated=description.simulated,
         clearance=arc_clearance(file),
     )
-    opened = OpenRig(rig, virtual, name, written)
-    try:
-        opened.lock(
-            [each.partition("?")[0] for each in file.addresses if not each.startswith(TWIN)],
-            f"{file.name} ({description.name})",
-        )
-    except UserError:
-        opened.close()
-        raise
-    return opened
 
 
 def _serial(address: str) -> PortOpener:
-    """A port's name, or any URL that pyserial knows."""
+    """An opener for the name of a port, or for any URL of pyserial."""
 
     def opener(baudrate: int, timeout_s: float) -> serial.Serial:
         return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s)
@@ -212,9 +232,9 @@ def _serial(address: str) -> PortOpener:
 
 
 def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
-    """`VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL`, the numbers in hexadecimal, or `usbip:HOST:PORT/BUSID`.
+    """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.
 
-    Raises UserError for what is none of these.
+    Raises UserError for another form.
     """
     if address.startswith(TWIN):
         wanted = address.rsplit("/", 1)[1]
@@ -232,9 +252,8 @@ def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
     try:
         vendor, product = int(parts[0], 16), int(parts[1], 16)
     except (ValueError, IndexError):
-        raise UserError(
-            f"monitor.usb: {address!r} is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID; mend it in the rig file"
-        ) from None
+        wrong = f"monitor.usb: {address!r} is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID"
+        raise UserError(f"{wrong}; correct it in the rig file") from None
     serial_number = {"serial_number": parts[2]} if len(parts) > 2 else {}
 
     def opener() -> Any:
@@ -243,12 +262,3 @@ def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
         return usb.core.find(backend=libusb_package.get_libusb1_backend(), idVendor=vendor, idProduct=product, **serial_number)
 
     return opener
-
-
-def usbip_address(address: str) -> tuple[str, int, str]:
-    """Host, port and bus id of `usbip:HOST:PORT/BUSID`; the port is 3240 where not given. Raises UserError."""
-    place, _, bus_id = address.removeprefix(USBIP).partition("/")
-    host, number = host_and_port(place, USBIP_PORT)
-    if not host or not bus_id or not is_port(number):
-        raise UserError(f"monitor.usb: {address!r} is not usbip:HOST:PORT/BUSID, such as usbip:127.0.0.1:3240/1-1; mend it")
-    return host, int(number), bus_id

@@ -1,4 +1,4 @@
-"""The rig file with which another process measures on a virtual rig that this one serves."""
+"""The rig file that `goniotwin serve` writes: with it another process measures on the virtual rig that is served here."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,9 +14,9 @@ FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start.
 
 
 def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed: float) -> str:
-    """What the operator believes of a rig, as its file says it, at the endpoints' addresses, and that it is simulated.
+    """The text of the rig file: the operator's part with the addresses of the endpoints, marked as simulated.
 
-    Of its own mechanics and optics nothing is in it but the model's hash, in both versions.
+    Of the [twin] table it has only the hash of the model, in both versions.
     """
     addresses: dict[str, str] = {}
     control: int | None = None
@@ -24,7 +24,7 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
         if endpoint.device == CONTROL:
             control = endpoint.port
         else:
-            addresses.setdefault(endpoint.device, address_of(endpoint))  # a pseudo-terminal comes before its TCP port
+            addresses.setdefault(endpoint.device, endpoint_address(endpoint))  # a pseudo-terminal comes before its TCP port
     document = tomlkit.parse(description.text)
     document.remove("twin")
     _table(document, "axes")["port"] = addresses["axes"]
@@ -33,7 +33,7 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     _table(document, "photodiodes")["units"] = [addresses[f"adc-{k}"] for k in range(len(units))]
     _table(document, "monitor")["usb"] = addresses["monitor"]
     simulated = tomlkit.table()
-    hashes = zip(("model", "old_model"), description.model_hashes(), strict=False)  # an old one is not always there
+    hashes = zip(("model", "old_model"), description.model_hashes(), strict=False)  # not every model has an old hash
     simulated.update({"seed": description.seed, **dict(hashes), "speed": speed})
     if control is not None:
         simulated["control_port"] = control
@@ -41,8 +41,8 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     return f"{FIRST_LINE}\n{tomlkit.dumps(document)}"
 
 
-def address_of(endpoint: Endpoint) -> str:
-    """As a rig file writes it."""
+def endpoint_address(endpoint: Endpoint) -> str:
+    """The address of an endpoint in a rig file."""
     if endpoint.bus_id is not None:
         return f"usbip:{endpoint.host}:{endpoint.port}/{endpoint.bus_id}"
     if endpoint.kind == "adam-6017":
@@ -54,21 +54,21 @@ def address_of(endpoint: Endpoint) -> str:
 
 
 def check_served_rig(path: Path) -> None:
-    """Whether it may be written and can be. Raises UserError, and leaves everything as it was."""
+    """Check that the file can be written and replaces no other file. Raises UserError; changes nothing."""
     try:
-        there = path.exists() or path.is_symlink()
-        if there and not (path.is_file() and path.read_text(encoding="utf-8", errors="replace").startswith(FIRST_LINE)):
-            raise UserError(f"{path}: is there, and goniotwin serve has not written it; choose another name")
+        exists = path.exists() or path.is_symlink()
+        if exists and not (path.is_file() and path.read_text(encoding="utf-8", errors="replace").startswith(FIRST_LINE)):
+            raise UserError(f"{path}: exists already, and was not written by goniotwin serve; choose another name")
         with path.open("a", encoding="utf-8"):
             pass
-        if not there:
+        if not exists:
             path.unlink()
     except OSError as error:
         raise _unwritable(path, error) from None
 
 
 def write_served_rig(path: Path, text: str) -> None:
-    """Raises UserError, and leaves alone what `goniotwin serve` has not written."""
+    """Write the file. Raises UserError; a file that was not written by `goniotwin serve` is not replaced."""
     check_served_rig(path)
     try:
         path.write_text(text, encoding="utf-8")
@@ -82,5 +82,5 @@ def _unwritable(path: Path, error: OSError) -> UserError:
 
 def _table(document: tomlkit.TOMLDocument, name: str) -> Table:
     table = document[name]
-    assert isinstance(table, Table)  # the file has been read, and checked, before
+    assert isinstance(table, Table)  # the file was validated before
     return table

@@ -1,19 +1,16 @@
-"""`[twin]`: the virtual rig's own mechanics, optics, noise and samples, as people write them, and the model they make.
+"""`[twin]` of a rig file: mechanics, optics, noise and samples of the virtual rig, and the model that they give.
 
-Nothing here is taken from the operator's part of the file: a wrong sign there has to show as a wrong angle.
-
-`[twin.optics]`, `[twin.sensor]`, `[twin.deviations]`: the virtual rig's optics, how they stand, how they are computed.
+Nothing here is taken from the operator's part of the file: a wrong sign there must show as a wrong angle.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
-from goniotwin.app.rig.filters import WheelFilterTable, refuse_positions_taken_twice
-from goniotwin.app.rig.samples import SampleTable, scatterer
-from goniotwin.app.toml_file import Table
+from goniotwin.app.rig.samples import SampleTable, sample_scatterer
+from goniotwin.app.toml_file import TomlTable
 from goniotwin.twin.optics import Deviation, Instrument, RealSensor, SampleFrames
 from goniotwin.twin.plant import (
     AxisController,
@@ -26,23 +23,29 @@ from goniotwin.twin.plant import (
     OrderSorting,
     Photodiodes,
     TwinModel,
+    WheelFilter,
 )
 
+Fraction = Annotated[float, Field(ge=0.0, lt=1.0)]
 
-class OpticsTable(Table):
-    """Dimensions of the instrument; `obstruction` off lets light pass through the mirror unit.
+PolarAngle = Annotated[float, Field(ge=0.0, le=90.0)]
+FilterPosition = Annotated[int, Field(ge=1, le=6)]
 
-    `estimator` is what the photodiodes' light is computed by: `fast`, or `forward`, which traces everything and takes its
-    time: until half of the photodiodes that get light are known to `forward_error`. With photodiodes of 0.5 deg that is
-    some seconds a pose for 3 %, and a hundred times as long for 0.3 %; wider ones take less. With `rays` the fast one takes
-    so many for every photodiode in place of the few that it places itself. `stray` adds, for either, the light of the
-    frames and what met more than one thing on its way: see `[twin.frames]`.
+
+class OpticsTable(TomlTable):
+    """Dimensions of the instrument; with `obstruction` off the mirror unit blocks no light on its way to the photodiodes.
+
+    `estimator` computes the light of the photodiodes. `forward` traces all light until the median relative standard error of
+    the photodiodes with light is `forward_error`: with photodiodes of 0.5 deg that takes some seconds a pose for 3 %, and a
+    hundred times as long for 0.3 %; wider ones take less. `rays` is the number of rays per photodiode of `fast`, in place of
+    the few that it places itself. `stray` adds, with either estimator, the light of the frames and the light that was
+    scattered more than once: see `[twin.frames]`.
     """
 
     pupil_radius_mm: PositiveFloat = 5.0
     mirror_distance_mm: PositiveFloat = 200.0
     mirror_side_mm: PositiveFloat = 20.0
-    mirror_mount_mm: Annotated[float, Field(ge=0.0)] = 0.0
+    mirror_mount_mm: NonNegativeFloat = 0.0
     mirror_reflectance: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
     spot_side_mm: PositiveFloat = 5.0
     arc_radius_mm: PositiveFloat = 300.0
@@ -55,17 +58,17 @@ class OpticsTable(Table):
     stray: bool = False
 
     @model_validator(mode="after")
-    def _can_be_built(self) -> "OpticsTable":
-        built(self, {})
+    def _is_possible(self) -> "OpticsTable":
+        twin_instrument(self, {})
         return self
 
-    def chosen(self) -> Estimator:
-        """What computes the light."""
+    def estimator_settings(self) -> Estimator:
+        """The estimator and its settings, for the model."""
         return Estimator(self.estimator, self.rays, self.forward_error, self.stray)
 
 
-class FramesTable(Table):
-    """The two sheets that hold the sample: see `twin.optics.SampleFrames`."""
+class FramesTable(TomlTable):
+    """The two sheets (frames) that hold the sample: see `twin.optics.SampleFrames`."""
 
     gap_mm: float = 0.0
     side_mm: float = 60.0
@@ -73,17 +76,17 @@ class FramesTable(Table):
     lit: float = 1.1
 
     @model_validator(mode="after")
-    def _can_be_built(self) -> "FramesTable":
+    def _is_possible(self) -> "FramesTable":
         self.frames()
         return self
 
     def frames(self) -> SampleFrames:
-        """Raises ValueError, naming the key, for what no frame can have."""
+        """The frames, for the model. Raises ValueError with the key of an impossible value."""
         return SampleFrames(**self.model_dump())
 
 
-class SensorTable(Table):
-    """The sensor unit as it is built, in place of the virtual detectors of `[twin.optics]`: see `twin.optics.RealSensor`."""
+class SensorTable(TomlTable):
+    """The real sensor unit, in place of the virtual detectors of `[twin.optics]`: see `twin.optics.RealSensor`."""
 
     lens_diameter_mm: PositiveFloat = RealSensor.lens_diameter_mm
     focal_length_mm: PositiveFloat = RealSensor.focal_length_mm
@@ -93,17 +96,17 @@ class SensorTable(Table):
     detector_side_mm: PositiveFloat = RealSensor.detector_side_mm
 
     @model_validator(mode="after")
-    def _can_be_built(self) -> "SensorTable":
+    def _is_possible(self) -> "SensorTable":
         self.sensor()
         return self
 
     def sensor(self) -> RealSensor:
-        """Raises ValueError, naming the key, for what cannot be built."""
+        """The sensor, for the model. Raises ValueError with the key of an impossible value."""
         return RealSensor(**self.model_dump())
 
 
-class DeviationTable(Table):
-    """How far an element stands from its place: three angles, three shifts; frames: twin.optics.geometry.instrument."""
+class DeviationTable(TomlTable):
+    """Deviation of an element from its nominal pose: three angles, three shifts; axes: twin.optics.geometry.instrument."""
 
     rx_deg: float = 0.0
     ry_deg: float = 0.0
@@ -113,31 +116,30 @@ class DeviationTable(Table):
     z_mm: float = 0.0
 
 
-def built(optics: OpticsTable, deviations: Mapping[str, DeviationTable], unit: SensorTable | None = None) -> Instrument:
-    """The instrument. Raises ValueError for dimensions that make none, for an element that there is not, and for a sensor
-    `unit` beside dimensions of virtual detectors, or of which the estimator knows nothing.
+def twin_instrument(
+    optics: OpticsTable, deviations: Mapping[str, DeviationTable], sensor_table: SensorTable | None = None
+) -> Instrument:
+    """The instrument of the virtual rig.
+
+    Raises ValueError for impossible dimensions, for a deviation of an unknown element, for a sensor table beside dimensions
+    of virtual detectors, and for a sensor that the estimator cannot compute.
     """
-    sensor = None if unit is None else unit.sensor()
+    sensor = None if sensor_table is None else sensor_table.sensor()
     if sensor is not None:
         if given := sorted(optics.model_fields_set & {"detector_diameter_mm", "field_deg"}):
-            raise ValueError(f"optics.{given[0]} is of virtual detectors, which [twin.sensor] replaces; leave one of them out")
+            raise ValueError(f"optics.{given[0]} is of virtual detectors, which [twin.sensor] replaces; remove one of them")
         if optics.estimator == "fast" and sensor.departure is not None:
             raise ValueError(
-                f"sensor: {sensor.departure}, so it is no disc with an acceptance cone, which is all that the fast estimator "
-                'knows; set optics.estimator = "forward", or mend the sensor'
+                f"sensor: {sensor.departure}, so it is not a disc with an acceptance cone, and the fast estimator computes "
+                'only such discs; set optics.estimator = "forward", or correct the sensor'
             )
     dimensions = optics.model_dump(exclude={"estimator", "rays", "forward_error", "stray"})
-    standing = {element: Deviation(**deviation.model_dump()) for element, deviation in deviations.items()}
-    return Instrument(**dimensions, deviations=standing, sensor=sensor)
+    given_deviations = {element: Deviation(**deviation.model_dump()) for element, deviation in deviations.items()}
+    return Instrument(**dimensions, deviations=given_deviations, sensor=sensor)
 
 
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Polar = Annotated[float, Field(ge=0.0, le=90.0)]
-
-
-class MechanicsTable(Table):
-    """An axis as it is."""
+class MechanicsTable(TomlTable):
+    """The real properties of an axis."""
 
     motor: Annotated[int, Field(ge=0, le=5)]
     gear: PositiveFloat
@@ -146,27 +148,27 @@ class MechanicsTable(Table):
     full_steps: PositiveInt = 200
     encoder: bool = True
     module: Annotated[int, Field(ge=1, le=255)] = 1
-    backlash_deg: NotNegative = 0.0
+    backlash_deg: NonNegativeFloat = 0.0
     lower_switch_deg: float | None = None
     upper_switch_deg: float | None = None
     home_deg: float | None = None
     home_width_deg: Annotated[float, Field(gt=0.0, lt=360.0)] = 1.0
     encoder_counts: PositiveInt = 51_200
-    encoder_error_deg: NotNegative = 0.0
+    encoder_error_deg: NonNegativeFloat = 0.0
 
 
-class ControllerTable(Table):
-    """The motion modules and their wire: one module for each address among the axes' `module`."""
+class ControllerTable(TomlTable):
+    """The motion modules and their wire: one module for each address that the axes have as `module`."""
 
     kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
     wire: Literal["usb", "rs485"] = "usb"
     baudrate: PositiveInt = 115200
-    latency_s: NotNegative = 3.0e-4
-    encoder_noise_microsteps: NotNegative = 1.0
+    latency_s: NonNegativeFloat = 3.0e-4
+    encoder_noise_microsteps: NonNegativeFloat = 1.0
 
 
-class AxesMechanicsTable(Table):
-    """All four axes as they are."""
+class AxesMechanicsTable(TomlTable):
+    """The real properties of all four axes."""
 
     gamma: MechanicsTable
     sigma: MechanicsTable
@@ -178,63 +180,82 @@ class AxesMechanicsTable(Table):
         motors = [(each.module, each.motor) for each in (self.gamma, self.sigma, self.beta, self.shift)]
         for module, motor in motors:
             if (count := motors.count((module, motor))) > 1:
-                raise ValueError(f"motor {motor} turns {count} axes of module {module}; give each its own")
+                raise ValueError(f"motor {motor} turns {count} axes of module {module}; give each axis its own motor")
         return self
 
 
-class LightTable(Table):
-    """The lamp: its radiance, what of it arrives, and how steady it is."""
+class LightTable(TomlTable):
+    """The lamp: radiance, throughput to the sample, drift and noise."""
 
     radiance: PositiveFloat = 2.0e3
     throughput: Annotated[float, Field(gt=0.0, le=1.0)] = 0.18
     drift_per_hour: float = 0.0
-    flicker: Share = 5.0e-4
-    wander: Share = 2.0e-3
+    flicker: Fraction = 5.0e-4
+    wander: Fraction = 2.0e-3
 
 
-class DiodesTable(Table):
-    """Where the photodiodes sit, and their dark currents."""
+class DiodesTable(TomlTable):
+    """The polar angles of the photodiodes, and their dark currents."""
 
-    upper_deg: Annotated[list[Polar], Field(min_length=1)] = [5.0 * k for k in range(18)]
-    lower_deg: list[Polar] = [5.0 * k for k in range(18)]
-    dark_a: NotNegative = 2.0e-12
-    dark_spread: Share = 0.05
-    dark_wander: Share = 2.0e-3
+    upper_deg: Annotated[list[PolarAngle], Field(min_length=1)] = [5.0 * k for k in range(18)]
+    lower_deg: list[PolarAngle] = [5.0 * k for k in range(18)]
+    dark_a: NonNegativeFloat = 2.0e-12
+    dark_spread: Fraction = 0.05
+    dark_wander: Fraction = 2.0e-3
 
 
-class ElectronicsTable(Table):
-    """Amplifiers and converters; `gain_spread` is how far the gains are from what is printed on them."""
+class ElectronicsTable(TomlTable):
+    """Amplifiers and converters; `gain_spread` is the relative deviation of the real gains from the nominal ones."""
 
     gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)] = [1e6, 1e8, 1e10, 1e11]
-    gain_spread: Share = 1.0e-3
+    gain_spread: Fraction = 1.0e-3
     offset_v: float = 1.0e-3
-    noise_v: NotNegative = 1.5e-4
+    noise_v: NonNegativeFloat = 1.5e-4
     settling_s: PositiveFloat = 0.02
     module: Literal["adam-6017", "adam-4117"] = "adam-6017"
     baudrate: PositiveInt = 9600
     conversions_per_s: Literal[10, 100] = 100
 
 
-class DriveTable(Table):
-    """The monochromator as it is: its speeds, whether its line echoes, whether it knows handshake mode.
+class DriveTable(TomlTable):
+    """The monochromator: its times, whether its line echoes, whether it has the handshake mode.
 
-    `filters` is how many positions its wheel has, `filter_s` the time from one to the next. `second_order` is the share of
-    light of half the wavelength set that passes as well; up to 710 nm the lamp has none.
+    `filters` is the number of positions of its filter wheel, `filter_s` the time from one to the next. `second_order` is the
+    fraction of light of half the wavelength that passes as well (second order); the lamp has no such light up to 710 nm.
     """
 
     echo: bool = True
     handshake: bool = True
     slew_nm_per_s: PositiveFloat = 175.0
-    settle_s: NotNegative = 0.1
-    shutter_s: NotNegative = 0.15
-    filter_s: NotNegative = 1.0
+    settle_s: NonNegativeFloat = 0.1
+    shutter_s: NonNegativeFloat = 0.15
+    filter_s: NonNegativeFloat = 1.0
     filters: Annotated[int, Field(ge=0, le=6)] = 6
-    grating_s: NotNegative = 8.0
-    second_order: Share = 0.0
+    grating_s: NonNegativeFloat = 8.0
+    second_order: Fraction = 0.0
 
 
-class TwinTable(Table):
-    """The virtual rig. `noise` off silences every random process and leaves the quantisation."""
+class WheelFilterTable(TomlTable):
+    """A filter in the wheel of the virtual rig: see `twin.plant.WheelFilter`. A position without a filter is open."""
+
+    position: FilterPosition
+    cut_on_nm: PositiveFloat
+    transmittance: Annotated[float, Field(gt=0.0, le=1.0)] = WheelFilter.transmittance
+
+    def filter(self) -> WheelFilter:
+        """The filter, for the model."""
+        return WheelFilter(**self.model_dump())
+
+
+def refuse_repeated_positions(positions: Sequence[int]) -> None:
+    """Raise ValueError if a position of a filter wheel is given twice."""
+    for position in positions:
+        if (count := positions.count(position)) > 1:
+            raise ValueError(f"filters: position {position} is given {count} times; keep one, a position has one filter")
+
+
+class TwinTable(TomlTable):
+    """The virtual rig. With `noise` off there are no random processes; the quantisation remains."""
 
     axes: AxesMechanicsTable
     samples: dict[str, SampleTable]
@@ -251,38 +272,42 @@ class TwinTable(Table):
     controller: ControllerTable = ControllerTable()
 
     @model_validator(mode="after")
-    def _can_be_built(self) -> "TwinTable":
-        built(self.optics, self.deviations, self.sensor)
+    def _is_possible(self) -> "TwinTable":
+        twin_instrument(self.optics, self.deviations, self.sensor)
         return self
 
     @model_validator(mode="after")
-    def _filters_have_their_places(self) -> "TwinTable":
-        refuse_positions_taken_twice(self.filters)
+    def _filters_fit_the_wheel(self) -> "TwinTable":
+        refuse_repeated_positions([each.position for each in self.filters])
         for each in self.filters:
             if each.position > self.monochromator.filters:
                 raise ValueError(
-                    f"filters: there is no position {each.position} in a wheel of {self.monochromator.filters}; take another, "
-                    "or mend monochromator.filters"
+                    f"filters: a wheel of {self.monochromator.filters} positions has no position {each.position}; choose "
+                    "another, or correct monochromator.filters"
                 )
         return self
 
     @model_validator(mode="after")
-    def _motors_are_there(self) -> "TwinTable":
+    def _motors_exist(self) -> "TwinTable":
         motors = {"tmcm-6214": 6, "tmcm-1240": 1}[self.controller.kind]
         for name in type(self.axes).model_fields:
             axis: MechanicsTable = getattr(self.axes, name)
             if axis.motor >= motors:
-                raise ValueError(f"axes.{name}: a {self.controller.kind} has {motors} motors, so none with number {axis.motor}")
+                wrong = f"axes.{name}: a {self.controller.kind} has {motors} motors, so there is no motor {axis.motor}"
+                raise ValueError(f"{wrong}; correct the motor, or controller.kind")
         return self
 
 
 def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinModel:
-    """The model; sample files are looked for from `folder`. Raises UserError naming `name`, the sample and its file."""
+    """The model of the virtual rig; the paths of sample files are relative to `folder`.
+
+    Raises UserError with `name`, the sample and its file for a file that cannot be read.
+    """
     return TwinModel(
         seed=seed,
         axes={axis: Mechanics(**mechanics) for axis, mechanics in table.axes.model_dump().items()},
-        samples={key: scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
-        instrument=built(table.optics, table.deviations, table.sensor),
+        samples={key: sample_scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
+        instrument=twin_instrument(table.optics, table.deviations, table.sensor),
         frames=table.frames.frames(),
         light=LightSource(**table.light.model_dump()),
         photodiodes=Photodiodes(**_tuples(table.photodiodes)),
@@ -291,10 +316,10 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
         monochromator=MonochromatorDrive(**table.monochromator.model_dump(exclude={"second_order"})),
         controller=AxisController(**table.controller.model_dump()),
         noise=table.noise,
-        estimator=table.optics.chosen(),
+        estimator=table.optics.estimator_settings(),
         order_sorting=OrderSorting(table.monochromator.second_order, tuple(each.filter() for each in table.filters)),
     )
 
 
-def _tuples(table: Table) -> dict[str, Any]:
+def _tuples(table: TomlTable) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.model_dump().items()}

@@ -24,7 +24,7 @@ THETA_DEG: Floats = np.concatenate(
 PHI_STEP_DEG = 10.0
 
 
-def numbers(text: str, name: str, low: float, high: float) -> Floats:
+def parse_list(text: str, name: str, low: float, high: float) -> Floats:
     """The list (n,) that a text says: numbers with commas between, or ranges `start:stop:step`, the stop included.
 
     Raises UserError, naming the list, for what is no number, for one outside low..high, and for a list that does not
@@ -76,7 +76,7 @@ class Detectors:
         return arc_direction(self.polar_deg[:, None], self.azimuth_deg[None, :], lower).reshape(-1, 3)
 
 
-def detectors_at(sigma_deg: float, mirrored: bool, also_deg: Sequence[float] = ()) -> Detectors:
+def detector_grid(sigma_deg: float, mirrored: bool, also_deg: Sequence[float] = ()) -> Detectors:
     """Detectors round the specular direction of sigma: steps of 0.5 deg near it, growing to 5 deg in diffuse directions.
 
     Polar angles go from 0 to 87 deg or to where the lobe's fine steps end, below 90. Steps are fine near the polar angles

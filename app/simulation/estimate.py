@@ -37,7 +37,7 @@ MOST_PATHS = 1 << 34
 
 
 @dataclass(frozen=True)
-class Effort:
+class EstimatorSettings:
     """How an estimator is to be run: with so many `rays` a detector, so many `paths`, or to an error in percent.
 
     The error is the median relative standard error of the ratios, over the directions that have at least a hundredth of
@@ -71,7 +71,7 @@ class Effort:
 
 Told = Callable[[float], None]
 """Told the share of the work that is done."""
-NODES, BUNDLE = 7, FINE_RULE[-1]
+NODE_RAYS, BUNDLE_RAYS = 7, FINE_RULE[-1]
 """Rays that the fast estimator takes of its own accord: of smooth lobes, and of tables and beams that miss a mirror."""
 CHECK_RAYS = 4096
 """More than the estimator takes of its own accord, so that it is not held against itself."""
@@ -84,7 +84,7 @@ MATTERS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class MeasurementSetup:
     """How the light comes, and who looks: `sigma_deg` of the mirror unit (beyond 90 the light is on the back), detectors in
     `directions` (n, 3) of the rig, `wavelengths_nm` (w,) or None for a grey table (w = 1).
 
@@ -150,7 +150,7 @@ class Ratio:
         return 100.0 * float(np.median(relative)) if relative.size else math.inf
 
 
-def ratio_at(stand: Stand, sample: Scatterer, effort: Effort, told: Told = lambda _: None) -> Ratio:
+def estimate_ratio(stand: MeasurementSetup, sample: Scatterer, effort: EstimatorSettings, told: Told = lambda _: None) -> Ratio:
     """Etalon first, then the sample (paper, figure 7). Raises UserError."""
     pair = sample, stand.etalon
     if effort.kind == "fast":
@@ -170,7 +170,7 @@ def ratio_at(stand: Stand, sample: Scatterer, effort: Effort, told: Told = lambd
     return _stacked(found)
 
 
-def _fast(stand: Stand, pair: tuple[Scatterer, Scatterer], effort: Effort, told: Told) -> Ratio:
+def _fast(stand: MeasurementSetup, pair: tuple[Scatterer, Scatterer], effort: EstimatorSettings, told: Told) -> Ratio:
     """The standard error is what other sets of rays, and of stray light's paths, differ by: two of them, for one alone may come
     to nearly the same by chance. It tells the size of the error; for lobes much narrower than the aperture it may be several
     times too small.
@@ -205,7 +205,7 @@ def _fast(stand: Stand, pair: tuple[Scatterer, Scatterer], effort: Effort, told:
             raise UserError(f"{wrong}; ask for a larger one")
 
 
-def _throughputs(stand: Stand, scatterer: Scatterer, rays: int | None, paths: int, seed: int) -> Floats:
+def _throughputs(stand: MeasurementSetup, scatterer: Scatterer, rays: int | None, paths: int, seed: int) -> Floats:
     """(w, n) in m^2 sr."""
     instrument, sigma, directions, wavelengths = stand.instrument, stand.sigma_deg, stand.directions, stand.wavelengths_nm
     if wavelengths is None:
@@ -224,11 +224,11 @@ def _throughputs(stand: Stand, scatterer: Scatterer, rays: int | None, paths: in
     return added
 
 
-def _own_rays(stand: Stand, sample: Scatterer) -> int:
+def _own_rays(stand: MeasurementSetup, sample: Scatterer) -> int:
     """Of each detector, where nothing else is wanted: see `throughput`; not counted are those that a mirror cuts."""
     scene = scene_at(stand.instrument, stand.sigma_deg)
     acting = (lobe for lobe in sample.lobes if lobe.incident == scene.incident and lobe.transmits == stand.transmitted)
-    return BUNDLE if scene.clipped or any(lobe.kind in TABLE_KINDS for lobe in acting) else NODES
+    return BUNDLE_RAYS if scene.clipped or any(lobe.kind in TABLE_KINDS for lobe in acting) else NODE_RAYS
 
 
 def _over(sample: Floats, white: Floats) -> Floats:
@@ -236,11 +236,17 @@ def _over(sample: Floats, white: Floats) -> Floats:
     return ratio
 
 
-def _incidence(stand: Stand) -> float:
+def _incidence(stand: MeasurementSetup) -> float:
     return 180.0 - stand.sigma_deg if stand.back else stand.sigma_deg
 
 
-def _forward(stand: Stand, pair: tuple[Scatterer, Scatterer], wavelength_nm: float | None, effort: Effort, told: Told) -> Ratio:
+def _forward(
+    stand: MeasurementSetup,
+    pair: tuple[Scatterer, Scatterer],
+    wavelength_nm: float | None,
+    effort: EstimatorSettings,
+    told: Told,
+) -> Ratio:
     """Batches of paths, sample and etalon each its own, until there are enough of them or the error is small enough."""
     wanted = effort.error_percent
     paths = 4 * BATCH if effort.paths is None else effort.paths

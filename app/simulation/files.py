@@ -3,16 +3,19 @@
 What a reader has to know about a simulation's numbers, in words.
 """
 
+import io
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
-from goniotwin.app.simulation.simulate import Simulation, Task, acting, refracted_axes
+from goniotwin.app.formats.file import write_file
+from goniotwin.app.simulation.simulate import Simulation, Task, acting_lobes, refracted_axes
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import to_specular
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN
@@ -27,7 +30,7 @@ def assumptions(found: Simulation) -> list[str]:
     way = "transmitted" if task.transmitted else "reflected"
     grid = "as given" if task.polar_deg is not None else "steps of 0.5 deg near the specular direction to 5 deg"
     estimator = "fast: sample, etalon and all wavelengths with the same rays; errors are differences to another set of rays"
-    if task.effort.kind == "forward":
+    if task.estimator.kind == "forward":
         estimator = "forward Monte Carlo: sample and etalon with paths of their own; errors are standard errors of the paths"
     return [
         f"quantity: luminance factor of {way} light (pi times the BSDF), against an ideal diffuser",
@@ -79,7 +82,7 @@ def _regular(found: Simulation) -> list[str]:
 def _gaussians(task: Task) -> list[str]:
     """Each lobe without doubt, whichever form and quantity its width was given in."""
     lines = []
-    for lobe in acting(task):
+    for lobe in acting_lobes(task):
         if lobe.kind == GAUSSIAN:
             peak, exponent, intensity = lobe.params[:3]
             falls = ", ".join(
@@ -116,7 +119,7 @@ def _stray(task: Task) -> str:
         f"in: that of frames of {frames.side_mm:g} mm that scatter {frames.reflectance:g} of the light and are lit "
         f"{frames.lit:g} times as wide as their hole, and light that met mirrors, frames or sample again; of sample and etalon"
     )
-    if task.effort.kind == "fast":
+    if task.estimator.kind == "fast":
         told += "; from a map over 5 by 10 deg"
     return told
 
@@ -132,7 +135,7 @@ LONGEST_LIST = 2000
 SUFFIXES = (".ddr", ".ddt", ".csv")
 
 
-def check_names(paths: list[Path], tables: list[Path], transmitted: bool) -> bool:
+def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -> bool:
     """Whether the files are of transmitted light, which .ddt says too. Raises UserError for names that will not do."""
     for path in paths:
         if path.suffix.lower() not in SUFFIXES:
@@ -149,7 +152,7 @@ def check_names(paths: list[Path], tables: list[Path], transmitted: bool) -> boo
     return transmitted or ".ddt" in suffixes
 
 
-def write(found: Simulation, path: Path) -> None:
+def write_simulation(found: Simulation, path: Path) -> None:
     """Writes one file, as its name says. Raises UserError."""
     try:
         if path.suffix.lower() == ".csv":
@@ -182,7 +185,7 @@ def ddr_table(found: Simulation) -> DdrTable:
 
 def summary(found: Simulation, paths: list[Path]) -> dict[str, Any]:
     """The result for programs. Errors are in percent, over the values of at least a hundredth of the largest."""
-    task, kind = found.task, found.task.effort.kind
+    task, kind = found.task, found.task.estimator.kind
     relative = np.concatenate([each.ratio.relative_error for each in found.at])
     counts = {f"{each.sigma_deg:g}": each.ratio.count for each in found.at}
     made = "rays" if kind == "fast" else "paths"
@@ -201,14 +204,14 @@ def summary(found: Simulation, paths: list[Path]) -> dict[str, Any]:
         "estimator": kind,
         made: max(counts.values()),
         f"{made}_by_sigma": counts,
-        **({"seed": task.effort.seed} if kind == "forward" or task.stray else {}),
+        **({"seed": task.estimator.seed} if kind == "forward" or task.stray else {}),
         "values": sum(int(np.isfinite(each.ratio.factor).sum()) for each in found.at),
-        "detectors": {f"{each.sigma_deg:g}": int(each.hidden.size) * rows for each in found.at},
+        "detectors": {f"{each.sigma_deg:g}": int(each.obstructed.size) * rows for each in found.at},
         "largest_relative_standard_error_percent": 100.0 * float(relative.max()) if relative.size else None,
         "median_relative_standard_error_percent": 100.0 * float(np.median(relative)) if relative.size else None,
         "obstruction": task.instrument.obstruction,
-        "hidden_directions": {f"{each.sigma_deg:g}": int(each.hidden.sum()) for each in found.at},
-        "directions_without_hits": {f"{each.sigma_deg:g}": int(each.unmet.sum()) for each in found.at},
+        "hidden_directions": {f"{each.sigma_deg:g}": int(each.obstructed.sum()) for each in found.at},
+        "directions_without_hits": {f"{each.sigma_deg:g}": int(each.missed.sum()) for each in found.at},
         "nodes": int(found.table.size),
         "continued_nodes": int(found.table.size - found.known.sum()),
         "assumptions": assumptions(found),
@@ -219,12 +222,12 @@ def summary(found: Simulation, paths: list[Path]) -> dict[str, Any]:
 def _about(found: Simulation, every_detector: bool) -> list[str]:
     ratios = [each.ratio for each in found.at]
     task = found.task
-    made = "rays a detector" if task.effort.kind == "fast" else "paths"
-    made += f", seed {task.effort.seed}" if task.effort.kind == "forward" or task.stray else ""
+    made = "rays a detector" if task.estimator.kind == "fast" else "paths"
+    made += f", seed {task.estimator.seed}" if task.estimator.kind == "forward" or task.stray else ""
     lines = [
         "SIMULATED: computed with the virtual prototype; nothing in this file is measured",
         f"sample: {task.sample.name}",
-        f"estimator: {task.effort.kind}, {', '.join(sorted({str(ratio.count) for ratio in ratios}))} {made}",
+        f"estimator: {task.estimator.kind}, {', '.join(sorted({str(ratio.count) for ratio in ratios}))} {made}",
         *assumptions(found),
     ]
     if every_detector:
@@ -266,7 +269,7 @@ def _columns(found: Simulation) -> dict[str, npt.NDArray[Any]]:
 
 def _block(found: Simulation, k: int, row: int) -> dict[str, npt.NDArray[Any]]:
     at = found.at[k]
-    count = at.hidden.size
+    count = at.obstructed.size
     # Of the sample as the light has it in front of it, and transmitted light mirrored in its plane.
     turned = -1.0 if found.task.back else 1.0
     theta, phi = to_specular(at.sigma_deg, at.directions * [1.0, turned, -1.0 if found.task.lower else 1.0])
@@ -282,5 +285,15 @@ def _block(found: Simulation, k: int, row: int) -> dict[str, npt.NDArray[Any]]:
         "etalon_m2sr": at.ratio.etalon_m2sr[row],
         "luminance_factor": at.ratio.factor[row],
         "standard_error": at.ratio.standard_error[row],
-        "flags": np.where(at.hidden, "hidden", np.where(at.unmet, "no-hits", "")),
+        "flags": np.where(at.obstructed, "hidden", np.where(at.missed, "no-hits", "")),
     }
+
+
+def write_figure(figure: Figure, path: Path, dots_an_inch: int | None = None) -> None:
+    """With the figure's own resolution unless told. Raises UserError where no file can be written."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi="figure" if dots_an_inch is None else dots_an_inch)
+    try:
+        write_file(path, content.getvalue())
+    except FormatError as error:
+        raise UserError(str(error)) from None

@@ -18,7 +18,7 @@ from matplotlib.patches import Rectangle
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
-from goniotwin.app.simulation.picture import save
+from goniotwin.app.simulation.files import write_figure
 from goniotwin.twin.optics import (
     Illumination,
     IlluminationFigure,
@@ -36,7 +36,7 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Illuminated:
+class IlluminationResult:
     """What came out: the figure's data, of which `field` is the adjoint estimate, the forward one, and a rayset if wanted."""
 
     unit: IlluminationUnit
@@ -57,9 +57,9 @@ class Illuminated:
         return (self.forward.flux - self.adjoint.flux) / error
 
 
-def illuminated(
+def simulate_illumination(
     unit: IlluminationUnit, error_percent: float, seed: int, rays: int | None, progress: Progress = lambda _share, _text: None
-) -> Illuminated:
+) -> IlluminationResult:
     """Of a unit; the forward flux to `error_percent`, and a rayset of `rays` if wanted. Raises UserError."""
     if not (math.isfinite(error_percent) and error_percent > 0.0):
         raise UserError(f"--error: {error_percent:g} will not do; give a percentage above 0")
@@ -82,10 +82,10 @@ def illuminated(
     except ValueError as error:
         raise UserError(f"illumination: {error}") from None
     progress(1.0, "done")
-    return Illuminated(unit, seed, figure, forward, rayset)
+    return IlluminationResult(unit, seed, figure, forward, rayset)
 
 
-def estimate_in_words(name: str, found: Illumination) -> str:
+def format_estimate(name: str, found: Illumination) -> str:
     """Flux and its standard error in the same power of ten."""
     power = math.floor(math.log10(found.flux))
     scale = 10.0**-power
@@ -94,7 +94,7 @@ def estimate_in_words(name: str, found: Illumination) -> str:
     return f"{name} ({value:.{digits}f} +- {error:.{digits}f})e{power:+03d} {found.unit}"
 
 
-def assumptions(found: Illuminated) -> list[str]:
+def assumptions(found: IlluminationResult) -> list[str]:
     """What a reader has to know, one line each."""
     unit = found.unit
     return [
@@ -109,7 +109,7 @@ def assumptions(found: Illuminated) -> list[str]:
     ]
 
 
-def summary(found: Illuminated) -> dict[str, Any]:
+def summary(found: IlluminationResult) -> dict[str, Any]:
     """The result for programs. Lengths in mm, errors are standard errors."""
     width, width_error = found.adjoint.full_width_deg
     rayset = found.rayset
@@ -150,7 +150,7 @@ DOTS_AN_INCH = 130
 MARK = "#a93226"
 
 
-def check_names(out: Path, rayset: Path | None) -> None:
+def check_file_names(out: Path, rayset: Path | None) -> None:
     """Raises UserError for names that will not do, before anything is computed."""
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"{out}: what should be written? give a name that ends with .csv or .png")
@@ -161,10 +161,10 @@ def check_names(out: Path, rayset: Path | None) -> None:
         raise UserError(f"--rayset: {rayset}: give a name that ends with .h5")
 
 
-def write_illumination(found: Illuminated, path: Path) -> None:
+def write_illumination(found: IlluminationResult, path: Path) -> None:
     """As the name says. Raises UserError."""
     if path.suffix.lower() == ".png":
-        save(_drawn(found), path, DOTS_AN_INCH)
+        write_figure(_drawn(found), path, DOTS_AN_INCH)
         return
     try:
         write_points_csv(path, _about(found), _columns(found))
@@ -172,8 +172,8 @@ def write_illumination(found: Illuminated, path: Path) -> None:
         raise UserError(str(error)) from None
 
 
-def _about(found: Illuminated) -> list[str]:
-    flux = ", ".join(estimate_in_words(*each) for each in (("forward", found.forward), ("adjoint", found.adjoint)))
+def _about(found: IlluminationResult) -> list[str]:
+    flux = ", ".join(format_estimate(*each) for each in (("forward", found.forward), ("adjoint", found.adjoint)))
     return [
         "SIMULATED: the illumination of the sample (paper, figure 8), computed with the virtual prototype; nothing is measured",
         f"flux into the field: {flux}",
@@ -182,7 +182,7 @@ def _about(found: Illuminated) -> list[str]:
     ]
 
 
-def _columns(found: Illuminated) -> dict[str, np.ndarray]:
+def _columns(found: IlluminationResult) -> dict[str, np.ndarray]:
     figure = found.figure
     middles = 0.5 * (figure.edges_mm[1:] + figure.edges_mm[:-1])
     x, z = np.meshgrid(middles, middles, indexing="ij")
@@ -198,7 +198,7 @@ def _columns(found: Illuminated) -> dict[str, np.ndarray]:
     }
 
 
-def _drawn(found: Illuminated) -> Figure:
+def _drawn(found: IlluminationResult) -> Figure:
     with mpl.rc_context({"font.size": 10.0}):
         figure = Figure(figsize=(11.0, 5.4), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.06), facecolor="white")
         left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
@@ -208,12 +208,12 @@ def _drawn(found: Illuminated) -> Figure:
         at = f"{unit.wavelength_nm:g} nm, interval {unit.interval_nm:g} nm, bandwidth {unit.bandwidth_nm:g} nm"
         figure.suptitle(f"SIMULATED: illumination of the sample, {at}", color=MARK, weight="bold", fontsize=12)
         side = f"{unit.field_side_mm:g} x {unit.field_side_mm:g} mm"
-        flux = ", ".join(estimate_in_words(*each) for each in (("forward", found.forward), ("adjoint", found.adjoint)))
+        flux = ", ".join(format_estimate(*each) for each in (("forward", found.forward), ("adjoint", found.adjoint)))
         figure.supxlabel(f"flux into {side}: {flux}", fontsize=10)
     return figure
 
 
-def _map(figure: Figure, axes: Axes, found: Illuminated) -> None:
+def _map(figure: Figure, axes: Axes, found: IlluminationResult) -> None:
     edges, half = found.figure.edges_mm, 0.5 * found.unit.field_side_mm
     mesh = axes.pcolormesh(edges, edges, found.figure.irradiance.T, cmap="inferno", vmin=0.0, rasterized=True)
     axes.add_patch(Rectangle((-half, -half), 2.0 * half, 2.0 * half, fill=False, ec="#1f9bcf", lw=1.5, ls="--"))
@@ -222,7 +222,7 @@ def _map(figure: Figure, axes: Axes, found: Illuminated) -> None:
     figure.colorbar(mesh, ax=axes, label=f"irradiance, {found.figure.unit}/m$^2$", shrink=0.85)
 
 
-def _profile(axes: Axes, found: Illuminated) -> None:
+def _profile(axes: Axes, found: IlluminationResult) -> None:
     data = found.figure
     width, error = found.adjoint.full_width_deg
     last = float(data.angle_deg[data.intensity > 0.0].max())

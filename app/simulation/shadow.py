@@ -8,14 +8,14 @@ from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
-from goniotwin.app.simulation.picture import save
+from goniotwin.app.simulation.files import write_figure
 from goniotwin.twin.optics import Instrument, ShadowMap, shadow_map
 
 SUFFIXES = (".csv", ".png")
 DOTS_AN_INCH = 130
 
 
-def shadows(instrument: Instrument, sigma_deg: list[float], step_deg: float) -> list[ShadowMap]:
+def shadow_maps(instrument: Instrument, sigma_deg: list[float], step_deg: float) -> list[ShadowMap]:
     """Of the upper and the lower arc at each sigma. Raises UserError for a step that makes no grid."""
     try:
         return [shadow_map(instrument, sigma, step_deg, lower=lower) for sigma in sigma_deg for lower in (False, True)]
@@ -76,4 +76,4 @@ def _draw(maps: list[ShadowMap], path: Path) -> None:
         figure.colorbar(mesh, ax=figure.axes, shrink=0.6, label="share of a detector's rays that no mirror cuts")
         off = "" if maps[0].obstruction else ", switched off"
         figure.suptitle(f"SIMULATED: the shadow of the mirror unit{off} (azimuth is the arc's beta)", fontsize=10)
-        save(figure, path, DOTS_AN_INCH)
+        write_figure(figure, path, DOTS_AN_INCH)

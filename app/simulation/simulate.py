@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.simulation.detectors import HIGHEST_POLAR_DEG, Detectors, detectors_at, output_phi, output_theta
-from goniotwin.app.simulation.estimate import Effort, Ratio, Stand, ratio_at
+from goniotwin.app.simulation.detectors import HIGHEST_POLAR_DEG, Detectors, detector_grid, output_phi, output_theta
+from goniotwin.app.simulation.estimate import EstimatorSettings, MeasurementSetup, Ratio, estimate_ratio
 from goniotwin.app.simulation.source import Source
-from goniotwin.app.simulation.specular_grid import regridded
+from goniotwin.app.simulation.specular_grid import interpolate_to_specular
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, arc_direction, visible_fraction
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, REGULAR
@@ -50,13 +50,13 @@ class RegularPeak:
         }
 
 
-def regular_share(sample: Scatterer, sigma_deg: float, back: bool, transmitted: bool) -> float:
+def regular_fraction(sample: Scatterer, sigma_deg: float, back: bool, transmitted: bool) -> float:
     """Of the light at incidence `sigma_deg`, what goes on regularly to the side that is looked at; 0 without such a lobe."""
     lobes = [lobe for lobe in sample.lobes if lobe.kind == REGULAR and lobe.transmits == transmitted]
     return sum(lobe.albedo(sigma_deg) for lobe in lobes if lobe.incident == (-1 if back else 1))
 
 
-def seen_within_deg(instrument: Instrument) -> float:
+def regular_half_angle_deg(instrument: Instrument) -> float:
     """The angle from its direction beyond which no detector sees the regular component, without deviations."""
     beam = instrument.pupil_radius_mm + math.sqrt(0.5) * instrument.spot_side_mm
     return math.degrees(math.atan(beam / instrument.pupil_distance_mm)) + 0.5 * instrument.field_deg
@@ -67,7 +67,7 @@ def regular_peak(
 ) -> RegularPeak:
     """Of a share above 0, for detectors in `directions` (n, 3) with luminance factors (w, n), NaN where hidden."""
     axis = arc_direction(sigma_deg, 180.0, lower)
-    within = seen_within_deg(instrument)
+    within = regular_half_angle_deg(instrument)
     seen = factor[:, directions @ axis >= math.cos(math.radians(within))]
     largest = float(np.nanmax(seen)) if np.isfinite(seen).any() else None
     return RegularPeak(sigma_deg, share, sigma_deg, 180.0, within, largest)
@@ -93,7 +93,7 @@ class Task:
     sample: Scatterer
     sigma_deg: Floats
     instrument: Instrument = field(default_factory=Instrument)
-    effort: Effort = field(default_factory=Effort)
+    estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     wavelengths_nm: Floats | None = None
     back: bool = False
     transmitted: bool = False
@@ -112,10 +112,10 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class AtSigma:
+class SigmaResult:
     """At one sigma: detectors (n), their ratios (w, n), and which of them (n,) mirrors hide in part or altogether.
 
-    `unmet` (n,) are those that are not hidden and that no path has met, of the sample or of the etalon. `regular` is where
+    `missed` (n,) are those that are not hidden and that no path has met, of the sample or of the etalon. `regular` is where
     the regular component is, if the sample has one.
     """
 
@@ -123,13 +123,13 @@ class AtSigma:
     detectors: Detectors
     directions: Floats
     ratio: Ratio
-    hidden: Flags
+    obstructed: Flags
     regular: RegularPeak | None = None
 
     @property
-    def unmet(self) -> Flags:
+    def missed(self) -> Flags:
         """Of the forward estimator only; where the etalon was not met there is no value, else the value is 0."""
-        unknown: Flags = ~np.isfinite(self.ratio.standard_error[0]) & ~self.hidden
+        unknown: Flags = ~np.isfinite(self.ratio.standard_error[0]) & ~self.obstructed
         return unknown
 
 
@@ -139,7 +139,7 @@ class Simulation:
 
     task: Task
     wavelengths_nm: Floats | None
-    at: tuple[AtSigma, ...]
+    at: tuple[SigmaResult, ...]
     phi_deg: Floats
     theta_deg: Floats
     table: Floats
@@ -170,26 +170,30 @@ def simulate(task: Task, progress: Progress = lambda _share, _text: None) -> Sim
         told(0.0)
         found = _at_sigma(task, sigma, wavelengths, mirrored, told)
         at.append(found)
-        tables.append([regridded(found.detectors, row, sigma, phi, theta, task.back) for row in found.ratio.factor])
+        tables.append(
+            [interpolate_to_specular(found.detectors, row, sigma, phi, theta, task.back) for row in found.ratio.factor]
+        )
     progress(1.0, "done")
     table = np.array([[values for values, _ in each] for each in tables]).swapaxes(0, 1)
     known = np.array([[flags for _, flags in each] for each in tables]).swapaxes(0, 1)
     return Simulation(task, wavelengths, tuple(at), phi, theta, table, known)
 
 
-def _at_sigma(task: Task, sigma: float, wavelengths: Floats | None, mirrored: bool, told: Callable[[float], None]) -> AtSigma:
+def _at_sigma(
+    task: Task, sigma: float, wavelengths: Floats | None, mirrored: bool, told: Callable[[float], None]
+) -> SigmaResult:
     if task.polar_deg is not None and task.azimuth_deg is not None:
         detectors = Detectors(task.polar_deg, task.azimuth_deg, mirrored)
     else:
         # Near grazing detectors end.
         near_axes = [min(HIGHEST_POLAR_DEG, axis) for axis in refracted_axes(task, sigma) if axis is not None]
-        detectors = detectors_at(sigma, mirrored, near_axes)
+        detectors = detector_grid(sigma, mirrored, near_axes)
     directions, unit_deg = detectors.directions(task.lower), 180.0 - sigma if task.back else sigma
-    stand = Stand(
+    stand = MeasurementSetup(
         task.instrument, unit_deg, directions, wavelengths, task.transmitted, task.stray, task.frames,
         None if task.source is None else task.source.rays,
     )  # fmt: skip
-    ratio = ratio_at(stand, task.sample, task.effort, told)
+    ratio = estimate_ratio(stand, task.sample, task.estimator, told)
     hidden = np.zeros(directions.shape[0], dtype=bool)
     if task.instrument.obstruction:
         # A detector of which a sliver is left looks elsewhere than it stands for.
@@ -197,19 +201,19 @@ def _at_sigma(task: Task, sigma: float, wavelengths: Floats | None, mirrored: bo
         ratio = ratio.without(hidden)
     if not np.isfinite(ratio.factor).any():
         raise UserError(f"sigma {sigma:g}: no detector has a value: all are hidden, or more paths are needed (--paths)")
-    share = regular_share(task.sample, sigma, task.back, task.transmitted)
+    share = regular_fraction(task.sample, sigma, task.back, task.transmitted)
     peak = regular_peak(task.instrument, sigma, share, task.lower, directions, ratio.factor) if share > 0.0 else None
-    return AtSigma(sigma, detectors, directions, ratio, hidden, peak)
+    return SigmaResult(sigma, detectors, directions, ratio, hidden, peak)
 
 
 def refracted_axes(task: Task, sigma_deg: float) -> list[float | None]:
     """Polar angles, deg, of the axes of refracted lobes; None beyond total reflection, where there is no lobe."""
-    ratios = [float(lobe.params[4]) for lobe in acting(task) if lobe.kind == GAUSSIAN and lobe.params[4] != 1.0]
+    ratios = [float(lobe.params[4]) for lobe in acting_lobes(task) if lobe.kind == GAUSSIAN and lobe.params[4] != 1.0]
     sines = [math.sin(math.radians(sigma_deg)) / ratio for ratio in ratios]
     return [math.degrees(math.asin(sine)) if sine < 1.0 else None for sine in sines]
 
 
-def acting(task: Task) -> list[Lobe]:
+def acting_lobes(task: Task) -> list[Lobe]:
     """Lobes of the side that is lit to the side that is looked at."""
     incident = -1 if task.back else 1
     return [lobe for lobe in task.sample.lobes if lobe.incident == incident and lobe.transmits == task.transmitted]
@@ -224,9 +228,9 @@ def _check(task: Task) -> None:
         whole = 180.0 if _is_mirrored(task.sample) else 360.0
         if task.azimuth_deg[-1] > whole:
             raise UserError(f"--azimuth: this sample is its own mirror image in the plane of incidence; give 0 to {whole:g}")
-    if task.source is not None and task.effort.kind == "fast":
+    if task.source is not None and task.estimator.kind == "fast":
         raise UserError("--source: the fast estimator knows the uniform exit pupil alone; give --estimator forward")
-    if not acting(task):
+    if not acting_lobes(task):
         way, other = ("transmits", ".ddr") if task.transmitted else ("reflects", ".ddt")
         side, turned = ("back", "front") if task.back else ("front", "back")
         wrong = f"--sample {task.sample.name!r}: {way} nothing of light on its {side}"

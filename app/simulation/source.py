@@ -30,7 +30,9 @@ class Source:
         }
 
 
-def unit_for(instrument: Instrument, wavelength_nm: float, interval_nm: float, bandwidth_nm: float) -> IlluminationUnit:
+def illumination_unit(
+    instrument: Instrument, wavelength_nm: float, interval_nm: float, bandwidth_nm: float
+) -> IlluminationUnit:
     """The illumination unit whose exit pupil, distance and field are the instrument's. Raises UserError."""
     try:
         return IlluminationUnit(

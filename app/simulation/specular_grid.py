@@ -13,7 +13,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import from_specular
 
 
-def regridded(
+def interpolate_to_specular(
     detectors: Detectors, values: Floats, sigma_deg: float, phi_deg: Floats, theta_deg: Floats, back: bool = False
 ) -> tuple[Floats, Flags]:
     """Values (phi, theta) from those of the detectors (n,), and which rest on detectors all around.
@@ -28,7 +28,7 @@ def regridded(
     if detectors.mirrored:
         azimuth = np.minimum(azimuth, 360.0 - azimuth)
     table = values.reshape(detectors.polar_deg.size, detectors.azimuth_deg.size)
-    result = interpolated(detectors.polar_deg, detectors.azimuth_deg, table, polar, azimuth)
+    result = interpolate_cubic(detectors.polar_deg, detectors.azimuth_deg, table, polar, azimuth)
     known = np.isfinite(result)
     rows = known.any(axis=1)
     for k in np.flatnonzero(rows):
@@ -38,7 +38,7 @@ def regridded(
     return result, known
 
 
-def interpolated(polar_axis: Floats, azimuth_axis: Floats, table: Floats, polar: Floats, azimuth: Floats) -> Floats:
+def interpolate_cubic(polar_axis: Floats, azimuth_axis: Floats, table: Floats, polar: Floats, azimuth: Floats) -> Floats:
     """Values (...) at polar and azimuth (...) from a table (p, a); NaN beyond an axis and where a corner is missing."""
     i, u, outside_i = _place(polar_axis, polar)
     slopes = _slopes(azimuth_axis, table)

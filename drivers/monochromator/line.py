@@ -19,7 +19,7 @@ from goniotwin.protocols.cornerstone import (
     MAX_LINE,
     NO_ERROR,
     STATUS_TEXTS,
-    Error,
+    ErrorCode,
     Statement,
     StatementError,
     decode_known_status,
@@ -97,7 +97,7 @@ class CornerstoneLine:
             number = int(decode_number(reply))
         except StatementError as error:
             raise BadAnswer(NAME, "ERROR?", str(error), CHECK_LINE) from None
-        return f"error {number}, {Error(number).in_words() if number in set(Error) else 'unknown'}"
+        return f"error {number}, {ErrorCode(number).in_words() if number in set(ErrorCode) else 'unknown'}"
 
     def ready(self) -> None:
         """Resynchronise the line unless it is in step. Raises DeviceError, Forgotten if the unit has reset."""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from goniotwin.drivers.errors import DeviceError, Interrupted, NoAnswer, Refused
 from goniotwin.drivers.monochromator.line import CHECK_LINE, NAME, REPLY_S, CornerstoneLine
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.cornerstone import NO_ERROR, Error, Statement
+from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode, Statement
 
 POLL_S = 0.02
 STATUS_MARGIN_S = 3.0e-3
@@ -18,7 +18,7 @@ OVERDUE_S = 2.0
 LONGEST_S = 30.0
 STB = Statement("STB", query=True)
 ABORT = Statement("ABORT")
-ALREADY_THERE = f"error {int(Error.ACCESSORY_ALREADY_THERE)},"
+ALREADY_THERE = f"error {int(ErrorCode.ACCESSORY_ALREADY_THERE)},"
 
 
 class PendingStatement:
@@ -93,7 +93,7 @@ class PendingStatement:
                 self._note_lost(str(error))
                 return False
             if status is None:
-                if self._clock.now() > self._begun + self._seconds + OVERDUE_S:
+                if self._clock.now() > self._started + self._seconds + OVERDUE_S:
                     self._note_lost(f"{self._statement}: no status within {self._seconds + OVERDUE_S:.3g} s")
                 else:
                     self.due = self._clock.now() + POLL_S
@@ -114,10 +114,10 @@ class PendingStatement:
         if self._stop_count() != self._first_stop_count:  # requested by another thread during the write
             self._wire.send_now(ABORT)
         self._check_stop()
-        self._begun = self._clock.now()
+        self._started = self._clock.now()
         self._expected_echoes = [self._statement] if self._wire.echoes else []
         self._status_requested = self._wire.handshake
-        self.due = self._begun + self._seconds + self._on_the_wire_s
+        self.due = self._started + self._seconds + self._on_the_wire_s
 
     def _is_at_target(self, ask_first: Callable[[], float | None]) -> bool:
         """True if nothing has to be sent. Raises DeviceError."""
@@ -182,14 +182,14 @@ class PendingStatement:
         self._lost = True
         self._wire.in_step = False
         self._wire.events.append(f"{what}; its state is queried")
-        self.due = max(self._clock.now() + POLL_S, self._begun + self._seconds + self._on_the_wire_s)
+        self.due = max(self._clock.now() + POLL_S, self._started + self._seconds + self._on_the_wire_s)
 
     def _resynchronised(self) -> bool:
         """True if the unit replies again; it does not while it moves. Raises NoAnswer when it is long overdue."""
         try:
             self._wire.ready()
         except NoAnswer:
-            if self._clock.now() > self._begun + self._seconds + LONGEST_S:
+            if self._clock.now() > self._started + self._seconds + LONGEST_S:
                 raise NoAnswer(
                     NAME, str(self._statement), f"not done after {self._seconds + LONGEST_S:.3g} s", "check the unit"
                 ) from None

@@ -10,9 +10,9 @@ from goniotwin.drivers.motion.registers import Registers, Switches
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.drivers.motion.tmcl.module import TmclModule
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.tmcl import Axis as Parameter
-from goniotwin.protocols.tmcl import Command, Request
-from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag, Search
+from goniotwin.protocols.tmcl import Command, CommandFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
+from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag, SearchCommand
 
 
 class Axis:
@@ -165,7 +165,7 @@ class Axis:
         self._registers.check_canary()
         self._reference.mark_unreferenced("its reference search has not ended")
         self._searching = True
-        self._reference.send_motion_command(self._registers.request(Command.RFS, Search.START), stop_count)
+        self._reference.send_motion_command(self._registers.request(Command.RFS, SearchCommand.START), stop_count)
         return HomingSearch(self._registers, self._reference, homing, self._clock, self._note_homed)
 
     def _note_homed(self, old_reference_deg: float) -> None:
@@ -175,9 +175,9 @@ class Axis:
         self._reference.errors = ErrorFlag(0)
         self._taken_up = False
 
-    def stop_requests(self) -> list[tuple[str, Request]]:
+    def stop_requests(self) -> list[tuple[str, CommandFrame]]:
         """Requests that stop the axis over its ramp: MST, and the end of a reference search in progress."""
-        searching = [(self.name, self._registers.request(Command.RFS, Search.STOP))] if self._searching else []
+        searching = [(self.name, self._registers.request(Command.RFS, SearchCommand.STOP))] if self._searching else []
         return [(self.name, self._registers.request(Command.MST, 0)), *searching]
 
     def stop(self) -> None:

@@ -7,9 +7,9 @@ from goniotwin.drivers.motion.reference import Reference, flag_names
 from goniotwin.drivers.motion.registers import Registers
 from goniotwin.drivers.motion.settings import Homing
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.tmcl import Axis as Parameter
 from goniotwin.protocols.tmcl import Command
-from goniotwin.protocols.tmcl_parameters import Search
+from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
+from goniotwin.protocols.tmcl_parameters import SearchCommand
 
 POLL_S = 0.1
 NEAR_MICROSTEPS = 1
@@ -39,9 +39,9 @@ class HomingSearch:
     def poll(self) -> bool:
         """Ask the module; True when the axis is referenced. Raises DeviceError for a failed search."""
         if not self._over:
-            self._over = self._registers.exchange(Command.RFS, Search.STATUS) == 0
+            self._over = self._registers.exchange(Command.RFS, SearchCommand.STATUS) == 0
             if not self._over and self._clock.now() > self._deadline:
-                self._registers.exchange(Command.RFS, Search.STOP)
+                self._registers.exchange(Command.RFS, SearchCommand.STOP)
                 raise self._failed(f"no reference within {self._homing.longest_s:g} s")
             self.due = self._clock.now() if self._over else self._clock.now() + self._interval_s
             return False

@@ -6,8 +6,8 @@ from goniotwin.drivers.errors import DeviceError
 from goniotwin.drivers.motion.reference import Reference
 from goniotwin.drivers.motion.registers import Registers
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.tmcl import Axis as Parameter
 from goniotwin.protocols.tmcl import Command, MoveType
+from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
 from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag
 
 POLL_S = 0.02

@@ -11,7 +11,7 @@ from goniotwin.drivers.errors import DeviceError, Forgotten, Interrupted, NoAnsw
 from goniotwin.drivers.motion.registers import Registers
 from goniotwin.drivers.motion.tmcl.module import TmclModule
 from goniotwin.drivers.motion.tmcl.rules import REFERENCED, UNREFERENCED, mark
-from goniotwin.protocols.tmcl import Request
+from goniotwin.protocols.tmcl import CommandFrame
 from goniotwin.protocols.tmcl_parameters import ErrorFlag
 
 REMEDY = "home it or set its position (goniotwin home, goniotwin here)"
@@ -88,7 +88,7 @@ class Reference:
             self.mark_unreferenced(f"{flag_names(self.errors)} has stopped it")
         return self.errors
 
-    def send_motion_command(self, request: Request, stop_count: int) -> int:
+    def send_motion_command(self, request: CommandFrame, stop_count: int) -> int:
         """Send a request that starts a motion, unless a stop was requested after `stop_count`. Raises DeviceError.
 
         If its delivery is unknown the axis becomes unreferenced.

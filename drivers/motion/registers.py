@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from goniotwin.drivers.errors import DeviceError
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.drivers.motion.tmcl.module import TmclModule
-from goniotwin.protocols.tmcl import Axis as Parameter
-from goniotwin.protocols.tmcl import Command, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
 from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag
 
 
@@ -36,9 +36,9 @@ class Registers:
         """Number of stop requests on this line so far."""
         return self._module.stop_count
 
-    def request(self, command: Command, number: int, value: int = 0) -> Request:
+    def request(self, command: Command, number: int, value: int = 0) -> CommandFrame:
         """A request for this motor."""
-        return Request(self.settings.module, command, number, self.settings.motor, value)
+        return CommandFrame(self.settings.module, command, number, self.settings.motor, value)
 
     def exchange(self, command: Command, number: int, value: int = 0) -> int:
         """Send a request and return the value of its reply."""

@@ -11,7 +11,7 @@ import usb.core
 
 from goniotwin.drivers.errors import BadAnswer
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
-from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Request, Status
+from goniotwin.protocols.usbtmc import HEADER_BYTES, ClassRequest, Header, HeaderError, MsgId, RequestStatus
 
 TO_INTERFACE, TO_ENDPOINT = 0xA1, 0xA2
 CLEAR_FEATURE = (0x02, 1)
@@ -30,7 +30,7 @@ class ControlEndpoint:
         self._timeout_ms = timeout_ms
         self._tap = tap
 
-    def request(self, request: Request, value: int, index: int, size: int) -> bytes:
+    def request(self, request: ClassRequest, value: int, index: int, size: int) -> bytes:
         """Send a class request and return its complete reply."""
         kind = TO_ENDPOINT if request.of_endpoint else TO_INTERFACE
         self._tap(TO_DEVICE, struct.pack("<BBHHH", kind, request, value, index, size))
@@ -42,48 +42,48 @@ class ControlEndpoint:
 
     def clear(self, bulk_in: int, bulk_out: int) -> None:
         """Device clear: empties the buffers, keeps the settings."""
-        status = self.request(Request.INITIATE_CLEAR, 0, self._interface, 1)
-        if status[0] != Status.SUCCESS:
+        status = self.request(ClassRequest.INITIATE_CLEAR, 0, self._interface, 1)
+        if status[0] != RequestStatus.SUCCESS:
             raise BadAnswer(self._name, "clear its buffers", f"status {status[0]:#04x}", "switch it off and on")
         for _ in range(ROUNDS):
-            status = self.request(Request.CHECK_CLEAR_STATUS, 0, self._interface, 2)
-            if status[0] != Status.PENDING:
+            status = self.request(ClassRequest.CHECK_CLEAR_STATUS, 0, self._interface, 2)
+            if status[0] != RequestStatus.PENDING:
                 break
             # It may wait until its data are read; otherwise the read times out, which gives it time.
             self._drain(bulk_in)
-        if status[0] != Status.SUCCESS:
+        if status[0] != RequestStatus.SUCCESS:
             raise BadAnswer(self._name, "clear its buffers", "it stays busy", "switch it off and on")
         self.clear_halt(bulk_out)
 
     def abort_in(self, tag: int, bulk_in: int) -> None:
         """Abort a request for a reply: everything up to a short packet is discarded."""
-        status = self.request(Request.INITIATE_ABORT_BULK_IN, tag, bulk_in, 2)
-        if status[0] != Status.SUCCESS:
+        status = self.request(ClassRequest.INITIATE_ABORT_BULK_IN, tag, bulk_in, 2)
+        if status[0] != RequestStatus.SUCCESS:
             return  # nothing in progress, or another transfer: the clear that follows ends it
         for _ in range(ROUNDS):
             self._drain(bulk_in)
-            status = self.request(Request.CHECK_ABORT_BULK_IN_STATUS, 0, bulk_in, 8)
-            if status[0] != Status.PENDING:
+            status = self.request(ClassRequest.CHECK_ABORT_BULK_IN_STATUS, 0, bulk_in, 8)
+            if status[0] != RequestStatus.PENDING:
                 return
         raise BadAnswer(self._name, "abort a reply", "it stays busy", "switch it off and on")
 
     def abort_out(self, tag: int, bulk_out: int) -> None:
         """Abort a message that was written in part."""
-        status = self.request(Request.INITIATE_ABORT_BULK_OUT, tag, bulk_out, 2)
-        if status[0] != Status.SUCCESS:
+        status = self.request(ClassRequest.INITIATE_ABORT_BULK_OUT, tag, bulk_out, 2)
+        if status[0] != RequestStatus.SUCCESS:
             return
         for _ in range(ROUNDS):
-            if self.request(Request.CHECK_ABORT_BULK_OUT_STATUS, 0, bulk_out, 8)[0] != Status.PENDING:
+            if self.request(ClassRequest.CHECK_ABORT_BULK_OUT_STATUS, 0, bulk_out, 8)[0] != RequestStatus.PENDING:
                 break
         self.clear_halt(bulk_out)
 
     def status_byte(self, tag: int, interrupt: int | None) -> int:
         """Status byte: from the reply, or from the interrupt endpoint if there is one."""
-        reply = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
-        if reply[0] == Status.INTERRUPT_IN_BUSY and interrupt is not None:
+        reply = self.request(ClassRequest.READ_STATUS_BYTE, tag, self._interface, 3)
+        if reply[0] == RequestStatus.INTERRUPT_IN_BUSY and interrupt is not None:
             self._notice(interrupt)  # an earlier notice that was not read
-            reply = self.request(Request.READ_STATUS_BYTE, tag, self._interface, 3)
-        if reply[0] != Status.SUCCESS or reply[1] != tag:
+            reply = self.request(ClassRequest.READ_STATUS_BYTE, tag, self._interface, 3)
+        if reply[0] != RequestStatus.SUCCESS or reply[1] != tag:
             raise BadAnswer(self._name, "READ_STATUS_BYTE", f"{reply.hex(' ')} for tag {tag}", "ask again")
         if interrupt is None:
             return reply[2]
@@ -126,12 +126,12 @@ def explain(direction: str, data: bytes) -> str:
 
 def _explain_control(direction: str, data: bytes) -> str:
     if direction == FROM_DEVICE:
-        if len(data) == 2 and data[0] & 0x80 and data[0] not in set(Status):
+        if len(data) == 2 and data[0] & 0x80 and data[0] not in set(RequestStatus):
             return f"notice: status byte {data[1]:#04x}"
-        return f"control: {Status(data[0]).name}" if data and data[0] in set(Status) else "control"
+        return f"control: {RequestStatus(data[0]).name}" if data and data[0] in set(RequestStatus) else "control"
     if len(data) != 8:
         return "not a bulk message"
     kind, request, *_ = struct.unpack("<BBHHH", data)
-    if kind in (TO_INTERFACE, TO_ENDPOINT) and request in set(Request):
-        return f"control: {Request(request).name}"
+    if kind in (TO_INTERFACE, TO_ENDPOINT) and request in set(ClassRequest):
+        return f"control: {ClassRequest(request).name}"
     return "control: CLEAR_FEATURE(ENDPOINT_HALT)"

@@ -46,7 +46,7 @@ LONGEST_REPLY = 1 << 20
 LARGEST_PACKET = 512
 IDENTITY = "*IDN?"
 EVENTS_KEPT = 100
-GONE = (errno.ENODEV, errno.ENOENT)
+DISCONNECTED = (errno.ENODEV, errno.ENOENT)
 
 
 class UsbTmc:
@@ -221,7 +221,7 @@ class UsbTmc:
             raise NoAnswer(self.name, doing, within, "check cable and power") from None
         except usb.core.USBError as error:
             self.in_step = False
-            if error.errno in GONE:
+            if error.errno in DISCONNECTED:
                 self._drop()
                 raise NoAnswer(self.name, doing, "disconnected", "plug it in again") from None
             stalled = error.errno == errno.EPIPE

@@ -8,7 +8,7 @@ import pytest
 from goniotwin.app.cli.instrument import home_axes, set_axis_position
 from goniotwin.app.errors import UserError
 from goniotwin.drivers import Axis, DeviceError, TmclModule
-from goniotwin.protocols.tmcl import Request
+from goniotwin.protocols.tmcl import CommandFrame
 from tests.conftest import Change, Writer
 
 HOMING = "[axes.sigma.homing]\nmode = 8\nspeed_deg_s = 5.0\nswitch_speed_deg_s = 0.5\nangle_deg = -4.0\n\n"
@@ -52,7 +52,7 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    def heard(module: TmclModule, targets: Sequence[tuple[str, Request]], then: Callable[[], None]) -> list[DeviceError]:
+    def heard(module: TmclModule, targets: Sequence[tuple[str, CommandFrame]], then: Callable[[], None]) -> list[DeviceError]:
         told.extend(name for name, _ in targets)
         return stop(module, targets, then)
 

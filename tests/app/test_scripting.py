@@ -13,7 +13,7 @@ from goniotwin.app.rig import read_rig
 from tests.conftest import Writer
 
 
-def test_a_journal_is_reduced_from_its_path_or_open(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_a_journal_is_reduced_by_path_or_open(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     path = tmp_path / "small.journal"
     run_campaign(make_plan(read_schedule(write_schedule()), read_rig(write_rig())), path)
     by_name = goniotwin.reduce_journal(str(path))
@@ -24,21 +24,21 @@ def test_a_journal_is_reduced_from_its_path_or_open(write_rig: Writer, write_sch
     assert by_name.samples["gaussian-5"].bsdf.size > 0
 
 
-def test_a_diffuser_is_simulated_as_its_reflectance() -> None:
+def test_the_luminance_factor_of_a_simulated_diffuser_is_its_reflectance() -> None:
     simulation = goniotwin.simulate("lambertian:reflectance=0.5", [30.0])
     # A Lambertian sample's luminance factor is its reflectance, whatever the direction.
     np.testing.assert_allclose(simulation.table[simulation.known], 0.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [(("mirror", [30.0]), "mirror"), (("lambertian", [90.0]), "sigma_deg"), (("lambertian", [30.0, 0.0]), "sigma_deg")],
 )
-def test_bad_arguments_are_one_line(arguments: tuple[str, list[float]], words: str) -> None:
-    with pytest.raises(goniotwin.UserError, match=words):
+def test_invalid_arguments_are_refused(arguments: tuple[str, list[float]], message: str) -> None:
+    with pytest.raises(goniotwin.UserError, match=message):
         goniotwin.simulate(*arguments)
 
 
-def test_what_is_no_journal_is_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_journal_is_refused(tmp_path: Path) -> None:
     with pytest.raises(goniotwin.UserError, match=r"none\.journal"):
         goniotwin.open_journal(tmp_path / "none.journal")

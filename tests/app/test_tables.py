@@ -1,4 +1,4 @@
-"""Complaints about files: one line, with file, key and reason."""
+"""Error messages about rig files and schedules: one line with file, key and reason."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from goniotwin.app.rig import read_rig
 from tests.conftest import RIG, SCHEDULE, Change, Writer
 
 
-def test_the_examples_are_right() -> None:
+def test_the_example_files_give_a_plan() -> None:
     plan = make_plan(read_schedule(SCHEDULE), read_rig(RIG))
     assert len(plan.rows) == len({row.identity for row in plan.rows}) == 130
     assert [row.number for row in plan.rows] == list(range(130))
@@ -29,7 +29,7 @@ BAD_RIGS = [
     (("[simulated]\nseed = 1\n", ""), r"needs a \[simulated\] table"),
     (('kind = "tmcl"', 'kind = "tmlc"'), r"axes\.kind: .*'tmcl'"),
     (('"twin://virtual/adc-4"', '"twin://other/adc-4"'), r"several virtual rigs: other, virtual"),
-    ((', "twin://virtual/adc-4"', ""), r"photodiodes: 36 photodiodes take 5 units of 8, not 4"),
+    ((', "twin://virtual/adc-4"', ""), r"photodiodes: 36 photodiodes need 5 units of 8 channels, not 4"),
     (('model = "gaussian"', 'model = "gauss"'), r"twin\.samples\.gaussian-5: .*gaussian"),
     (("width_deg = 5.0", "width_deg = -5.0"), r"twin\.samples\.gaussian-5: width_deg is -5"),
     (('form = "one_over_e"', 'form = "fwhm"'), r"twin\.samples\.gaussian-5\.form: "),
@@ -43,7 +43,7 @@ BAD_RIGS = [
 
 
 @pytest.mark.parametrize(("change", "message"), BAD_RIGS)
-def test_a_bad_rig_file_gets_one_line_that_names_the_key(write_rig: Writer, change: Change, message: str) -> None:
+def test_an_invalid_rig_file_is_refused_in_one_line_with_the_key(write_rig: Writer, change: Change, message: str) -> None:
     path = write_rig(change)
     with pytest.raises(UserError, match=message) as caught:
         read_rig(path)
@@ -93,7 +93,7 @@ BAD_SCHEDULES = [
 
 
 @pytest.mark.parametrize(("change", "message"), BAD_SCHEDULES)
-def test_a_bad_schedule_gets_one_line_that_names_the_key(write_schedule: Writer, change: Change, message: str) -> None:
+def test_an_invalid_schedule_is_refused_in_one_line_with_the_key(write_schedule: Writer, change: Change, message: str) -> None:
     path = write_schedule(change)
     with pytest.raises(UserError, match=message) as caught:
         read_schedule(path)
@@ -101,7 +101,7 @@ def test_a_bad_schedule_gets_one_line_that_names_the_key(write_schedule: Writer,
     assert "\n" not in str(caught.value)
 
 
-def test_a_mark_at_the_beginning_of_a_file_does_no_harm(write_schedule: Writer) -> None:
+def test_a_byte_order_mark_at_the_beginning_of_a_file_is_accepted(write_schedule: Writer) -> None:
     path = write_schedule(("dark_readings = 4", 'dark_readings = 4\n[certificate]\nfile = "c.csv"\nexpires = 2999-01-01'))
     table = "radiance_factor,relative_uncertainty\n0.98,0.002\n"
     (path.parent / "c.csv").write_text(table, encoding="utf-8-sig")
@@ -111,7 +111,7 @@ def test_a_mark_at_the_beginning_of_a_file_does_no_harm(write_schedule: Writer) 
     assert found.certificate == table
 
 
-BEYOND_THE_RIG = [
+IMPOSSIBLE_ON_THE_RIG = [
     (("shift_deg = [0, 1]", "shift_deg = [0, 7]"), r"shift_deg: 7 deg is outside its soft limits -0.5 to 5.5 deg"),
     (("beta_deg = [180]", "beta_deg = [400]"), r"beta_deg: 400 deg is outside"),
     (("wavelength_nm = [550]", "wavelength_nm = [900]"), r"wavelength_nm: 900 nm is outside"),
@@ -124,8 +124,10 @@ BEYOND_THE_RIG = [
 ]
 
 
-@pytest.mark.parametrize(("change", "message"), BEYOND_THE_RIG)
-def test_what_the_rig_cannot_do_is_said_before_the_start(write_schedule: Writer, change: Change, message: str | None) -> None:
+@pytest.mark.parametrize(("change", "message"), IMPOSSIBLE_ON_THE_RIG)
+def test_a_schedule_that_the_rig_cannot_run_is_refused_before_the_start(
+    write_schedule: Writer, change: Change, message: str | None
+) -> None:
     schedule = read_schedule(write_schedule(change))
     if message is None:
         assert len(make_plan(schedule, read_rig(RIG)).rows) > 100_000
@@ -144,7 +146,7 @@ def test_ten_million_rows_are_refused_with_the_arithmetic(write_schedule: Writer
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"", b"name = 'x'"])
-def test_any_other_file_is_one_line_too(tmp_path: Path, content: bytes) -> None:
+def test_any_other_file_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "other.toml"
     path.write_bytes(content)
     for read in (read_rig, read_schedule):
@@ -153,12 +155,12 @@ def test_any_other_file_is_one_line_too(tmp_path: Path, content: bytes) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_an_absent_file_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"absent\.toml: cannot be read"):
         read_schedule(tmp_path / "absent.toml")
 
 
-def test_a_range_ends_where_it_says() -> None:
+def test_a_range_includes_its_stop() -> None:
     values = grid_values(GridRange(start=0.0, stop=4.5, step=0.1))
     assert len(values) == 46
     assert values[-1] == 4.5
@@ -176,6 +178,6 @@ def test_a_grid_is_a_list_or_a_range() -> None:
     assert grid_values(file.beta_deg) == (0.0, 1.0)
 
 
-def test_a_grid_may_be_numbers_and_ranges_that_meet() -> None:
+def test_a_grid_may_mix_numbers_and_adjacent_ranges() -> None:
     fine, coarse = GridRange(start=0.0, stop=2.0, step=1.0), GridRange(start=2.0, stop=10.0, step=4.0)
     assert grid_values([fine, coarse, 8.0]) == (0.0, 1.0, 2.0, 6.0, 10.0, 8.0)

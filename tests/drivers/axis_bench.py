@@ -1,4 +1,4 @@
-"""One axis of a virtual motion module with its driver, on a wire that a test may break, without the rest of a rig."""
+"""Test bench: axes of a virtual motion module with their drivers, on a wire that a test may replace."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,8 +15,8 @@ SIGMA = AxisSettings("sigma", 4, 36.0, -20.0, 190.0, 10.0, 20.0, power_up_at_ref
 NAMES = ("sigma", "beta", "gamma", "shift")
 
 
-class DriverBench:
-    """`sigma` (motor 4, gear 36) and, with `axes` more than 1, others like it at motors 5, 3, 0."""
+class AxisBench:
+    """Axis `sigma` (motor 4, gear 36) and, with `axes` > 1, equal axes at motors 5, 3 and 0."""
 
     def __init__(
         self,
@@ -29,16 +29,19 @@ class DriverBench:
         heartbeat_s: float = 2.0,
     ) -> None:
         self.clock = clock if clock is not None else VirtualClock()
-        wired = dict(zip(NAMES[:axes], (4, 5, 3, 0), strict=False))
-        own = {name: replace(Mechanics(motor, 36.0), **(mechanics or {})) for name, motor in wired.items()}
-        self.plant = Plant(TwinModel(1, own, {}, controller=AxisController(encoder_noise_microsteps=0.0), noise=False))
+        motors = dict(zip(NAMES[:axes], (4, 5, 3, 0), strict=False))
+        mechanics_by_name = {name: replace(Mechanics(motor, 36.0), **(mechanics or {})) for name, motor in motors.items()}
+        self.plant = Plant(
+            TwinModel(1, mechanics_by_name, {}, controller=AxisController(encoder_noise_microsteps=0.0), noise=False)
+        )
         self.line = TmclLine(self.plant)
         self.device = wire(self.line)
         self.ports: list[Serial] = []
         self.module = TmclModule(self._open, self.clock, heartbeat_s=heartbeat_s)
-        believed = replace(SIGMA, **(settings or {}))
+        axis_settings = replace(SIGMA, **(settings or {}))
         self.axes = {
-            name: Axis(self.module, replace(believed, name=name, motor=motor), self.clock) for name, motor in wired.items()
+            name: Axis(self.module, replace(axis_settings, name=name, motor=motor), self.clock)
+            for name, motor in motors.items()
         }
         self.axis = self.axes["sigma"]
 
@@ -48,15 +51,15 @@ class DriverBench:
         self.ports.append(port)
         return port
 
-    def connect(self) -> "DriverBench":
-        """Module and axes."""
+    def connect(self) -> "AxisBench":
+        """Connect module and axes."""
         self.module.connect()
         for axis in self.axes.values():
             axis.connect()
         return self
 
-    def next_process(self, **settings: Any) -> "DriverBench":
-        """As a program begins that knows nothing of the one before; connected. The settings are changed."""
+    def next_process(self, **settings: Any) -> "AxisBench":
+        """New drivers with changed settings on the same module, as in the next process; connected."""
         self.module.close()
         self.module = TmclModule(self._open, self.clock, heartbeat_s=self.module.heartbeat_s)
         self.axes = {
@@ -66,15 +69,15 @@ class DriverBench:
         return self.connect()
 
     def move(self, angle_deg: float) -> None:
-        """The axis to an angle."""
+        """Move the axis to an angle."""
         wait(self.clock, [self.axis.start(angle_deg)])
 
     def angle(self) -> float:
-        """The truth."""
+        """True angle of the axis, degrees."""
         return self.plant.angle_deg("sigma", self.clock.now())
 
-    def keep(self, pending: Any, seconds: float) -> None:
-        """Polls a move as it wants to be for a while."""
+    def poll_for(self, pending: Any, seconds: float) -> None:
+        """Poll a move for some seconds, each time it is due."""
         until = self.clock.now() + seconds
         while pending.due < until:
             self.clock.sleep_until(pending.due)

@@ -1,4 +1,4 @@
-"""A whole virtual rig at work as in a campaign, with wires that are watched, and that a test lets fall silent."""
+"""Test bench for stops: a virtual rig that measures as in a campaign, on wires that can be silenced and record stops."""
 
 import contextlib
 from collections import deque
@@ -13,23 +13,23 @@ from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.line import SerialDevice
 
 MODULE = "adc-2"
-"""The converter module that falls silent."""
+"""The converter module that becomes silent."""
 TRIES = 8
 AFTER_A_FAULT_S = 0.02
 ABORT_S = 0.02
-"""How long `ABORT` is on its way at 9600 Bd, and some more."""
+"""Transmission time of `ABORT` at 9600 Bd, with a margin."""
 RESOLUTION_S = 1e-5
 STILL_DEG = 1e-8
 
 
-class Stopped(Exception):
-    """Whoever drives the rig has heard of the stop."""
+class StopRequested(Exception):
+    """The worker ends because a stop was requested."""
 
 
-class Watched:
-    """The wire to a device: it notes when stop frames have arrived whole, and calls back at the n-th request from now.
+class RecordingWire:
+    """The wire to a device: it records the times of complete stop frames, and calls back at the n-th request from now.
 
-    `deaf`: the device hears nothing any more. `mute`: it does what it is told, and nobody hears it.
+    `deaf`: the device receives nothing. `mute`: it receives everything, and its replies are lost.
     """
 
     def __init__(self, device: SerialDevice) -> None:
@@ -42,7 +42,7 @@ class Watched:
         self._action: Callable[[float], object] = float
 
     def call_at(self, request: int, action: Callable[[float], object]) -> None:
-        """`action` is called with the time at which the n-th request from now has arrived, before it is heard."""
+        """Call `action` with the arrival time of the n-th request from now, before the device receives it."""
         self._left, self._action = request, action
 
     def receive(self, data: bytes, t: float) -> None:
@@ -54,21 +54,21 @@ class Watched:
             self._action(t)
         if self.deaf:
             return
-        there = len(self.outbox)
+        length = len(self.outbox)
         self.device.receive(data, t)
-        while self.mute and len(self.outbox) > there:
+        while self.mute and len(self.outbox) > length:
             self.outbox.pop()
 
     def reset(self, t: float) -> None:
-        """Of the device behind it."""
+        """Reset the device behind it."""
         self.device.reset(t)
 
 
 @dataclass(frozen=True)
-class Stop:
-    """What came of a stop, in s from the call: the last of the first four stop frames, the return, and all axes at rest.
+class StopTimes:
+    """Times of a stop, s from the call: the last of the first four stop frames, the return, and all axes at rest.
 
-    `ramp_s` is how long those axes that turned at the call take to rest from the speed that they had.
+    `ramp_s` is the longest ramp to rest of the axes that moved at the call.
     """
 
     last_frame_s: float
@@ -80,9 +80,9 @@ class Stop:
 
 @dataclass
 class BusyRig:
-    """Drivers, and the virtual rig behind their wires. The wires are watched from the next connection on.
+    """Drivers, and the virtual rig behind their wires. The wires record from the next connection on.
 
-    Axes turn for about `reach_s` at a time; whether they rest is looked at `rest_s` after a stop.
+    Axes move for about `reach_s` at a time; they are checked for rest `rest_s` after a stop.
     """
 
     rig: Rig
@@ -94,66 +94,66 @@ class BusyRig:
     def __post_init__(self) -> None:
         self.clock = self.rig.clock
         self.random = np.random.default_rng(self.seed)
-        self.axes = Watched(self.virtual.serial["axes"])
-        self.mono = Watched(self.virtual.serial["mono"])
+        self.axes = RecordingWire(self.virtual.serial["axes"])
+        self.mono = RecordingWire(self.virtual.serial["mono"])
         self.virtual.serial |= {"axes": self.axes, "mono": self.mono}
-        self.module = Watched(_Nobody())
-        self.virtual.modbus_wires[MODULE] = self._watch_module
+        self.module = RecordingWire(_Disconnected())
+        self.virtual.modbus_wires[MODULE] = self._record_module
         self.stopped = False
         self._called = self._returned = self._ramp_s = 0.0
         self._failures: list[DeviceError] = []
 
-    def _watch_module(self, device: SerialDevice) -> SerialDevice:
-        """A connection ends with the driver's timeout; what the next one finds is as silent as before."""
+    def _record_module(self, device: SerialDevice) -> SerialDevice:
+        """A connection ends with the driver's timeout; the module of the next connection is as silent as before."""
         self.module.device, self.module.outbox = device, device.outbox
         return self.module
 
     # ---- at work ----
 
     def work(self) -> None:
-        """Pose after pose is measured, until somebody has said stop."""
+        """Measure pose after pose until a stop is requested."""
         self.stopped = False
-        with contextlib.suppress(Stopped):
+        with contextlib.suppress(StopRequested):
             while True:
                 try:
                     self._row()
                 except DeviceError:
-                    self._heed()  # a stop came between question and answer; or a device is silent, and work goes on
+                    self._check_stop()  # otherwise a device is silent, and the work continues
                     self.clock.sleep_until(self.clock.now() + AFTER_A_FAULT_S)
 
     def _row(self) -> None:
         rig, moves = self.rig, list[Pending]()
         for name, axis in rig.axes.items():
-            self._heed()
+            self._check_stop()
             settings = axis.settings
             reach = self.reach_s * settings.speed
             here = self.virtual.plant.angle_deg(name, self.clock.now())
             target = float(np.clip(here + self.random.uniform(-reach, reach), settings.lower_deg, settings.upper_deg))
             with contextlib.suppress(LimitError):
                 moves.append(rig.start(name, target))
-        self._heed()
+        self._check_stop()
         moves.append(rig.monochromator.start_wavelength(float(self.random.integers(400, 760))))
-        if self.random.integers(2):  # now and then the photodiodes are read on the way
+        if self.random.integers(2):  # sometimes the photodiodes are read during the moves
             moves.append(rig.photodiodes.start_readings(4))
         self._wait(moves)
         self._wait([rig.monochromator.start_shutter(opened=bool(self.random.integers(2)))])
         self._wait([rig.photodiodes.start_gain(int(self.random.integers(4)))])
         self._wait([rig.photodiodes.start_readings(2), rig.monitor.start_mean(0.2)])
         for axis in rig.axes.values():
-            self._heed()
+            self._check_stop()
             axis.position_deg()
             axis.encoder_deg()
 
     def _wait(self, started: list[Pending]) -> None:
-        wait(self.clock, started, self._heed)
-        self._heed()  # it may have come with the last answer
+        wait(self.clock, started, self._check_stop)
+        self._check_stop()  # it may have come with the last reply
 
-    def _heed(self) -> None:
+    def _check_stop(self) -> None:
         if self.stopped:
-            raise Stopped
+            raise StopRequested
 
     def recover(self) -> None:
-        """As the engine does it: every device is asked again until it answers, without being opened anew."""
+        """Read every device until all respond, without opening them again, as the engine does."""
         for attempt in range(TRIES):
             try:
                 for axis in self.rig.axes.values():
@@ -171,35 +171,35 @@ class BusyRig:
     # ---- the stop ----
 
     def stop(self) -> None:
-        """As somebody who presses the button; whoever drives the rig hears of it."""
+        """Request a stop, as the stop button does; the worker ends."""
         self.axes.stops.clear()
-        self._called, self._ramp_s = self.clock.now(), self._ramp()
+        self._called, self._ramp_s = self.clock.now(), self._longest_ramp_s()
         self.stopped = True
         self._failures = self.rig.stop()
         self._returned = self.clock.now()
 
-    def outcome(self) -> Stop:
-        """Of the last stop, some seconds after it; a silent device may hear again from then on."""
+    def outcome(self) -> StopTimes:
+        """Times of the last stop, some seconds after it; silent devices respond again from then on."""
         self.clock.sleep_until(self._called + self.rest_s)
         for wire in (self.axes, self.mono, self.module):
             wire.deaf = wire.mute = False
         first = self.axes.stops[:4]
         assert {motor for _, motor in first} == {axis.settings.motor for axis in self.rig.axes.values()}
-        rest = max(self._came_to_rest(name) for name in self.virtual.plant.shafts)
+        rest = max(self._rest_time(name) for name in self.virtual.plant.shafts)
         last, returned, rest = (t - self._called for t in (first[-1][0], self._returned, rest))
-        return Stop(last, returned, rest, self._ramp_s, self._failures)
+        return StopTimes(last, returned, rest, self._ramp_s, self._failures)
 
     def wavelengths_since_nm(self) -> tuple[float, float]:
-        """Of the grating soon after the stop's return, and now."""
+        """Wavelength of the grating soon after the return of the stop, and now."""
         wavelength = self.virtual.plant.wavelength_nm
         return wavelength.at(self._returned + ABORT_S), wavelength.at(self.clock.now())
 
     def angles_deg(self) -> list[float]:
-        """Of all axes, now: the truth."""
+        """True angles of all axes now."""
         now = self.clock.now()
         return [self.virtual.plant.angle_deg(name, now) for name in self.rig.axes]
 
-    def _ramp(self) -> float:
+    def _longest_ramp_s(self) -> float:
         seconds = 0.0
         for name, shaft in self.virtual.plant.shafts.items():
             now, settings = self.clock.now(), self.rig.axes[name].settings
@@ -207,8 +207,8 @@ class BusyRig:
             seconds = max(seconds, steps_per_s / settings.pps(settings.acceleration))
         return seconds
 
-    def _came_to_rest(self, name: str) -> float:
-        """By the true angle alone: the first moment from which on it is what it is in the end."""
+    def _rest_time(self, name: str) -> float:
+        """The first time from which on the true angle is the final angle."""
         plant = self.virtual.plant
         moving, resting = self._called, self._called + self.rest_s
         final = plant.angle_deg(name, resting)
@@ -223,14 +223,14 @@ class BusyRig:
         return resting
 
 
-class _Nobody:
-    """Before the first connection."""
+class _Disconnected:
+    """A device before the first connection."""
 
     baudrate = 0
     outbox: deque[tuple[float, bytes]] = deque()
 
     def receive(self, data: bytes, t: float) -> None:
-        """Nobody hears it."""
+        """Discard the data."""
 
     def reset(self, t: float) -> None:
-        """Nor this."""
+        """Do nothing."""

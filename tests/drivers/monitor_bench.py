@@ -1,4 +1,4 @@
-"""A monitor on a virtual rig, and what can be done to its wire."""
+"""Test bench: the monitor of a virtual rig, and faults of its wire."""
 
 from collections.abc import Callable
 
@@ -14,8 +14,8 @@ from tests.conftest import RigOpener
 TRUTH_A = 1.4e-7
 
 
-class Bench:
-    """With the shutter open."""
+class MonitorBench:
+    """The monitor with the shutter open."""
 
     def __init__(self, rig: VirtualRig, settings: MonitorSettings | None = None) -> None:
         self.rig = rig
@@ -30,22 +30,22 @@ class Bench:
         wait(self.clock, [mean])
         return mean.current_a
 
-    def fail_once(self, name: str, fault: Callable[[bytes], bytes]) -> None:
-        """The next answer over bulk IN becomes another one."""
+    def change_next_reply(self, change: Callable[[bytes], bytes]) -> None:
+        """Change the next reply on bulk IN."""
         real = self.device.bulk_in
 
-        def broken(size: int | None = None) -> bytes:
+        def changed(size: int | None = None) -> bytes:
             self.device.bulk_in = real  # type: ignore[method-assign]
-            return fault(real(size))
+            return change(real(size))
 
-        self.device.bulk_in = broken  # type: ignore[method-assign]
+        self.device.bulk_in = changed  # type: ignore[method-assign]
 
 
 @pytest.fixture
-def bench(opened: RigOpener) -> Bench:
+def bench(opened: RigOpener) -> MonitorBench:
     opened_rig = opened(clock=VirtualClock(1.0))
     assert opened_rig.virtual is not None
     opened_rig.rig.monitor.close()
-    bench = Bench(opened_rig.virtual)
+    bench = MonitorBench(opened_rig.virtual)
     bench.monitor.connect()
     return bench

@@ -1,4 +1,4 @@
-"""Axes over TMCL, against the virtual module and against a wire that misbehaves."""
+"""Axes over TMCL, on the virtual module and on a port with scripted replies."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,8 @@ import serial
 from goniotwin.drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
 from goniotwin.drivers.motion.tmcl.rules import CANARY, MARKER_VARIABLE
 from goniotwin.protocols.clock import Clock, VirtualClock
-from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame, ReplyStatus
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RigOpener
 
 
@@ -20,7 +21,7 @@ def test_nothing_moves_on_connect(opened: RigOpener) -> None:
     assert not any(shaft.moved_since(now) for shaft in rig.virtual.plant.shafts.values())
 
 
-def test_an_axis_goes_where_it_is_sent(opened: RigOpener) -> None:
+def test_an_axis_reaches_its_target(opened: RigOpener) -> None:
     rig = opened()
     assert rig.virtual is not None
     beta = rig.rig.axes["beta"]
@@ -39,12 +40,12 @@ def test_axes_move_at_the_same_time(opened: RigOpener) -> None:
     assert rig.clock.now() - start == pytest.approx(slowest, abs=0.03)
 
 
-def test_an_axis_without_encoder_says_none(opened: RigOpener) -> None:
+def test_an_axis_without_encoder_has_no_encoder_position(opened: RigOpener) -> None:
     assert opened().rig.axes["shift"].encoder_deg() is None
 
 
 @pytest.mark.parametrize("target", [-5.1, 360.5, float("nan")])
-def test_soft_limits_send_nothing(opened: RigOpener, target: float) -> None:
+def test_a_target_outside_the_soft_limits_sends_nothing(opened: RigOpener, target: float) -> None:
     rig = opened()
     assert rig.virtual is not None
     with pytest.raises(LimitError, match=r"beta.*limits"):
@@ -58,7 +59,7 @@ def test_stop_brings_the_axes_to_rest_over_their_ramps(opened: RigOpener) -> Non
     clock = rig.rig.clock
     move = rig.rig.axes["beta"].start(180.0)
     until = clock.now() + 3.0
-    while move.due < until:  # a moving axis is asked, or its module takes its host for dead
+    while move.due < until:  # a moving axis must be polled because of its module's heartbeat
         clock.sleep_until(move.due)
         assert not move.poll()
     clock.sleep_until(until)
@@ -71,7 +72,7 @@ def test_stop_brings_the_axes_to_rest_over_their_ramps(opened: RigOpener) -> Non
     assert rig.virtual.plant.angle_deg("beta", clock.now() + 100.0) == resting
 
 
-def test_somebody_elses_stop_is_a_fault_of_the_move(opened: RigOpener) -> None:
+def test_a_stop_from_elsewhere_is_a_fault_of_the_move(opened: RigOpener) -> None:
     rig = opened().rig
     move = rig.axes["beta"].start(180.0)
     rig.clock.sleep_until(rig.clock.now() + 1.0)
@@ -86,25 +87,25 @@ def test_microsteps_follow_the_sense_the_gear_and_the_offset() -> None:
     assert settings.angle_deg(-51_200) == pytest.approx(15.0)
 
 
-class Wire(serial.Serial):
-    """A port that answers each frame with what the test says."""
+class ScriptedPort(serial.Serial):
+    """A port with a scripted reply to each frame."""
 
-    def __init__(self, clock: Clock, answers: list[bytes]) -> None:
+    def __init__(self, clock: Clock, replies: list[bytes]) -> None:
         super().__init__()
         self._clock = clock
-        self._answers = answers
+        self._replies = replies
         self._waiting = b""
         self.sent: list[bytes] = []
         self.timeout = 0.06
 
     def write(self, data: object, /) -> int:
-        request = Request.decode(bytes(data))  # type: ignore[call-overload]
+        request = CommandFrame.decode(bytes(data))  # type: ignore[call-overload]
         if (request.command, request.type) == (Command.SGP, MARKER_VARIABLE):
-            self._waiting += Reply(2, 1, Status.OK, Command.SGP, request.value).encode()
+            self._waiting += ReplyFrame(2, 1, ReplyStatus.OK, Command.SGP, request.value).encode()
             return 9
         self.sent.append(request.encode())
-        if self._answers:
-            self._waiting += self._answers.pop(0)
+        if self._replies:
+            self._waiting += self._replies.pop(0)
         return 9
 
     @property
@@ -123,17 +124,17 @@ class Wire(serial.Serial):
     def close(self) -> None: ...
 
 
-GOOD_VERSION = Reply(2, 1, Status.OK, Command.FIRMWARE_VERSION, 6214 << 16).encode()
-HEARTBEAT_SET = Reply(2, 1, Status.OK, Command.GGP, 2000).encode()
-CANARY_THERE = Reply(2, 1, Status.OK, Command.GGP, CANARY).encode()
-Module = Callable[..., tuple[TmclModule, Wire]]
+VERSION_REPLY = ReplyFrame(2, 1, ReplyStatus.OK, Command.FIRMWARE_VERSION, 6214 << 16).encode()
+HEARTBEAT_REPLY = ReplyFrame(2, 1, ReplyStatus.OK, Command.GGP, 2000).encode()
+CANARY_REPLY = ReplyFrame(2, 1, ReplyStatus.OK, Command.GGP, CANARY).encode()
+Module = Callable[..., tuple[TmclModule, ScriptedPort]]
 
 
 @pytest.fixture
 def module() -> Module:
-    def connect(*answers: bytes) -> tuple[TmclModule, Wire]:
+    def connect(*replies: bytes) -> tuple[TmclModule, ScriptedPort]:
         clock = VirtualClock()
-        wire = Wire(clock, [GOOD_VERSION, CANARY_THERE, HEARTBEAT_SET, *answers])
+        wire = ScriptedPort(clock, [VERSION_REPLY, CANARY_REPLY, HEARTBEAT_REPLY, *replies])
         module = TmclModule(lambda baud, timeout: wire, clock)
         assert module.connect() == 6214
         wire.sent.clear()
@@ -142,43 +143,43 @@ def module() -> Module:
     return connect
 
 
-def test_a_late_reply_to_another_request_is_not_believed(module: Module) -> None:
-    late = Reply(2, 1, Status.OK, Command.SAP, 77).encode()
-    mine = Reply(2, 1, Status.OK, Command.GAP, 5).encode()
-    driver, _ = module(late + mine)
-    assert driver.exchange(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4)) == 5
+def test_a_late_reply_to_another_request_is_discarded(module: Module) -> None:
+    late = ReplyFrame(2, 1, ReplyStatus.OK, Command.SAP, 77).encode()
+    expected = ReplyFrame(2, 1, ReplyStatus.OK, Command.GAP, 5).encode()
+    driver, _ = module(late + expected)
+    assert driver.exchange(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4)) == 5
 
 
-def test_a_garbled_reply_is_asked_for_again(module: Module) -> None:
-    good = Reply(2, 1, Status.OK, Command.GAP, 5).encode()
+def test_a_request_is_repeated_after_a_corrupted_reply(module: Module) -> None:
+    good = ReplyFrame(2, 1, ReplyStatus.OK, Command.GAP, 5).encode()
     driver, wire = module(good[:-1] + bytes((good[-1] ^ 1,)), good)
-    assert driver.exchange(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4)) == 5
+    assert driver.exchange(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4)) == 5
     assert len(wire.sent) == 2
 
 
-@pytest.mark.parametrize("answer", [b"", b"\x02\x01"])
-def test_a_move_is_never_sent_twice(module: Module, answer: bytes) -> None:
-    driver, wire = module(answer)
+@pytest.mark.parametrize("reply", [b"", b"\x02\x01"])
+def test_a_relative_move_is_never_sent_twice(module: Module, reply: bytes) -> None:
+    driver, wire = module(reply)
     with pytest.raises(NoAnswer):
-        driver.exchange(Request(1, Command.MVP, 1, 4, 100))
+        driver.exchange(CommandFrame(1, Command.MVP, 1, 4, 100))
     assert len(wire.sent) == 1
 
 
-def test_a_garbled_answer_to_a_move_is_an_error_too(module: Module) -> None:
-    good = Reply(2, 1, Status.OK, Command.MVP, 5).encode()
+def test_a_corrupted_reply_to_a_relative_move_is_an_error(module: Module) -> None:
+    good = ReplyFrame(2, 1, ReplyStatus.OK, Command.MVP, 5).encode()
     driver, wire = module(good[:-1] + bytes((good[-1] ^ 1,)))
     with pytest.raises(BadAnswer, match="checksum"):
-        driver.exchange(Request(1, Command.MVP, 1, 4, 100))
+        driver.exchange(CommandFrame(1, Command.MVP, 1, 4, 100))
     assert len(wire.sent) == 1
 
 
-def test_a_refusal_is_told_in_words(module: Module) -> None:
-    driver, _ = module(Reply(2, 1, Status.INVALID_VALUE, Command.SAP, 0).encode())
+def test_a_rejected_request_is_reported_with_its_status(module: Module) -> None:
+    driver, _ = module(ReplyFrame(2, 1, ReplyStatus.INVALID_VALUE, Command.SAP, 0).encode())
     with pytest.raises(Refused, match="INVALID_VALUE"):
-        driver.exchange(Request(1, Command.SAP, Axis.MAX_VELOCITY, 4, -1))
+        driver.exchange(CommandFrame(1, Command.SAP, AxisParameter.MAX_VELOCITY, 4, -1))
 
 
-def test_without_a_port_the_error_says_what_to_do() -> None:
+def test_the_error_of_a_missing_port_names_the_remedy() -> None:
     def nothing(baudrate: int, timeout_s: float) -> serial.Serial:
         raise serial.SerialException("could not open port COM9")
 

@@ -1,10 +1,11 @@
-"""Four TMCM-1240 on one RS485 bus instead of one TMCM-6214: the same drivers, by the rig file."""
+"""Four TMCM-1240 on one RS485 bus instead of one TMCM-6214: the same drivers with another rig file."""
 
 import pytest
 
 from goniotwin.drivers import wait
 from goniotwin.drivers.errors import Forgotten
-from goniotwin.protocols.tmcl import Axis, Command, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from goniotwin.twin.devices import TmclLine
 from tests.conftest import RigOpener
 
@@ -22,7 +23,7 @@ BUS = (
 )
 
 
-def test_axes_on_a_bus_go_where_they_are_sent(opened: RigOpener) -> None:
+def test_axes_on_a_bus_reach_their_targets(opened: RigOpener) -> None:
     rig = opened(*BUS)
     assert rig.virtual is not None
     targets = {"gamma": 90.0, "sigma": 45.0, "beta": 123.0, "shift": 2.5}
@@ -33,7 +34,7 @@ def test_axes_on_a_bus_go_where_they_are_sent(opened: RigOpener) -> None:
     assert rig.rig.identities["axes"] == "TMCM-1240"
 
 
-def test_all_are_stopped(opened: RigOpener) -> None:
+def test_a_stop_stops_all_axes_of_the_bus(opened: RigOpener) -> None:
     rig = opened(*BUS).rig
     for name in rig.axes:
         rig.axes[name].start(5.0 if name == "shift" else 150.0)
@@ -47,7 +48,7 @@ def test_all_are_stopped(opened: RigOpener) -> None:
     assert [axis.position_deg() for axis in rig.axes.values()] == rest
 
 
-def test_one_modules_reset_is_its_axis_own(opened: RigOpener) -> None:
+def test_a_reset_of_one_module_affects_its_own_axis_only(opened: RigOpener) -> None:
     rig = opened(*BUS)
     assert rig.virtual is not None
     line = rig.virtual.serial["axes"]
@@ -64,14 +65,14 @@ def test_one_modules_reset_is_its_axis_own(opened: RigOpener) -> None:
     assert axes["sigma"].position_deg() == 0.0
 
 
-def test_the_heartbeat_is_minded_by_each_module_for_itself(opened: RigOpener) -> None:
-    """Only what is said to a module keeps its own motor turning."""
+def test_each_module_has_its_own_heartbeat(opened: RigOpener) -> None:
+    """Only requests to a module keep its own motor turning."""
     rig = opened(*BUS).rig
     rig.axes["sigma"].start(150.0)
     rig.axes["beta"].start(150.0)
     for _ in range(100):
         rig.clock.sleep_until(rig.clock.now() + 0.2)
-        rig.axes["beta"].read_parameter(Axis.POSITION_REACHED)
+        rig.axes["beta"].read_parameter(AxisParameter.POSITION_REACHED)
     assert rig.axes["beta"].position_deg() == pytest.approx(150.0)
     assert rig.axes["sigma"].position_deg() == pytest.approx(10.0 * 2.0, abs=1.0)  # 2 s at 10 deg/s less the ramps
 
@@ -79,4 +80,4 @@ def test_the_heartbeat_is_minded_by_each_module_for_itself(opened: RigOpener) ->
 def test_errors_name_the_module(opened: RigOpener) -> None:
     rig = opened(*BUS).rig
     with pytest.raises(Exception, match="of module 3"):
-        rig.axes_module.exchange(Request(3, Command.GAP, 99, 0))
+        rig.axes_module.exchange(CommandFrame(3, Command.GAP, 99, 0))

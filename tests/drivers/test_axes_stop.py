@@ -1,4 +1,4 @@
-"""Stop: all stop frames on the wire within 200 ms, whatever else is going on."""
+"""Stop: all stop frames are sent within 200 ms, in any state of the line."""
 
 import contextlib
 import threading
@@ -7,18 +7,18 @@ from typing import Any
 import pytest
 
 from goniotwin.drivers import Axis, DeviceError, wait
-from goniotwin.mocks.faults import Fault, Script
+from goniotwin.mocks.faults import Fault, ScriptedFaults
 from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
-from goniotwin.protocols.tmcl import Command, Reply, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.twin.devices.line import SerialDevice
-from tests.drivers.axis_bench import DriverBench
+from tests.drivers.axis_bench import AxisBench
 
 MOST_S = 0.2
 
 
-class Silent:
-    """A device of which a test says whether it hears; it notes when which stop frame arrives."""
+class StopRecorder:
+    """The wire to a device; it records the stop frames. `deaf`: the device receives nothing."""
 
     def __init__(self, device: SerialDevice) -> None:
         self.device = device
@@ -36,112 +36,112 @@ class Silent:
         self.device.reset(t)
 
 
-class StopBench(DriverBench):
-    """Four axes on a wire whose stop frames are timed."""
+class StopBench(AxisBench):
+    """Four axes on a wire that records the times of stop frames."""
 
     def __init__(self, clock: Clock | None = None) -> None:
-        super().__init__(axes=4, clock=clock, wire=self._listen)
+        super().__init__(axes=4, clock=clock, wire=self._insert_recorder)
         self.connect()
 
-    def _listen(self, device: SerialDevice) -> SerialDevice:
-        self.silent = Silent(device)
-        return self.silent
+    def _insert_recorder(self, device: SerialDevice) -> SerialDevice:
+        self.recorder = StopRecorder(device)
+        return self.recorder
 
     def stop(self) -> list[DeviceError]:
-        """As the rig does it."""
+        """Stop all axes, as the rig does."""
         return self.module.stop([each for axis in self.axes.values() for each in axis.stop_requests()])
 
 
-def starting(bench: StopBench) -> list[Any]:
+def start_all(bench: StopBench) -> list[Any]:
     return [axis.start(120.0) for axis in bench.axes.values()]
 
 
 @pytest.mark.parametrize("deaf", [False, True])
 @pytest.mark.parametrize("where", range(40))
-def test_a_stop_in_the_middle_of_an_exchange_is_on_the_wire_in_time(deaf: bool, where: int) -> None:
-    """An event of the clock, at any moment of an exchange of 1.9 ms (or of one that hangs), on the same port."""
+def test_a_stop_in_the_middle_of_an_exchange_is_sent_in_time(deaf: bool, where: int) -> None:
+    """A stop by an event of the clock, at any time of an exchange of 1.9 ms, or of one without reply."""
     bench = StopBench()
-    starting(bench)
+    start_all(bench)
     bench.clock.sleep_until(bench.clock.now() + 1.0)
-    bench.silent.deaf = deaf
+    bench.recorder.deaf = deaf
     now = bench.clock.now()
-    called = now + where * (0.005 if deaf else 0.0001)
+    requested = now + where * (0.005 if deaf else 0.0001)
     failures: list[list[DeviceError]] = []
-    event = bench.clock.at(called, lambda: failures.append(bench.stop()))
-    told: object = None
+    event = bench.clock.at(requested, lambda: failures.append(bench.stop()))
+    outcome: object = None
     try:
-        told = bench.axis.position_deg()
+        outcome = bench.axis.position_deg()
     except DeviceError as error:
-        told = error
-    bench.clock.sleep_until(called + 1.0)
+        outcome = error
+    bench.clock.sleep_until(requested + 1.0)
     assert not event.cancelled
     assert len(failures) == 1
-    assert {motor for _, motor in bench.silent.stops[:4]} == {0, 3, 4, 5}
-    assert max(t for t, _ in bench.silent.stops[:4]) - called < MOST_S
+    assert {motor for _, motor in bench.recorder.stops[:4]} == {0, 3, 4, 5}
+    assert max(t for t, _ in bench.recorder.stops[:4]) - requested < MOST_S
     assert len(failures[0]) == (4 if deaf else 0)
     if not deaf:
-        bench.clock.sleep_until(called + 3.0)
+        bench.clock.sleep_until(requested + 3.0)
         rest = bench.angle()
         assert rest < 20.0  # the motors brake
-        bench.clock.sleep_until(called + 30.0)
+        bench.clock.sleep_until(requested + 30.0)
         assert bench.angle() == rest == pytest.approx(bench.axis.position_deg(), abs=1e-3)
-        # The interrupted question has been asked again, and has its own answer.
-        assert isinstance(told, float)
-        assert 4.0 < told < 12.0
+        # The interrupted read was repeated, and has its own reply.
+        assert isinstance(outcome, float)
+        assert 4.0 < outcome < 12.0
 
 
 @pytest.mark.parametrize("where", range(30))
 def test_an_interrupted_move_is_not_sent_again(where: int) -> None:
-    """Starting takes 5.6 ms: where it is, the canary, the move; the stop comes before, in the midst and after."""
+    """A start takes 5.6 ms: position, canary, move; the stop comes before, during or after these."""
     bench = StopBench()
-    called = bench.clock.now() + where * 0.0002
-    bench.clock.at(called, bench.stop)
+    requested = bench.clock.now() + where * 0.0002
+    bench.clock.at(requested, bench.stop)
     with contextlib.suppress(DeviceError):
         bench.axis.start(90.0)
-    bench.clock.sleep_until(called + 60.0)
-    assert len(bench.silent.stops) == 4
-    assert bench.silent.stops[3][0] - called < MOST_S
+    bench.clock.sleep_until(requested + 60.0)
+    assert len(bench.recorder.stops) == 4
+    assert bench.recorder.stops[3][0] - requested < MOST_S
     assert bench.angle() < 0.1
     assert bench.axis.referenced
 
 
-def test_a_stop_during_a_resynchronisation() -> None:
+def test_a_stop_during_a_resynchronisation_is_sent_in_time() -> None:
     for where in range(0, 300, 7):
         bench = StopBench()
-        starting(bench)
+        start_all(bench)
         bench.clock.sleep_until(bench.clock.now() + 1.0)
-        bench.silent.deaf = True
+        bench.recorder.deaf = True
         now = bench.clock.now()
-        called = now + where * 0.001
-        bench.clock.at(called, bench.stop)
+        requested = now + where * 0.001
+        bench.clock.at(requested, bench.stop)
         with pytest.raises(DeviceError):
             bench.axis.position_deg()
         bench.clock.sleep_until(now + 1.0)
-        assert len(bench.silent.stops) >= 4
-        assert bench.silent.stops[3][0] - called < MOST_S
+        assert len(bench.recorder.stops) >= 4
+        assert bench.recorder.stops[3][0] - requested < MOST_S
 
 
-def test_a_home_search_is_told_to_end_as_well() -> None:
+def test_without_a_reference_search_only_mst_is_sent() -> None:
     bench = StopBench()
     assert [request.command for _, request in bench.axis.stop_requests()] == [Command.MST]
 
 
-def test_silent_axes_are_named() -> None:
+def test_failures_of_a_stop_name_the_silent_axes() -> None:
     bench = StopBench()
-    bench.silent.deaf = True
+    bench.recorder.deaf = True
     assert [failure.device for failure in bench.stop()] == list(bench.axes)
-    bench.silent.deaf = False
+    bench.recorder.deaf = False
     assert bench.axis.position_deg() == 0.0
 
 
-def test_one_lost_confirmation_is_asked_for_again() -> None:
-    bench = DriverBench(axes=4, wire=lambda device: FaultyLine(device, Script([]))).connect()
+def test_a_stop_frame_without_reply_is_repeated() -> None:
+    bench = AxisBench(axes=4, wire=lambda device: FaultyLine(device, ScriptedFaults([]))).connect()
     assert isinstance(bench.device, FaultyLine)
-    bench.device.misfortune = Script([Fault.NONE, Fault.LOST])
+    bench.device.misfortune = ScriptedFaults([Fault.NONE, Fault.LOST])
     assert bench.module.stop([each for axis in bench.axes.values() for each in axis.stop_requests()]) == []
 
 
-def test_with_the_port_closed_every_axis_says_so() -> None:
+def test_a_stop_with_a_closed_port_fails_for_every_axis() -> None:
     bench = StopBench()
     bench.module.close()
     assert len(bench.stop()) == 4
@@ -149,45 +149,45 @@ def test_with_the_port_closed_every_axis_says_so() -> None:
 
 @pytest.mark.parametrize("deaf", [False, True])
 def test_a_stop_from_another_thread_goes_first(deaf: bool) -> None:
-    """The engine's thread asks without pause, or hangs in an exchange; real time."""
+    """The engine's thread reads without pause, or waits for a reply; real time."""
     clock = RealClock()
     bench = StopBench(clock)
-    starting(bench)
+    start_all(bench)
     ending = threading.Event()
-    asked: list[object] = []
+    outcomes: list[object] = []
 
-    def ask() -> None:
+    def read() -> None:
         while not ending.is_set():
             try:
-                asked.append(bench.axes["beta"].position_deg())
+                outcomes.append(bench.axes["beta"].position_deg())
             except DeviceError as error:
-                asked.append(error)
+                outcomes.append(error)
 
-    worker = threading.Thread(target=ask)
+    worker = threading.Thread(target=read)
     worker.start()
     try:
         worst = 0.0
         for _ in range(5):
             clock.sleep_until(clock.now() + 0.05)
-            bench.silent.deaf = deaf
+            bench.recorder.deaf = deaf
             clock.sleep_until(clock.now() + 0.03)
-            bench.silent.stops.clear()
-            called = clock.now()
+            bench.recorder.stops.clear()
+            requested = clock.now()
             failures = bench.stop()
-            worst = max(worst, bench.silent.stops[3][0] - called)
+            worst = max(worst, bench.recorder.stops[3][0] - requested)
             assert len(failures) == (4 if deaf else 0)
-            bench.silent.deaf = False
+            bench.recorder.deaf = False
         assert worst < MOST_S
     finally:
         ending.set()
         worker.join()
-    assert any(isinstance(each, float) for each in asked)
+    assert any(isinstance(each, float) for each in outcomes)
 
 
-def test_two_stops_at_once() -> None:
+def test_simultaneous_stops_all_succeed() -> None:
     clock = RealClock()
     bench = StopBench(clock)
-    starting(bench)
+    start_all(bench)
     outcomes: list[list[DeviceError]] = []
     threads = [threading.Thread(target=lambda: outcomes.append(bench.stop())) for _ in range(4)]
     for thread in threads:
@@ -198,16 +198,16 @@ def test_two_stops_at_once() -> None:
     assert bench.axis.position_deg() < 10.0
 
 
-def test_the_reply_to_a_stop_is_not_the_reply_to_a_question() -> None:
-    """Nor that of another command: the value of a reply to GAP is believed only after a GAP."""
+def test_the_reply_to_a_stop_is_not_taken_for_the_reply_to_a_read() -> None:
+    """The value of a reply is accepted only for the command of its request."""
     bench = StopBench()
-    bench.line.outbox.append((bench.clock.now() + 1e-3, Reply(2, 1, 100, Command.MST, 77).encode()))
-    assert bench.module.exchange(Request(1, Command.GAP, 1, 4)) == 0
+    bench.line.outbox.append((bench.clock.now() + 1e-3, ReplyFrame(2, 1, 100, Command.MST, 77).encode()))
+    assert bench.module.exchange(CommandFrame(1, Command.GAP, 1, 4)) == 0
 
 
-def test_after_a_stop_the_axes_go_on_where_they_are_sent() -> None:
+def test_after_a_stop_the_axes_can_be_moved_again() -> None:
     bench = StopBench(VirtualClock())
-    moves = starting(bench)
+    moves = start_all(bench)
     bench.clock.sleep_until(bench.clock.now() + 1.0)
     assert bench.stop() == []
     with pytest.raises(DeviceError, match="a stop from elsewhere"):

@@ -1,4 +1,4 @@
-"""Photodiodes and monitor: what their drivers read."""
+"""Photodiodes and monitor: values read by their drivers."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ from tests.conftest import RigOpener
 QUIET = ("noise = true", "noise = false")
 
 
-def lit(rig: Rig) -> None:
+def illuminate(rig: Rig) -> None:
     wait(rig.clock, [rig.axes["sigma"].start(30.0), rig.axes["beta"].start(180.0)])
     wait(rig.clock, [rig.monochromator.start_shutter(opened=True)])
 
 
-def test_an_etalon_gives_the_currents_of_the_closed_form(opened: RigOpener) -> None:
+def test_the_etalon_gives_the_photocurrent_of_the_closed_form(opened: RigOpener) -> None:
     """A Lambertian's photocurrent: E rho / pi times the etendue of a photodiode times its responsivity."""
     exact = ("[twin.light]", "[twin.electronics]\ngain_spread = 0.0\n\n[twin.light]")
     rig = opened(QUIET, ("drift_per_hour = 0.02", "drift_per_hour = 0.0"), exact)
@@ -24,7 +24,7 @@ def test_an_etalon_gives_the_currents_of_the_closed_form(opened: RigOpener) -> N
     wait(rig.rig.clock, [rig.rig.photodiodes.start_gain(3)])
     dark = rig.rig.photodiodes.start_readings(1)
     wait(rig.rig.clock, [dark])
-    lit(rig.rig)
+    illuminate(rig.rig)
     bright = rig.rig.photodiodes.start_readings(1)
     wait(rig.rig.clock, [bright])
     step = adam.RANGES[adam.PLUS_MINUS_10_V].lsb_v
@@ -38,7 +38,7 @@ def test_an_etalon_gives_the_currents_of_the_closed_form(opened: RigOpener) -> N
     assert 0.7 * bound < current < bound
 
 
-def test_a_reading_waits_until_the_amplifiers_have_settled(opened: RigOpener) -> None:
+def test_a_reading_waits_for_the_settling_time_of_the_amplifiers(opened: RigOpener) -> None:
     rig = opened(QUIET).rig
     wait(rig.clock, [rig.photodiodes.start_gain(3)])
     first, second = rig.photodiodes.start_readings(1), rig.photodiodes.start_readings(1)
@@ -48,7 +48,7 @@ def test_a_reading_waits_until_the_amplifiers_have_settled(opened: RigOpener) ->
     np.testing.assert_allclose(first.counts.astype(float), second.counts.astype(float), atol=1.0)
 
 
-def test_readings_are_a_conversion_apart_and_all_new(opened: RigOpener) -> None:
+def test_readings_are_one_conversion_apart_and_never_repeated(opened: RigOpener) -> None:
     rig = opened().rig
     wait(rig.clock, [rig.photodiodes.start_gain(3)])
     start = rig.clock.now()
@@ -61,7 +61,7 @@ def test_readings_are_a_conversion_apart_and_all_new(opened: RigOpener) -> None:
     assert not repeated.any()
 
 
-def test_asking_twice_within_a_conversion_gives_the_same_number(opened: RigOpener) -> None:
+def test_two_reads_within_a_conversion_give_the_same_value(opened: RigOpener) -> None:
     rig = opened()
     assert rig.virtual is not None
     module = rig.virtual.modbus["adc-0"]
@@ -69,9 +69,9 @@ def test_asking_twice_within_a_conversion_gives_the_same_number(opened: RigOpene
     assert module.registers(0, 8, 100.001) != module.registers(0, 8, 100.2)
 
 
-def test_the_monitor_means_the_lamp_over_the_time_asked_for(opened: RigOpener) -> None:
+def test_the_monitor_averages_over_the_given_time(opened: RigOpener) -> None:
     rig = opened().rig
-    lit(rig)
+    illuminate(rig)
     start = rig.clock.now()
     mean = rig.monitor.start_mean(2.5)
     wait(rig.clock, [mean])
@@ -83,7 +83,7 @@ def test_lamp_and_monitor_drift_together(opened: RigOpener) -> None:
     rig = opened(QUIET, ("drift_per_hour = 0.02", "drift_per_hour = 1.0"))
     assert rig.virtual is not None
     rig.virtual.mount("etalon")
-    lit(rig.rig)
+    illuminate(rig.rig)
     wait(rig.rig.clock, [rig.rig.photodiodes.start_gain(3)])
     ratios = []
     for _ in range(2):
@@ -94,14 +94,14 @@ def test_lamp_and_monitor_drift_together(opened: RigOpener) -> None:
     assert ratios[1] == pytest.approx(ratios[0], rel=0.01)
 
 
-def test_a_monitor_over_its_range_is_an_error_and_no_value(opened: RigOpener) -> None:
+def test_an_overrange_of_the_monitor_is_an_error_and_not_a_value(opened: RigOpener) -> None:
     rig = opened(("range_a = 500e-9", "range_a = 50e-9")).rig
-    lit(rig)
+    illuminate(rig)
     with pytest.raises(DeviceError, match="overrange"):
         wait(rig.clock, [rig.monitor.start_mean(0.1)])
 
 
-def test_a_real_rig_file_that_meets_a_twin_is_refused(opened: RigOpener) -> None:
+def test_a_real_rig_file_with_a_simulated_instrument_is_refused(opened: RigOpener) -> None:
     rig = opened().rig
     rig.simulated = False
     outcome = rig.connect()

@@ -1,4 +1,4 @@
-"""The monitor on a bus that fails: no wrong value, an end in bounded time, and recovery."""
+"""The monitor on a bus with faults: no wrong value, bounded time, recovery."""
 
 import contextlib
 from collections.abc import Callable
@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, wait
-from goniotwin.mocks.faults import ON_USB, Fault, Misfortune, Script
+from goniotwin.mocks.faults import ON_USB, Fault, FaultPlan, ScriptedFaults
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.usbtmc import HEADER_BYTES
 from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT
 from tests.conftest import RigOpener
-from tests.drivers.failing import Calls
-from tests.drivers.monitor_bench import TRUTH_A, Bench, bench
+from tests.drivers.bounded_calls import BoundedCalls
+from tests.drivers.monitor_bench import TRUTH_A, MonitorBench, bench
 
 __all__ = ["bench"]
 
@@ -34,10 +34,10 @@ FAULTS: dict[str, Callable[[bytes], bytes]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_no_answer_is_an_error_and_the_next_call_works(bench: Bench, fault: str) -> None:
+def test_a_wrong_reply_is_an_error_and_the_next_call_works(bench: MonitorBench, fault: str) -> None:
     bench.mean()
     mean = bench.monitor.start_mean(0.1)
-    bench.fail_once("bulk_in", FAULTS[fault])
+    bench.change_next_reply(FAULTS[fault])
     start = bench.clock.now()
     with pytest.raises(DeviceError, match="monitor: READ"):
         wait(bench.clock, [mean])
@@ -46,7 +46,7 @@ def test_what_is_no_answer_is_an_error_and_the_next_call_works(bench: Bench, fau
 
 
 @pytest.mark.parametrize("endpoint", [BULK_IN, BULK_OUT])
-def test_a_stall_is_said_and_released(bench: Bench, endpoint: int) -> None:
+def test_a_stall_is_reported_and_released(bench: MonitorBench, endpoint: int) -> None:
     bench.mean()
     bench.device.halt(endpoint)
     with pytest.raises(NoAnswer, match="stall"):
@@ -56,8 +56,8 @@ def test_a_stall_is_said_and_released(bench: Bench, endpoint: int) -> None:
 
 
 @pytest.mark.parametrize("keeps_fifo", [False, True])
-def test_a_late_answer_is_never_taken_for_the_next_one(bench: Bench, keeps_fifo: bool) -> None:
-    """The host gives up after a second; the answer comes after three."""
+def test_a_late_reply_is_never_taken_for_the_next_one(bench: MonitorBench, keeps_fifo: bool) -> None:
+    """The host gives up after a second; the reply comes after three."""
     bench.device.keeps_fifo = keeps_fifo
     bench.mean()
     wire = bench.monitor._wire
@@ -69,13 +69,13 @@ def test_a_late_answer_is_never_taken_for_the_next_one(bench: Bench, keeps_fifo:
     assert bench.clock.now() - start < 1.5
     bench.clock.sleep_until(bench.clock.now() + 5.0)
     assert wire.query("*IDN?").startswith(b"Thorlabs")
-    assert wire.query("SENS:AVER:COUN?") == b"9000"  # the settings have stayed
-    with pytest.raises(Forgotten):  # but they are not the driver's
+    assert wire.query("SENS:AVER:COUN?") == b"9000"  # the settings are kept
+    with pytest.raises(Forgotten):  # but they differ from the driver's
         bench.mean()
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
 
 
-def test_an_unplugged_one_is_gone_and_works_again_when_it_is_back(bench: Bench) -> None:
+def test_a_disconnected_monitor_is_an_error_until_it_is_connected_again(bench: MonitorBench) -> None:
     bench.mean()
     bench.backend.unplug("monitor")
     for _ in range(3):
@@ -86,7 +86,7 @@ def test_an_unplugged_one_is_gone_and_works_again_when_it_is_back(bench: Bench) 
     assert any("found again" in each for each in bench.monitor.events)
 
 
-def test_one_that_has_lost_its_power_says_so_once_and_gets_its_settings_back(bench: Bench) -> None:
+def test_a_power_cycle_is_reported_once_and_the_settings_are_restored(bench: MonitorBench) -> None:
     bench.mean()
     bench.backend.unplug("monitor")
     with pytest.raises(NoAnswer):
@@ -97,7 +97,7 @@ def test_one_that_has_lost_its_power_says_so_once_and_gets_its_settings_back(ben
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
 
 
-def test_a_reset_without_unplugging_is_seen_by_the_canary(bench: Bench) -> None:
+def test_the_canary_detects_a_reset_without_disconnection(bench: MonitorBench) -> None:
     bench.mean()
     bench.device.instrument.power_cycle(bench.clock.now())
     with pytest.raises(Forgotten):
@@ -106,7 +106,7 @@ def test_a_reset_without_unplugging_is_seen_by_the_canary(bench: Bench) -> None:
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
 
 
-def test_another_instrument_in_its_place_is_refused(bench: Bench) -> None:
+def test_an_instrument_with_another_serial_number_is_refused(bench: MonitorBench) -> None:
     bench.mean()
     bench.backend.unplug("monitor")
     with pytest.raises(NoAnswer):
@@ -117,7 +117,7 @@ def test_another_instrument_in_its_place_is_refused(bench: Bench) -> None:
         bench.mean()
 
 
-def test_a_device_that_hangs_is_an_error_in_bounded_time(bench: Bench) -> None:
+def test_a_hanging_instrument_is_an_error_in_bounded_time(bench: MonitorBench) -> None:
     bench.mean()
     bench.device.bulk_in_ready = lambda: None  # type: ignore[method-assign]
     for _ in range(3):
@@ -129,41 +129,41 @@ def test_a_device_that_hangs_is_an_error_in_bounded_time(bench: Bench) -> None:
     assert bench.mean() == pytest.approx(TRUTH_A, rel=0.02)
 
 
-class Broken(Bench):
-    """A bench whose bus does what a script or a seed says, from `misfortune` on."""
+class FaultyMonitorBench(MonitorBench):
+    """A monitor on a bus with faults by a script or a seed."""
 
     def __init__(self, opened: RigOpener) -> None:
         opened_rig = opened(("noise = true", "noise = false"), clock=VirtualClock(1.0))
         assert opened_rig.virtual is not None
         opened_rig.rig.monitor.close()
         devices = opened_rig.virtual.usb
-        devices["monitor"] = self.faulty = FaultyUsb(devices["monitor"], Script([]), opened_rig.virtual.clock)
+        devices["monitor"] = self.faulty = FaultyUsb(devices["monitor"], ScriptedFaults([]), opened_rig.virtual.clock)
         super().__init__(opened_rig.virtual)
         self.monitor.connect()
 
 
 @pytest.mark.parametrize("fault", ON_USB)
-def test_after_any_single_fault_there_is_no_wrong_value_and_it_works_again(opened: RigOpener, fault: Fault) -> None:
-    bench = Broken(opened)
+def test_a_single_fault_gives_no_wrong_value_and_the_driver_recovers(opened: RigOpener, fault: Fault) -> None:
+    bench = FaultyMonitorBench(opened)
     truth = bench.mean()
-    for clean in range(4):  # the fault meets the question, the request for its answer, and the same of the canary
-        script = bench.faulty.misfortune = Script([*[Fault.NONE] * clean, fault])
-        calls = Calls(bench.clock, "monitor", MOST_S)
+    for clean in range(4):  # the fault is at the query, the request for its reply, or those of the canary
+        script = bench.faulty.misfortune = ScriptedFaults([*[Fault.NONE] * clean, fault])
+        calls = BoundedCalls(bench.clock, "monitor", MOST_S)
         with calls.attempt():
             assert bench.mean() == pytest.approx(truth, rel=2e-3)
         assert script.met == [fault]
-        bench.faulty.misfortune = Script([])
+        bench.faulty.misfortune = ScriptedFaults([])
         bench.clock.sleep_until(bench.clock.now() + 0.5)
-        with contextlib.suppress(Forgotten):  # is told once
+        with contextlib.suppress(Forgotten):  # reported once
             bench.mean()
         assert bench.mean() == pytest.approx(truth, rel=2e-3)
 
 
-def test_what_was_read_after_a_reset_is_not_believed(opened: RigOpener) -> None:
-    """It wakes up measuring power, but for 635 nm: a number like any other."""
-    bench = Broken(opened)
+def test_a_reading_after_a_reset_is_rejected(opened: RigOpener) -> None:
+    """After power-on it measures power for 635 nm, which is a plausible number."""
+    bench = FaultyMonitorBench(opened)
     wait(bench.clock, [bench.monitor.start_mean(0.1, "power")])
-    bench.faulty.misfortune = Script([Fault.RESET])
+    bench.faulty.misfortune = ScriptedFaults([Fault.RESET])
     with pytest.raises(Forgotten, match="has reset; its settings are restored"):
         wait(bench.clock, [bench.monitor.start_mean(0.1, "power")])
     power = bench.monitor.start_mean(0.1, "power")
@@ -172,15 +172,15 @@ def test_what_was_read_after_a_reset_is_not_believed(opened: RigOpener) -> None:
 
 
 MOST_S = 2.5
-"""A call that finds the bus out of step: the first of its messages that has no answer within a second ends it, and when a
-setting had none its error is asked for too."""
+"""A call on a bus that is out of step: the first message without reply within a second ends it; after a setting without
+reply the error queue is read, too."""
 
 
-def storm(bench: Broken, seed: int) -> Calls:
-    """A fifth of all exchanges fail somehow; every value is the truth. Then none fails, and it works again."""
+def storm(bench: FaultyMonitorBench, seed: int) -> BoundedCalls:
+    """A part of all exchanges fail; every returned value is true. Then no exchange fails, and the driver recovers."""
     truth = bench.mean()
-    bench.faulty.misfortune = Misfortune(seed, ON_USB, 0.08, until=150)
-    calls = Calls(bench.clock, "monitor", MOST_S)
+    bench.faulty.misfortune = FaultPlan(seed, ON_USB, 0.08, until=150)
+    calls = BoundedCalls(bench.clock, "monitor", MOST_S)
     for _ in range(12):
         with calls.attempt():
             with calls.call():
@@ -188,9 +188,9 @@ def storm(bench: Broken, seed: int) -> Calls:
             calls.wait(mean)
             assert mean.current_a == pytest.approx(truth, rel=2e-3)  # the lamp drifts by 2 % an hour
         bench.clock.sleep_until(bench.clock.now() + 0.2)
-    bench.faulty.misfortune = Script([])
+    bench.faulty.misfortune = ScriptedFaults([])
     bench.clock.sleep_until(bench.clock.now() + 0.5)
-    for _ in range(2):  # settings that were lost are told once
+    for _ in range(2):  # lost settings are reported once
         with contextlib.suppress(DeviceError):
             bench.mean()
     assert bench.mean() == pytest.approx(truth, rel=2e-3)
@@ -198,25 +198,25 @@ def storm(bench: Broken, seed: int) -> Calls:
 
 
 @pytest.mark.parametrize("seed", range(50))
-def test_a_bus_that_fails_gives_no_wrong_value(opened: RigOpener, seed: int) -> None:
-    storm(Broken(opened), seed)
+def test_a_bus_with_faults_gives_no_wrong_value(opened: RigOpener, seed: int) -> None:
+    storm(FaultyMonitorBench(opened), seed)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("hundred", range(10))
-def test_a_thousand_buses_that_fail_give_no_wrong_value(opened: RigOpener, hundred: int) -> None:
+def test_a_thousand_buses_with_faults_give_no_wrong_value(opened: RigOpener, hundred: int) -> None:
     good = failed = 0
     for seed in range(1000 + 100 * hundred, 1100 + 100 * hundred):
-        calls = storm(Broken(opened), seed)
+        calls = storm(FaultyMonitorBench(opened), seed)
         good, failed = good + calls.good, failed + len(calls.errors)
     assert good > 500
     assert failed > 300
 
 
-def test_a_setting_that_was_not_heard_is_an_error(opened: RigOpener) -> None:
-    bench = Broken(opened)
+def test_a_lost_setting_is_an_error(opened: RigOpener) -> None:
+    bench = FaultyMonitorBench(opened)
     bench.mean()
-    bench.faulty.misfortune = Script([Fault.UNHEARD])
+    bench.faulty.misfortune = ScriptedFaults([Fault.UNHEARD])
     with pytest.raises(NoAnswer, match="monitor: CONF:POW"):
         bench.monitor.start_mean(0.1, "power")
     power = bench.monitor.start_mean(0.1, "power")
@@ -224,7 +224,7 @@ def test_a_setting_that_was_not_heard_is_an_error(opened: RigOpener) -> None:
     assert power.power_w == pytest.approx(TRUTH_A / 0.08, rel=0.02)  # 0.08 A/W at 550 nm
 
 
-def test_a_setting_that_it_does_not_know_is_refused_in_its_own_words(bench: Bench) -> None:
+def test_an_unknown_setting_is_refused_with_the_error_of_the_instrument(bench: MonitorBench) -> None:
     bench.monitor._dialect = replace(bench.monitor._dialect, low_pass="INP:NONSENSE {:d}")
     with pytest.raises(Refused, match="set the filter: error -113"):
         bench.monitor.set_low_pass(True)

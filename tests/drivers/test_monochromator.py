@@ -5,10 +5,10 @@ import pytest
 from goniotwin.drivers import DeviceError, Refused, wait
 from goniotwin.protocols.cornerstone import Grating, Statement
 from tests.conftest import RigOpener
-from tests.drivers.monochromator_bench import DIALECTS, Bench
+from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
 
 
-def test_it_goes_to_a_wavelength_and_says_when_it_is_there(opened: RigOpener) -> None:
+def test_a_wavelength_is_reached_in_the_expected_time(opened: RigOpener) -> None:
     rig = opened().rig
     start = rig.clock.now()
     wait(rig.clock, [rig.monochromator.start_wavelength(725.0)])
@@ -16,7 +16,7 @@ def test_it_goes_to_a_wavelength_and_says_when_it_is_there(opened: RigOpener) ->
     assert rig.monochromator.wavelength_nm() == 725.0
 
 
-def test_it_holds_up_nobody_while_it_moves(opened: RigOpener) -> None:
+def test_a_slew_does_not_block_other_devices(opened: RigOpener) -> None:
     rig = opened().rig
     slew = rig.monochromator.start_wavelength(725.0)
     start = rig.clock.now()
@@ -43,14 +43,14 @@ def test_a_wavelength_out_of_range_sends_nothing(opened: RigOpener, wavelength_n
     assert rig.monochromator.wavelength_nm() == 550.0
 
 
-def test_an_error_of_the_device_is_told_in_words(opened: RigOpener) -> None:
+def test_an_error_of_the_unit_is_reported_as_text(opened: RigOpener) -> None:
     rig = opened().rig
     with pytest.raises(Refused, match="destination not allowed"):
         wait(rig.clock, [rig.monochromator.start_filter(9)])
-    assert rig.monochromator.wavelength_nm() == 550.0  # and it works again
+    assert rig.monochromator.wavelength_nm() == 550.0  # the next exchange works
 
 
-def test_a_line_without_echo_is_found_out(opened: RigOpener) -> None:
+def test_a_line_without_echo_is_detected(opened: RigOpener) -> None:
     rig = opened()
     assert rig.virtual is not None
     device = rig.virtual.serial["mono"]
@@ -74,10 +74,10 @@ def test_a_silent_device_is_an_error_in_bounded_time(opened: RigOpener) -> None:
 
 @pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
 def test_everything_works_with_and_without_echo_and_handshake(opened: RigOpener, echo: bool, handshake: bool) -> None:
-    bench = Bench(opened, echo, handshake)
+    bench = MonochromatorBench(opened, echo, handshake)
     driver = bench.driver
     bench.go(633.0)
-    assert driver.wavelength_nm() == bench.light_nm() == 633.0
+    assert driver.wavelength_nm() == bench.true_wavelength_nm() == 633.0
     wait(bench.clock, [driver.start_grating(2)])
     assert driver.grating() == Grating(2, 600, "NIR")
     wait(bench.clock, [driver.start_filter(4)])
@@ -85,39 +85,39 @@ def test_everything_works_with_and_without_echo_and_handshake(opened: RigOpener,
     wait(bench.clock, [driver.start_slit(2, 350.0)])
     assert driver.slit_um(2) == 350.0
     wait(bench.clock, [driver.start_step(-50)])
-    assert bench.light_nm() == pytest.approx(632.0)  # 0.02 nm a step with 600 lines/mm
+    assert bench.true_wavelength_nm() == pytest.approx(632.0)  # 0.02 nm per step with 600 lines/mm
     with pytest.raises(Refused, match="destination not allowed"):
         wait(bench.clock, [driver.start_filter(9)])
     driver.check()
 
 
 @pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
-def test_questions_during_a_move_are_refused_and_the_next_move_waits_for_it(
+def test_queries_during_a_slew_are_refused_and_the_next_motion_waits_for_its_end(
     opened: RigOpener, echo: bool, handshake: bool
 ) -> None:
-    bench = Bench(opened, echo, handshake)
+    bench = MonochromatorBench(opened, echo, handshake)
     bench.driver.start_wavelength(725.0)
     with pytest.raises(DeviceError, match="not responding until it arrives"):
         bench.driver.wavelength_nm()
     wait(bench.clock, [bench.driver.start_shutter(opened=True)])
-    assert bench.light_nm() == 725.0
+    assert bench.true_wavelength_nm() == 725.0
     assert bench.driver.shutter_is_open()
 
 
 @pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
-def test_it_is_aborted_in_the_middle_and_works_again(opened: RigOpener, echo: bool, handshake: bool) -> None:
-    bench = Bench(opened, echo, handshake)
+def test_a_slew_can_be_aborted_and_the_next_one_works(opened: RigOpener, echo: bool, handshake: bool) -> None:
+    bench = MonochromatorBench(opened, echo, handshake)
     move = bench.driver.start_wavelength(725.0)
     bench.clock.at(bench.clock.now() + 0.5, bench.driver.abort)
     with pytest.raises(DeviceError, match="aborted"):
         wait(bench.clock, [move])
-    assert 550.0 < bench.light_nm() < 725.0
-    assert bench.driver.wavelength_nm() == pytest.approx(bench.light_nm(), abs=0.001)
+    assert 550.0 < bench.true_wavelength_nm() < 725.0
+    assert bench.driver.wavelength_nm() == pytest.approx(bench.true_wavelength_nm(), abs=0.001)
     bench.go(600.0)
 
 
-def test_the_light_is_where_it_is_in_the_middle_of_a_move(opened: RigOpener) -> None:
-    bench = Bench(opened)
+def test_the_true_wavelength_follows_the_slew(opened: RigOpener) -> None:
+    bench = MonochromatorBench(opened)
     start = bench.clock.now()
     bench.driver.start_wavelength(725.0)
     assert bench.plant.wavelength_nm.at(start + 0.5) == pytest.approx(550.0 + 0.5 * 175.0, abs=4.0)

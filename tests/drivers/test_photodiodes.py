@@ -1,11 +1,11 @@
-"""The array of converter modules: gain, settling, missing readings, resets noticed, settings restored."""
+"""The array of converter modules: gain, settling, missing readings, detection of resets, restored settings."""
 
 import numpy as np
 import pytest
 
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, PhotodiodeSettings, Refused, wait
 from goniotwin.protocols import adam
-from tests.drivers.photodiode_bench import Bench, bench, read
+from tests.drivers.photodiode_bench import BenchOpener, bench, read
 
 __all__ = ["bench"]
 
@@ -13,7 +13,7 @@ TIMEOUT_S = 1.0
 
 
 @pytest.mark.parametrize("serial", [False, True])
-def test_the_same_dark_currents_come_over_either_wire(bench: Bench, serial: bool) -> None:
+def test_both_wires_give_the_same_dark_currents(bench: BenchOpener, serial: bool) -> None:
     rig = bench(serial)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     counts = read(array, clock, 0 if serial else 3, 2)
@@ -23,11 +23,11 @@ def test_the_same_dark_currents_come_over_either_wire(bench: Bench, serial: bool
     assert np.ptp(volts, axis=0).max() <= 2 * array.settings.range.lsb_v
 
 
-def test_identities_name_model_and_firmware(bench: Bench) -> None:
+def test_identities_name_model_and_firmware(bench: BenchOpener) -> None:
     assert bench(True).rig.photodiodes.connect() == ["ADAM-4117 firmware 5.06"] * 5
 
 
-def test_a_gain_is_on_the_amplifiers_and_a_fixed_one_cannot_be_changed(bench: Bench) -> None:
+def test_a_gain_is_set_at_the_amplifiers_and_a_fixed_gain_cannot_be_changed(bench: BenchOpener) -> None:
     rig = bench(False)
     read(rig.rig.photodiodes, rig.rig.clock, 2)
     assert rig.virtual is not None
@@ -38,57 +38,57 @@ def test_a_gain_is_on_the_amplifiers_and_a_fixed_one_cannot_be_changed(bench: Be
         bench(True).rig.photodiodes.start_gain(1)
 
 
-def test_a_first_reading_was_converted_after_the_settling() -> None:
+def test_the_first_reading_is_converted_after_the_settling_time() -> None:
     slow = PhotodiodeSettings((0.0,), (), (1e6,), conversions_per_s=10.0)
     assert slow.wait_s == pytest.approx(2 * 1.01 * 0.8)
     assert PhotodiodeSettings((0.0,), (), (1e6,)).wait_s == pytest.approx(0.25 + 1.01 * 0.09)
     line = PhotodiodeSettings(tuple(float(k) for k in range(36)), (), (1e6,), exchange_s=0.04, kind="adam-4117")
-    assert line.period_s == pytest.approx(1.01 * 5 * 0.04)  # asking five modules takes longer than their conversions
+    assert line.period_s == pytest.approx(1.01 * 5 * 0.04)  # reading five modules takes longer than their conversions
 
 
-def test_what_was_not_read_is_not_there(bench: Bench) -> None:
+def test_counts_have_complete_readings_only(bench: BenchOpener) -> None:
     rig = bench(False)
     array, clock = rig.rig.photodiodes, rig.rig.clock
-    taken = array.start_readings(3)
-    assert taken.counts.shape == (0, 36)
-    assert np.isnan(taken.mean_volts()).all()
-    clock.sleep_until(taken.due)
-    taken.poll()
-    assert taken.counts.shape == (0, 36)  # one module of five
+    readings = array.start_readings(3)
+    assert readings.counts.shape == (0, 36)
+    assert np.isnan(readings.mean_volts()).all()
+    clock.sleep_until(readings.due)
+    readings.poll()
+    assert readings.counts.shape == (0, 36)  # one module of five
 
 
-def test_a_clipped_reading_has_no_mean(bench: Bench) -> None:
+def test_a_saturated_reading_has_no_mean(bench: BenchOpener) -> None:
     rig = bench(False)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     assert rig.virtual is not None
     rig.virtual.modbus["adc-0"].inputs.enabled = 0xFE  # channel 0 reads 0 from now on
-    taken = array.start_readings(1)
-    wait(clock, [taken])
-    assert taken.saturated[0].tolist() == [True] + [False] * 35
-    assert np.isnan(taken.mean_volts()).tolist() == [True] + [False] * 35
+    readings = array.start_readings(1)
+    wait(clock, [readings])
+    assert readings.saturated[0].tolist() == [True] + [False] * 35
+    assert np.isnan(readings.mean_volts()).tolist() == [True] + [False] * 35
 
 
 @pytest.mark.parametrize(("serial", "gain"), [(False, 3), (False, 0), (True, 0)])
-def test_a_module_that_has_reset_is_noticed_and_gets_its_settings_again(bench: Bench, serial: bool, gain: int) -> None:
+def test_a_reset_of_a_module_is_detected_and_its_settings_are_restored(bench: BenchOpener, serial: bool, gain: int) -> None:
     rig = bench(serial)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     assert rig.virtual is not None
     before = read(array, clock, gain)
     rig.virtual.modbus["adc-3"].reset(clock.now())
-    taken = array.start_readings(2)
+    readings = array.start_readings(2)
     with pytest.raises(Forgotten, match=r"photodiodes module 3: .*reconnect"):
-        wait(clock, [taken])
+        wait(clock, [readings])
     with pytest.raises(Forgotten):
         wait(clock, [array.start_readings(1)])
     restored = array.reconnect()
     assert restored[0] == "photodiodes module 3: ranges set"
     assert len(restored) == (2 if gain else 1)
-    taken = array.start_readings(1)
-    wait(clock, [taken])
-    np.testing.assert_allclose(taken.counts, before, atol=1)
+    readings = array.start_readings(1)
+    wait(clock, [readings])
+    np.testing.assert_allclose(readings.counts, before, atol=1)
 
 
-def test_settings_that_change_without_a_reset_are_found_at_intervals(bench: Bench) -> None:
+def test_settings_that_change_without_a_reset_are_detected_at_intervals(bench: BenchOpener) -> None:
     rig = bench(False)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     read(array, clock, 3)
@@ -100,19 +100,19 @@ def test_settings_that_change_without_a_reset_are_found_at_intervals(bench: Benc
 
 
 @pytest.mark.parametrize("serial", [False, True])
-def test_a_dead_module_costs_few_timeouts_and_is_named(bench: Bench, serial: bool) -> None:
+def test_a_silent_module_costs_few_timeouts_and_is_named(bench: BenchOpener, serial: bool) -> None:
     rig = bench(serial)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     read(array, clock)
     assert rig.virtual is not None
     rig.virtual.modbus["adc-2"].silent = True
-    taken = array.start_readings(1)
-    clock.sleep_until(taken.due)
+    readings = array.start_readings(1)
+    clock.sleep_until(readings.due)
     start = clock.now()
     with pytest.raises(NoAnswer, match=r"photodiodes module 2: .*check address, cable and power"):
-        wait(clock, [taken])
+        wait(clock, [readings])
     assert clock.now() - start < 5 * TIMEOUT_S
-    assert len(taken.counts) == 0
+    assert len(readings.counts) == 0
     start = clock.now()
     with pytest.raises(NoAnswer):
         wait(clock, [array.start_readings(1)])
@@ -122,7 +122,7 @@ def test_a_dead_module_costs_few_timeouts_and_is_named(bench: Bench, serial: boo
     assert read(array, clock).shape == (1, 36)
 
 
-def test_a_missing_module_is_told_with_all_others_that_are_missing_and_joins_later(bench: Bench) -> None:
+def test_an_error_names_all_silent_modules_and_they_can_reconnect_later(bench: BenchOpener) -> None:
     rig = bench(False)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     assert rig.virtual is not None
@@ -138,7 +138,7 @@ def test_a_missing_module_is_told_with_all_others_that_are_missing_and_joins_lat
     assert read(array, clock).shape == (1, 36)
 
 
-def test_another_module_at_the_address_is_refused(bench: Bench) -> None:
+def test_a_module_of_another_model_at_the_address_is_refused(bench: BenchOpener) -> None:
     rig = bench(False)
     assert rig.virtual is not None
     rig.virtual.modbus["adc-0"].model = adam.ADAM_4117
@@ -147,7 +147,7 @@ def test_another_module_at_the_address_is_refused(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("code", [adam.DEVICE_FAILURE, adam.BUSY])
-def test_what_passes_is_tried_again_once(bench: Bench, code: int) -> None:
+def test_a_transient_exception_is_retried_once(bench: BenchOpener, code: int) -> None:
     rig = bench(False)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     expected = read(array, clock)

@@ -1,4 +1,4 @@
-"""The converter modules on wires that fail: no wrong value, an end in bounded time, and recovery, on TCP and RTU."""
+"""The converter modules on wires with faults, TCP and RTU: no wrong value, bounded time, recovery."""
 
 import contextlib
 
@@ -7,10 +7,10 @@ import pytest
 
 from goniotwin.app.rig import OpenRig
 from goniotwin.drivers import DeviceError, NoAnswer, PhotodiodeArray
-from goniotwin.mocks.faults import ON_MODBUS, ON_MODBUS_RTU, Fault, Misfortune, Script
+from goniotwin.mocks.faults import ON_MODBUS, ON_MODBUS_RTU, Fault, FaultPlan, ScriptedFaults
 from goniotwin.protocols.clock import Clock
-from tests.drivers.failing import Calls
-from tests.drivers.photodiode_bench import Bench, bench, break_wires, read
+from tests.drivers.bounded_calls import BoundedCalls
+from tests.drivers.photodiode_bench import BenchOpener, bench, insert_faults, read
 
 __all__ = ["bench"]
 
@@ -20,27 +20,27 @@ MOST_S = 5.0
 
 @pytest.mark.parametrize("serial", [False, True])
 @pytest.mark.parametrize("fault", [Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.REPEATED, Fault.TRUNCATED, Fault.MERGED])
-def test_one_fault_is_survived_without_a_wrong_value(bench: Bench, serial: bool, fault: Fault) -> None:
+def test_a_single_fault_gives_no_error_and_no_wrong_value(bench: BenchOpener, serial: bool, fault: Fault) -> None:
     rig = bench(serial)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     gain = 0 if serial else 3
     read(array, clock, gain)
     expected = read(array, clock, gain)
-    script = Script([])
-    break_wires(rig, script, late_s=1.0 + 0.02)
+    script = ScriptedFaults([])
+    insert_faults(rig, script, late_s=1.0 + 0.02)
     read(array, clock, gain)
     script._script = [Fault.NONE, fault]
     np.testing.assert_allclose(read(array, clock, gain, 2), np.repeat(expected, 2, axis=0), atol=1)
     assert script.met == [fault]
 
 
-def campaign(rig: OpenRig, serial: bool, misfortune: Misfortune, late_s: float) -> Calls:
-    """Groups of readings until the faults are over; every value is the truth. Then none fails, and it works again."""
+def read_with_faults(rig: OpenRig, serial: bool, misfortune: FaultPlan, late_s: float) -> BoundedCalls:
+    """Groups of readings until the last fault; every returned value is true. Then there are no faults, and it recovers."""
     array, clock = rig.rig.photodiodes, rig.rig.clock
     gains = (0,) if serial else (3, 0, 2)
     expected = {gain: read(array, clock, gain, 2)[1] for gain in gains}
-    break_wires(rig, misfortune, late_s)
-    calls = Calls(clock, "photodiodes", MOST_S)
+    insert_faults(rig, misfortune, late_s)
+    calls = BoundedCalls(clock, "photodiodes", MOST_S)
     for _ in range(500):
         if misfortune.exchanges >= misfortune.until + 20:
             break
@@ -59,7 +59,7 @@ def campaign(rig: OpenRig, serial: bool, misfortune: Misfortune, late_s: float) 
 
 
 def reconnect(array: PhotodiodeArray, clock: Clock) -> None:
-    """As an engine or a person does: again and again."""
+    """Reconnect with retries, as the engine or the operator does."""
     for _ in range(20):
         with contextlib.suppress(DeviceError):
             array.reconnect()
@@ -70,39 +70,39 @@ def reconnect(array: PhotodiodeArray, clock: Clock) -> None:
 UNDETECTED_OVER_TCP = (Fault.CORRUPTED, Fault.NOISE)
 
 
-def campaign_summary(rig: OpenRig, serial: bool, seed: int) -> Calls:
-    """A late reply comes after the timeout of 1 s: when the line is drained, a marker is asked, or all seems well again."""
+def read_with_random_faults(rig: OpenRig, serial: bool, seed: int) -> BoundedCalls:
+    """A late reply comes after the timeout of 1 s: while the line is drained, while a marker is read, or after recovery."""
     late_s = 0.98 + 0.005 * (seed % 60)
     kinds = ON_MODBUS_RTU if serial else tuple(each for each in ON_MODBUS if each not in UNDETECTED_OVER_TCP)
-    return campaign(rig, serial, Misfortune(seed, kinds, 0.02, until=200), late_s)
+    return read_with_faults(rig, serial, FaultPlan(seed, kinds, 0.02, until=200), late_s)
 
 
 @pytest.mark.parametrize("serial", [False, True])
 @pytest.mark.parametrize("seed", range(50))
-def test_no_wrong_value_comes_over_a_failing_wire(bench: Bench, serial: bool, seed: int) -> None:
-    calls = campaign_summary(bench(serial), serial, seed)
+def test_a_wire_with_faults_gives_no_wrong_value(bench: BenchOpener, serial: bool, seed: int) -> None:
+    calls = read_with_random_faults(bench(serial), serial, seed)
     assert calls.good + len(calls.errors) >= 3
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("serial", [False, True])
 @pytest.mark.parametrize("hundred", range(10))
-def test_no_wrong_value_comes_in_a_thousand_campaigns(bench: Bench, serial: bool, hundred: int) -> None:
+def test_a_thousand_wires_with_faults_give_no_wrong_value(bench: BenchOpener, serial: bool, hundred: int) -> None:
     good = failed = 0
     for seed in range(1000 + 100 * hundred, 1100 + 100 * hundred):
-        calls = campaign_summary(bench(serial), serial, seed)
+        calls = read_with_random_faults(bench(serial), serial, seed)
         good, failed = good + calls.good, failed + len(calls.errors)
     assert good > 300
     assert failed > 20
 
 
 @pytest.mark.parametrize("serial", [False, True])
-def test_a_wire_whose_plug_was_out_is_opened_again_when_it_is_back(bench: Bench, serial: bool) -> None:
+def test_a_disconnected_wire_is_reopened_when_it_is_connected_again(bench: BenchOpener, serial: bool) -> None:
     rig = bench(serial)
     array, clock = rig.rig.photodiodes, rig.rig.clock
     expected = read(array, clock)
-    script = Script([])
-    break_wires(rig, script)
+    script = ScriptedFaults([])
+    insert_faults(rig, script)
     script._script = [Fault.UNPLUGGED]
     if serial:
         with pytest.raises(NoAnswer, match=r"photodiodes module 0: .*check address, cable and power"):
@@ -113,11 +113,11 @@ def test_a_wire_whose_plug_was_out_is_opened_again_when_it_is_back(bench: Bench,
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_changed_bytes_over_tcp_end_in_device_errors_at_worst(bench: Bench, seed: int) -> None:
-    """Modbus TCP has no checksum: a changed count passes. Nothing else but an error of ours may come of it."""
+def test_changed_bytes_over_tcp_raise_only_device_errors(bench: BenchOpener, seed: int) -> None:
+    """Modbus TCP has no checksum: a changed count passes. No other exception than DeviceError may be raised."""
     rig = bench(False)
     array, clock = rig.rig.photodiodes, rig.rig.clock
-    break_wires(rig, Misfortune(seed, UNDETECTED_OVER_TCP, 0.5, until=100))
+    insert_faults(rig, FaultPlan(seed, UNDETECTED_OVER_TCP, 0.5, until=100))
     for _ in range(10):
         try:
             read(array, clock, 3)

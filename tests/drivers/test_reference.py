@@ -1,4 +1,4 @@
-"""Whether it is known where an axis is: what one process knows of it, and what the next one makes of that."""
+"""Reference of an axis across processes: what one process stores, and how the next one uses it."""
 
 import contextlib
 
@@ -7,15 +7,15 @@ import pytest
 from goniotwin.drivers import DeviceError, Homing, wait
 from goniotwin.drivers.errors import Forgotten, Unreferenced
 from goniotwin.protocols.tmcl_parameters import SearchMode
-from tests.drivers.axis_bench import DriverBench
+from tests.drivers.axis_bench import AxisBench
 
 PARKED, ANYWHERE = {"power_up_at_reference": True}, {"power_up_at_reference": False}
 HOMING = Homing(mode=SearchMode.HOME_NEGATIVE_NO_STOPS, speed=10.0, switch_speed=0.5, angle_deg=-4.0)
 HOME = {"home_deg": -5.0}
 
 
-def test_an_axis_that_may_be_anywhere_goes_nowhere_after_a_power_up_until_somebody_says_where_it_is() -> None:
-    bench = DriverBench(ANYWHERE).connect()
+def test_after_a_power_up_an_axis_is_unreferenced_until_its_position_is_set() -> None:
+    bench = AxisBench(ANYWHERE).connect()
     with pytest.raises(Unreferenced, match=r"powered up or has reset.*goniotwin home, goniotwin here"):
         bench.axis.start(10.0)
     bench.next_process()
@@ -28,9 +28,9 @@ def test_an_axis_that_may_be_anywhere_goes_nowhere_after_a_power_up_until_somebo
 
 
 @pytest.mark.parametrize("settings", [PARKED, ANYWHERE])
-def test_a_reset_that_a_run_has_met_is_known_to_the_next_process(settings: dict[str, bool]) -> None:
-    """Its counter says 0 at 10 deg, wherever the file says that it is parked."""
-    bench = DriverBench(settings, axes=2).connect()
+def test_a_reset_detected_by_one_process_is_known_to_the_next(settings: dict[str, bool]) -> None:
+    """Its counter is 0 at 10 deg, with `power_up_at_reference` or without it."""
+    bench = AxisBench(settings, axes=2).connect()
     for axis in bench.axes.values():
         axis.set_position()
     bench.move(10.0)
@@ -49,28 +49,28 @@ def test_a_reset_that_a_run_has_met_is_known_to_the_next_process(settings: dict[
     assert not bench.axes["beta"].referenced
 
 
-def test_a_reset_between_two_processes_is_noticed() -> None:
-    bench = DriverBench(ANYWHERE).connect()
+def test_a_reset_between_two_processes_is_detected() -> None:
+    bench = AxisBench(ANYWHERE).connect()
     bench.axis.set_position(0.0)
     bench.move(10.0)
     bench.module.close()
     bench.line.reset(bench.clock.now())
-    for _ in range(2):  # one that connects and ends does not make it good
+    for _ in range(2):  # a process that connects and ends does not reference the axis
         bench.next_process()
         with pytest.raises(Unreferenced):
             bench.axis.start(20.0)
 
 
-def test_a_process_that_ends_between_canary_and_settings_does_not_make_it_good() -> None:
-    bench = DriverBench(ANYWHERE)
-    bench.module.connect()  # the axes are not connected any more
+def test_a_process_that_ends_between_canary_and_settings_does_not_reference_the_axis() -> None:
+    bench = AxisBench(ANYWHERE)
+    bench.module.connect()  # the process ends before its axes are connected
     bench.next_process()
     assert "powered up" in bench.axis.unreferenced_reason
 
 
-def test_what_was_homed_is_believed_by_the_next_process_though_homing_is_required() -> None:
+def test_the_next_process_keeps_the_reference_of_a_homed_axis() -> None:
     required = {"homing": HOMING, "homing_required": True, "power_up_at_reference": False}
-    bench = DriverBench(required, HOME).connect()
+    bench = AxisBench(required, HOME).connect()
     assert "homed" in bench.axis.unreferenced_reason
     wait(bench.clock, [bench.axis.start_homing()])
     bench.next_process()
@@ -78,34 +78,34 @@ def test_what_was_homed_is_believed_by_the_next_process_though_homing_is_require
     assert bench.angle() == pytest.approx(10.0, abs=1e-2)
 
 
-def test_a_search_that_never_ended_leaves_it_in_doubt_for_the_next_process() -> None:
-    bench = DriverBench({"homing": HOMING}, HOME).connect()
+def test_a_search_that_did_not_end_leaves_the_axis_unreferenced_for_the_next_process() -> None:
+    bench = AxisBench({"homing": HOMING}, HOME).connect()
     search = bench.axis.start_homing()
-    bench.keep(search, 0.2)
-    bench.clock.sleep_until(bench.clock.now() + 10.0)  # nobody speaks to it: its heartbeat stops it
+    bench.poll_for(search, 0.2)
+    bench.clock.sleep_until(bench.clock.now() + 10.0)  # the heartbeat stops it
     bench.next_process()
     assert bench.axis.unreferenced_reason == "an earlier run has left it unreferenced"
 
 
-def test_a_stall_that_nobody_asked_for_any_more_is_met_by_the_next_process() -> None:
-    bench = DriverBench({"stall_speed": 1.0, "encoder": False}).connect()
+def test_a_stall_that_was_not_read_is_detected_by_the_next_process() -> None:
+    bench = AxisBench({"stall_speed": 1.0, "encoder": False}).connect()
     move = bench.axis.start(30.0)
-    bench.keep(move, 1.5)
+    bench.poll_for(move, 1.5)
     bench.plant.shafts["sigma"].jam(bench.clock.now())
     bench.clock.sleep_until(bench.clock.now() + 10.0)
     bench.next_process()
     assert bench.axis.unreferenced_reason == "stall has stopped it before it was connected"
 
 
-def slipped(**settings: object) -> DriverBench:
-    bench = DriverBench(dict(settings)).connect()
+def slipped(**settings: object) -> AxisBench:
+    bench = AxisBench(dict(settings)).connect()
     bench.plant.shafts["sigma"].jam(bench.clock.now())
     with contextlib.suppress(DeviceError):
         bench.move(10.0)
     return bench
 
 
-def test_an_encoder_that_disagrees_is_told_with_both_angles_and_stays_told() -> None:
+def test_a_disagreement_of_the_encoder_names_both_angles_and_persists() -> None:
     bench = slipped()
     with pytest.raises(Unreferenced, match=r"sigma: .*10\.000 deg.*0\.000 deg.*0\.05 deg apart; home it"):
         bench.axis.read_back()
@@ -119,22 +119,22 @@ def test_an_encoder_that_disagrees_is_told_with_both_angles_and_stays_told() -> 
     assert bench.axis.read_back()[0] == pytest.approx(10.0)
 
 
-def test_an_encoder_that_disagrees_is_noticed_when_connecting() -> None:
+def test_a_disagreement_of_the_encoder_is_detected_at_connection() -> None:
     bench = slipped()
     bench.next_process()
     assert "its encoder at 0.000 deg" in bench.axis.unreferenced_reason
 
 
 @pytest.mark.parametrize("settings", [{"encoder_tolerance_deg": 0.0}, {"encoder_tolerance_deg": 10.5}, {"encoder": False}])
-def test_the_tolerance_is_the_operators(settings: dict[str, float]) -> None:
+def test_the_encoder_tolerance_is_a_setting(settings: dict[str, float]) -> None:
     bench = slipped(**settings)
     assert bench.axis.read_back()[0] == pytest.approx(10.0)
     bench.next_process()
     assert bench.axis.referenced
 
 
-def test_the_believed_backlash_is_no_disagreement() -> None:
-    bench = DriverBench({"backlash_deg": 0.3}, {"backlash_deg": 0.3}).connect()
+def test_the_stated_backlash_is_within_the_tolerance() -> None:
+    bench = AxisBench({"backlash_deg": 0.3}, {"backlash_deg": 0.3}).connect()
     for angle in (10.0, 5.0, 5.1, 20.0):
         bench.move(angle)
         bench.axis.read_back()
@@ -142,16 +142,16 @@ def test_the_believed_backlash_is_no_disagreement() -> None:
     assert bench.axis.referenced
 
 
-def test_one_wrong_answer_is_no_disagreement(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = DriverBench().connect()
-    answers = iter([3.0, 0.0])
-    monkeypatch.setattr(bench.axis, "encoder_deg", lambda: next(answers))
+def test_a_single_wrong_encoder_reading_is_tolerated(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = AxisBench().connect()
+    readings = iter([3.0, 0.0])
+    monkeypatch.setattr(bench.axis, "encoder_deg", lambda: next(readings))
     assert bench.axis.read_back() == (0.0, 0.0)
     assert bench.axis.referenced
 
 
-def test_the_counter_of_an_axis_that_turns_is_not_held_against_its_encoder() -> None:
-    bench = DriverBench().connect()
+def test_counter_and_encoder_of_a_moving_axis_are_not_compared() -> None:
+    bench = AxisBench().connect()
     bench.axis.start(100.0)
     bench.clock.sleep_until(bench.clock.now() + 1.0)
     bench.next_process()

@@ -1,4 +1,4 @@
-"""Stop in the middle of a campaign, as an event of the virtual clock: how long until its frames are out, and until rest."""
+"""Stop during a campaign, as an event of the virtual clock: time until its frames are sent, and until all axes rest."""
 
 import contextlib
 from collections.abc import Callable
@@ -11,13 +11,13 @@ from goniotwin.drivers.errors import Interrupted
 from goniotwin.drivers.motion.tmcl.module import HEARTBEAT_S
 from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener
-from tests.drivers.busy_rig import RESOLUTION_S, BusyRig, Stop, Watched
+from tests.drivers.busy_rig import RESOLUTION_S, BusyRig, RecordingWire, StopTimes
 
 MOST_S = 0.2
 """DESIGN: from any thread, the stop frames of all axes are on their wires within 200 ms."""
 LONGEST_RAMP_S = 1.0
 """Of the example rig's axes: sigma from 10 deg/s with 10 deg/s^2, beta from 30 with 30."""
-SILENT = ("nobody", "the monochromator", "a converter module", "deaf axes", "mute axes")
+SILENT = ("none", "the monochromator", "a converter module", "deaf axes", "mute axes")
 Work = Callable[[str], BusyRig]
 
 
@@ -34,24 +34,28 @@ def work(opened: RigOpener) -> Work:
     return begin
 
 
-def stopped_once(busy: BusyRig, silent: str) -> Stop:
-    """At a request drawn by lot somebody falls silent; the stop comes from then to when the driver has long given up.
+def stopped_once(busy: BusyRig, silent: str) -> StopTimes:
+    """A device becomes silent at a random request; the stop comes at a random time until well after the driver's timeout.
 
-    Where nobody does it comes in the midst of an exchange, or anywhere within 2 s. It is checked here that the axes rest
-    in time, and that nothing moves from then on.
+    With no silent device it comes during an exchange, or within 2 s. The axes must rest in time, and then nothing moves.
     """
-    clock, lots = busy.clock, busy.random
+    clock, random = busy.clock, busy.random
     wires = [busy.axes, busy.mono, busy.module]
-    falls = {"the monochromator": busy.mono, "a converter module": busy.module, "deaf axes": busy.axes, "mute axes": busy.axes}
-    wire: Watched = falls[silent] if silent in falls else wires[int(lots.integers(len(wires)))]
-    delay = float(lots.uniform(0.0, 1.3 if silent in falls else (0.003, 2.0)[int(lots.integers(2))]))
+    silenced = {
+        "the monochromator": busy.mono,
+        "a converter module": busy.module,
+        "deaf axes": busy.axes,
+        "mute axes": busy.axes,
+    }
+    wire: RecordingWire = silenced[silent] if silent in silenced else wires[int(random.integers(len(wires)))]
+    delay = float(random.uniform(0.0, 1.3 if silent in silenced else (0.003, 2.0)[int(random.integers(2))]))
 
-    def fall(t: float) -> None:
+    def silence(t: float) -> None:
         wire.mute = silent == "mute axes"
-        wire.deaf = silent in falls and not wire.mute
+        wire.deaf = silent in silenced and not wire.mute
         clock.at(t + delay, busy.stop)
 
-    wire.call_at(int(lots.integers(1, 120 if wire is busy.axes else 25)), fall)
+    wire.call_at(int(random.integers(1, 120 if wire is busy.axes else 25)), silence)
     busy.work()
     stop = busy.outcome()
     angles = busy.angles_deg()
@@ -64,24 +68,24 @@ def stopped_once(busy: BusyRig, silent: str) -> Stop:
     if silent == "deaf axes":
         assert stop.rest_s <= HEARTBEAT_S + LONGEST_RAMP_S
     else:
-        # Until the frame is heard an axis may get faster, which takes it as long again on the ramp.
+        # Until it receives the frame an axis may accelerate, which takes as long again on the ramp.
         assert stop.rest_s <= stop.ramp_s + 2.0 * stop.last_frame_s + 2.0 * RESOLUTION_S
-    named = list(busy.rig.axes) if wire is busy.axes and silent in falls else []
+    named = list(busy.rig.axes) if wire is busy.axes and silent in silenced else []
     assert [failure.device for failure in stop.failures] == named
     busy.recover()
     return stop
 
 
 @pytest.mark.parametrize("silent", SILENT)
-def test_whatever_the_rig_is_at_and_whoever_is_silent_all_axes_are_told_in_time_and_rest(work: Work, silent: str) -> None:
+def test_stop_frames_are_sent_in_time_and_all_axes_rest_whichever_device_is_silent(work: Work, silent: str) -> None:
     busy = work(silent)
-    for _ in range(25 if silent == "nobody" else 8):
+    for _ in range(25 if silent == "none" else 8):
         stopped_once(busy, silent)
 
 
 @pytest.mark.parametrize("where", range(40))
-def test_a_stop_while_a_start_still_asks_where_the_others_are_forbids_the_move(opened: RigOpener, where: int) -> None:
-    """Before the arc is sent it is asked where it is and how far it is shifted: some 20 ms, of which this tries each half."""
+def test_a_stop_while_a_start_reads_the_other_axes_prevents_the_move(opened: RigOpener, where: int) -> None:
+    """Before a move of the arc its position and shift are read, about 20 ms; a stop is tried at each half millisecond."""
     opened_rig = opened(clock=VirtualClock())
     rig, clock = opened_rig.rig, opened_rig.rig.clock
     clock.at(clock.now() + 0.0005 * where, rig.stop)
@@ -93,7 +97,7 @@ def test_a_stop_while_a_start_still_asks_where_the_others_are_forbids_the_move(o
 
 
 @pytest.mark.parametrize("after_s", [0.01, 0.2, 0.4, 0.6])
-def test_a_stop_while_the_monochromators_line_is_brought_into_step_forbids_its_move(opened: RigOpener, after_s: float) -> None:
+def test_a_stop_during_a_resynchronisation_of_the_monochromator_prevents_its_slew(opened: RigOpener, after_s: float) -> None:
     rig = opened().rig
     rig.monochromator._wire.in_step = False
     before = rig.monochromator.wavelength_nm()
@@ -105,8 +109,8 @@ def test_a_stop_while_the_monochromators_line_is_brought_into_step_forbids_its_m
     assert rig.monochromator.wavelength_nm() == pytest.approx(before, abs=0.01)
 
 
-def test_while_an_axis_brakes_after_a_stop_nothing_starts_that_depends_on_where_it_will_rest(opened: RigOpener) -> None:
-    """The arc is stopped short of the incoming beam and rests in it: its shift, which is free before, is not any more."""
+def test_while_an_axis_brakes_after_a_stop_no_move_starts_that_depends_on_its_rest_position(opened: RigOpener) -> None:
+    """The arc is stopped just before the incoming beam and rests in it, so that its shift is then blocked."""
     opened_rig = opened(clock=VirtualClock())
     rig, clock, virtual = opened_rig.rig, opened_rig.rig.clock, opened_rig.virtual
     assert virtual is not None
@@ -127,17 +131,17 @@ def test_while_an_axis_brakes_after_a_stop_nothing_starts_that_depends_on_where_
 
 @pytest.mark.long
 @pytest.mark.parametrize("silent", SILENT)
-def test_of_a_thousand_stops_none_is_late(work: Work, silent: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A thousand with nobody silent, a thousand with somebody."""
+def test_a_thousand_stops_are_all_in_time(work: Work, silent: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A thousand stops without a silent device, a thousand with one."""
     busy = work(silent)
     busy.random = np.random.default_rng(1000 + SILENT.index(silent))
-    stops = [stopped_once(busy, silent) for _ in range(1000 if silent == "nobody" else 250)]
+    stops = [stopped_once(busy, silent) for _ in range(1000 if silent == "none" else 250)]
     with capsys.disabled():
-        print(f"\nstop on the virtual clock, {in_words(silent, stops)}")
+        print(f"\nstop on the virtual clock, {summary(silent, stops)}")
 
 
-def in_words(silent: str, stops: list[Stop]) -> str:
-    """Worst and median of many."""
+def summary(silent: str, stops: list[StopTimes]) -> str:
+    """Worst and median times of many stops, as text."""
     frames = 1e3 * np.array([stop.last_frame_s for stop in stops])
     rests = np.array([stop.rest_s for stop in stops])
     returned = 1e3 * max(stop.returned_s for stop in stops)

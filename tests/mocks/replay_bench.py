@@ -7,7 +7,7 @@ import pytest
 
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.drivers import Rig, wait
-from goniotwin.mocks.transcript import Passed, read_transcript
+from goniotwin.mocks.transcript import Transfer, read_transcript
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
 from tests.conftest import Change, Writer
@@ -59,7 +59,7 @@ def read_monitor(rig: Rig) -> float:
     return mean.current_a
 
 
-def transcripts(folder: Path, stem: str) -> list[list[Passed]]:
+def transcripts(folder: Path, stem: str) -> list[list[Transfer]]:
     """Of all files whose names begin so."""
     found = [read_transcript(path) for path in sorted(folder.glob(f"{stem}*.txt"))]
     assert found
@@ -72,7 +72,7 @@ def virtual(rig: OpenRig) -> VirtualRig:
     return rig.virtual
 
 
-def same(one: list[Passed], other: list[Passed], late: float = 1e-3) -> bool:
+def same(one: list[Transfer], other: list[Transfer], late: float = 1e-3) -> bool:
     """The same bytes in the same order at the same times, to a share of the time since the start."""
     pairs = list(zip(one, other, strict=True))
     assert [(each.direction, each.data) for each in one] == [(each.direction, each.data) for each in other]

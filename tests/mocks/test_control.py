@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from goniotwin.app.rig import read_rig
 from goniotwin.drivers import DeviceError, wait
-from goniotwin.mocks.bad_wires import BadWires
-from goniotwin.mocks.control import BackDoor, ControlServer
+from goniotwin.mocks.control import ControlPort, ControlServer
+from goniotwin.mocks.faulty_wires import FaultyWires
 from goniotwin.mocks.loopback import LOOPBACK
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
@@ -24,7 +24,7 @@ QUIET = ("noise = true", "noise = false")
 def test_a_jammed_axis_does_not_turn_and_the_encoder_tells(opened: RigOpener) -> None:
     rig = opened(QUIET)
     assert rig.virtual is not None
-    door = BackDoor(rig.virtual)
+    door = ControlPort(rig.virtual)
     assert door.obey(b'{"do": "jam", "axis": "beta"}') == {"ok": True}
     before = rig.virtual.plant.angle_deg("beta", rig.rig.clock.now())
     with contextlib.suppress(DeviceError):  # an axis that watches its encoder says so
@@ -48,7 +48,7 @@ BAD = [
 def test_a_bad_order_is_answered_in_words(opened: RigOpener, line: bytes) -> None:
     rig = opened(QUIET)
     assert rig.virtual is not None
-    answer: dict[str, Any] = BackDoor(rig.virtual).obey(line)
+    answer: dict[str, Any] = ControlPort(rig.virtual).obey(line)
     assert answer["ok"] is False
     assert answer["error"]
     assert json.dumps(answer)
@@ -57,7 +57,7 @@ def test_a_bad_order_is_answered_in_words(opened: RigOpener, line: bytes) -> Non
 def test_only_null_takes_the_sample_out(opened: RigOpener) -> None:
     rig = opened(QUIET)
     assert rig.virtual is not None
-    door = BackDoor(rig.virtual)
+    door = ControlPort(rig.virtual)
     assert door.obey(b'{"do": "mount", "sample": "etalon"}') == {"ok": True}
     assert not door.obey(b'{"do": "mount"}')["ok"]
     assert door.obey(b'{"do": "state"}')["sample"] == "etalon"
@@ -83,23 +83,23 @@ ORDERS = st.builds(
 
 
 @pytest.fixture(scope="module")
-def door() -> BackDoor:
+def door() -> ControlPort:
     model = read_rig(RIG).model()
     assert model is not None
     clock = VirtualClock()
     rig = VirtualRig.build(model, clock)
-    wires = BadWires(rig, clock)
+    wires = FaultyWires(rig, clock)
     for name, device in rig.serial.items():
         wires.line(name, device, lambda: None, lambda: None)
     for name in rig.modbus:
         wires.connections(name, lambda: None, lambda: None)
     for name in [*rig.usb]:
         wires.usb(name, lambda: None, lambda reset: None)
-    return BackDoor(rig, wires.orders)
+    return ControlPort(rig, wires.orders)
 
 
 @given(line=st.binary(max_size=200) | (JSON | ORDERS).map(lambda value: json.dumps(value).encode()))
-def test_whatever_is_said_is_answered(door: BackDoor, line: bytes) -> None:
+def test_whatever_is_said_is_answered(door: ControlPort, line: bytes) -> None:
     answer = door.obey(line)
     assert isinstance(answer["ok"], bool)
     assert answer["ok"] or answer["error"]
@@ -107,7 +107,7 @@ def test_whatever_is_said_is_answered(door: BackDoor, line: bytes) -> None:
 
 
 @pytest.mark.endpoint
-def test_a_line_without_end_is_answered_once_and_the_next_one_is_heard(door: BackDoor) -> None:
+def test_a_line_without_end_is_answered_once_and_the_next_one_is_heard(door: ControlPort) -> None:
     server = ControlServer(door)
     server.start()
     try:

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from goniotwin.drivers import TmclModule
 from goniotwin.drivers.errors import DeviceError
 from goniotwin.mocks.replay import RecordedDevice, replay_to_device
-from goniotwin.mocks.transcript import Passed, read_transcript
+from goniotwin.mocks.transcript import Transfer, read_transcript
 from goniotwin.protocols.clock import VirtualClock
-from goniotwin.protocols.tmcl import Axis, Command, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from goniotwin.twin.devices import TmclLine
 from goniotwin.twin.doors import protocol_twin
 from tests.conftest import RigOpener
@@ -40,9 +41,9 @@ def test_another_device_is_found_out_byte_by_byte(opened: RigOpener, recorded: P
     rig = opened(QUIET).virtual
     assert rig is not None
     transcript = read_transcript(recorded)
-    asked = next(each for each in transcript if each.data[1:4] == bytes((Command.GAP, Axis.ACTUAL_POSITION, 4)))
+    asked = next(each for each in transcript if each.data[1:4] == bytes((Command.GAP, AxisParameter.ACTUAL_POSITION, 4)))
     device = TmclLine(rig.plant)
-    device.receive(Request(1, Command.SAP, Axis.ACTUAL_POSITION, 4, 258).encode(), 0.0)
+    device.receive(CommandFrame(1, Command.SAP, AxisParameter.ACTUAL_POSITION, 4, 258).encode(), 0.0)
     device.outbox.clear()
     difference, *others = replay_to_device(device, transcript)
     assert all("byte 6: 00 recorded, 01 now" in str(each) for each in others)  # it was asked for more than once
@@ -63,10 +64,10 @@ def test_drivers_that_say_the_same_get_the_same(recorded: Path) -> None:
     device = RecordedDevice(transcript, 115200)
     clock = VirtualClock()
     module = TmclModule(lambda baud, timeout: _port(device, clock), clock)
-    requests = [Request.decode(each.data) for each in transcript if each.direction == ">"]
+    requests = [CommandFrame.decode(each.data) for each in transcript if each.direction == ">"]
     assert module.connect() == 6214
     for request in requests[5:]:  # connecting has asked who it is, and has set heartbeat and canary
-        if request.type == Axis.ACTUAL_POSITION:
+        if request.type == AxisParameter.ACTUAL_POSITION:
             clock.sleep_until(clock.now() + 0.05)  # as long after the last question as to need no other between
         module.exchange(request)
     assert device.finished
@@ -79,7 +80,7 @@ def test_drivers_that_say_something_else_are_found_out(recorded: Path) -> None:
     module = TmclModule(lambda baud, timeout: _port(device, clock), clock)
     module.connect()
     with pytest.raises(DeviceError):
-        module.exchange(Request(1, Command.GAP, 99, 5))
+        module.exchange(CommandFrame(1, Command.GAP, 99, 5))
     assert device.differences[0].direction == ">"
 
 
@@ -98,12 +99,12 @@ def _port(device: RecordedDevice, clock: VirtualClock) -> serial.Serial:
     return Port(device, clock)  # type: ignore[return-value]
 
 
-def passed(*exchanges: tuple[bytes, bytes]) -> list[Passed]:
+def passed(*exchanges: tuple[bytes, bytes]) -> list[Transfer]:
     """Told and recorded, a second each."""
     found = []
     for k, (told, answer) in enumerate(exchanges):
-        found.append(Passed(float(k), ">", told, 2 * k + 1))
-        found += [Passed(k + 0.5, "<", answer, 2 * k + 2)] if answer else []
+        found.append(Transfer(float(k), ">", told, 2 * k + 1))
+        found += [Transfer(k + 0.5, "<", answer, 2 * k + 2)] if answer else []
     return found
 
 
@@ -123,7 +124,7 @@ class Says:
         pass
 
 
-def told(transcript: list[Passed], *answers: bytes) -> list[tuple[int, bytes, bytes]]:
+def told(transcript: list[Transfer], *answers: bytes) -> list[tuple[int, bytes, bytes]]:
     """Lines of the differences, what was recorded, what is said now."""
     differences = replay_to_device(Says(*answers), transcript)
     return [(each.line, each.recorded, each.replayed) for each in differences]

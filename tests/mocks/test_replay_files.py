@@ -17,7 +17,7 @@ from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
 from goniotwin.drivers.usb import usbtmc
-from goniotwin.mocks.transcript import Passed, TranscriptError, exchanges, merged, read_transcript
+from goniotwin.mocks.transcript import TranscriptError, Transfer, exchanges, merge_transcripts, read_transcript
 from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener
 from tests.mocks.replay_bench import QUIET, read_photodiodes
@@ -62,19 +62,22 @@ def test_any_bytes_have_words_of_one_line(words: Explain, direction: str, data: 
 @given(st.lists(PIECES, max_size=4))
 def test_merged_transcripts_keep_all_and_each_its_order(lists: list[list[tuple[float, str, bytes]]]) -> None:
     files = [
-        [Passed(t, direction, data, k, str(name)) for k, (t, direction, data) in enumerate(sorted(pieces, key=lambda p: p[0]))]
+        [
+            Transfer(t, direction, data, k, str(name))
+            for k, (t, direction, data) in enumerate(sorted(pieces, key=lambda p: p[0]))
+        ]
         for name, pieces in enumerate(lists)
     ]
-    line = merged(files)
+    line = merge_transcripts(files)
     assert [each.t for each in line] == sorted(each.t for file in files for each in file)
     assert [[each for each in line if each.file == str(name)] for name in range(len(files))] == files
-    assert [each for one in exchanges(line) for each in ([one.told] if one.told else []) + one.answers] == line
+    assert [each for one in exchanges(line) for each in ([one.sent] if one.sent else []) + one.answers] == line
 
 
 def test_where_times_are_equal_an_answer_comes_before_the_next_question() -> None:
-    first = [Passed(0.0, ">", b"a", 1), Passed(1.0, "<", b"b", 2)]
-    second = [Passed(1.0, ">", b"c", 1), Passed(1.0, "<", b"d", 2)]
-    assert [each.data for each in merged([second, first])] == [b"a", b"b", b"c", b"d"]
+    first = [Transfer(0.0, ">", b"a", 1), Transfer(1.0, "<", b"b", 2)]
+    second = [Transfer(1.0, ">", b"c", 1), Transfer(1.0, "<", b"d", 2)]
+    assert [each.data for each in merge_transcripts([second, first])] == [b"a", b"b", b"c", b"d"]
 
 
 @given(st.text(max_size=80))
@@ -113,7 +116,7 @@ def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, text: str, why: str
 def test_files_of_other_systems_are_read(tmp_path: Path) -> None:
     path = tmp_path / "axes.txt"
     path.write_bytes(b"\xef\xbb\xbf# time\r\n 1.5 > 01 02 | told\r\n 1.6 < 03 | whole, though its line has no end")
-    assert read_transcript(path) == [Passed(1.5, ">", b"\1\2", 2, "axes.txt"), Passed(1.6, "<", b"\3", 3, "axes.txt")]
+    assert read_transcript(path) == [Transfer(1.5, ">", b"\1\2", 2, "axes.txt"), Transfer(1.6, "<", b"\3", 3, "axes.txt")]
 
 
 # ---- a disk that is full ----

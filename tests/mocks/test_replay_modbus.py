@@ -6,7 +6,7 @@ import pytest
 
 from goniotwin.drivers import DeviceError, wait
 from goniotwin.mocks.replay import LineReplay, RecordedDevice, replay_all, replay_to_device
-from goniotwin.mocks.transcript import Passed, merged
+from goniotwin.mocks.transcript import Transfer, merge_transcripts
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
@@ -27,7 +27,7 @@ from tests.mocks.replay_bench import (
 from tests.mocks.replay_bench import rig_of as rig_of
 
 
-def record(rig_of: RigMaker, folder: Path, *changes: Change) -> tuple[list[list[Passed]], list[list[int]]]:
+def record(rig_of: RigMaker, folder: Path, *changes: Change) -> tuple[list[list[Transfer]], list[list[int]]]:
     """What passed when the photodiodes were connected and read; a transcript for each unit, and the counts."""
     rig = rig_of(*changes, transcript=folder)
     rig.rig.photodiodes.connect()
@@ -44,12 +44,12 @@ def end(rig: VirtualRig, index: int) -> tuple[SerialDevice, float]:
     return (rig.serial["adcs"], 0.0) if module.model.serial else (TcpStation(module), 0.5 * module.latency_s)
 
 
-def put_in_place(rig: VirtualRig, recorded: list[list[Passed]]) -> list[RecordedDevice]:
+def put_in_place(rig: VirtualRig, recorded: list[list[Transfer]]) -> list[RecordedDevice]:
     """Recorded devices instead of the twin's modules."""
     line = rig.serial.get("adcs")
     if line is not None:
         gap_s = GAP_CHARACTERS * BITS_A_BYTE / line.baudrate  # after which an answer is known to be over
-        rig.serial["adcs"] = device = RecordedDevice(merged(recorded), line.baudrate, gap_s)
+        rig.serial["adcs"] = device = RecordedDevice(merge_transcripts(recorded), line.baudrate, gap_s)
         return [device]
     devices = [RecordedDevice(each, way_s=0.5 * rig.modbus["adc-0"].latency_s) for each in recorded]
     for index, each in enumerate(devices):
@@ -105,7 +105,7 @@ def test_a_module_that_is_not_there_says_nothing(rig_of: RigMaker, tmp_path: Pat
 
 def test_the_files_of_one_line_are_told_as_the_line_saw_them(rig_of: RigMaker, tmp_path: Path) -> None:
     recorded, _ = record(rig_of, tmp_path, *RTU)
-    line = merged(recorded)
+    line = merge_transcripts(recorded)
     assert [each.direction for each in line] == [">", "<"] * (len(line) // 2)  # one talks at a time
     assert sorted(line, key=lambda each: each.t) == line
     assert all(told.data[0] == answer.data[0] for told, answer in zip(line[::2], line[1::2], strict=True))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from goniotwin.app.rig import read_rig
 from goniotwin.mocks.replay import LineReplay, RecordedDevice, Replay, replay_all
 from goniotwin.mocks.replay_usb import RecordedUsb, UsbReplay
-from goniotwin.mocks.transcript import Passed
+from goniotwin.mocks.transcript import Transfer
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.modbus import TcpStation
@@ -19,14 +19,14 @@ from tests.mocks.replay_bench import rig_of as rig_of
 STEMS = ("axes", "monochromator", "monitor", "photodiodes")
 
 
-def record(rig_of: RigMaker, folder: Path) -> dict[str, list[list[Passed]]]:
+def record(rig_of: RigMaker, folder: Path) -> dict[str, list[list[Transfer]]]:
     rig = rig_of(transcript=folder)
     session(rig.rig)
     rig.close()
     return {stem: transcripts(folder, stem) for stem in STEMS}
 
 
-def wires(rig: VirtualRig, recorded: dict[str, list[list[Passed]]]) -> list[Replay]:
+def wires(rig: VirtualRig, recorded: dict[str, list[list[Transfer]]]) -> list[Replay]:
     return [
         LineReplay(rig.serial["axes"], recorded["axes"][0]),
         LineReplay(rig.serial["mono"], recorded["monochromator"][0]),
@@ -68,7 +68,7 @@ def test_the_drivers_do_the_same_again_on_recorded_devices(rig_of: RigMaker, tmp
 MODEL = read_rig(RIG).model()
 ANYTHING = st.lists(
     st.builds(
-        Passed,
+        Transfer,
         st.floats(-1e9, 1e9),
         st.sampled_from("<>"),
         st.one_of(st.binary(min_size=1, max_size=24), st.binary(min_size=8, max_size=9)),
@@ -80,7 +80,7 @@ ANYTHING = st.lists(
 
 @settings(deadline=None)
 @given(ANYTHING)
-def test_any_transcript_can_be_told_to_any_device(transcript: list[Passed]) -> None:
+def test_any_transcript_can_be_told_to_any_device(transcript: list[Transfer]) -> None:
     assert MODEL is not None
     rig = VirtualRig.build(MODEL, VirtualClock())
     anywhere = {"axes": [transcript], "monochromator": [transcript], "monitor": [transcript], "photodiodes": [transcript] * 5}

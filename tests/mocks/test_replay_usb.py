@@ -6,8 +6,8 @@ import pytest
 
 from goniotwin.drivers import DeviceError
 from goniotwin.mocks.replay_usb import RecordedUsb, replay_to_usb
-from goniotwin.mocks.transcript import Passed
-from goniotwin.protocols.usbtmc import Request, StatusByte
+from goniotwin.mocks.transcript import Transfer
+from goniotwin.protocols.usbtmc import ClassRequest, StatusByte
 from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
 from tests.mocks.replay_bench import QUIET, RigMaker, read_monitor, same, transcripts, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
@@ -22,7 +22,7 @@ def twin(rig_of: RigMaker, *, hoards: bool = False) -> UsbTmcDevice:
     return device
 
 
-def record(rig_of: RigMaker, folder: Path, *, hoards: bool = False) -> tuple[list[Passed], float]:
+def record(rig_of: RigMaker, folder: Path, *, hoards: bool = False) -> tuple[list[Transfer], float]:
     """What passed when it was connected, read, asked for its status, aborted and cleared; and what it read."""
     rig = rig_of(QUIET, transcript=folder)
     device = virtual(rig).usb["monitor"]
@@ -47,7 +47,7 @@ def test_a_session_has_all_kinds_of_transfers(rig_of: RigMaker, tmp_path: Path) 
     assert any(len(data) > 12 for data in told)
     assert any(len(data) > 12 for data in said)
     assert bytes((0x02, 1, 0, 0, BULK_OUT, 0, 0, 0)) in told
-    assert any(data[:2] == bytes((0xA1, Request.READ_STATUS_BYTE)) for data in told)
+    assert any(data[:2] == bytes((0xA1, ClassRequest.READ_STATUS_BYTE)) for data in told)
     assert any(len(data) == 2 and data[0] & 0x80 for data in said)
 
 
@@ -65,7 +65,7 @@ def test_another_reading_is_found_out_byte_by_byte(rig_of: RigMaker, tmp_path: P
 
 def test_another_status_is_found_out_in_its_notice(rig_of: RigMaker, tmp_path: Path) -> None:
     transcript, _ = record(rig_of, tmp_path)
-    asked = next(k for k, each in enumerate(transcript) if each.data[:2] == bytes((0xA1, Request.READ_STATUS_BYTE)))
+    asked = next(k for k, each in enumerate(transcript) if each.data[:2] == bytes((0xA1, ClassRequest.READ_STATUS_BYTE)))
     device = twin(rig_of)
     assert replay_to_usb(device, transcript[:asked]) == []
     device.instrument.execute(b"*ESE 32;NONSENSE", transcript[asked].t)

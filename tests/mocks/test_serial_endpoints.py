@@ -14,14 +14,15 @@ from goniotwin.mocks.serial_endpoints import SerialEndpoints, ptys_exist
 from goniotwin.mocks.serial_ends import OWED_AT_MOST, owed
 from goniotwin.mocks.served import ServedRig
 from goniotwin.protocols.clock import RealClock
-from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.cornerstone260 import IDENTITY
 from tests.conftest import RigOpener
 
 pytestmark = pytest.mark.endpoint
 WALL = RealClock()
-ASK = Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4).encode()
+ASK = CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4).encode()
 
 
 @dataclass
@@ -82,7 +83,7 @@ def test_pytrinamic_drives_the_twin_over_a_pty(served: Served) -> None:
 
 def test_a_move_over_one_end_is_seen_at_the_other(served: Served) -> None:
     first = serial.serial_for_url(f"socket://127.0.0.1:{served.port}", timeout=5.0)
-    first.write(Request(1, Command.MVP, 0, 4, 5000).encode())
+    first.write(CommandFrame(1, Command.MVP, 0, 4, 5000).encode())
     assert len(first.read(9)) == 9
     first.close()
     clock = served.rig.clock
@@ -98,7 +99,7 @@ def test_a_killed_client_leaves_it_well(served: Served) -> None:
     served.rig.clock.sleep_until(served.rig.clock.now() + 2.0)  # longer than a partial frame lives
     port = serial.serial_for_url(f"socket://127.0.0.1:{served.port}", timeout=5.0)
     port.write(ASK)
-    assert Reply.decode(port.read(9)).command == Command.GAP
+    assert ReplyFrame.decode(port.read(9)).command == Command.GAP
     port.close()
 
 
@@ -121,8 +122,8 @@ def test_whoever_opens_a_pty_is_not_told_what_was_said_to_others_before(served: 
         other.read(9)
     other.close()
     port = serial.Serial(str(served.pty), 115200, timeout=5.0)
-    port.write(Request(1, Command.GGP, 1, 2).encode())
-    assert Reply.decode(port.read(9)).command == Command.GGP
+    port.write(CommandFrame(1, Command.GGP, 1, 2).encode())
+    assert ReplyFrame.decode(port.read(9)).command == Command.GGP
     assert port.in_waiting == 0
     port.close()
 

@@ -10,7 +10,7 @@ import usb.core
 import usbtmc
 
 from goniotwin.app.rig import read_rig
-from goniotwin.app.rig.opening import usbip_address
+from goniotwin.app.rig.addresses import usbip_address
 from goniotwin.drivers import Monitor, MonitorSettings, wait
 from goniotwin.drivers.errors import DeviceError
 from goniotwin.drivers.usb.usbip import UsbIpBackend, find_usbip

@@ -82,9 +82,9 @@ def test_what_python_takes_for_a_number_and_the_unit_never_says_is_none(line: by
 def test_a_grating_survives_the_wire_and_units_agree() -> None:
     assert cs.Grating.decode(b"1,1200,VIS") == cs.Grating(1, 1200, "VIS")
     assert cs.Grating.decode(cs.Grating(2, 600, "").encode().encode()) == cs.Grating(2, 600, "")
-    assert (cs.Unit.UM.encode(546.07), cs.Unit.WN.encode(500.0), cs.Unit.NM.encode(546.07)) == (
+    assert (cs.WavelengthUnit.UM.encode(546.07), cs.WavelengthUnit.WN.encode(500.0), cs.WavelengthUnit.NM.encode(546.07)) == (
         "0.546070",
         "20000.00",
         "546.070",
     )
-    assert cs.Unit.WN.to_nm(20000.0) == pytest.approx(500.0)
+    assert cs.WavelengthUnit.WN.to_nm(20000.0) == pytest.approx(500.0)

@@ -21,8 +21,8 @@ def _taker(take: Callable[[bytearray], object], zeros: int | None = None) -> Cal
 
 # Bytes that mean something to a decoder are drawn as often as all others together, so that it gets far.
 DECODERS: dict[str, tuple[Callable[[bytes], object], type[ValueError], bytes]] = {
-    "TMCL request": (tmcl.Request.decode, tmcl.FrameError, bytes(range(9))),
-    "TMCL reply": (tmcl.Reply.decode, tmcl.FrameError, bytes((1, 2, 4, 5, 6, 100))),
+    "TMCL request": (tmcl.CommandFrame.decode, tmcl.FrameError, bytes(range(9))),
+    "TMCL reply": (tmcl.ReplyFrame.decode, tmcl.FrameError, bytes((1, 2, 4, 5, 6, 100))),
     "TMCL version": (tmcl.decode_version_text, tmcl.FrameError, b"6214V1"),
     "Cornerstone statement": (cornerstone.Statement.decode, cornerstone.StatementError, b"GOWAVE? 0123.\r\n"),
     "Cornerstone status": (cornerstone.decode_status, cornerstone.StatementError, b"0123456789ABCDEF\r\n"),

@@ -14,7 +14,7 @@ from goniotwin.protocols.clock import RealClock
 MAIN = [sys.executable, "-m", "goniotwin"]
 Served = tuple[subprocess.Popen[str], list[dict[str, Any]]]
 Serve = Callable[..., Served]
-"""Serves a rig file, with further options; its process, and the lines in which it says where everything is."""
+"""Function that serves a rig file with further options; returns the process and the lines with its addresses."""
 
 
 @pytest.fixture
@@ -39,13 +39,13 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
         process.communicate()
 
 
-def until(happened: Callable[[], bool], a_look_s: float = 0.01) -> None:
-    """Waits for what another process does, and leaves it the processor meanwhile."""
+def until(condition: Callable[[], bool], period_s: float = 0.01) -> None:
+    """Wait for a condition that another process fulfils, and leave the processor to that process."""
     clock = RealClock()
-    while not happened():
-        clock.sleep_until(clock.now() + a_look_s)
+    while not condition():
+        clock.sleep_until(clock.now() + period_s)
 
 
 def at(lines: list[dict[str, Any]], device: str, key: str) -> dict[str, Any]:
-    """The line of a device that has `key`."""
+    """The address line of a device that has `key`."""
     return next(line for line in lines if line["device"] == device and key in line)

@@ -17,7 +17,8 @@ from contextlib import AbstractContextManager
 import serial
 
 from goniotwin.protocols.clock import RealClock
-from goniotwin.protocols.tmcl import Axis, Command, FrameError, Reply, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame, FrameError, ReplyFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 
 QUESTIONS = 25
 TALKING = "talking"
@@ -42,12 +43,16 @@ def tmcl(place: str, rude: bool) -> Iterator[None]:
     with opened(place, 115200) as port:
         port.reset_input_buffer()
         for number in range(QUESTIONS):
-            moved = Request(1, Command.MVP, 0, 5, 100 * number)
-            asked = (Request(1, Command.GGP, 254, 2), Request(1, Command.GAP, Axis.ACTUAL_POSITION, 5), moved)[number % 3]
+            moved = CommandFrame(1, Command.MVP, 0, 5, 100 * number)
+            asked = (
+                CommandFrame(1, Command.GGP, 254, 2),
+                CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 5),
+                moved,
+            )[number % 3]
             port.write(asked.encode())
             answer = port.read(9)
             try:
-                if Reply.decode(answer).command != asked.command:
+                if ReplyFrame.decode(answer).command != asked.command:
                     raise Wrong(f"{asked}: {answer.hex(' ')}")
             except FrameError as error:
                 raise Wrong(f"{asked}: {answer.hex(' ')}: {error}") from None

@@ -33,13 +33,13 @@ class Start(QObject):
     @Slot()
     def _look(self) -> None:
         for window in self._application.topLevelWidgets():
-            if isinstance(window, MainWindow) and window.parts.run.start_button.isEnabled():
+            if isinstance(window, MainWindow) and window.view.run.start_button.isEnabled():
                 self._timer.stop()
-                shown = window.parts.plot.findChild(pg.PlotWidget)
+                shown = window.view.plot.findChild(pg.PlotWidget)
                 assert shown is not None
                 shown.viewport().installEventFilter(self)
-                window.session.heard.connect(self._report)
-                window.parts.run.start_button.click()
+                window.presenter.message_shown.connect(self._report)
+                window.view.run.start_button.click()
 
     @Slot(object)
     def _report(self, message: object) -> None:

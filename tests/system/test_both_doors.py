@@ -9,8 +9,8 @@ import pytest
 
 from tests.conftest import Change, Writer
 from tests.drivers.photodiode_bench import SERIAL
+from tests.system.command import goniotwin, invoke
 from tests.system.conftest import Serve
-from tests.system.test_command import goniotwin, invoked
 
 STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 ROWS = """
@@ -41,7 +41,7 @@ def test_planned_rows_have_the_same_values_through_both_doors(
     rig, schedule = write_rig(*STEADY, *converters), write_schedule(("[1e8, 1e10]", gains))
     there = tmp_path / "served.toml"
     serve(rig, "--speed", 5, "--write-rig", there)
-    for call, name, file in ((invoked, "twin", rig), (goniotwin, "served", there)):
+    for call, name, file in ((invoke, "twin", rig), (goniotwin, "served", there)):
         done = call("run", schedule, "--rig", file, "--out", tmp_path / f"{name}.journal", "--json")
         assert done.returncode == 0, done.stderr
         assert json.loads(done.stdout)["simulated"] is True

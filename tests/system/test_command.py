@@ -1,77 +1,23 @@
-"""The command `goniotwin`, as people and programs call it."""
+"""The command `goniotwin`: demo, run, check, export, help, and refusals of wrong input."""
 
-import contextlib
-import io
-import json
-import os
 import re
-import signal
 import sqlite3
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from goniotwin.app.cli.main import main
-from goniotwin.app.end_signals import END_SIGNALS
 from tests.conftest import RIG, SCHEDULE, Change, Writer
-
-Call = Callable[..., subprocess.CompletedProcess[str]]
-
-
-def goniotwin(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Runs it in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "goniotwin", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-        timeout=300,
-        check=False,
-    )
-
-
-def invoked(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Runs it in this process: a hundred times cheaper, for what starts nothing (help, refusals) and for short work."""
-    given = [str(each) for each in arguments]
-    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        contextlib.redirect_stdout(io.StringIO()) as out,
-        contextlib.redirect_stderr(io.StringIO()) as err,
-    ):
-        patch.setattr(sys, "argv", ["goniotwin", *given])
-        try:
-            with pytest.raises(SystemExit) as ended:
-                main()
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-    assert isinstance(ended.value.code, int)
-    return subprocess.CompletedProcess(given, ended.value.code, out.getvalue(), err.getvalue())
-
-
-CALLS = [pytest.param(invoked, id="here"), pytest.param(goniotwin, id="in a process", marks=pytest.mark.long)]
-"""Each way to call it gives the same: in this process always, in one of its own in `make test-long`."""
-
-
-def answer(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
-    """The one JSON object of standard output."""
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+from tests.system.command import CALLS, Call, goniotwin, invoke, json_result
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("demo")
-    return folder, answer(goniotwin("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
+    return folder, json_result(goniotwin("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
 
 
-def test_the_demo_says_how_good_it_is(demo: tuple[Path, dict[str, Any]]) -> None:
+def test_the_demo_reports_its_deviation_from_theory(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, result = demo
     assert result["rows"] == 130
     assert result["simulated"] is True
@@ -83,14 +29,14 @@ def test_the_demo_says_how_good_it_is(demo: tuple[Path, dict[str, Any]]) -> None
     assert (folder / "quick.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_check_foretells_the_journals_duration(demo: tuple[Path, dict[str, Any]]) -> None:
-    foretold = answer(invoked("check", SCHEDULE, "--rig", RIG, "--json"))
-    assert foretold["rows"] == 130
-    assert foretold["duration_s"] == pytest.approx(demo[1]["duration_s"], rel=0.01)
+def test_check_predicts_the_duration_of_the_journal(demo: tuple[Path, dict[str, Any]]) -> None:
+    predicted = json_result(invoke("check", SCHEDULE, "--rig", RIG, "--json"))
+    assert predicted["rows"] == 130
+    assert predicted["duration_s"] == pytest.approx(demo[1]["duration_s"], rel=0.01)
     database = sqlite3.connect(demo[0] / "quick.journal")
     (seconds,) = database.execute("SELECT MAX(ended_s) - MIN(started_s) FROM attempt").fetchone()
     database.close()
-    assert seconds == pytest.approx(foretold["duration_s"], rel=0.01)
+    assert seconds == pytest.approx(predicted["duration_s"], rel=0.01)
 
 
 def test_every_wire_of_the_demo_has_a_transcript(demo: tuple[Path, dict[str, Any]]) -> None:
@@ -106,12 +52,12 @@ def test_every_wire_of_the_demo_has_a_transcript(demo: tuple[Path, dict[str, Any
     assert "MVP ABSOLUTE motor 4" in wires["axes"]
     assert "'GOWAVE 550.000\\n'" in wires["monochromator"]
     assert "'READ?\\n'" in wires["monitor"]
-    # Each request has its answer.
+    # Each request has a response.
     assert wires["axes"].count(" > ") == wires["axes"].count(" < ")
 
 
-def dump(path: Path) -> list[str]:
-    """A journal as text, without its wall-clock stamps."""
+def dump_journal(path: Path) -> list[str]:
+    """A journal as SQL text, without its wall-clock times."""
     database = sqlite3.connect(path)
     lines = [re.sub(r"'\d{4}-\d\d-\d\dT[^']*'", "'stamp'", line) for line in database.iterdump()]
     database.close()
@@ -123,24 +69,26 @@ def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
     for name, threads in (("one", "1"), ("two", "2")):
-        answer(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name, "--json", NUMBA_NUM_THREADS=threads))
-    answer(invoked("run", schedule, "--rig", rig, "--out", tmp_path / "again", "--json"))
-    assert dump(tmp_path / "one") == dump(tmp_path / "two") == dump(tmp_path / "again")
+        json_result(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name, "--json", NUMBA_NUM_THREADS=threads))
+    json_result(invoke("run", schedule, "--rig", rig, "--out", tmp_path / "again", "--json"))
+    assert dump_journal(tmp_path / "one") == dump_journal(tmp_path / "two") == dump_journal(tmp_path / "again")
     other = write_rig(("seed = 1", "seed = 2"), name="other.toml")
-    answer(invoked("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
-    assert dump(tmp_path / "other") != dump(tmp_path / "one")
+    json_result(invoke("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
+    assert dump_journal(tmp_path / "other") != dump_journal(tmp_path / "one")
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_run_and_export_are_one_after_the_other(write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call) -> None:
+def test_a_run_leaves_one_file_which_can_be_exported(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, call: Call
+) -> None:
     journal = tmp_path / "a.journal"
-    result = answer(call("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
+    result = json_result(call("run", write_schedule(), "--rig", write_rig(), "--out", journal, "--json"))
     assert result["state"] == "done"
     assert result["rows"] == result["planned"]
-    assert sorted(path.name for path in tmp_path.glob("a.journal*")) == ["a.journal"]  # one file, nothing beside it
+    assert sorted(path.name for path in tmp_path.glob("a.journal*")) == ["a.journal"]  # one file and no auxiliary files
     before = journal.read_bytes()
     for name in ("ddr", "csv"):
-        exported = answer(call("export", journal, "--format", name, "--out", tmp_path / f"a.{name}", "--json"))
+        exported = json_result(call("export", journal, "--format", name, "--out", tmp_path / f"a.{name}", "--json"))
         assert exported["values"] > 0
         assert exported["simulated"] is True
         assert "SIMULATED" in (tmp_path / f"a.{name}").read_text(encoding="utf-8")
@@ -184,7 +132,7 @@ def test_bad_input_is_one_line_and_leaves_no_journal(
 
 @pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize("command", [[], ["run"], ["check"], ["export"], ["demo"], ["desktop"], ["home"], ["here"]])
-def test_help_is_worth_reading(command: list[str], call: Call) -> None:
+def test_each_command_has_help(command: list[str], call: Call) -> None:
     done = call(*command, "--help")
     assert done.returncode == 0
     assert "Usage" in done.stdout
@@ -198,8 +146,8 @@ def test_a_wrong_option_is_status_2(call: Call) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["run", "--nonsense"], ["check", "nothing.toml", "--rig", RIG]])
-def test_a_process_of_its_own_ends_as_a_call_does(arguments: list[object]) -> None:
-    here, there = invoked(*arguments), goniotwin(*arguments)
-    assert (there.returncode, there.stderr) == (here.returncode, here.stderr)
-    # Before that is the program's name, which here is pytest's.
-    assert there.stdout.partition("[OPTIONS]")[2] == here.stdout.partition("[OPTIONS]")[2]
+def test_a_process_ends_as_a_call_in_this_process_does(arguments: list[object]) -> None:
+    called, own = invoke(*arguments), goniotwin(*arguments)
+    assert (own.returncode, own.stderr) == (called.returncode, called.stderr)
+    # Before that is the program's name, which in this process is pytest's.
+    assert own.stdout.partition("[OPTIONS]")[2] == called.stdout.partition("[OPTIONS]")[2]

@@ -1,4 +1,4 @@
-"""Requests to end that come twice: the first is obeyed in good order, and nothing breaks that off."""
+"""Repeated signals to end: the first stops the run in good order, and further ones do not interrupt that."""
 
 import signal
 import sqlite3
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from tests.conftest import Writer
 from tests.system.conftest import MAIN, Serve, at, until
 
@@ -15,12 +15,12 @@ QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per
 
 
 @pytest.mark.parametrize("second", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
-def test_a_second_request_does_not_break_off_the_stop(
+def test_a_second_signal_does_not_interrupt_the_stop(
     write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path, second: int
 ) -> None:
     there = tmp_path / "served.toml"
     _, lines = serve(write_rig(*QUIET), "--write-rig", there)
-    control = Control(at(lines, "control", "port")["port"])
+    control = ControlClient(at(lines, "control", "port")["port"])
     journal = tmp_path / "c.journal"
     run = subprocess.Popen(
         [*MAIN, "run", str(write_schedule()), "--rig", str(there), "--out", str(journal), "--transcript", tmp_path / "wires"],
@@ -30,13 +30,13 @@ def test_a_second_request_does_not_break_off_the_stop(
     assert run.poll() is None
     for number in (signal.SIGINT, second, second, signal.SIGINT):
         run.send_signal(number)
-    said = run.communicate(timeout=60.0)[1]
+    errors = run.communicate(timeout=60.0)[1]
     assert run.returncode == 130
-    assert "Traceback" not in said
+    assert "Traceback" not in errors
     wire = (tmp_path / "wires" / "axes.txt").read_text(encoding="utf-8").splitlines()
     assert sum(" > " in line and "MST" in line for line in wire) >= 4
     resting = control.do("state")["angles_deg"]
-    while control.do("state")["angles_deg"] != resting:  # over its ramp
+    while control.do("state")["angles_deg"] != resting:  # until the end of its ramp
         resting = control.do("state")["angles_deg"]
     assert resting["beta"] < 179.0
     database = sqlite3.connect(journal)

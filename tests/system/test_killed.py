@@ -1,5 +1,7 @@
-"""kill -9 of a campaign over served endpoints, at any moment: what it has told is there, nothing is there twice, and it goes
-on to what it would have come to undisturbed."""
+"""A campaign over served endpoints that is killed (SIGKILL) at any moment and resumed.
+
+Each committed row is in the journal, no row is there twice, and the resumed campaign gives the values of an undisturbed one.
+"""
 
 import json
 from collections.abc import Callable, Iterator
@@ -17,89 +19,91 @@ from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journa
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
-from goniotwin.mocks.control import Control
-from tests.app.campaign.test_resume import MORE, STEADY, as_of_schema_1, stopped_at, values
+from goniotwin.mocks.control import ControlClient
+from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
+from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
 from tests.system.conftest import Serve, at
-from tests.system.killable import FORKED, Fate, Killable, check_told
 
 pytestmark = FORKED
 SPEED = 10
 START_S = 0.5
-"""About what a process needs until it measures, so that some are killed before."""
-MOST_TRIES = 8
-"""On a machine that is busy elsewhere a device's answer may come too late; whoever measures then tries again."""
+"""Approximate time until a process measures, so that some are killed before."""
+MAX_TRIES = 8
+"""Number of attempts: on a busy machine the answer of a device may come too late."""
 SAMPLE = "gaussian-5"
 BLACK = (("width_deg = 5.0", "width_deg = 40.0"), ("reflectance = 0.9\n", "reflectance = 0.0009\n"))
 STEPS = 2000
-"""Of SQLite's machine: the journal has its name after some 1050, its first row after 1250, and a further one every 150."""
-STEPS_OF_AN_OLDER_ONE = 4200
-"""A copy of it is brought up to date first, in 2000 steps, then the file itself; then there is the first row."""
+"""Steps of SQLite's virtual machine: the journal gets its name after about 1050, its first row after 1250, and a further row
+every 150.
+"""
+MIGRATION_STEPS = 4200
+"""Steps for a journal of schema 1: first a copy is migrated, in 2000 steps, then the file; then the first row follows."""
 
 
 @dataclass
 class Bench:
-    """A served rig, a campaign for it with an undisturbed run on the same rig in process, and an operator."""
+    """A served rig and a campaign for it, with an undisturbed run on the same rig in this process."""
 
     folder: Path
     schedule: Path
     rig: Path
-    control: Control
+    control: ControlClient
     plan: Plan
-    lots: np.random.Generator
-    complaints: list[str] = field(default_factory=list)
+    rng: np.random.Generator
+    error_lines: list[str] = field(default_factory=list)
 
-    def command(self, path: Path) -> Killable:
-        """Goes on with a campaign; begins it where it has not come to a journal yet."""
+    def command(self, path: Path) -> CommandProcess:
+        """Resume the campaign of a journal; start it where there is no journal yet."""
         if path.exists():
-            return Killable(self.folder, "run", "--resume", path)
-        return Killable(self.folder, "run", self.schedule, "--rig", self.rig, "--out", path)
+            return CommandProcess(self.folder, "run", "--resume", path)
+        return CommandProcess(self.folder, "run", self.schedule, "--rig", self.rig, "--out", path)
 
-    def carry_through(self, path: Path, kills: int) -> None:
-        """Begins a campaign, kills it so often, and finishes it, each time looking at what is left."""
-        told: dict[int, str] = {}
+    def run_with_kills(self, path: Path, kills: int) -> None:
+        """Start a campaign, kill it `kills` times, and finish it; check the journal each time."""
+        committed: dict[int, str] = {}
         for _ in range(kills):
             process = self.command(path)
-            process.killed_at(float(self.lots.uniform(0.0, START_S + self.plan.seconds / SPEED)))
-            told |= process.told
-            check_told(path, told)
-            if path.exists() and campaign_summary(path).state == "done":  # the moment was after its end
+            process.kill_at(float(self.rng.uniform(0.0, START_S + self.plan.seconds / SPEED)))
+            committed |= process.committed
+            check_committed(path, committed)
+            if path.exists() and campaign_summary(path).state == "done":  # killed after its end
                 break
-            assert not path.exists() or campaign_summary(path).state in ("killed", "empty") or self._gave_up(process)
+            assert not path.exists() or campaign_summary(path).state in ("killed", "empty") or self._failed(process)
         else:
-            self._finish(path, told)
+            self._finish(path, committed)
         with Journal.open(path) as journal:
             assert journal.row_counts() == (len(self.plan.rows), len(self.plan.rows))
 
-    def _gave_up(self, process: Killable) -> bool:
-        """Before it was killed, for an answer that came too late on a busy machine."""
-        self.complaints += process.complaints
+    def _failed(self, process: CommandProcess) -> bool:
+        """Whether it failed before it was killed, because an answer came too late on a busy machine."""
+        self.error_lines += process.error_lines
         return "not responding" in process.errors
 
-    def _finish(self, path: Path, told: dict[int, str]) -> None:
-        """As an operator would, who does what the messages say."""
-        for _ in range(MOST_TRIES):
+    def _finish(self, path: Path, committed: dict[int, str]) -> None:
+        """Resume until the campaign is done, and follow the instructions of the error messages."""
+        for _ in range(MAX_TRIES):
             process = self.command(path)
-            status = process.ended()
-            check_told(path, told | process.told)
+            status = process.wait()
+            check_committed(path, committed | process.committed)
             if status == 0:
                 return
             assert status in (1, 2)
-            assert process.complaints, process.errors
-            self.complaints += process.complaints
+            assert process.error_lines, process.errors
+            self.error_lines += process.error_lines
             if "goniotwin here" in process.errors:
                 for axis, angle in self.control.do("state")["angles_deg"].items():
-                    assert Killable(self.folder, "here", "--rig", self.rig, axis, angle).ended() == 0
+                    assert CommandProcess(self.folder, "here", "--rig", self.rig, axis, angle).wait() == 0
         raise AssertionError(process.errors)
 
     def run_undisturbed(self, rig: Path, name: str) -> Path:
-        """The same campaign on a rig in this process; its journal."""
+        """Run the same campaign on a rig in this process; return its journal."""
         path = self.folder / f"{name}.journal"
         run_campaign(make_plan(read_schedule(self.schedule), read_rig(rig)), path)
         return path
 
-    def reduced(self, path: Path) -> BsdfPoints:
-        """What has come of the sample."""
+    def points(self, path: Path) -> BsdfPoints:
+        """The reduced points of the sample."""
         with Journal.open(path) as journal:
             return reduce_journal(journal).samples[SAMPLE]
 
@@ -113,10 +117,10 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
 
     def make(seed: int, *changes: tuple[str, str]) -> Bench:
         here, there = write_rig(*changes), tmp_path / "served.toml"
-        schedule = write_schedule(MORE, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
+        schedule = write_schedule(THREE_SHIFTS, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
         _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
         plan = make_plan(read_schedule(schedule), read_rig(here))
-        control = Control(at(lines, "control", "port")["port"])
+        control = ControlClient(at(lines, "control", "port")["port"])
         made.append(Bench(tmp_path, schedule, there, control, plan, np.random.default_rng(seed)))
         return made[-1]
 
@@ -126,32 +130,35 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
 
 
 @pytest.mark.parametrize("campaigns", [pytest.param(1, id="1"), pytest.param(60, id="60", marks=pytest.mark.long)])
-def test_without_noise_a_killed_campaign_comes_to_the_very_same(
+def test_without_noise_a_killed_campaign_gives_the_same_values(
     bench: MakeBench, write_rig: Writer, campaigns: int, tmp_path: Path
 ) -> None:
-    """Counts, gains, flags, positions and the monitor of every planned row. Every third campaign is killed twice."""
-    killed = bench(campaigns, *STEADY)
-    undisturbed = values(killed.run_undisturbed(write_rig(*STEADY), "undisturbed"))
+    """Counts, gains, flags, positions and monitor of every planned row are equal. Every third campaign is killed twice."""
+    killed = bench(campaigns, *QUIET)
+    undisturbed = planned_values(killed.run_undisturbed(write_rig(*QUIET), "undisturbed"))
     for k in range(campaigns):
         path = tmp_path / f"{k}.journal"
-        killed.carry_through(path, 2 if k % 3 == 2 else 1)
-        assert values(path) == undisturbed
-    print(f"\n{campaigns} campaigns, in the way when they were to be finished:", *killed.complaints, sep="\n  ")
+        killed.run_with_kills(path, 2 if k % 3 == 2 else 1)
+        assert planned_values(path) == undisturbed
+    print(f"\n{campaigns} campaigns; errors while they were finished:", *killed.error_lines, sep="\n  ")
 
 
 @pytest.mark.parametrize("campaigns", [pytest.param(1, id="1"), pytest.param(30, id="30", marks=pytest.mark.long)])
-def test_with_noise_a_killed_campaign_differs_by_its_uncertainty(
+def test_with_noise_a_killed_campaign_differs_within_its_uncertainty(
     bench: MakeBench, write_rig: Writer, campaigns: int, tmp_path: Path
 ) -> None:
-    """A dark sample, where noise decides and not what both runs share (etalon, gains). Each campaign is held against an
-    undisturbed run with noise of its own. The mean square of difference over uncertainty is 1 but for five times its own
-    scatter, or for 0.2 (few darks know the noise only about, and the uncertainty is widened for that); all are within 5."""
+    """Each campaign is compared with an undisturbed run with other noise.
+
+    The sample is dark, so that noise dominates the contributions that both runs share (etalon, gains). The mean square of
+    difference over uncertainty is 1 within five times its own standard deviation, or within 0.2: few dark readings give the
+    noise only roughly, and the uncertainty is widened for that. All differences are below 5 uncertainties.
+    """
     killed = bench(campaigns, *BLACK)
     found = []
     for k in range(campaigns):
-        killed.carry_through(tmp_path / f"{k}.journal", 1)
+        killed.run_with_kills(tmp_path / f"{k}.journal", 1)
         killed.run_undisturbed(write_rig(*BLACK, ("seed = 1", f"seed = {k + 2}"), name="other.toml"), f"undisturbed-{k}")
-        first, second = killed.reduced(tmp_path / f"undisturbed-{k}.journal"), killed.reduced(tmp_path / f"{k}.journal")
+        first, second = killed.points(tmp_path / f"undisturbed-{k}.journal"), killed.points(tmp_path / f"{k}.journal")
         assert np.array_equal(first.good, second.good)
         good = first.good
         found.append((first.bsdf - second.bsdf)[good] / np.hypot(first.u_bsdf, second.u_bsdf)[good])
@@ -161,18 +168,18 @@ def test_with_noise_a_killed_campaign_differs_by_its_uncertainty(
     assert np.abs(standard).max() < 5.0
 
 
-def test_of_a_killed_campaign_its_list_says_so_and_what_was_measured_is_exported(
+def test_a_killed_campaign_is_listed_as_killed_and_can_be_exported(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
-    """The -wal file that the program has left is read with it, and all is left as it was."""
+    """The -wal file left by the program is read too, and no file is changed."""
     path = tmp_path / "a.journal"
-    fate = Fate(rows=9)
-    killed = Killable(tmp_path, "run", write_schedule(MORE), "--rig", write_rig(), "--out", path, fate=fate)
-    assert killed.ended() < 0
+    limits = Limits(rows=9)
+    killed = CommandProcess(tmp_path, "run", write_schedule(THREE_SHIFTS), "--rig", write_rig(), "--out", path, limits=limits)
+    assert killed.wait() < 0
     before = {file: file.read_bytes() for file in (path, Path(f"{path}-wal"))}
-    listed = Killable(tmp_path, "runs", tmp_path, "--json")
-    exported = Killable(tmp_path, "export", path, "--format", "csv", "--out", tmp_path / "a.csv")
-    assert (listed.ended(), exported.ended()) == (0, 0), listed.errors + exported.errors
+    listed = CommandProcess(tmp_path, "runs", tmp_path, "--json")
+    exported = CommandProcess(tmp_path, "export", path, "--format", "csv", "--out", tmp_path / "a.csv")
+    assert (listed.wait(), exported.wait()) == (0, 0), listed.errors + exported.errors
     (campaign,) = json.loads(listed.output)["campaigns"]
     assert (campaign["state"], campaign["rows"], campaign["planned"]) == ("killed", 9, 12)
     assert campaign["seconds_left"] > 0.0
@@ -180,17 +187,17 @@ def test_of_a_killed_campaign_its_list_says_so_and_what_was_measured_is_exported
     assert {file: file.read_bytes() for file in before} == before
 
 
-def test_what_a_killed_program_has_left_is_never_taken_for_that_of_another_journal(
+def test_the_wal_file_of_a_killed_program_is_not_applied_to_another_journal(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
-    """Somebody moves the journal and forgets the rows in the file beside it: they may still be joined."""
+    """The journal is moved without its -wal file, which has rows: both can be joined again."""
     path, schedule, rig = tmp_path / "a.journal", write_schedule(), write_rig()
     command = ("run", schedule, "--rig", rig, "--out", path)
-    assert Killable(tmp_path, *command, fate=Fate(rows=4)).ended() < 0
+    assert CommandProcess(tmp_path, *command, limits=Limits(rows=4)).wait() < 0
     path.rename(tmp_path / "b.journal")
-    again = Killable(tmp_path, *command)
-    assert again.ended() == 2
-    assert again.complaints[0].startswith(
+    again = CommandProcess(tmp_path, *command)
+    assert again.wait() == 2
+    assert again.error_lines[0].startswith(
         f"goniotwin: {path}-wal: belongs to another journal of that name; move it to that journal"
     )
     Path(f"{path}-wal").rename(tmp_path / "b.journal-wal")
@@ -198,74 +205,74 @@ def test_what_a_killed_program_has_left_is_never_taken_for_that_of_another_journ
 
 
 @pytest.mark.parametrize("times", [pytest.param(2, id="2"), pytest.param(40, id="40", marks=pytest.mark.long)])
-def test_killed_while_its_journal_is_made_it_leaves_none_or_one_to_go_on_with(
+def test_a_program_killed_while_it_creates_its_journal_leaves_none_or_a_resumable_one(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, times: int
 ) -> None:
-    """At steps of SQLite's machine, one drawn by lot from each stretch between its first statement and the first rows."""
-    rig, schedule = write_rig(*STEADY), write_schedule()
+    """At random steps of SQLite's virtual machine, one in each interval between its first statement and the first rows."""
+    rig, schedule = write_rig(*QUIET), write_schedule()
     plan = make_plan(read_schedule(schedule), read_rig(rig))
     run_campaign(plan, tmp_path / "undisturbed.journal")
     outcomes = []
     for k, part in enumerate(np.random.default_rng(times).uniform(size=times)):
         path = tmp_path / f"{k}.journal"
         command = ("run", schedule, "--rig", rig, "--out", path)
-        killed = Killable(tmp_path, *command, fate=Fate(steps=1 + int((k + part) / times * STEPS)))
-        assert killed.ended() < 0
-        check_told(path, killed.told)
+        killed = CommandProcess(tmp_path, *command, limits=Limits(steps=1 + int((k + part) / times * STEPS)))
+        assert killed.wait() < 0
+        check_committed(path, killed.committed)
         outcomes.append(path.exists())
         if path.exists():
             assert campaign_summary(path).state in ("empty", "killed")
             assert resume_campaign(path).state is State.DONE
         else:
-            again = Killable(tmp_path, *command)
-            assert again.ended() == 0, again.errors
-        assert values(path) == values(tmp_path / "undisturbed.journal")
+            again = CommandProcess(tmp_path, *command)
+            assert again.wait() == 0, again.errors
+        assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
     assert (outcomes[0], outcomes[-1]) == (False, True)
     assert not list(tmp_path.glob(".*.new*"))
 
 
 @pytest.mark.parametrize("times", [pytest.param(1, id="1"), pytest.param(30, id="30", marks=pytest.mark.long)])
-def test_killed_while_a_journal_of_an_older_schema_is_brought_up_to_date_it_has_lost_nothing(
+def test_a_program_killed_while_it_migrates_a_journal_loses_no_row(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, times: int
 ) -> None:
-    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*STEADY)))
+    plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET)))
     run_campaign(plan, tmp_path / "undisturbed.journal")
     for k, part in enumerate(np.random.default_rng(times).uniform(size=times)):
         path = tmp_path / f"{k}.journal"
-        stopped_at(plan, path, 0.6 * plan.seconds)
+        run_until(plan, path, 0.6 * plan.seconds)
         done = campaign_summary(path).rows
-        as_of_schema_1(path)
-        fate = Fate(steps=1 + int((k + part) / times * STEPS_OF_AN_OLDER_ONE))
-        assert Killable(tmp_path, "run", "--resume", path, "--rig", plan.rig.name, fate=fate).ended() < 0
+        convert_to_schema_1(path)
+        limits = Limits(steps=1 + int((k + part) / times * MIGRATION_STEPS))
+        assert CommandProcess(tmp_path, "run", "--resume", path, "--rig", plan.rig.name, limits=limits).wait() < 0
         assert campaign_summary(path).rows >= done
         assert resume_campaign(path, plan.rig).state is State.DONE
-        assert values(path) == values(tmp_path / "undisturbed.journal")
+        assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
 
 
 @pytest.mark.parametrize("resumed", [False, True])
-def test_of_two_processes_on_one_journal_the_second_is_told_who_has_it(
+def test_a_second_process_on_a_journal_is_refused_with_the_number_of_the_first(
     write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path, resumed: bool
 ) -> None:
-    """One that runs or resumes it, and one that would resume it; and one that would begin it anew."""
+    """The first runs or resumes the journal; the second resumes it, or starts a campaign with the same name."""
     rig, path, schedule = tmp_path / "served.toml", tmp_path / "a.journal", write_schedule()
-    serve(write_rig(*STEADY), "--write-rig", rig)  # in real time it takes long enough
-    first = Killable(tmp_path, "run", schedule, "--rig", rig, "--out", path)
-    first.has_told(1)
+    serve(write_rig(*QUIET), "--write-rig", rig)  # real time, so that the campaign lasts long enough
+    first = CommandProcess(tmp_path, "run", schedule, "--rig", rig, "--out", path)
+    first.wait_for_rows(1)
     if resumed:
-        first.killed()
-        first = Killable(tmp_path, "run", "--resume", path)
-        first.has_told(1)
-    told = f"{path}: is in use by process {first.pid} of "
+        first.kill()
+        first = CommandProcess(tmp_path, "run", "--resume", path)
+        first.wait_for_rows(1)
+    message = f"{path}: is in use by process {first.pid} of "
     for second in (
-        Killable(tmp_path, "run", "--resume", path),
-        Killable(tmp_path, "run", schedule, "--rig", rig, "--out", path),
+        CommandProcess(tmp_path, "run", "--resume", path),
+        CommandProcess(tmp_path, "run", schedule, "--rig", rig, "--out", path),
     ):
-        assert second.ended() == 2
-        (line,) = second.complaints
-        assert line.startswith(f"goniotwin: {told}")
+        assert second.wait() == 2
+        (line,) = second.error_lines
+        assert line.startswith(f"goniotwin: {message}")
         assert line.endswith("; wait for it, or end it")
-    listed = Killable(tmp_path, "runs", tmp_path, "--json")
-    assert listed.ended() == 0, listed.errors
+    listed = CommandProcess(tmp_path, "runs", tmp_path, "--json")
+    assert listed.wait() == 0, listed.errors
     assert json.loads(listed.output)["campaigns"][0]["state"] == "running"
-    first.killed()
+    first.kill()
     assert campaign_summary(path).state == "killed"

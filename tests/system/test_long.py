@@ -8,8 +8,8 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, theory
-from goniotwin.app.campaign.reduction.reduction import Reduced, reduce_journal
+from goniotwin.app.campaign.reduction.comparison import compare, theoretical_bsdf
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from tests.conftest import SCHEDULE, Writer
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.long
 SEEDS = range(1, 21)
 
 
-def measured(rig: Path, schedule: Path, journal: Path) -> Reduced:
+def measured(rig: Path, schedule: Path, journal: Path) -> BsdfDataset:
     run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), journal)
     with Journal.open(journal) as opened:
         return reduce_journal(opened)
@@ -47,6 +47,6 @@ def test_the_uncertainty_fits_the_deviations_over_many_seeds(
         reduced = measured(rig, schedule, tmp_path / f"{dark_readings}-{seed}.journal")
         points = reduced.samples["gaussian-5"]
         good = points.where(points.good & points.in_plane & (points.zenith_deg < 80.0))
-        z = (good.bsdf - theory(reduced.rig, "gaussian-5", good)) / good.u_bsdf
+        z = (good.bsdf - theoretical_bsdf(reduced.rig, "gaussian-5", good)) / good.u_bsdf
         squares.append(float(np.mean(z**2)))
     assert 0.8 < float(np.mean(squares)) < 1.2

@@ -1,34 +1,34 @@
-"""What one process has found out of the axes, the next one heeds."""
+"""References of the axes across processes of a served rig."""
 
 from pathlib import Path
 
 import pytest
 
 from goniotwin.app.rig import AXES
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from tests.conftest import RIG, Writer
+from tests.system.command_process import FORKED, CommandProcess
 from tests.system.conftest import Serve, at
-from tests.system.killable import FORKED, Killable
 
 pytestmark = FORKED
 
 
-def test_after_a_reset_between_two_runs_nothing_is_measured_until_somebody_has_looked(
+def test_after_a_reset_between_two_runs_nothing_is_measured_until_the_positions_are_set(
     serve: Serve, write_schedule: Writer, tmp_path: Path
 ) -> None:
     anywhere = tmp_path / "anywhere.toml"
     lines = RIG.read_text(encoding="utf-8").splitlines()
     anywhere.write_text("\n".join(line for line in lines if not line.startswith("power_up_at_reference")), encoding="utf-8")
     rig, schedule = tmp_path / "served.toml", write_schedule()
-    _, told = serve(anywhere, "--speed", 20, "--write-rig", rig)
-    control = Control(at(told, "control", "port")["port"])
+    _, endpoints = serve(anywhere, "--speed", 20, "--write-rig", rig)
+    control = ControlClient(at(endpoints, "control", "port")["port"])
 
     def status(*arguments: object) -> int:
-        return Killable(tmp_path, *arguments).ended()
+        return CommandProcess(tmp_path, *arguments).wait()
 
     def refused(name: str) -> None:
-        done = Killable(tmp_path, "run", schedule, "--rig", rig, "--out", tmp_path / name)
-        assert done.ended() == 2
+        done = CommandProcess(tmp_path, "run", schedule, "--rig", rig, "--out", tmp_path / name)
+        assert done.wait() == 2
         assert len(done.errors.strip().splitlines()) == 1
         assert f"goniotwin here --rig {rig}" in done.errors
         assert not (tmp_path / name).exists()

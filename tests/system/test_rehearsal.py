@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import RIG, Change, Writer
+from tests.system.command import CALLS, Call, goniotwin, json_result
 from tests.system.conftest import Serve
-from tests.system.test_command import CALLS, Call, answer, goniotwin
 
 
 @pytest.mark.parametrize("call", CALLS)
 def test_a_rehearsal_is_one_json_object_and_its_points_are_a_csv(write_schedule: Writer, tmp_path: Path, call: Call) -> None:
     schedule, kept, points = write_schedule(), tmp_path / "kept.journal", tmp_path / "points.csv"
-    found = answer(call("rehearse", schedule, "--rig", RIG, "--out", kept, "--points", points, "--json"))
+    found = json_result(call("rehearse", schedule, "--rig", RIG, "--out", kept, "--points", points, "--json"))
     assert found["simulated"] is True
     assert found["rows"] == found["planned"]
     assert kept.stat().st_size == found["journal_bytes"]
@@ -93,10 +93,10 @@ def test_a_campaign_in_real_time_takes_as_long_as_its_rehearsal(
     """
     schedule = write_schedule(*rows, ("dark_readings = 4", "dark_readings = 16"))
     rig = tmp_path / "served.toml"
-    rehearsed = answer(goniotwin("rehearse", schedule, "--rig", RIG, "--json"))
+    rehearsed = json_result(goniotwin("rehearse", schedule, "--rig", RIG, "--json"))
     serve(RIG, "--speed", 1, "--write-rig", rig)
-    done = answer(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "real.journal", "--json"))
+    done = json_result(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "real.journal", "--json"))
     assert done["state"] == "done"
     assert done["duration_s"] == pytest.approx(rehearsed["duration_s"], rel=0.02)
-    again = answer(goniotwin("rehearse", schedule, "--rig", rig, "--json"))  # by what the served rig's file describes
+    again = json_result(goniotwin("rehearse", schedule, "--rig", rig, "--json"))  # by what the served rig's file describes
     assert again["duration_s"] == pytest.approx(done["duration_s"], rel=0.02)

@@ -15,7 +15,7 @@ from goniotwin.mocks.transcript import read_transcript
 from tests.conftest import Change, Writer
 from tests.mocks.replay_bench import RTU, TCP, RigMaker, session, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
-from tests.system.test_command import CALLS, Call
+from tests.system.command import CALLS, Call
 
 # Units 20 to 24, where the twin's are 1 to 5.
 REAL_LINE: tuple[Change, ...] = tuple((f'"twin://virtual/adc-{k}"', f'"rtu:COM7?unit={k + 20}"') for k in range(5))

@@ -10,11 +10,12 @@ import pytest
 import serial
 from pymodbus.client import ModbusTcpClient
 
-from goniotwin.mocks.control import Control, Refused
-from goniotwin.protocols.tmcl import Axis, Command, Reply, Request
+from goniotwin.mocks.control import ControlClient, OrderRefused
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RIG
+from tests.system.command import CALLS, Call, goniotwin
 from tests.system.conftest import Serve, Served, at, until
-from tests.system.test_command import CALLS, Call, goniotwin
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def served(serve: Serve) -> Served:
 def test_all_devices_share_one_plant(served: Served) -> None:
     """A move over the serial port changes what the Modbus registers read."""
     _, lines = served
-    control = Control(at(lines, "control", "port")["port"])
+    control = ControlClient(at(lines, "control", "port")["port"])
     control.mount("etalon")
     mono = serial.serial_for_url(f"socket://127.0.0.1:{at(lines, 'mono', 'port')['port']}", timeout=5.0)
     mono.write(b"SHUTTER O\n")
@@ -36,12 +37,12 @@ def test_all_devices_share_one_plant(served: Served) -> None:
     axes = serial.serial_for_url(f"socket://127.0.0.1:{at(lines, 'axes', 'port')['port']}", timeout=5.0)
 
     def seen(angle_deg: float) -> int:
-        axes.write(Request(1, Command.SAP, Axis.UNIT_MODE, 4, 1).encode())
+        axes.write(CommandFrame(1, Command.SAP, AxisParameter.UNIT_MODE, 4, 1).encode())
         axes.read(9)
-        axes.write(Request(1, Command.SAP, Axis.MAX_ACCELERATION, 4, 500_000).encode())
+        axes.write(CommandFrame(1, Command.SAP, AxisParameter.MAX_ACCELERATION, 4, 500_000).encode())
         axes.read(9)
-        axes.write(Request(1, Command.MVP, 0, 4, round(angle_deg * 5120)).encode())
-        assert Reply.decode(axes.read(9)).status == 100
+        axes.write(CommandFrame(1, Command.MVP, 0, 4, round(angle_deg * 5120)).encode())
+        assert ReplyFrame.decode(axes.read(9)).status == 100
         until(lambda: bool(control.do("state")["angles_deg"]["sigma"] == pytest.approx(angle_deg, abs=1e-3)))
         start = control.do("state")["t_s"]
         until(lambda: bool(control.do("state")["t_s"] >= start + 1.0))  # the amplifiers have settled
@@ -55,12 +56,12 @@ def test_all_devices_share_one_plant(served: Served) -> None:
 
 def test_the_back_door_refuses_in_words(served: Served) -> None:
     _, lines = served
-    control = Control(at(lines, "control", "port")["port"])
-    with pytest.raises(Refused, match="no sample 'satin'"):
+    control = ControlClient(at(lines, "control", "port")["port"])
+    with pytest.raises(OrderRefused, match="no sample 'satin'"):
         control.mount("satin")
-    with pytest.raises(Refused, match="an order is"):
+    with pytest.raises(OrderRefused, match="an order is"):
         control.do("dance")
-    with pytest.raises(Refused, match="deg is a number"):
+    with pytest.raises(OrderRefused, match="deg is a number"):
         control.do("tilt", deg="much")
     control.close()
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from goniotwin.protocols.clock import RealClock
 from tests.conftest import REPOSITORY, RIG
 from tests.system.conftest import Serve, at
@@ -53,7 +53,7 @@ class Process:
         """Of its own and of its libraries."""
         return len(list((self._folder / "task").iterdir()))
 
-    def settled(self, control: Control, descriptors: int, threads: int) -> tuple[int, int]:
+    def settled(self, control: ControlClient, descriptors: int, threads: int) -> tuple[int, int]:
         """Descriptors and threads, once they are down to these or have had time for it."""
         clock = RealClock()
         while clock.now() < SETTLED_S and (self.descriptors > descriptors or self.threads > threads):
@@ -108,7 +108,7 @@ def killed_in_turns(where: dict[str, list[str]], seconds: float) -> Iterator[str
 def test_clients_that_come_and_go_leave_nothing_behind(serve: Serve) -> None:
     process, lines = serve(RIG)
     where = places(lines)
-    served, control = Process(process.pid), Control(at(lines, "control", "port")["port"])
+    served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
     control.do("state")
     before = served.descriptors, served.threads
     with ThreadPoolExecutor() as threads:
@@ -126,7 +126,7 @@ def test_under_three_clients_for_ten_minutes_nothing_grows(serve: Serve, capsys:
     """Ten minutes, or GONIOTWIN_SERVE_S seconds."""
     process, lines = serve(RIG)
     where = places(lines)
-    served, control = Process(process.pid), Control(at(lines, "control", "port")["port"])
+    served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
     control.do("state")
     before = served.descriptors, served.threads
     clock = RealClock()

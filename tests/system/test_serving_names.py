@@ -6,8 +6,8 @@ import pytest
 
 from goniotwin.mocks.serial_endpoints import ptys_exist
 from tests.conftest import RIG
+from tests.system.command import CALLS, Call
 from tests.system.conftest import Serve, at
-from tests.system.test_command import CALLS, Call
 
 pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
 
@@ -49,7 +49,7 @@ def test_a_second_server_leaves_the_first_its_names(serve: Serve, tmp_path: Path
     before = path.readlink()
     (tmp_path / "mine.toml").write_text("mine", encoding="utf-8")
     assert "another server has its names there" in refused(call, "--ptys", path.parent)
-    assert "has not written it" in refused(call, "--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
+    assert "was not written by goniotwin serve" in refused(call, "--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
     assert path.readlink() == before
     assert path.exists()
 
@@ -58,7 +58,7 @@ def test_a_second_server_leaves_the_first_its_names(serve: Serve, tmp_path: Path
 def test_a_rig_file_that_cannot_be_written_is_told_before_anything_opens(tmp_path: Path, call: Call) -> None:
     names = tmp_path / "names"
     assert "cannot be written" in refused(call, "--ptys", names, "--write-rig", tmp_path / "nowhere" / "rig.toml")
-    assert "has not written it" in refused(call, "--ptys", names, "--write-rig", tmp_path)
+    assert "was not written by goniotwin serve" in refused(call, "--ptys", names, "--write-rig", tmp_path)
     (tmp_path / "file").write_text("mine", encoding="utf-8")
     assert "is not a folder" in refused(call, "--ptys", tmp_path / "file", "--write-rig", tmp_path / "rig.toml")
     assert [each.name for each in tmp_path.iterdir()] == ["file"]

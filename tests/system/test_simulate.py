@@ -6,13 +6,13 @@ import pytest
 
 from goniotwin.app.formats import read_ddr
 from tests.conftest import RIG
-from tests.system.test_command import CALLS, Call, answer, goniotwin, invoked
+from tests.system.command import CALLS, Call, goniotwin, invoke, json_result
 
 
 @pytest.mark.parametrize(
     ("call", "given", "sigmas", "least"),
     [
-        pytest.param(invoked, ["--sigma", "0"], [0.0], 1300, id="one sigma"),
+        pytest.param(invoke, ["--sigma", "0"], [0.0], 1300, id="one sigma"),
         pytest.param(goniotwin, [], [0.0, 30.0, 60.0], 8000, id="all of them", marks=pytest.mark.long),
     ],
 )
@@ -22,7 +22,7 @@ def test_simulate_says_what_it_wrote_and_how_good_it_is(
     out = tmp_path / "a.ddr"
     all_given = ["--sigma", ",".join(map(str, sigmas))]
     done = call("simulate", "--sample", "gaussian:width_deg=5", *all_given, "--out", out, "--json")
-    result = answer(done)
+    result = json_result(done)
     assert result["file"] == str(out)
     assert result["sigma"] == sigmas
     assert (result["estimator"], result["rays"]) == ("fast", 7)
@@ -42,7 +42,7 @@ def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, t
     out = tmp_path / "a.csv"
     grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--rig", RIG, "--no-obstruction"]
     paths = ["--estimator", "forward", "--paths", 200_000, "--seed", 4]
-    result = answer(call("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json"))
+    result = json_result(call("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json"))
     assert (result["estimator"], result["seed"]) == ("forward", 4)
     assert 200_000 <= result["paths"] < 210_000  # whole blocks of them
     assert result["obstruction"] is False
@@ -55,7 +55,7 @@ def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, t
 
 @pytest.mark.parametrize("call", CALLS)
 def test_table3_is_the_papers_beside_ours(call: Call, tmp_path: Path) -> None:
-    result = answer(call("simulate", "table3", "--out", tmp_path, "--json"))
+    result = json_result(call("simulate", "table3", "--out", tmp_path, "--json"))
     for name in ("paper", "noise_free", "tilted", "worst"):
         assert set(result[name]) == {"0", "30", "60"}
         assert all(len(row) == 4 for row in result[name].values())
@@ -85,7 +85,7 @@ def test_the_light_is_drawn_its_rays_are_recorded_and_are_a_source(call: Call, t
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--sigma", 30, "--out", tmp_path / "a.csv"]
     replayed = ["--sample", "lambertian:reflectance=0.5", "--source", beam, "--estimator", "forward", "--paths", 50_000, *grid]
-    result = answer(call("simulate", *replayed, *monochromator, "--json"))
+    result = json_result(call("simulate", *replayed, *monochromator, "--json"))
     assert (result["source"]["file"], result["source"]["rays"]) == (str(beam), 20_000)
     refused = call("simulate", *replayed)
     assert refused.returncode == 2
@@ -100,7 +100,7 @@ def test_the_back_stray_light_and_the_regular_component_are_said(call: Call, tmp
     text = call("simulate", "--sample", sample, "--side", "back", "--stray", *grid).stdout
     assert "reflected light, the back lit, with stray light" in text
     assert "regular component at sigma 30: 0.04 of the light" in text
-    plain = answer(call("simulate", "--sample", sample, *grid, "--json"))
+    plain = json_result(call("simulate", "--sample", sample, *grid, "--json"))
     assert (plain["side"], plain["stray"], plain["regular"]) == ("front", False, [])
 
 

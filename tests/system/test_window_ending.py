@@ -16,9 +16,9 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
-from goniotwin.mocks.control import Control
+from goniotwin.mocks.control import ControlClient
 from goniotwin.protocols.clock import RealClock
-from tests.app.campaign.test_resume import STEADY, values
+from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.conftest import Serve, at
 
@@ -116,14 +116,14 @@ def check_stopped(window: WindowProcess) -> Path:
 def test_a_signal_stops_the_run_and_closes_the_window_and_the_run_can_be_resumed(
     start_window: Starter, write_rig: Writer, write_schedule: Writer, tmp_path: Path, number: int
 ) -> None:
-    rig, schedule = write_rig(*STEADY), write_schedule()
+    rig, schedule = write_rig(*QUIET), write_schedule()
     window = start_window(rig, schedule, speed=4.0)
     window.after_row(2)
     window.process.send_signal(number)
     journal = check_stopped(window)
     assert resume_campaign(journal).state is State.DONE
     run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), tmp_path / "undisturbed.journal")
-    assert values(journal) == values(tmp_path / "undisturbed.journal")
+    assert planned_values(journal) == planned_values(tmp_path / "undisturbed.journal")
 
 
 def test_a_signal_brings_moving_axes_to_rest_and_further_signals_do_not_break_that_off(
@@ -131,8 +131,8 @@ def test_a_signal_brings_moving_axes_to_rest_and_further_signals_do_not_break_th
 ) -> None:
     """A rig that another process serves: it is seen from there how the axes move."""
     there = tmp_path / "served.toml"
-    _, lines = serve(write_rig(*STEADY), "--write-rig", there)
-    control = Control(at(lines, "control", "port")["port"])
+    _, lines = serve(write_rig(*QUIET), "--write-rig", there)
+    control = ControlClient(at(lines, "control", "port")["port"])
     window = start_window(there, write_schedule())
     window.after_row(2)
     while control.do("state")["angles_deg"]["beta"] < 20.0:

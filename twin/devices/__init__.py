@@ -1,6 +1,6 @@
 """Firmware: devices that answer the wires' protocols from the plant that they share. Each is asked with a time."""
 
-from goniotwin.twin.devices.adam import Adam4117, Adam6017, AdamModule
+from goniotwin.twin.devices.adam import Adam4117, Adam6017, ConverterModule
 from goniotwin.twin.devices.cornerstone260 import Cornerstone260
 from goniotwin.twin.devices.modbus import RtuStation, TcpStation
 from goniotwin.twin.devices.pm100d import Pm100d
@@ -10,7 +10,7 @@ from goniotwin.twin.devices.usbtmc import UsbTmcDevice
 __all__ = [
     "Adam4117",
     "Adam6017",
-    "AdamModule",
+    "ConverterModule",
     "Cornerstone260",
     "Pm100d",
     "RtuStation",

@@ -66,7 +66,7 @@ class Inputs:
         self._scale()
 
     def shown(self, t: float) -> list[float]:
-        """What the float registers say: eight channels and the average (that of the raw values, in channel 0's range)."""
+        """Values of the float registers: eight channels and the average (that of the raw values, in channel 0's range)."""
         counts = self.counts(t)
         values = [adam.RANGES[code].shown(raw) for code, raw in zip(self.ranges, counts, strict=True)]
         return [*values, adam.RANGES[self.ranges[0]].shown(self._mean(counts))]
@@ -139,10 +139,10 @@ class ModbusFault(Exception):
         self.code = code
 
 
-class AdamModule:
+class ConverterModule:
     """Module `index` of the plant: registers and coils at a time t.
 
-    The back door, which is no wire: `silent`, `reset`, and `refusals`, exception codes for the next requests.
+    For tests, not on the wire: `silent`, `reset`, and `refusals`, exception codes for the next requests.
     """
 
     model = adam.ADAM_6017
@@ -273,13 +273,13 @@ class AdamModule:
         return held
 
 
-class Adam6017(AdamModule):
+class Adam6017(ConverterModule):
     """Eight inputs, two outputs, Modbus TCP."""
 
     model = adam.ADAM_6017
 
 
-class Adam4117(AdamModule):
+class Adam4117(ConverterModule):
     """Eight inputs, Modbus RTU."""
 
     model = adam.ADAM_4117

@@ -16,12 +16,12 @@ from goniotwin.protocols.cornerstone import (
     FROM_DEVICE,
     MAX_LINE,
     NO_ERROR,
-    Error,
+    ErrorCode,
     Statement,
     StatementError,
     encode_status,
 )
-from goniotwin.twin.devices.cornerstone_statements import IDENTITY, GratingData, Refused, State, Statements
+from goniotwin.twin.devices.cornerstone_statements import IDENTITY, GratingData, StatementRefused, Statements, UnitState
 from goniotwin.twin.plant import Plant
 
 __all__ = ["IDENTITY", "Cornerstone260"]
@@ -37,7 +37,7 @@ class Turn:
 
     line: bytes
     start: float
-    before: State
+    before: UnitState
 
 
 class Cornerstone260:
@@ -54,7 +54,7 @@ class Cornerstone260:
         self._busy_until = 0.0
         self._turns: deque[Turn] = deque(maxlen=WAITING_AT_MOST)
         gratings = tuple(GratingData(lines, label) for lines, label in self._drive.gratings)
-        self._state = State(gratings, tuple(f"FILTER{k + 1}" for k in range(self._drive.filters)))
+        self._state = UnitState(gratings, tuple(f"FILTER{k + 1}" for k in range(self._drive.filters)))
 
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`."""
@@ -104,8 +104,8 @@ class Cornerstone260:
             result = self._statements.perform(self._state, Statement.decode(line), t)
             self._state, done, answer = result.state, result.t, result.answer
         except StatementError:
-            self._fail(Error.NOT_UNDERSTOOD)
-        except Refused as refused:
+            self._fail(ErrorCode.NOT_UNDERSTOOD)
+        except StatementRefused as refused:
             self._fail(refused.error)
         if answer is not None:
             self.outbox.append((t, answer.encode("ascii") + FROM_DEVICE))
@@ -117,7 +117,7 @@ class Cornerstone260:
             self.outbox.append((t, encode_status(self._state.status)))
             self._state = replace(self._state, status=NO_ERROR)  # sent is read
 
-    def _fail(self, error: Error) -> None:
+    def _fail(self, error: ErrorCode) -> None:
         self._state = replace(self._state, error=error, status=ERROR_SINCE_LAST_READ)
 
     def _abort(self, line: bytes, t: float) -> None:

@@ -7,7 +7,16 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from goniotwin.protocols.cornerstone import MAX_LABEL, NO_ERROR, Error, Grating, Statement, StatementError, Unit, decode_number
+from goniotwin.protocols.cornerstone import (
+    MAX_LABEL,
+    NO_ERROR,
+    ErrorCode,
+    Grating,
+    Statement,
+    StatementError,
+    WavelengthUnit,
+    decode_number,
+)
 from goniotwin.twin.plant import MonochromatorDrive, Plant
 
 SLITS = 3
@@ -32,7 +41,7 @@ class GratingData:
 
 
 @dataclass(frozen=True)
-class State:
+class UnitState:
     """Immutable, so that what an ABORT takes back can be taken back."""
 
     gratings: tuple[GratingData, ...]
@@ -41,25 +50,25 @@ class State:
     outport: int = 1
     slits_um: tuple[float, ...] = (200.0,) * SLITS
     bandpass_nm: float = 5.0
-    unit: Unit = Unit.NM
+    unit: WavelengthUnit = WavelengthUnit.NM
     handshake: bool = False
     status: int = NO_ERROR
-    error: Error = field(default=Error.NONE)
+    error: ErrorCode = field(default=ErrorCode.NONE)
 
     @property
     def current(self) -> GratingData:
         """The grating in the beam."""
         return self.gratings[self.grating - 1]
 
-    def with_grating(self, number: int, **changes: object) -> "State":
+    def with_grating(self, number: int, **changes: object) -> "UnitState":
         """A grating's data changed."""
         changed = list(self.gratings)
         changed[number - 1] = replace(changed[number - 1], **changes)  # type: ignore[arg-type]
         return replace(self, gratings=tuple(changed))
 
-    def after_power_on(self) -> "State":
+    def after_power_on(self) -> "UnitState":
         """What is kept without power: calibration and labels."""
-        return State(self.gratings, self.filter_labels)
+        return UnitState(self.gratings, self.filter_labels)
 
 
 IDENTITY = "Cornerstone 260 virtual"
@@ -70,19 +79,19 @@ NM_A_MICROMETRE_OF_1200 = 0.0032
 OUTPORTS = (1, 2)
 
 
-class Refused(Exception):
+class StatementRefused(Exception):
     """A statement that the device does not carry out, with the error that it then reports."""
 
-    def __init__(self, error: Error) -> None:
+    def __init__(self, error: ErrorCode) -> None:
         super().__init__(error.name)
         self.error = error
 
 
 @dataclass(frozen=True)
-class Done:
+class StatementResult:
     """What a statement led to: the state after it, its answer, and when all that it moves has arrived."""
 
-    state: State
+    state: UnitState
     t: float
     answer: str | None = None
 
@@ -93,14 +102,14 @@ class Statements:
     def __init__(self, plant: Plant, drive: MonochromatorDrive) -> None:
         self._plant = plant
         self._drive = drive
-        self._commands: dict[str, Callable[[State, str, float], Done]] = {
-            "GOWAVE": self._go_wave, "STEP": self._step, "ABORT": lambda state, _, t: Done(state, t),
+        self._commands: dict[str, Callable[[UnitState, str, float], StatementResult]] = {
+            "GOWAVE": self._go_wave, "STEP": self._step, "ABORT": lambda state, _, t: StatementResult(state, t),
             "CALIBRATE": self._calibrate, "GRAT": self._go_grating, "SHUTTER": self._shutter, "FILTER": self._go_filter,
             "OUTPORT": self._outport, "BANDPASS": self._bandpass, "UNITS": self._units, "HANDSHAKE": self._handshake,
         }  # fmt: skip
 
-    def perform(self, state: State, statement: Statement, t: float) -> Done:
-        """Carries one out at `t`. Raises Refused."""
+    def perform(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
+        """Carries one out at `t`. Raises StatementRefused."""
         if statement.query:
             return self._ask(state, statement, t)
         action = self._commands.get(statement.word)
@@ -108,14 +117,14 @@ class Statements:
             return action(state, statement.parameter, t)
         return self._set_numbered(state, statement, t)
 
-    def highest_nm(self, state: State) -> float:
+    def highest_nm(self, state: UnitState) -> float:
         """As far as the drive reaches with the present grating."""
         return HIGHEST_NM_OF_1200 * 1200 / state.current.lines_per_mm
 
-    def _nm_per_step(self, state: State) -> float:
+    def _nm_per_step(self, state: UnitState) -> float:
         return self._drive.nm_per_step * 1200 / state.current.lines_per_mm
 
-    def _ask(self, state: State, statement: Statement, t: float) -> Done:
+    def _ask(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
         true_nm = self._plant.wavelength_nm.at(t)
         grating = state.current
         match statement.word:
@@ -144,12 +153,12 @@ class Statements:
                 state = replace(state, status=NO_ERROR)
             case "ERROR":
                 answer = str(int(state.error))
-                state = replace(state, error=Error.NONE)
+                state = replace(state, error=ErrorCode.NONE)
             case word:
                 answer = self._ask_numbered(state, word)
-        return Done(state, t, answer)
+        return StatementResult(state, t, answer)
 
-    def _ask_numbered(self, state: State, word: str) -> str:
+    def _ask_numbered(self, state: UnitState, word: str) -> str:
         kind, number, name = _numbered(word, state, self._drive.filters)
         if kind == "SLIT":
             return f"{state.slits_um[number - 1]:.0f}"
@@ -165,41 +174,41 @@ class Statements:
                 return f"{grating.zero_nm:.4f}"
         return f"{grating.factor:.6f}"
 
-    def _set_numbered(self, state: State, statement: Statement, t: float) -> Done:
+    def _set_numbered(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
         kind, number, name = _numbered(statement.word, state, self._drive.filters)
         text = statement.parameter
         if name == "LABEL":
             if len(text) > MAX_LABEL:
-                raise Refused(Error.LABEL_TOO_LONG)
+                raise StatementRefused(ErrorCode.LABEL_TOO_LONG)
             if not text:
-                raise Refused(Error.BAD_PARAMETER)
+                raise StatementRefused(ErrorCode.BAD_PARAMETER)
             if kind == "FILTER":
                 labels = [*state.filter_labels]
                 labels[number - 1] = text
-                return Done(replace(state, filter_labels=tuple(labels)), t)
-            return Done(state.with_grating(number, label=text), t)
+                return StatementResult(replace(state, filter_labels=tuple(labels)), t)
+            return StatementResult(state.with_grating(number, label=text), t)
         if kind == "SLIT":
             return self._go_slits(state, {number: _number(text)}, t)
         if name == "LINES":
             if not 1 <= _integer(text) <= 10_000:
-                raise Refused(Error.BAD_PARAMETER)
-            return Done(state.with_grating(number, lines_per_mm=_integer(text)), t)
+                raise StatementRefused(ErrorCode.BAD_PARAMETER)
+            return StatementResult(state.with_grating(number, lines_per_mm=_integer(text)), t)
         if name == "ZERO":
-            return Done(state.with_grating(number, zero_nm=_number(text)), t)
+            return StatementResult(state.with_grating(number, zero_nm=_number(text)), t)
         if not 0.5 <= _number(text) <= 2.0:
-            raise Refused(Error.BAD_PARAMETER)
-        return Done(state.with_grating(number, factor=_number(text)), t)
+            raise StatementRefused(ErrorCode.BAD_PARAMETER)
+        return StatementResult(state.with_grating(number, factor=_number(text)), t)
 
-    def _go_wave(self, state: State, text: str, t: float) -> Done:
+    def _go_wave(self, state: UnitState, text: str, t: float) -> StatementResult:
         return self._slew(state, state.current.true_nm(state.unit.to_nm(_number(text))), t)
 
-    def _step(self, state: State, text: str, t: float) -> Done:
+    def _step(self, state: UnitState, text: str, t: float) -> StatementResult:
         step = self._nm_per_step(state)
         return self._slew(state, (round(self._plant.wavelength_nm.at(t) / step) + _integer(text)) * step, t)
 
-    def _slew(self, state: State, true_nm: float, t: float) -> Done:
+    def _slew(self, state: UnitState, true_nm: float, t: float) -> StatementResult:
         if not 0.0 <= true_nm <= self.highest_nm(state):
-            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+            raise StatementRefused(ErrorCode.DESTINATION_NOT_ALLOWED)
         step = self._nm_per_step(state)
         target = round(round(true_nm / step) * step, 6)
         way = abs(target - self._plant.wavelength_nm.at(t))
@@ -207,21 +216,21 @@ class Statements:
             arrived = t + way / self._drive.slew_nm_per_s
             self._plant.wavelength_nm.slew(t, arrived, target)
             t = arrived + self._drive.settle_s
-        return Done(state, t)
+        return StatementResult(state, t)
 
-    def _calibrate(self, state: State, text: str, t: float) -> Done:
+    def _calibrate(self, state: UnitState, text: str, t: float) -> StatementResult:
         shown = state.unit.to_nm(_number(text))
         if not 0.0 <= shown <= 10_000.0:
-            raise Refused(Error.BAD_PARAMETER)
+            raise StatementRefused(ErrorCode.BAD_PARAMETER)
         zero = shown - self._plant.wavelength_nm.at(t) * state.current.factor
-        return Done(state.with_grating(state.grating, zero_nm=zero), t)
+        return StatementResult(state.with_grating(state.grating, zero_nm=zero), t)
 
-    def _go_grating(self, state: State, text: str, t: float) -> Done:
+    def _go_grating(self, state: UnitState, text: str, t: float) -> StatementResult:
         number = _integer(text)
         if not 1 <= number <= len(state.gratings):
-            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+            raise StatementRefused(ErrorCode.DESTINATION_NOT_ALLOWED)
         if number == state.grating:
-            return Done(state, t)
+            return StatementResult(state, t)
         changed = replace(state, grating=number)
         # The turret turns, and the unit goes back to the wavelength where it was, if that grating reaches it.
         wanted = changed.current.true_nm(state.current.shown_nm(self._plant.wavelength_nm.at(t)))
@@ -229,74 +238,74 @@ class Statements:
         step = self._nm_per_step(changed)
         done = t + self._drive.grating_s
         self._plant.wavelength_nm.slew(t, done, round(round(target / step) * step, 6))
-        return Done(changed, done)
+        return StatementResult(changed, done)
 
-    def _shutter(self, state: State, text: str, t: float) -> Done:
+    def _shutter(self, state: UnitState, text: str, t: float) -> StatementResult:
         if text.upper() not in ("O", "C"):
-            raise Refused(Error.BAD_PARAMETER)
+            raise StatementRefused(ErrorCode.BAD_PARAMETER)
         done = t + self._drive.shutter_s
         self._plant.shutter_open.set(done, text.upper() == "O")
-        return Done(state, done)
+        return StatementResult(state, done)
 
-    def _go_filter(self, state: State, text: str, t: float) -> Done:
+    def _go_filter(self, state: UnitState, text: str, t: float) -> StatementResult:
         position = _integer(text)
         if not self._drive.filters:
-            raise Refused(Error.ACCESSORY_NOT_PRESENT)
+            raise StatementRefused(ErrorCode.ACCESSORY_NOT_PRESENT)
         if not 1 <= position <= self._drive.filters:
-            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+            raise StatementRefused(ErrorCode.DESTINATION_NOT_ALLOWED)
         way = abs(position - self._plant.filter_position(t))
         if not way and self._drive.already_there_is_error:
-            raise Refused(Error.ACCESSORY_ALREADY_THERE)
+            raise StatementRefused(ErrorCode.ACCESSORY_ALREADY_THERE)
         if way:
             self._plant.wheel.slew(t, t + way * self._drive.filter_s, float(position))
-        return Done(state, t + way * self._drive.filter_s)
+        return StatementResult(state, t + way * self._drive.filter_s)
 
-    def _outport(self, state: State, text: str, t: float) -> Done:
+    def _outport(self, state: UnitState, text: str, t: float) -> StatementResult:
         if _integer(text) not in OUTPORTS:
-            raise Refused(Error.BAD_PARAMETER)
+            raise StatementRefused(ErrorCode.BAD_PARAMETER)
         way = self._drive.filter_s if _integer(text) != state.outport else 0.0
-        return Done(replace(state, outport=_integer(text)), t + way)
+        return StatementResult(replace(state, outport=_integer(text)), t + way)
 
-    def _bandpass(self, state: State, text: str, t: float) -> Done:
+    def _bandpass(self, state: UnitState, text: str, t: float) -> StatementResult:
         bandpass = _number(text)
         width = bandpass / (NM_A_MICROMETRE_OF_1200 * 1200 / state.current.lines_per_mm)
         done = self._go_slits(state, dict.fromkeys(range(1, SLITS + 1), width), t)
-        return Done(replace(done.state, bandpass_nm=bandpass), done.t)
+        return StatementResult(replace(done.state, bandpass_nm=bandpass), done.t)
 
-    def _go_slits(self, state: State, widths_um: dict[int, float], t: float) -> Done:
+    def _go_slits(self, state: UnitState, widths_um: dict[int, float], t: float) -> StatementResult:
         if not all(4.0 <= width <= WIDEST_SLIT_UM for width in widths_um.values()):
-            raise Refused(Error.DESTINATION_NOT_ALLOWED)
+            raise StatementRefused(ErrorCode.DESTINATION_NOT_ALLOWED)
         slits = list(state.slits_um)
         way = 0.0
         for number, width in widths_um.items():
             way = max(way, abs(width - slits[number - 1]))
             slits[number - 1] = float(round(width))
-        return Done(replace(state, slits_um=tuple(slits)), t + way / self._drive.slit_um_per_s)
+        return StatementResult(replace(state, slits_um=tuple(slits)), t + way / self._drive.slit_um_per_s)
 
-    def _units(self, state: State, text: str, t: float) -> Done:
-        if text.upper() not in Unit.__members__:
-            raise Refused(Error.BAD_PARAMETER)
-        return Done(replace(state, unit=Unit[text.upper()]), t)
+    def _units(self, state: UnitState, text: str, t: float) -> StatementResult:
+        if text.upper() not in WavelengthUnit.__members__:
+            raise StatementRefused(ErrorCode.BAD_PARAMETER)
+        return StatementResult(replace(state, unit=WavelengthUnit[text.upper()]), t)
 
-    def _handshake(self, state: State, text: str, t: float) -> Done:
+    def _handshake(self, state: UnitState, text: str, t: float) -> StatementResult:
         if not self._drive.handshake:
-            raise Refused(Error.NOT_UNDERSTOOD)
+            raise StatementRefused(ErrorCode.NOT_UNDERSTOOD)
         if text not in ("0", "1"):
-            raise Refused(Error.BAD_PARAMETER)
-        return Done(replace(state, handshake=text == "1"), t)
+            raise StatementRefused(ErrorCode.BAD_PARAMETER)
+        return StatementResult(replace(state, handshake=text == "1"), t)
 
 
-def _numbered(word: str, state: State, filters: int) -> tuple[str, int, str]:
-    """`GRAT2LABEL` taken apart. Raises Refused."""
+def _numbered(word: str, state: UnitState, filters: int) -> tuple[str, int, str]:
+    """`GRAT2LABEL` taken apart. Raises StatementRefused."""
     match = re.fullmatch(r"(GRAT)(\d)(LABEL|LINES|ZERO|FACTOR)|(FILTER)(\d)(LABEL)|(SLIT)(\d)(MICRONS)", word)
     if match is None:
-        raise Refused(Error.NOT_UNDERSTOOD)
+        raise StatementRefused(ErrorCode.NOT_UNDERSTOOD)
     kind, digit, name = (each for each in match.groups() if each is not None)
     number = int(digit)
     if kind == "FILTER" and not filters:
-        raise Refused(Error.ACCESSORY_NOT_PRESENT)
+        raise StatementRefused(ErrorCode.ACCESSORY_NOT_PRESENT)
     if not 1 <= number <= {"GRAT": len(state.gratings), "FILTER": filters, "SLIT": SLITS}[kind]:
-        raise Refused(Error.BAD_PARAMETER)
+        raise StatementRefused(ErrorCode.BAD_PARAMETER)
     return kind, number, name
 
 
@@ -304,10 +313,10 @@ def _number(text: str) -> float:
     try:
         return decode_number(text.encode("ascii"))
     except StatementError:
-        raise Refused(Error.BAD_PARAMETER) from None
+        raise StatementRefused(ErrorCode.BAD_PARAMETER) from None
 
 
 def _integer(text: str) -> int:
     if not re.fullmatch(r"[+-]?\d{1,9}", text):
-        raise Refused(Error.BAD_PARAMETER)
+        raise StatementRefused(ErrorCode.BAD_PARAMETER)
     return int(text)

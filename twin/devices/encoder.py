@@ -21,14 +21,14 @@ class Encoder:
         self._key = process_key(plant.model.seed, f"encoder {axis}")
 
     def steady(self, angle_deg: float, resolution: int) -> float:
-        """What it would say at an angle without noise and rounding, in the module's microsteps."""
+        """Ideal reading at an angle without noise and rounding, in the module's microsteps."""
         mechanics = self._shaft.mechanics
         error = mechanics.encoder_error_deg * math.sin(math.radians(angle_deg))
         full_steps = (angle_deg + error - mechanics.zero_deg) / mechanics.deg_per_full_step
         return full_steps * MICROSTEPS * self._scale(resolution)
 
     def read(self, t: float, resolution: int) -> float:
-        """What it says at `t`, in the module's microsteps: whole counts, turned into them."""
+        """Reading at `t`: whole counts, converted into the module's microsteps."""
         mechanics = self._shaft.mechanics
         scale = self._scale(resolution)
         noise = self._noise * normal(self._key, np.int64(math.floor(t / PERIOD_S))) if self._noise else 0.0

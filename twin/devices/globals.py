@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from goniotwin.protocols.tmcl import Command, Status
-from goniotwin.protocols.tmcl_parameters import USER_BANK, Global
-from goniotwin.twin.devices.ramp_generator import Rejected
+from goniotwin.protocols.tmcl import Command, ReplyStatus
+from goniotwin.protocols.tmcl_parameters import USER_BANK, GlobalParameter
+from goniotwin.twin.devices.ramp_generator import CommandRejected
 from goniotwin.twin.plant.noise import mix, process_key
 
 USER_VARIABLES, USER_STORED = 256, 56
@@ -14,24 +14,24 @@ TIMERS_AND_INTERRUPTS = (0, 1, 2, *range(27, 47))
 
 # Bank 0: number -> (value, lowest, highest). Ranges of what only CAN and programs use are assumptions.
 BANK_0: dict[int, tuple[int, int, int]] = {
-    Global.BAUD_RATE: (0, 0, 11),
-    Global.ADDRESS: (1, 1, 255),
-    Global.HEARTBEAT: (0, 0, 65_535),
+    GlobalParameter.BAUD_RATE: (0, 0, 11),
+    GlobalParameter.ADDRESS: (1, 1, 255),
+    GlobalParameter.HEARTBEAT: (0, 0, 65_535),
     69: (8, 0, 8),
     70: (2, 0, 0x7FF),
     71: (1, 0, 0x7FF),
-    Global.EEPROM_LOCK: (0, 0, 0x7FFF_FFFF),
-    Global.TELEGRAM_PAUSE: (0, 0, 255),
-    Global.HOST_ADDRESS: (2, 0, 255),
-    Global.AUTOSTART: (0, 0, 1),
-    Global.PROTECTION: (0, 0, 3),
+    GlobalParameter.EEPROM_LOCK: (0, 0, 0x7FFF_FFFF),
+    GlobalParameter.TELEGRAM_PAUSE: (0, 0, 255),
+    GlobalParameter.HOST_ADDRESS: (2, 0, 255),
+    GlobalParameter.AUTOSTART: (0, 0, 1),
+    GlobalParameter.PROTECTION: (0, 0, 3),
     82: (0, 0, 65_535),
     83: (0, 0, 0x7FF),
-    Global.COORDINATES_IN_EEPROM: (0, 0, 1),
+    GlobalParameter.COORDINATES_IN_EEPROM: (0, 0, 1),
     85: (0, 0, 1),
     86: (0, 0, 255),
     87: (0, 0, 255),
-    Global.SUPPRESS_REPLY: (0, 0, 1),
+    GlobalParameter.SUPPRESS_REPLY: (0, 0, 1),
 }
 
 
@@ -54,7 +54,7 @@ class Globals:
     @property
     def locked(self) -> bool:
         """Whether EEPROM may not be written."""
-        return self._values[0, Global.EEPROM_LOCK] == 1
+        return self._values[0, GlobalParameter.EEPROM_LOCK] == 1
 
     def run(self, command: int) -> None:
         """What was done to the stand-alone program."""
@@ -62,58 +62,58 @@ class Globals:
         self._status = states[Command(command)]
 
     def get(self, bank: int, number: int, t: float) -> int:
-        """GGP. Raises Rejected."""
+        """GGP. Raises CommandRejected."""
         held = self._values.get((bank, number))
         if held is not None:
             return held
         if bank == 0:
             match number:
-                case Global.APPLICATION_STATUS:
+                case GlobalParameter.APPLICATION_STATUS:
                     return self._status
-                case Global.DOWNLOAD_MODE | Global.PROGRAM_COUNTER:
+                case GlobalParameter.DOWNLOAD_MODE | GlobalParameter.PROGRAM_COUNTER:
                     return 0
-                case Global.TICK_TIMER:
+                case GlobalParameter.TICK_TIMER:
                     return round((t - self._ticks_from) * 1000.0) & 0x7FFF_FFFF
-                case Global.RANDOM_NUMBER:
+                case GlobalParameter.RANDOM_NUMBER:
                     return int(mix(self._key, np.int64(int(t * 1.0e6)))) & 0x7FFF_FFFF
         self._check(bank, number)
         return 0
 
     def set(self, bank: int, number: int, value: int, t: float) -> None:
-        """SGP. Raises Rejected."""
-        if (bank, number) == (0, Global.TICK_TIMER):
+        """SGP. Raises CommandRejected."""
+        if (bank, number) == (0, GlobalParameter.TICK_TIMER):
             self._ticks_from = t - value / 1000.0
             return
         self._check(bank, number)
         if bank == 0:
-            if number == Global.EEPROM_LOCK:
+            if number == GlobalParameter.EEPROM_LOCK:
                 if value not in (LOCK, UNLOCK):
-                    raise Rejected(Status.INVALID_VALUE)
+                    raise CommandRejected(ReplyStatus.INVALID_VALUE)
                 value = int(value == LOCK)
-            elif self.locked and number < Global.APPLICATION_STATUS:
-                raise Rejected(Status.EEPROM_LOCKED)
+            elif self.locked and number < GlobalParameter.APPLICATION_STATUS:
+                raise CommandRejected(ReplyStatus.EEPROM_LOCKED)
             _, lowest, highest = BANK_0[number]
             if not lowest <= value <= highest:
-                raise Rejected(Status.INVALID_VALUE)
+                raise CommandRejected(ReplyStatus.INVALID_VALUE)
         self._values[bank, number] = value
-        if bank == 0 and number < Global.APPLICATION_STATUS:
+        if bank == 0 and number < GlobalParameter.APPLICATION_STATUS:
             self._eeprom[bank, number] = value
 
     def store(self, bank: int, number: int, *, restore: bool) -> None:
-        """STGP and RSGP. Raises Rejected for what EEPROM does not keep."""
+        """STGP and RSGP. Raises CommandRejected for what EEPROM does not keep."""
         self._check(bank, number)
         if bank == 3 or (bank == USER_BANK and number >= USER_STORED):
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         if restore:
             self._values[bank, number] = self._eeprom.get((bank, number), self._factory.get((bank, number), 0))
         elif self.locked:
-            raise Rejected(Status.EEPROM_LOCKED)
+            raise CommandRejected(ReplyStatus.EEPROM_LOCKED)
         else:
             self._eeprom[bank, number] = self._values.get((bank, number), 0)
 
     def _check(self, bank: int, number: int) -> None:
         if bank not in (0, 1, USER_BANK, 3):
-            raise Rejected(Status.INVALID_VALUE)
+            raise CommandRejected(ReplyStatus.INVALID_VALUE)
         known = {0: number in BANK_0, USER_BANK: number < USER_VARIABLES, 3: number in TIMERS_AND_INTERRUPTS}
         if not known.get(bank, False):
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)

@@ -12,7 +12,7 @@ from struct import Struct, unpack
 from pymodbus.framer import FramerRTU
 
 from goniotwin.protocols import adam
-from goniotwin.twin.devices.adam import AdamModule, ModbusFault
+from goniotwin.twin.devices.adam import ConverterModule, ModbusFault
 
 MBAP = 7
 LONGEST_TCP = 260
@@ -35,7 +35,7 @@ class TcpStation:
 
     baudrate = 0
 
-    def __init__(self, device: AdamModule) -> None:
+    def __init__(self, device: ConverterModule) -> None:
         self.device = device
         self.outbox: deque[tuple[float, bytes]] = deque()
         self._buffer = b""
@@ -60,7 +60,7 @@ class TcpStation:
                 self.outbox.append((self._free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
 
     def reset(self, t: float) -> None:
-        """The module loses its power for a moment, and with it what has been half said and half heard."""
+        """The module loses its power for a moment, and with it incomplete requests and replies."""
         self.device.reset(t)
         self._buffer = b""
 
@@ -71,7 +71,7 @@ class RtuStation:
     `gap_s` is 3.5 characters where it is not given; on an endpoint whose bytes keep no time it has to be longer.
     """
 
-    def __init__(self, devices: list[AdamModule], baudrate: int = adam.BAUDRATE, gap_s: float | None = None) -> None:
+    def __init__(self, devices: list[ConverterModule], baudrate: int = adam.BAUDRATE, gap_s: float | None = None) -> None:
         self.devices = devices
         self.baudrate = baudrate
         self.outbox: deque[tuple[float, bytes]] = deque()
@@ -104,7 +104,7 @@ class RtuStation:
         if len(self._buffer) < FramerRTU.MIN_SIZE:
             return None
         size = self._size()
-        if size is None:  # only the checksum tells where a function ends that pymodbus does not know
+        if size is None:  # only the checksum shows the end of a function that pymodbus does not know
             whole = checked(self._buffer)
             if not whole and len(self._buffer) > LONGEST_RTU:
                 self._buffer, self._deaf = b"", True
@@ -120,7 +120,7 @@ class RtuStation:
         return frame
 
     def _size(self) -> int | None:
-        """Of the frame that begins the buffer: 0 while its count is missing, None where only its end will tell."""
+        """Of the frame that begins the buffer: 0 while its count is missing, None where only its end decides."""
         function = self._buffer[1]
         if function in (15, 16):
             return 9 + self._buffer[6] if len(self._buffer) > 6 else 0
@@ -161,7 +161,7 @@ def well_formed(pdu: bytes) -> bool:
     return 1 <= number <= (1968 if function == 15 else 123) and length == 6 + size and pdu[5] == size
 
 
-def answered(device: AdamModule, request: bytes, t: float) -> bytes:
+def answered(device: ConverterModule, request: bytes, t: float) -> bytes:
     """The PDU with which a module answers that of a request that arrives at `t`: an exception where it refuses."""
     function = request[0]
     try:
@@ -174,7 +174,7 @@ def answered(device: AdamModule, request: bytes, t: float) -> bytes:
         return bytes([0x80 | function, fault.code])
 
 
-def _read(device: AdamModule, request: bytes, t: float) -> bytes:
+def _read(device: ConverterModule, request: bytes, t: float) -> bytes:
     function = request[0]
     address, count = WORDS.unpack_from(request, 1)
     if function >= 3:
@@ -186,7 +186,7 @@ def _read(device: AdamModule, request: bytes, t: float) -> bytes:
     return bytes([function, len(packed)]) + packed
 
 
-def _written(device: AdamModule, request: bytes, t: float) -> bytes:
+def _written(device: ConverterModule, request: bytes, t: float) -> bytes:
     function = request[0]
     if function == 8:
         return request

@@ -1,11 +1,11 @@
-"""One motor of a motion module: its axis parameters, what it is asked and what it is told."""
+"""One motor of a motion module: its axis parameters and commands."""
 
-from goniotwin.protocols.tmcl import Status
-from goniotwin.protocols.tmcl_parameters import Axis, DriverFlag, ErrorFlag
+from goniotwin.protocols.tmcl import ReplyStatus
+from goniotwin.protocols.tmcl_parameters import AxisParameter, DriverFlag, ErrorFlag
 from goniotwin.twin.devices import reference_search
 from goniotwin.twin.devices.axis_table import COMPUTED, Parameter
 from goniotwin.twin.devices.encoder import Encoder
-from goniotwin.twin.devices.ramp_generator import RampGenerator, Rejected, signed
+from goniotwin.twin.devices.ramp_generator import CommandRejected, RampGenerator, signed
 from goniotwin.twin.devices.switches import Place
 from goniotwin.twin.plant.motion import ramp_to_velocity
 from goniotwin.twin.plant.shaft import Heartbeat, Shaft
@@ -14,11 +14,21 @@ UNLOADED = 512
 POWER_DOWN_UNIT_S = 0.01
 REPLANNED = frozenset(
     {
-        Axis.MAX_VELOCITY, Axis.MAX_ACCELERATION, Axis.MAX_DECELERATION, Axis.RIGHT_SWITCH_DISABLED, Axis.SWAP_SWITCHES,
-        Axis.LEFT_SWITCH_DISABLED, Axis.RIGHT_SWITCH_POLARITY, Axis.LEFT_SWITCH_POLARITY, Axis.SOFT_STOP,
-        Axis.STALL_VELOCITY, Axis.MAX_ENCODER_DEVIATION, Axis.ENCODER_RESOLUTION, Axis.UNIT_MODE,
+        AxisParameter.MAX_VELOCITY,
+        AxisParameter.MAX_ACCELERATION,
+        AxisParameter.MAX_DECELERATION,
+        AxisParameter.RIGHT_SWITCH_DISABLED,
+        AxisParameter.SWAP_SWITCHES,
+        AxisParameter.LEFT_SWITCH_DISABLED,
+        AxisParameter.RIGHT_SWITCH_POLARITY,
+        AxisParameter.LEFT_SWITCH_POLARITY,
+        AxisParameter.SOFT_STOP,
+        AxisParameter.STALL_VELOCITY,
+        AxisParameter.MAX_ENCODER_DEVIATION,
+        AxisParameter.ENCODER_RESOLUTION,
+        AxisParameter.UNIT_MODE,
     }
-)  # fmt: skip
+)
 
 
 class Motor(RampGenerator):
@@ -53,50 +63,52 @@ class Motor(RampGenerator):
 
     def current(self, t: float) -> int:
         """Of 255: the run current, and a power-down delay after the end of a movement the standby current."""
-        rests = self._trajectory.end + self._values[Axis.POWER_DOWN_DELAY] * POWER_DOWN_UNIT_S
-        return self._values[Axis.STANDBY_CURRENT if t >= rests and not self.is_moving(t) else Axis.RUN_CURRENT]
+        rests = self._trajectory.end + self._values[AxisParameter.POWER_DOWN_DELAY] * POWER_DOWN_UNIT_S
+        return self._values[
+            AxisParameter.STANDBY_CURRENT if t >= rests and not self.is_moving(t) else AxisParameter.RUN_CURRENT
+        ]
 
     def get(self, number: int, t: float) -> int:
-        """GAP. Raises Rejected for a parameter that is not there."""
+        """GAP. Raises CommandRejected for a parameter that is not there."""
         self.catch_up(t)
         if number in COMPUTED:
             return signed(self._computed(number, t))
         if number not in self._values:
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         return self._values[number]
 
     def _computed(self, number: int, t: float) -> int:
         match number:
-            case Axis.TARGET_POSITION:
+            case AxisParameter.TARGET_POSITION:
                 return self._target
-            case Axis.ACTUAL_POSITION | 198:
+            case AxisParameter.ACTUAL_POSITION | 198:
                 return round(self._trajectory.position(t))
-            case Axis.ACTUAL_VELOCITY | 29:
+            case AxisParameter.ACTUAL_VELOCITY | 29:
                 return round(self._trajectory.velocity(t) / self._unit())
-            case Axis.POSITION_REACHED:
+            case AxisParameter.POSITION_REACHED:
                 at_target = round(self._trajectory.position(t)) == self._target
                 return int(not self.is_moving(t) and at_target and self._search is None)
-            case Axis.HOME_SWITCH:
+            case AxisParameter.HOME_SWITCH:
                 return int(self.switch(Place.HOME).active(self.shaft.angle_deg(t)))
-            case Axis.RIGHT_SWITCH:
+            case AxisParameter.RIGHT_SWITCH:
                 return int(self.end_switch(1).active(self.shaft.angle_deg(t)))
-            case Axis.LEFT_SWITCH:
+            case AxisParameter.LEFT_SWITCH:
                 return int(self.end_switch(-1).active(self.shaft.angle_deg(t)))
-            case Axis.SWITCH_DISTANCE:
+            case AxisParameter.SWITCH_DISTANCE:
                 return self._distance
-            case Axis.LAST_REFERENCE_POSITION:
+            case AxisParameter.LAST_REFERENCE_POSITION:
                 return self._last_reference
-            case Axis.LOAD_VALUE:
+            case AxisParameter.LOAD_VALUE:
                 return 0 if self._stalls(t) else UNLOADED
-            case Axis.ERROR_FLAGS:
+            case AxisParameter.ERROR_FLAGS:
                 errors, self._errors = self._errors, ErrorFlag(0)  # reading clears them
                 return int(errors)
-            case Axis.DRIVER_FLAGS:
+            case AxisParameter.DRIVER_FLAGS:
                 return int(self.faults | self._driver_flags(t))
             case 180:
                 return self.current(t) >> 3
         if self.encoder is None:
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         return round(self.encoder.read(t, self._resolution()) + self._encoder_offset)
 
     def _driver_flags(self, t: float) -> DriverFlag:
@@ -105,48 +117,48 @@ class Motor(RampGenerator):
         return DriverFlag(0) if self.is_moving(t) else DriverFlag.STANDSTILL
 
     def set(self, number: int, value: int, t: float) -> None:
-        """SAP. Raises Rejected for a parameter that is not there or a value out of its range."""
+        """SAP. Raises CommandRejected for a parameter that is not there or a value out of its range."""
         self.catch_up(t)
         match number:
-            case Axis.TARGET_POSITION:
+            case AxisParameter.TARGET_POSITION:
                 self.move_to(value, t)
                 return
-            case Axis.ACTUAL_POSITION:
+            case AxisParameter.ACTUAL_POSITION:
                 self._recount(float(value), t)
                 return
-            case Axis.ENCODER_POSITION if self.encoder is not None:
+            case AxisParameter.ENCODER_POSITION if self.encoder is not None:
                 self._encoder_offset = value - self.encoder.read(t, self._resolution())
                 self.refresh(t)
                 return
         parameter = self._table.get(number)
         if parameter is None:
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         if not parameter.lowest <= value <= parameter.highest:
-            raise Rejected(Status.INVALID_VALUE)
-        if number == Axis.REFERENCE_SEARCH_MODE and not reference_search.known(value):
-            raise Rejected(Status.INVALID_VALUE)
+            raise CommandRejected(ReplyStatus.INVALID_VALUE)
+        if number == AxisParameter.REFERENCE_SEARCH_MODE and not reference_search.known(value):
+            raise CommandRejected(ReplyStatus.INVALID_VALUE)
         self._values[number] = value
-        if number in (Axis.MICROSTEP_RESOLUTION, Axis.REVERSE_SHAFT):
+        if number in (AxisParameter.MICROSTEP_RESOLUTION, AxisParameter.REVERSE_SHAFT):
             self._trajectory = self._wanted = self.shaft.recount(t, round(self._trajectory.position(t)), self._per_full())
-        elif number == Axis.TARGET_VELOCITY:
+        elif number == AxisParameter.TARGET_VELOCITY:
             self.turn(value, t)
         elif number in REPLANNED:
             self.refresh(t)
 
     def store(self, number: int, *, restore: bool, t: float) -> None:
-        """STAP and RSAP. Raises Rejected for a parameter that EEPROM does not keep."""
+        """STAP and RSAP. Raises CommandRejected for a parameter that EEPROM does not keep."""
         parameter = self._table.get(number)
         if parameter is None or not parameter.stored:
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         if restore:
             self.set(number, self._eeprom.get(number, parameter.value), t)
         else:
             self._eeprom[number] = self._values[number]
 
     def move_by(self, offset: int, t: float) -> int:
-        """MVP REL: from the last target, from where it is or from the encoder, as AP 127 says; returns the target."""
-        reference = self._values[Axis.RELATIVE_REFERENCE]
-        start = (Axis.TARGET_POSITION, Axis.ACTUAL_POSITION, Axis.ENCODER_POSITION)[reference]
+        """MVP REL: from the last target, from where it is or from the encoder, as AP 127 selects; returns the target."""
+        reference = self._values[AxisParameter.RELATIVE_REFERENCE]
+        start = (AxisParameter.TARGET_POSITION, AxisParameter.ACTUAL_POSITION, AxisParameter.ENCODER_POSITION)[reference]
         return self.move_to(self.get(start, t) + offset, t)
 
     def _recount(self, position: float, t: float) -> None:

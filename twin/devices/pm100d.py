@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 
-from goniotwin.protocols.scpi import NOT_A_NUMBER, OVERRANGE, ScpiError, Unit, encode_number, suffixes
+from goniotwin.protocols.scpi import NOT_A_NUMBER, OVERRANGE, MessageUnit, ScpiError, encode_number, suffixes
 from goniotwin.twin.devices.scpi_instrument import Command, ScpiInstrument, bare, limit, number, single, switch
 from goniotwin.twin.plant import Plant
 
@@ -73,7 +73,7 @@ class Pm100d(ScpiInstrument):
         return max(ends, default=float("-inf"))
 
     def refresh(self, t: float) -> None:
-        """Ends a zero that is over; says in the status groups what goes on."""
+        """End a zero that is over; update the status groups."""
         if self._zeroing is not None and self._zeroing[1] <= t:
             self._end_zero(*self._zeroing)
         operation = self.groups["OPERation"]
@@ -196,44 +196,44 @@ class Pm100d(ScpiInstrument):
 
     # ---- settings ----
 
-    def _set_averages(self, unit: Unit) -> None:
+    def _set_averages(self, unit: MessageUnit) -> None:
         self._averages = round(number(unit, 1, MAX_AVERAGES, 1, {}))
 
-    def _set_range(self, unit: Unit) -> None:
+    def _set_range(self, unit: MessageUnit) -> None:
         self._choose_range(number(unit, *_ends(1.0), AMPERES))
 
-    def _set_power_range(self, unit: Unit) -> None:
+    def _set_power_range(self, unit: MessageUnit) -> None:
         self._choose_range(number(unit, *_ends(self._watts_per_ampere), WATTS) / self._watts_per_ampere)
 
     def _choose_range(self, wanted_a: float) -> None:
         self._range_a = next((upper for upper in RANGES_A if wanted_a <= upper * (1.0 + 1e-9)), RANGES_A[-1])
         self._auto = False
 
-    def _set_auto(self, unit: Unit) -> None:
+    def _set_auto(self, unit: MessageUnit) -> None:
         self._auto = switch(unit)
 
-    def _set_unit(self, unit: Unit) -> None:
+    def _set_unit(self, unit: MessageUnit) -> None:
         if single(unit).upper() not in ("W", "DBM"):
             raise ScpiError(-224, "Illegal parameter value")
         self._dbm = single(unit).upper() == "DBM"
 
-    def _set_low_pass(self, unit: Unit) -> None:
+    def _set_low_pass(self, unit: MessageUnit) -> None:
         self._low_pass = switch(unit)
 
-    def _set_wavelength(self, unit: Unit) -> None:
+    def _set_wavelength(self, unit: MessageUnit) -> None:
         self._wavelength_nm = number(unit, *WAVELENGTHS_NM, 635.0, NANOMETRES)
         self._responsivity = _sensor(self._wavelength_nm)
 
-    def _set_responsivity(self, unit: Unit) -> None:
+    def _set_responsivity(self, unit: MessageUnit) -> None:
         self._responsivity = number(unit, 1e-6, 10.0, _sensor(self._wavelength_nm), {"A/W": 1.0, "A": 1.0})
 
-    def _ask_responsivity(self, unit: Unit) -> bytes:
+    def _ask_responsivity(self, unit: MessageUnit) -> bytes:
         return encode_number(limit(unit, 1e-6, 10.0, _sensor(self._wavelength_nm), self._responsivity))
 
-    def _set_loss(self, unit: Unit) -> None:
+    def _set_loss(self, unit: MessageUnit) -> None:
         self._loss_db = number(unit, -60.0, 60.0, 0.0, {"DB": 1.0})
 
-    def _set_beam(self, unit: Unit) -> None:
+    def _set_beam(self, unit: MessageUnit) -> None:
         self._beam_mm = number(unit, 0.1, 100.0, 9.5, {"MM": 1.0, "M": 1e3})
 
 

@@ -6,12 +6,12 @@ movement begins, and again when something changes. A motor that a switch has sto
 
 from dataclasses import replace
 
-from goniotwin.protocols.tmcl import Status
-from goniotwin.protocols.tmcl_parameters import Axis, ErrorFlag, Search
+from goniotwin.protocols.tmcl import ReplyStatus
+from goniotwin.protocols.tmcl_parameters import AxisParameter, ErrorFlag, SearchCommand
 from goniotwin.twin.devices import reference_search
 from goniotwin.twin.devices.axis_table import Parameter
 from goniotwin.twin.devices.encoder import Encoder
-from goniotwin.twin.devices.halts import Guards, Halt, next_halt
+from goniotwin.twin.devices.motion_ends import Guards, MotionEnd, next_motion_end
 from goniotwin.twin.devices.switches import Place, Switch
 from goniotwin.twin.plant.model import Mechanics
 from goniotwin.twin.plant.motion import Trajectory, brake_to_rest, cut_off, ramp_to_target, ramp_to_velocity, rest_at
@@ -22,10 +22,10 @@ CANCELLED_STATE, CANCELLED_S = 15, 0.05
 UNCOUPLED = Mechanics(motor=0, gear=1.0, encoder=False)
 
 
-class Rejected(Exception):
-    """A request that the module refuses, with the status that says so."""
+class CommandRejected(Exception):
+    """A request that the module refuses, with its status."""
 
-    def __init__(self, status: Status) -> None:
+    def __init__(self, status: ReplyStatus) -> None:
         super().__init__(status.name)
         self.status = status
 
@@ -50,8 +50,8 @@ class RampGenerator:
         self._encoder_offset = 0.0
         self._target = 0
         self._errors = ErrorFlag(0)
-        self._halt: Halt | None = None
-        self._search: reference_search.Search | None = None
+        self._halt: MotionEnd | None = None
+        self._search: reference_search.ReferenceSearch | None = None
         self._cancelled = -1.0
         self._last_reference = self._distance = 0
         self._positioning = False
@@ -79,30 +79,30 @@ class RampGenerator:
         self.catch_up(t)
         self._cancel_search(t)
         self._positioning = False
-        self._values[Axis.TARGET_VELOCITY] = velocity
+        self._values[AxisParameter.TARGET_VELOCITY] = velocity
         position, now = self._trajectory.position(t), self._trajectory.velocity(t)
         self._follow(ramp_to_velocity(t, position, now, velocity * self._unit(), *self._slopes()), t)
 
     def search(self, kind: int, t: float) -> int:
-        """RFS. Raises Rejected for a type that there is not."""
+        """RFS. Raises CommandRejected for a type that there is not."""
         self.catch_up(t)
-        if kind == Search.STATUS:
+        if kind == SearchCommand.STATUS:
             if self._search is not None:
                 return self._search.state(t)
             return CANCELLED_STATE if t < self._cancelled + CANCELLED_S else 0
-        if kind == Search.STOP:
+        if kind == SearchCommand.STOP:
             if self._search is not None:
                 self.turn(0, t)
             return 0
-        if kind != Search.START:
-            raise Rejected(Status.WRONG_TYPE)
+        if kind != SearchCommand.START:
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         self._positioning = False
-        found = reference_search.search(self._values[Axis.REFERENCE_SEARCH_MODE], self._trajectory, t, self._means(t))
+        found = reference_search.search(self._values[AxisParameter.REFERENCE_SEARCH_MODE], self._trajectory, t, self._means(t))
         self._follow(found.trajectory, t, switches=False)
         if self._halt is None or (found.end is not None and found.end <= self._halt.t):
             self._search = found
         else:  # something stops it on the way, so that it finds nothing
-            self._search = reference_search.Search(self._trajectory, found.phases)
+            self._search = reference_search.ReferenceSearch(self._trajectory, found.phases)
         return 0
 
     def catch_up(self, t: float) -> None:
@@ -128,7 +128,7 @@ class RampGenerator:
         if self._search is not None:
             if self.shaft.jammed:  # it sees no switch any more, and turns for ever
                 position, velocity = self._trajectory.position(t), self._trajectory.velocity(t)
-                self._search = reference_search.Search(self._trajectory, self._search.phases)
+                self._search = reference_search.ReferenceSearch(self._trajectory, self._search.phases)
                 self._follow(ramp_to_velocity(t, position, velocity, velocity, *self._slopes()), t)
         elif self._positioning:
             self._follow(self._ramp(t, self._trajectory.position(t), self._trajectory.velocity(t)), t)
@@ -140,12 +140,12 @@ class RampGenerator:
             self._search, self._cancelled = None, t
 
     def _follow(self, wanted: Trajectory, t: float, *, switches: bool = True) -> None:
-        """Begins a movement, up to what will end it; a reference search (no `switches`) heeds those by itself."""
+        """Begins a movement, up to what will end it; a reference search (no `switches`) checks those by itself."""
         down = self._slopes()[1]
         drive = self.shaft.driven(t, wanted)
         guards = self._guards() if switches else replace(self._guards(), right=None, left=None)
         self._wanted = self._trajectory = wanted
-        self._halt = next_halt(drive, t, guards) if self.is_moving(t) else None
+        self._halt = next_motion_end(drive, t, guards) if self.is_moving(t) else None
         if self._halt is not None:
             end = self._halt.t
             self._trajectory = brake_to_rest(wanted, end, down) if self._halt.soft else cut_off(wanted, end)
@@ -155,59 +155,61 @@ class RampGenerator:
         values, encoder = self._values, self.encoder
         offset, resolution = self._encoder_offset, self._resolution()
         return Guards(
-            right=None if values[Axis.RIGHT_SWITCH_DISABLED] else self.end_switch(1),
-            left=None if values[Axis.LEFT_SWITCH_DISABLED] else self.end_switch(-1),
-            soft=bool(values[Axis.SOFT_STOP]),
-            stall_pps=values[Axis.STALL_VELOCITY] * self._unit(),
-            deviation=values[Axis.MAX_ENCODER_DEVIATION],
+            right=None if values[AxisParameter.RIGHT_SWITCH_DISABLED] else self.end_switch(1),
+            left=None if values[AxisParameter.LEFT_SWITCH_DISABLED] else self.end_switch(-1),
+            soft=bool(values[AxisParameter.SOFT_STOP]),
+            stall_pps=values[AxisParameter.STALL_VELOCITY] * self._unit(),
+            deviation=values[AxisParameter.MAX_ENCODER_DEVIATION],
             encoder=None if encoder is None else lambda angle: encoder.steady(angle, resolution) + offset,
         )
 
     def _ramp(self, t: float, position: float, velocity: float) -> Trajectory:
-        speed = self._values[Axis.MAX_VELOCITY] * self._unit()
+        speed = self._values[AxisParameter.MAX_VELOCITY] * self._unit()
         if speed == 0.0:
             return ramp_to_velocity(t, position, velocity, 0.0, *self._slopes())
         return ramp_to_target(t, position, velocity, float(self._target), speed, *self._slopes())
 
     def switch(self, place: Place) -> Switch:
         """One of the shaft's switches, as the search mode has the home switch inverted."""
-        inverted = place is Place.HOME and bool(self._values[Axis.REFERENCE_SEARCH_MODE] & 128)
+        inverted = place is Place.HOME and bool(self._values[AxisParameter.REFERENCE_SEARCH_MODE] & 128)
         return Switch(self.shaft.mechanics, place, inverted)
 
     def end_switch(self, side: int) -> Switch:
         """The switch at the right (1) or left (-1) input: wired so that positive microsteps lead to the right one."""
-        polarity = Axis.RIGHT_SWITCH_POLARITY if side > 0 else Axis.LEFT_SWITCH_POLARITY
-        upwards = side * self.shaft.mechanics.sense * (-1 if self._values[Axis.SWAP_SWITCHES] else 1)
+        polarity = AxisParameter.RIGHT_SWITCH_POLARITY if side > 0 else AxisParameter.LEFT_SWITCH_POLARITY
+        upwards = side * self.shaft.mechanics.sense * (-1 if self._values[AxisParameter.SWAP_SWITCHES] else 1)
         place = Place.UPPER if upwards > 0 else Place.LOWER
         return Switch(self.shaft.mechanics, place, bool(self._values[polarity]))
 
     def _means(self, t: float) -> reference_search.Means:
         values, unit = self._values, self._unit()
         return reference_search.Means(
-            values[Axis.REFERENCE_SEARCH_SPEED] * unit,
-            values[Axis.REFERENCE_SWITCH_SPEED] * unit,
+            values[AxisParameter.REFERENCE_SEARCH_SPEED] * unit,
+            values[AxisParameter.REFERENCE_SWITCH_SPEED] * unit,
             *self._slopes(),
             self.end_switch(-1),
             self.end_switch(1),
             self.switch(Place.HOME),
-            bool(values[Axis.LEFT_SWITCH_DISABLED]),
-            bool(values[Axis.RIGHT_SWITCH_DISABLED]),
+            bool(values[AxisParameter.LEFT_SWITCH_DISABLED]),
+            bool(values[AxisParameter.RIGHT_SWITCH_DISABLED]),
             lambda trajectory: self.shaft.driven(t, trajectory),
         )
 
     def _slopes(self) -> tuple[float, float]:
         unit = self._unit()
-        return self._values[Axis.MAX_ACCELERATION] * unit, self._values[Axis.MAX_DECELERATION] * unit
+        return self._values[AxisParameter.MAX_ACCELERATION] * unit, self._values[AxisParameter.MAX_DECELERATION] * unit
 
     def _per_full(self) -> int:
-        return int(2 ** self._values[Axis.MICROSTEP_RESOLUTION]) * (-1 if self._values[Axis.REVERSE_SHAFT] else 1)
+        return int(2 ** self._values[AxisParameter.MICROSTEP_RESOLUTION]) * (
+            -1 if self._values[AxisParameter.REVERSE_SHAFT] else 1
+        )
 
     def _resolution(self) -> int:
-        parameter = self._table[Axis.ENCODER_RESOLUTION]
-        return self._values[Axis.ENCODER_RESOLUTION] if parameter.lowest > 0 else 51_200
+        parameter = self._table[AxisParameter.ENCODER_RESOLUTION]
+        return self._values[AxisParameter.ENCODER_RESOLUTION] if parameter.lowest > 0 else 51_200
 
     def _unit(self) -> float:
-        return 1.0 if self._values[Axis.UNIT_MODE] == 1 else CHIP_UNITS_PPS
+        return 1.0 if self._values[AxisParameter.UNIT_MODE] == 1 else CHIP_UNITS_PPS
 
 
 def signed(value: int) -> int:

@@ -19,7 +19,7 @@ LAST_STATE = 9
 
 
 @dataclass(frozen=True)
-class Search:
+class ReferenceSearch:
     """A search's whole way. `end` and `zero` (the counter at the reference) are None where it finds nothing.
 
     `phases` are the times at which its parts begin; `distance` is that between the end switches, where it has seen both.
@@ -32,7 +32,7 @@ class Search:
     distance: float | None = None
 
     def state(self, t: float) -> int:
-        """What RFS status says: 0 when it is over, else how far it is."""
+        """RFS status: 0 when it is over, else its state."""
         if self.end is not None and t >= self.end:
             return 0
         return min(LAST_STATE, max(1, sum(begun <= t for begun in self.phases)))
@@ -55,10 +55,10 @@ class Means:
 
 
 class _NothingFound(Exception):
-    """It runs on, or stands at a switch, until somebody stops it."""
+    """It runs on, or stands at a switch, until it is stopped."""
 
 
-def search(mode: int, start: Trajectory, t: float, means: Means) -> Search:
+def search(mode: int, start: Trajectory, t: float, means: Means) -> ReferenceSearch:
     """The search of a mode (SearchMode and what is added to it), from a movement that ends at once."""
     course = _Course(start, t, means)
     zero, distance = None, None
@@ -66,8 +66,8 @@ def search(mode: int, start: Trajectory, t: float, means: Means) -> Search:
         kind = SearchMode(mode & 15)
         zero, distance = _home(course, kind) if kind >= SearchMode.HOME_NEGATIVE else _end_switch(course, kind, mode)
     except _NothingFound:
-        return Search(course.trajectory, tuple(course.phases))
-    return Search(course.trajectory, tuple(course.phases), course.t, zero, distance)
+        return ReferenceSearch(course.trajectory, tuple(course.phases))
+    return ReferenceSearch(course.trajectory, tuple(course.phases), course.t, zero, distance)
 
 
 def known(mode: int) -> bool:

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
-from goniotwin.protocols.scpi import MAX_MESSAGE, ScpiError, Unit, decode_quantity, encode_error, spellings, units, words
+from goniotwin.protocols.scpi import MAX_MESSAGE, MessageUnit, ScpiError, decode_quantity, encode_error, spellings, units, words
 from goniotwin.protocols.usbtmc import StatusByte
 
 
@@ -30,7 +30,7 @@ class StatusGroup:
         self.falling = 0
 
     def set(self, bit: int, on: bool) -> None:
-        """A condition comes or goes; its edges become events as the filters say."""
+        """A condition comes or goes; its edges become events by the filters."""
         mask = 1 << bit
         if on and not self.condition & mask:
             self.event |= mask & self.rising
@@ -57,7 +57,7 @@ OPERATION_COMPLETE, QUERY_ERROR, DEVICE_ERROR, EXECUTION_ERROR, COMMAND_ERROR = 
 POWER_ON = 0x80
 REGISTERS = {"ENABle": "enable", "PTRansition": "rising", "NTRansition": "falling"}
 
-Action = Callable[[Unit], bytes | None]
+Action = Callable[[MessageUnit], bytes | None]
 Command = tuple[str, bool, Action]
 
 
@@ -88,7 +88,7 @@ class ScpiInstrument:
                 self._commands[header, query] = action
         self.preset()
 
-    # ---- what an instrument says of itself ----
+    # ---- identity and status of an instrument ----
 
     def commands(self) -> Iterator[Command]:
         """Its own commands: pattern, query or not, what to do."""
@@ -150,7 +150,7 @@ class ScpiInstrument:
         self.preset()
 
     def report(self, code: int, text: str) -> None:
-        """Puts an error into the queue; the last place of a full queue says that it overflowed."""
+        """Puts an error into the queue; the last place of a full queue reports the overflow."""
         if len(self._errors) >= ERRORS_KEPT:
             self._errors[-1] = (-350, "Queue overflow")
         else:
@@ -165,7 +165,7 @@ class ScpiInstrument:
             status |= bit if self.groups[name].summary else 0
         return int(status | (StatusByte.SRQ if status & self.service_enable else 0))
 
-    def _perform(self, unit: Unit) -> bytes | None:
+    def _perform(self, unit: MessageUnit) -> bytes | None:
         action = self._commands.get((unit.header, unit.query))
         if action is None:
             plain = tuple(node.removesuffix("1") for node in unit.header)
@@ -252,10 +252,10 @@ class ScpiInstrument:
         events, self._events = self._events, 0
         return b"%d" % events
 
-    def _enable_events(self, unit: Unit) -> None:
+    def _enable_events(self, unit: MessageUnit) -> None:
         self._event_enable = mask(unit, 0xFF)
 
-    def _enable_service(self, unit: Unit) -> None:
+    def _enable_service(self, unit: MessageUnit) -> None:
         self.service_enable = mask(unit, 0xFF) & ~StatusByte.SRQ
 
     def _next_error(self) -> bytes:
@@ -270,14 +270,14 @@ def _read_register(group: StatusGroup, register: str) -> bytes:
     return b"%d" % getattr(group, register)
 
 
-def _set_register(group: StatusGroup, register: str, unit: Unit) -> None:
+def _set_register(group: StatusGroup, register: str, unit: MessageUnit) -> None:
     setattr(group, register, mask(unit, 0x7FFF))
 
 
 def bare(action: Callable[[], bytes | None]) -> Action:
     """A command that takes no parameter: one that has some is refused with -108, and nothing is done."""
 
-    def act(unit: Unit) -> bytes | None:
+    def act(unit: MessageUnit) -> bytes | None:
         if unit.parameters:
             raise ScpiError(-108, "Parameter not allowed")
         return action()
@@ -285,7 +285,7 @@ def bare(action: Callable[[], bytes | None]) -> Action:
     return act
 
 
-def single(unit: Unit) -> str:
+def single(unit: MessageUnit) -> str:
     """The one parameter of a command. Raises ScpiError -109 or -108."""
     if not unit.parameters:
         raise ScpiError(-109, "Missing parameter")
@@ -294,7 +294,7 @@ def single(unit: Unit) -> str:
     return unit.parameters[0]
 
 
-def number(unit: Unit, lowest: float, highest: float, default: float, factors: Mapping[str, float]) -> float:
+def number(unit: MessageUnit, lowest: float, highest: float, default: float, factors: Mapping[str, float]) -> float:
     """The one number of a command with its suffix, or MIN, MAX or DEF. Raises ScpiError."""
     text = single(unit)
     named = {"MINimum": lowest, "MAXimum": highest, "DEFault": default}
@@ -307,7 +307,7 @@ def number(unit: Unit, lowest: float, highest: float, default: float, factors: M
     return value
 
 
-def limit(unit: Unit, lowest: float, highest: float, default: float, now: float) -> float:
+def limit(unit: MessageUnit, lowest: float, highest: float, default: float, now: float) -> float:
     """What a query asks for: the present value, or with MIN, MAX or DEF a limit. Raises ScpiError."""
     if not unit.parameters:
         return now
@@ -316,7 +316,7 @@ def limit(unit: Unit, lowest: float, highest: float, default: float, now: float)
     return number(unit, lowest, highest, default, {})
 
 
-def switch(unit: Unit) -> bool:
+def switch(unit: MessageUnit) -> bool:
     """ON, OFF or a number, of which 0 is off. Raises ScpiError."""
     text = single(unit).upper()
     if text in ("ON", "OFF"):
@@ -327,6 +327,6 @@ def switch(unit: Unit) -> bool:
         raise ScpiError(-224, "Illegal parameter value") from None
 
 
-def mask(unit: Unit, highest: int) -> int:
+def mask(unit: MessageUnit, highest: int) -> int:
     """A register's new value. Raises ScpiError."""
     return round(number(unit, 0, highest, 0, {}))

@@ -4,17 +4,17 @@ import math
 from collections import deque
 
 from goniotwin.protocols.tmcl import FRAME_BYTES, split
-from goniotwin.twin.devices.tmcm6214 import KINDS, MotionModule, Unasked
+from goniotwin.twin.devices.tmcm6214 import KINDS, MotionModule, UnsolicitedReply
 from goniotwin.twin.plant import Plant
 
 IDLE_GAP_S = 0.05
 
 
 class TmclLine:
-    """One TMCM-6214, or several TMCM-1240 on an RS485 bus, as the plant's controller and the axes' `module` say.
+    """One TMCM-6214, or several TMCM-1240 on an RS485 bus, by the plant's controller and the axes' `module`.
 
     Over USB a module answers whatever address it is called by; on RS485 it is silent where another's is called, and all
-    answer to 0 at once, so that of several nobody can be understood.
+    answer to 0 at once, so that replies of several modules collide.
 
     `idle_gap_s` is the pause after which a frame that has been begun is forgotten; on an endpoint, whose bytes come when
     the system brings them, it has to be as much longer as the clock is faster.
@@ -56,9 +56,9 @@ class TmclLine:
             module.reset(t)
 
     def _post(self, t: float, data: bytes) -> None:
-        """An answer leaves after those before it, and before what is only to be told later."""
+        """An answer leaves after those before it, and before those that are due later."""
         later: list[tuple[float, bytes]] = []
-        while self.outbox and isinstance(self.outbox[-1][1], Unasked) and self.outbox[-1][0] > t:
+        while self.outbox and isinstance(self.outbox[-1][1], UnsolicitedReply) and self.outbox[-1][0] > t:
             later.append(self.outbox.pop())
         self.outbox.append((t, data))
         self.outbox.extend(reversed(later))

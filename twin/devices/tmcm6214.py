@@ -13,20 +13,20 @@ from typing import ClassVar
 from goniotwin.protocols.tmcl import (
     HOST_ADDRESS,
     Command,
+    CommandFrame,
     FrameError,
     MoveType,
-    Reply,
-    Request,
-    Status,
+    ReplyFrame,
+    ReplyStatus,
     encode_version_text,
     version_number,
 )
-from goniotwin.protocols.tmcl_parameters import BAUD_RATES, Global
+from goniotwin.protocols.tmcl_parameters import BAUD_RATES, GlobalParameter
 from goniotwin.twin.devices.axis_table import TMCM_1240, TMCM_6214, Parameter
 from goniotwin.twin.devices.encoder import Encoder
 from goniotwin.twin.devices.globals import Globals
 from goniotwin.twin.devices.motor import Motor
-from goniotwin.twin.devices.ramp_generator import Rejected
+from goniotwin.twin.devices.ramp_generator import CommandRejected
 from goniotwin.twin.plant import Plant
 from goniotwin.twin.plant.shaft import Heartbeat
 
@@ -40,12 +40,12 @@ Withdraw = Callable[[bytes], None]
 Answers = list[tuple[float, bytes]]
 
 
-class Unasked(bytes):
+class UnsolicitedReply(bytes):
     """A frame that answers nothing that was just asked."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class ModuleKind:
     """A product."""
 
     number: int
@@ -55,16 +55,16 @@ class Kind:
 
 
 KINDS = {
-    "tmcm-6214": Kind(6214, (1, 17), 6, TMCM_6214),
-    "tmcm-1240": Kind(1240, (1, 45), 1, TMCM_1240),
+    "tmcm-6214": ModuleKind(6214, (1, 17), 6, TMCM_6214),
+    "tmcm-1240": ModuleKind(1240, (1, 45), 1, TMCM_1240),
 }
 
 
 class MotionModule:
-    """One module. `strict` has it answer to its own address and to 0 only; `post` sends what nobody has just asked for,
+    """One module. `strict` has it answer to its own address and to 0 only; `post` sends unsolicited replies,
     `withdraw` takes it back."""
 
-    def __init__(self, plant: Plant, kind: Kind, address: int, post: Post, withdraw: Withdraw, *, strict: bool) -> None:
+    def __init__(self, plant: Plant, kind: ModuleKind, address: int, post: Post, withdraw: Withdraw, *, strict: bool) -> None:
         self.kind = kind
         self._strict = strict
         self._post = post
@@ -72,16 +72,16 @@ class MotionModule:
         self._address = address
         baudrate = plant.model.controller.baudrate
         self._factory: dict[int, int] = {
-            Global.ADDRESS: address,
-            Global.HOST_ADDRESS: HOST_ADDRESS,
-            Global.BAUD_RATE: BAUD_RATES.index(baudrate) if baudrate in BAUD_RATES else 0,
+            GlobalParameter.ADDRESS: address,
+            GlobalParameter.HOST_ADDRESS: HOST_ADDRESS,
+            GlobalParameter.BAUD_RATE: BAUD_RATES.index(baudrate) if baudrate in BAUD_RATES else 0,
         }
         self.globals = Globals(dict(self._factory))
         self._heartbeat = Heartbeat()
         self._dead_until = -math.inf
         self._coordinates: dict[tuple[int, int], int] = {}
         self._outputs = [0] * OUTPUTS
-        self._event: Unasked | None = None
+        self._event: UnsolicitedReply | None = None
         self._event_mask = 0
         self._event_due = math.inf
         wired = {shaft.mechanics.motor: name for name, shaft in plant.shafts.items() if shaft.mechanics.module == address}
@@ -106,8 +106,8 @@ class MotionModule:
             motor.reset(t)
 
     def answer(self, frame: bytes, t: float) -> Answers:
-        """What it says to a frame that has arrived at `t`: nothing or one answer, each with how long it waits before it."""
-        host, address = self.globals.get(0, Global.HOST_ADDRESS, t), self.globals.get(0, Global.ADDRESS, t)
+        """Reply to a frame that arrived at `t`: none or one, with its delay."""
+        host, address = self.globals.get(0, GlobalParameter.HOST_ADDRESS, t), self.globals.get(0, GlobalParameter.ADDRESS, t)
         if t < self._dead_until or (self._strict and frame[0] not in (0, address)):
             return []
         self._mind_heartbeat(t)
@@ -115,15 +115,15 @@ class MotionModule:
             self._event, self._event_mask, self._event_due = None, 0, math.inf
         reply = self._reply(frame, t, host & 0xFF, address & 0xFF)
         self._plan_event(t, host & 0xFF, address & 0xFF)
-        if reply is None or self.globals.get(0, Global.SUPPRESS_REPLY, t):
+        if reply is None or self.globals.get(0, GlobalParameter.SUPPRESS_REPLY, t):
             return []
-        return [(self.globals.get(0, Global.TELEGRAM_PAUSE, t) * 1.0e-3, reply)]
+        return [(self.globals.get(0, GlobalParameter.TELEGRAM_PAUSE, t) * 1.0e-3, reply)]
 
     def _reply(self, frame: bytes, t: float, host: int, address: int) -> bytes | None:
         try:
-            request = Request.decode(frame)
+            request = CommandFrame.decode(frame)
         except FrameError:
-            return Reply(host, address, Status.WRONG_CHECKSUM, frame[1], 0).encode()
+            return ReplyFrame(host, address, ReplyStatus.WRONG_CHECKSUM, frame[1], 0).encode()
         if request.command == Command.FIRMWARE_VERSION and request.type == 0:
             major, minor = self.kind.firmware
             return encode_version_text(host, f"{self.kind.number}V{major}{minor:02d}")
@@ -131,10 +131,10 @@ class MotionModule:
             self._factory_reset(t)
             return None
         try:
-            value, status = self._execute(request, t), Status.OK
-        except Rejected as rejected:
+            value, status = self._execute(request, t), ReplyStatus.OK
+        except CommandRejected as rejected:
             value, status = 0, rejected.status
-        return Reply(host, address, status, request.command, value).encode()
+        return ReplyFrame(host, address, status, request.command, value).encode()
 
     def _factory_reset(self, t: float) -> None:
         self.globals = Globals(dict(self._factory))
@@ -152,10 +152,10 @@ class MotionModule:
         self._extend_heartbeat(t)
 
     def _extend_heartbeat(self, t: float) -> None:
-        heartbeat = self.globals.get(0, Global.HEARTBEAT, t)
+        heartbeat = self.globals.get(0, GlobalParameter.HEARTBEAT, t)
         self._heartbeat.until = t + heartbeat * 1.0e-3 if heartbeat > 0 else math.inf
 
-    def _execute(self, request: Request, t: float) -> int:
+    def _execute(self, request: CommandFrame, t: float) -> int:
         number, bank, value = request.type, request.motor, request.value
         if request.command in self._actions:
             return self._with_motor(request, t)
@@ -177,31 +177,31 @@ class MotionModule:
                 self.globals.run(request.command)
                 return 0
             case Command.APPLICATION_STATUS:
-                return self.globals.get(0, Global.APPLICATION_STATUS, t)
+                return self.globals.get(0, GlobalParameter.APPLICATION_STATUS, t)
             case Command.REQUEST_TARGET_REACHED:
                 if not 0 <= value < 1 << len(self.motors):
-                    raise Rejected(Status.INVALID_VALUE)
+                    raise CommandRejected(ReplyStatus.INVALID_VALUE)
                 self._event_mask = value
                 return value
             case Command.GET_INFO:
-                raise Rejected(Status.NOT_AVAILABLE)  # newer firmware has it
+                raise CommandRejected(ReplyStatus.NOT_AVAILABLE)  # newer firmware has it
             case Command.FACTORY_RESET:
-                raise Rejected(Status.INVALID_VALUE)
-        raise Rejected(Status.INVALID_COMMAND)
+                raise CommandRejected(ReplyStatus.INVALID_VALUE)
+        raise CommandRejected(ReplyStatus.INVALID_COMMAND)
 
-    def _with_motor(self, request: Request, t: float) -> int:
+    def _with_motor(self, request: CommandFrame, t: float) -> int:
         if request.motor >= len(self.motors):
-            raise Rejected(Status.INVALID_VALUE)
+            raise CommandRejected(ReplyStatus.INVALID_VALUE)
         if request.command == Command.STAP and self.globals.locked:
-            raise Rejected(Status.EEPROM_LOCKED)
+            raise CommandRejected(ReplyStatus.EEPROM_LOCKED)
         return self._actions[request.command](self, self.motors[request.motor], request, t)
 
-    def _turn(self, motor: Motor, request: Request, t: float) -> int:
+    def _turn(self, motor: Motor, request: CommandFrame, t: float) -> int:
         stop = request.command == Command.MST
         motor.turn(0 if stop else -request.value if request.command == Command.ROL else request.value, t)
         return 0 if stop else request.value
 
-    def _move(self, motor: Motor, request: Request, t: float) -> int:
+    def _move(self, motor: Motor, request: CommandFrame, t: float) -> int:
         match request.type:
             case MoveType.ABSOLUTE:
                 return motor.move_to(request.value, t)
@@ -210,20 +210,20 @@ class MotionModule:
             case MoveType.COORDINATE if 0 <= request.value < COORDINATES:
                 return motor.move_to(self._coordinates.get((request.motor, request.value), 0), t)
             case MoveType.COORDINATE:
-                raise Rejected(Status.INVALID_VALUE)
-        raise Rejected(Status.WRONG_TYPE)
+                raise CommandRejected(ReplyStatus.INVALID_VALUE)
+        raise CommandRejected(ReplyStatus.WRONG_TYPE)
 
-    def _coordinate(self, motor: Motor, request: Request, t: float) -> int:
+    def _coordinate(self, motor: Motor, request: CommandFrame, t: float) -> int:
         key = (request.motor, request.type)
         if request.type >= COORDINATES:
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         if request.command == Command.SCO:
             self._coordinates[key] = request.value
         elif request.command == Command.CCO:
             self._coordinates[key] = round(motor.position(t))
         return self._coordinates.get(key, 0)
 
-    def _parameter(self, motor: Motor, request: Request, t: float) -> int:
+    def _parameter(self, motor: Motor, request: CommandFrame, t: float) -> int:
         if request.command == Command.GAP:
             return motor.get(request.type, t)
         if request.command == Command.SAP:
@@ -232,40 +232,40 @@ class MotionModule:
         motor.store(request.type, restore=request.command == Command.RSAP, t=t)
         return 0
 
-    def _search(self, motor: Motor, request: Request, t: float) -> int:
+    def _search(self, motor: Motor, request: CommandFrame, t: float) -> int:
         return motor.search(request.type, t)
 
-    _actions: ClassVar[dict[int, Callable[["MotionModule", Motor, Request, float], int]]] = {
+    _actions: ClassVar[dict[int, Callable[["MotionModule", Motor, CommandFrame, float], int]]] = {
         Command.ROR: _turn, Command.ROL: _turn, Command.MST: _turn, Command.MVP: _move, Command.RFS: _search,
         Command.SAP: _parameter, Command.GAP: _parameter, Command.STAP: _parameter, Command.RSAP: _parameter,
         Command.SCO: _coordinate, Command.GCO: _coordinate, Command.CCO: _coordinate,
     }  # fmt: skip
 
-    def _port(self, request: Request) -> int:
+    def _port(self, request: CommandFrame) -> int:
         number, bank = request.type, request.motor
         if request.command == Command.SIO:
             if bank not in (0, 2):
-                raise Rejected(Status.INVALID_VALUE)
+                raise CommandRejected(ReplyStatus.INVALID_VALUE)
             if request.value not in (0, 1):
-                raise Rejected(Status.INVALID_VALUE)
+                raise CommandRejected(ReplyStatus.INVALID_VALUE)
             if bank == 2:
                 if number >= OUTPUTS:
-                    raise Rejected(Status.WRONG_TYPE)
+                    raise CommandRejected(ReplyStatus.WRONG_TYPE)
                 self._outputs[number] = request.value
             return request.value
         if bank == 1:
             known = {0: 0, 4: 0, 8: SUPPLY_DECIVOLT, 9: TEMPERATURE_C}
             if number not in known:
-                raise Rejected(Status.WRONG_TYPE)
+                raise CommandRejected(ReplyStatus.WRONG_TYPE)
             return known[number]
         if bank not in (0, 2):
-            raise Rejected(Status.INVALID_VALUE)
+            raise CommandRejected(ReplyStatus.INVALID_VALUE)
         if number >= OUTPUTS:
-            raise Rejected(Status.WRONG_TYPE)
+            raise CommandRejected(ReplyStatus.WRONG_TYPE)
         return self._outputs[number] if bank == 2 else 0
 
     def _plan_event(self, t: float, host: int, address: int) -> None:
-        """The one frame that says that all motors of the mask are where they were sent, when they will be."""
+        """The one frame that reports the arrival of all motors of the mask, with its time."""
         if not self._event_mask and self._event is None:
             return
         planned, self._event_due = self._event_due, math.inf
@@ -276,6 +276,6 @@ class MotionModule:
         if not arrivals or any(arrival is None for arrival in arrivals):
             return
         self._event_due = max(min(planned, t + EVENT_AFTER_S), *(arrival for arrival in arrivals if arrival is not None))
-        told = Reply(host, address, Status.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, self._event_mask)
-        self._event = Unasked(told.encode())
+        reply = ReplyFrame(host, address, ReplyStatus.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, self._event_mask)
+        self._event = UnsolicitedReply(reply.encode())
         self._post(self._event_due, self._event)

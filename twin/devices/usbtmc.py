@@ -7,7 +7,7 @@ answer that is not ready yet when its transfer is aborted comes afterwards, as i
 import struct
 
 from goniotwin.protocols.usb_descriptors import CONFIGURATION, DEVICE, STRING
-from goniotwin.protocols.usbtmc import HEADER_BYTES, PROTOCOL_USB488, Request, Status, capabilities
+from goniotwin.protocols.usbtmc import HEADER_BYTES, PROTOCOL_USB488, ClassRequest, RequestStatus, capabilities
 from goniotwin.twin.devices.usb_standard import (
     BULK_IN,
     BULK_OUT,
@@ -26,11 +26,19 @@ __all__ = ["BULK_IN", "BULK_OUT", "INTERRUPT_IN", "MAX_PACKET", "PROTOCOL", "Ove
 PROTOCOL = PROTOCOL_USB488
 CLASS_TO_INTERFACE, CLASS_TO_ENDPOINT = 0xA1, 0xA2
 LENGTHS = {
-    Request.INITIATE_ABORT_BULK_OUT: 2, Request.CHECK_ABORT_BULK_OUT_STATUS: 8, Request.INITIATE_ABORT_BULK_IN: 2,
-    Request.CHECK_ABORT_BULK_IN_STATUS: 8, Request.INITIATE_CLEAR: 1, Request.CHECK_CLEAR_STATUS: 2,
-    Request.GET_CAPABILITIES: 24, Request.INDICATOR_PULSE: 1, Request.READ_STATUS_BYTE: 3, Request.REN_CONTROL: 1,
-    Request.GO_TO_LOCAL: 1, Request.LOCAL_LOCKOUT: 1,
-}  # fmt: skip
+    ClassRequest.INITIATE_ABORT_BULK_OUT: 2,
+    ClassRequest.CHECK_ABORT_BULK_OUT_STATUS: 8,
+    ClassRequest.INITIATE_ABORT_BULK_IN: 2,
+    ClassRequest.CHECK_ABORT_BULK_IN_STATUS: 8,
+    ClassRequest.INITIATE_CLEAR: 1,
+    ClassRequest.CHECK_CLEAR_STATUS: 2,
+    ClassRequest.GET_CAPABILITIES: 24,
+    ClassRequest.INDICATOR_PULSE: 1,
+    ClassRequest.READ_STATUS_BYTE: 3,
+    ClassRequest.REN_CONTROL: 1,
+    ClassRequest.GO_TO_LOCAL: 1,
+    ClassRequest.LOCAL_LOCKOUT: 1,
+}
 
 
 class UsbTmcDevice(Transfers):
@@ -40,10 +48,10 @@ class UsbTmcDevice(Transfers):
         """A class request and its answer. Raises Stall for one that the device does not know."""
         if request not in LENGTHS:
             raise Stall
-        of_endpoint = Request(request).of_endpoint
+        of_endpoint = ClassRequest(request).of_endpoint
         index = 0
         if of_endpoint:
-            index = BULK_OUT if request <= Request.CHECK_ABORT_BULK_OUT_STATUS else BULK_IN
+            index = BULK_OUT if request <= ClassRequest.CHECK_ABORT_BULK_OUT_STATUS else BULK_IN
         return self.control(CLASS_TO_ENDPOINT if of_endpoint else CLASS_TO_INTERFACE, request, value, index, 0xFF, t)
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, t: float) -> bytes:
@@ -56,45 +64,47 @@ class UsbTmcDevice(Transfers):
             return self._standard(kind, request, value, index)[:length]
         if request not in LENGTHS:
             raise Stall
-        known = Request(request)
+        known = ClassRequest(request)
         if kind != (CLASS_TO_ENDPOINT if known.of_endpoint else CLASS_TO_INTERFACE):
             raise Stall
-        if index != (0 if not known.of_endpoint else BULK_OUT if known <= Request.CHECK_ABORT_BULK_OUT_STATUS else BULK_IN):
+        if index != (
+            0 if not known.of_endpoint else BULK_OUT if known <= ClassRequest.CHECK_ABORT_BULK_OUT_STATUS else BULK_IN
+        ):
             raise Stall
         if length < LENGTHS[known]:
             self.complaints.append(f"{known.name}: room for {length} of {LENGTHS[known]} bytes")
         return self._class_request(known, value, t)[:length]
 
-    def _class_request(self, request: Request, value: int, t: float) -> bytes:
+    def _class_request(self, request: ClassRequest, value: int, t: float) -> bytes:
         match request:
-            case Request.GET_CAPABILITIES:
+            case ClassRequest.GET_CAPABILITIES:
                 return capabilities()
-            case Request.INITIATE_CLEAR:
+            case ClassRequest.INITIATE_CLEAR:
                 return self._initiate_clear(t)
-            case Request.CHECK_CLEAR_STATUS:
+            case ClassRequest.CHECK_CLEAR_STATUS:
                 if self._fifo is not None:
-                    return bytes((Status.PENDING, 1))
-                return bytes((Status.PENDING if t < self._clear_until else Status.SUCCESS, 0))
-            case Request.INITIATE_ABORT_BULK_OUT:
+                    return bytes((RequestStatus.PENDING, 1))
+                return bytes((RequestStatus.PENDING if t < self._clear_until else RequestStatus.SUCCESS, 0))
+            case ClassRequest.INITIATE_ABORT_BULK_OUT:
                 return self._abort_out(value)
-            case Request.CHECK_ABORT_BULK_OUT_STATUS:
-                return bytes((Status.SUCCESS, 0, 0, 0)) + self._received.to_bytes(4, "little")
-            case Request.INITIATE_ABORT_BULK_IN:
+            case ClassRequest.CHECK_ABORT_BULK_OUT_STATUS:
+                return bytes((RequestStatus.SUCCESS, 0, 0, 0)) + self._received.to_bytes(4, "little")
+            case ClassRequest.INITIATE_ABORT_BULK_IN:
                 return self._abort_in(value, t)
-            case Request.CHECK_ABORT_BULK_IN_STATUS:
+            case ClassRequest.CHECK_ABORT_BULK_IN_STATUS:
                 return self._check_abort_in()
-            case Request.READ_STATUS_BYTE:
+            case ClassRequest.READ_STATUS_BYTE:
                 return self._read_status(value, t)
-            case Request.INDICATOR_PULSE:
+            case ClassRequest.INDICATOR_PULSE:
                 self.pulses += 1
-            case Request.REN_CONTROL:
+            case ClassRequest.REN_CONTROL:
                 self.remote = bool(value & 1)
                 self.locked_out = self.locked_out and self.remote
-            case Request.GO_TO_LOCAL:
+            case ClassRequest.GO_TO_LOCAL:
                 self.remote = self.locked_out = False
-            case Request.LOCAL_LOCKOUT:
+            case ClassRequest.LOCAL_LOCKOUT:
                 self.locked_out = True
-        return bytes((Status.SUCCESS,))
+        return bytes((RequestStatus.SUCCESS,))
 
     def _initiate_clear(self, t: float) -> bytes:
         fifo = self._fifo if self.keeps_fifo else None
@@ -102,22 +112,22 @@ class UsbTmcDevice(Transfers):
         self._fifo = fifo
         self._notices.clear()
         self._reported = 0
-        self._halted.add(BULK_OUT)  # until the host has seen the end of the clear, and says so
+        self._halted.add(BULK_OUT)  # until the host has seen the end of the clear, and confirms it
         self._clear_until = t + self.clear_s
         self.instrument.clear(t)
-        return bytes((Status.SUCCESS,))
+        return bytes((RequestStatus.SUCCESS,))
 
     def _abort_out(self, tag: int) -> bytes:
         if not self._transfer and not self._input:
-            return bytes((Status.FAILED, self._last_out))
+            return bytes((RequestStatus.FAILED, self._last_out))
         current = self._transfer[1] if self._transfer else self._last_out
         if current != tag:
-            return bytes((Status.TRANSFER_NOT_IN_PROGRESS, current))
+            return bytes((RequestStatus.TRANSFER_NOT_IN_PROGRESS, current))
         self._received = max(0, len(self._transfer) - HEADER_BYTES)
         self._transfer.clear()
         self._input.clear()
         self._halted.add(BULK_OUT)
-        return bytes((Status.SUCCESS, tag))
+        return bytes((RequestStatus.SUCCESS, tag))
 
     def _abort_in(self, tag: int, t: float) -> bytes:
         if self._fifo is not None:
@@ -125,21 +135,21 @@ class UsbTmcDevice(Transfers):
         elif self._request is not None:
             current = self._request.tag
         else:
-            return bytes((Status.FAILED, self._last_in))
+            return bytes((RequestStatus.FAILED, self._last_in))
         if current != tag:
-            return bytes((Status.TRANSFER_NOT_IN_PROGRESS, current))
+            return bytes((RequestStatus.TRANSFER_NOT_IN_PROGRESS, current))
         if self._fifo is not None or (self._answers and self._answers[0][0] <= t):
             self._answers.clear()
         self._request, self._last_in = None, tag
         self._sent = 0
         self._fifo, self._aborting = b"", True  # the short packet that ends what has been aborted
-        return bytes((Status.SUCCESS, tag))
+        return bytes((RequestStatus.SUCCESS, tag))
 
     def _check_abort_in(self) -> bytes:
         pending = self._aborting and self._fifo is not None and self.keeps_fifo
         if self._aborting and not pending:
             self._fifo, self._aborting = None, False  # taken out of the FIFO, which this device can
-        status = Status.PENDING if pending else Status.SUCCESS
+        status = RequestStatus.PENDING if pending else RequestStatus.SUCCESS
         return bytes((status, int(pending), 0, 0)) + self._sent.to_bytes(4, "little")
 
     def _standard(self, kind: int, request: int, value: int, index: int) -> bytes:

@@ -6,7 +6,7 @@ is in `complaints`; every transfer is in `log`. Source: USB-IF, USBTMC 1.0 secti
 
 from collections import deque
 
-from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, Status, StatusByte, message, next_tag
+from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, RequestStatus, StatusByte, message, next_tag
 from goniotwin.twin.devices.scpi_instrument import OUTPUT_QUEUE_BYTES, ScpiInstrument
 from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, MAX_PACKET
 
@@ -50,7 +50,7 @@ class Transfers:
         self._clear()
 
     def unplug(self) -> None:
-        """The cable is out: who has it open has nothing any more."""
+        """The cable is out: open handles are dead."""
         self.plugged = False
         self.plugs += 1
         self.reset()
@@ -78,7 +78,7 @@ class Transfers:
     # ---- bulk ----
 
     def bulk_out(self, data: bytes, t: float) -> None:
-        """What one write brings to bulk OUT. Raises Stall where the endpoint is halted, or where the class says to halt it.
+        """What one write brings to bulk OUT. Raises Stall where the endpoint is halted, or where the class halts it.
 
         A transfer may come in several writes, each but the last of whole packets.
         """
@@ -227,17 +227,17 @@ class Transfers:
 
     def _read_status(self, tag: int, t: float) -> bytes:
         if not 2 <= tag <= 127:
-            return bytes((Status.FAILED, tag & 0xFF, 0))
+            return bytes((RequestStatus.FAILED, tag & 0xFF, 0))
         if self._notices:
-            return bytes((Status.INTERRUPT_IN_BUSY, tag, 0))
+            return bytes((RequestStatus.INTERRUPT_IN_BUSY, tag, 0))
         status = self._summary(t)
         enabled = status & self.instrument.service_enable
         self._reported &= enabled  # what has gone away may ask for service again
         self._notices.append(bytes((0x80 | tag, status | (StatusByte.SRQ if enabled else 0))))
-        return bytes((Status.SUCCESS, tag, 0))
+        return bytes((RequestStatus.SUCCESS, tag, 0))
 
     def halt(self, endpoint: int) -> None:
-        """Halts an endpoint for no reason: a back door."""
+        """Halts an endpoint without a cause; for tests."""
         self._halted.add(endpoint)
 
     def clear_halt(self, endpoint: int) -> None:
@@ -245,5 +245,5 @@ class Transfers:
         self._halted.discard(endpoint)
 
     def new_host(self) -> None:
-        """Somebody has opened it: the bTags begin anew."""
+        """The device was opened: the bTags begin anew."""
         self._last_out = 0

@@ -23,7 +23,7 @@ POLL_S = 0.002
 
 
 class Handle:
-    """A device that somebody has opened; dead for good once its cable has been out."""
+    """An open device; dead for good once its cable has been out."""
 
     def __init__(self, device: UsbTmcDevice) -> None:
         self._device = device
@@ -215,7 +215,7 @@ class TwinUsbBackend(IBackend):
         return len(data)
 
     def _next_change(self, now: float) -> float:
-        """When somebody else may do something to the device."""
+        """Time at which another client may use the device."""
         if isinstance(self._clock, VirtualClock):
             return self._clock.next_event()
         return now + POLL_S * getattr(self._clock, "speed", 1.0)
@@ -228,10 +228,10 @@ def _only_first(*numbers: int) -> None:
 
 
 def stalled() -> usb.core.USBError:
-    """What libusb says of a stall."""
+    """libusb's error for a stall."""
     return usb.core.USBError("Pipe error", -9, 32)
 
 
 def gone() -> usb.core.USBError:
-    """What libusb says of a device that is not there any more."""
+    """libusb's error for a device that has gone."""
     return usb.core.USBError("No such device (it may have been disconnected)", -4, 19)

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.shadow import may_be_shadowed, shadowed
-from goniotwin.app.campaign.geometry.symmetry import turned
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors, may_be_blocked
+from goniotwin.app.campaign.geometry.symmetry import wrap_azimuth
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.rig import RigFile
@@ -21,7 +21,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 Side = Literal["front", "back"]
 Arc = Literal["upper", "lower"]
 HALF_TURN_DEG = 180.0
-AWAY_FROM_THE_LIGHT_DEG = 180.0
+SPECULAR_AZIMUTH_DEG = 180.0
 
 
 def lit_sides(file: ScheduleFile) -> tuple[Side, ...]:
@@ -49,7 +49,7 @@ def far_arc(rig_sigma_deg: float) -> Arc:
     return "lower" if lit_arc(rig_sigma_deg) == "upper" else "upper"
 
 
-def looking_arcs(file: ScheduleFile, rig_sigma_deg: float) -> Iterator[Arc]:
+def observing_arcs(file: ScheduleFile, rig_sigma_deg: float) -> Iterator[Arc]:
     """The arcs whose photodiodes see what the schedule is about."""
     if file.light in ("reflected", "both"):
         yield lit_arc(rig_sigma_deg)
@@ -62,7 +62,7 @@ def polar_deg(rig: RigFile, arc: Arc) -> tuple[float, ...]:
     return tuple(rig.photodiodes.upper_deg if arc == "upper" else rig.photodiodes.lower_deg)
 
 
-def lighting_deg(there_deg: float, arc: Arc) -> float:
+def etalon_sigma_deg(there_deg: float, arc: Arc) -> float:
     """Where the mirror unit goes for the etalon that scales what an arc sees at a sigma: to the arc's own side."""
     return rig_sigma_deg(incidence_deg(there_deg), "front" if arc == "upper" else "back")
 
@@ -72,11 +72,11 @@ def etalon_sigmas_deg(file: ScheduleFile, there_deg: float) -> tuple[float, ...]
 
     The etalon only reflects. So it is lit on the side of each arc that looks: for transmitted light from the other side.
     """
-    return tuple(lighting_deg(there_deg, arc) for arc in looking_arcs(file, there_deg))
+    return tuple(etalon_sigma_deg(there_deg, arc) for arc in observing_arcs(file, there_deg))
 
 
 @dataclass(frozen=True)
-class Seen:
+class ArcDirections:
     """What one arc sees at one sigma: the distinct directions (n, 2), zenith from the arc's own pole and azimuth in degrees;
     how many of them two photodiodes see; which are hidden (n,) at the sample, and which at the etalon that scales them;
     whether the specular direction is among them, or, on the far side, the one straight through.
@@ -86,9 +86,9 @@ class Seen:
     arc: Arc
     angles_deg: Floats
     shared: int
-    at_sample: Flags
-    at_etalon: Flags
-    hides_specular: bool
+    blocked_at_sample: Flags
+    blocked_at_etalon: Flags
+    specular_blocked: bool
 
     @property
     def directions(self) -> int:
@@ -96,46 +96,46 @@ class Seen:
         return len(self.angles_deg)
 
     @property
-    def hidden_deg(self) -> Floats:
+    def blocked_deg(self) -> Floats:
         """Those that the sample's pose hides or the etalon's."""
-        return self.angles_deg[self.at_sample | self.at_etalon]
+        return self.angles_deg[self.blocked_at_sample | self.blocked_at_etalon]
 
     @property
-    def only_etalon(self) -> int:
+    def blocked_only_at_etalon(self) -> int:
         """How many of them the sample's pose leaves free."""
-        return int((self.at_etalon & ~self.at_sample).sum())
+        return int((self.blocked_at_etalon & ~self.blocked_at_sample).sum())
 
     @property
     def transmitted(self) -> bool:
         """Whether the arc is on the far side of the light."""
-        return lighting_deg(self.sigma_deg, self.arc) != self.sigma_deg
+        return etalon_sigma_deg(self.sigma_deg, self.arc) != self.sigma_deg
 
 
-def directions_seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> list[Seen]:
+def observed_directions(file: ScheduleFile, rig: RigFile, poses: Floats) -> list[ArcDirections]:
     """Of the arcs that the schedule is about, sigma by sigma; poses (n, 4)."""
     return list(_seen(file, rig, poses))
 
 
-def _seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> Iterator[Seen]:
+def _seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> Iterator[ArcDirections]:
     for sigma in np.unique(poses[:, 1]).tolist():
         at = poses[poses[:, 1] == sigma]
-        for arc in looking_arcs(file, sigma):
+        for arc in observing_arcs(file, sigma):
             zenith, azimuth, seen_by = _distinct(at[:, 2], at[:, 3], np.array(polar_deg(rig, arc)))
             angles = np.stack([zenith, azimuth], axis=1)
-            straight = np.array([incidence_deg(sigma)]), np.array([AWAY_FROM_THE_LIGHT_DEG])
-            there = lighting_deg(sigma, arc)
-            at_sample = at_etalon = _hidden(rig, sigma, arc, zenith, azimuth)
+            straight = np.array([incidence_deg(sigma)]), np.array([SPECULAR_AZIMUTH_DEG])
+            there = etalon_sigma_deg(sigma, arc)
+            blocked_at_sample = blocked_at_etalon = _hidden(rig, sigma, arc, zenith, azimuth)
             hides = bool(_hidden(rig, sigma, arc, *straight)[0])
             if there != sigma:
-                at_etalon = _hidden(rig, there, arc, zenith, azimuth)
+                blocked_at_etalon = _hidden(rig, there, arc, zenith, azimuth)
                 hides |= bool(_hidden(rig, there, arc, *straight)[0])
-            yield Seen(sigma, arc, angles, int((seen_by > 1).sum()), at_sample, at_etalon, hides)
+            yield ArcDirections(sigma, arc, angles, int((seen_by > 1).sum()), blocked_at_sample, blocked_at_etalon, hides)
 
 
 def _hidden(rig: RigFile, sigma_deg: float, arc: Arc, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
     from_the_front = zenith_deg if arc == "upper" else HALF_TURN_DEG - zenith_deg
-    hidden = may_be_shadowed(rig, sigma_deg, from_the_front, azimuth_deg)
-    hidden[hidden] = shadowed(rig, sigma_deg, from_the_front[hidden], azimuth_deg[hidden])
+    hidden = may_be_blocked(rig, sigma_deg, from_the_front, azimuth_deg)
+    hidden[hidden] = blocked_by_mirrors(rig, sigma_deg, from_the_front[hidden], azimuth_deg[hidden])
     return hidden
 
 
@@ -151,7 +151,7 @@ def _distinct(beta_deg: Floats, shift_deg: Floats, polar_deg: Floats) -> tuple[F
     signed = np.round(polar_deg[:, None] + shifts, DECIMALS)
     zeniths, where_zenith = np.unique(np.abs(signed), return_inverse=True)
     where_zenith = where_zenith.reshape(signed.shape)
-    azimuths, where_azimuth = np.unique(np.stack([turned(betas), turned(betas + 180.0)]), return_inverse=True)
+    azimuths, where_azimuth = np.unique(np.stack([wrap_azimuth(betas), wrap_azimuth(betas + 180.0)]), return_inverse=True)
     where_azimuth = where_azimuth.reshape(2, len(betas))
     seen_by = np.zeros((len(zeniths), len(azimuths)), dtype=np.int64)
     beta, shift = np.divmod(pairs, len(shifts))

@@ -7,12 +7,12 @@ from goniotwin.drivers import ArcClearance
 from goniotwin.drivers.motion.clearance import WHOLE_TURN_DEG
 
 
-def swept(clearance: ArcClearance, points: Floats) -> Flags:
+def crosses_beam(clearance: ArcClearance, points: Floats) -> Flags:
     """Which of the moves (n - 1,) between points (n, 5) have the arc meet the beam."""
-    return swept_ways(clearance, points[:-1], points[1:])
+    return crosses_beam_between(clearance, points[:-1], points[1:])
 
 
-def swept_ways(clearance: ArcClearance, before: Floats, after: Floats) -> Flags:
+def crosses_beam_between(clearance: ArcClearance, before: Floats, after: Floats) -> Flags:
     """Which moves have the arc meet the beam on its way from points (n, 5) to others: `ArcClearance.collision`, for arrays."""
     high = clearance.top_polar_deg + np.maximum(before[:, 3], after[:, 3]) > clearance.highest_deg
     if not high.any():

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction
 from goniotwin.twin.optics.geometry.mirrors import mirrors_at
@@ -17,7 +17,7 @@ from goniotwin.twin.optics.geometry.mirrors import mirrors_at
 TINY = 1e-9
 
 
-def certainly_clear(instrument: Instrument, margin_deg: float, sigma_deg: float, directions: Floats) -> Flags:
+def clear_of_mirrors(instrument: Instrument, margin_deg: float, sigma_deg: float, directions: Floats) -> Flags:
     """Of unit vectors (n, 3): no mirror is in the way, nor would be a `margin_deg` further on, however the sample is turned.
 
     In the sample's own plane a photodiode sees nothing, so that it is not clear there.
@@ -69,46 +69,48 @@ def _passes(
     return np.asarray((between & beyond_an_edge) | (high[0] < 0.0) | (low[0] > 1.0))
 
 
-WHOLE = 1.0 - 1e-9
-GLANCE, CLOSELY = 16, 256
+FULLY_VISIBLE = 1.0 - 1e-9
+RAYS_COARSE, RAYS_FINE = 16, 256
 """Rays from the illuminated spot to a photodiode."""
 
 
-def shadowed(rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_deg: Floats, gamma_deg: float = 0.0) -> Flags:
+def blocked_by_mirrors(
+    rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_deg: Floats, gamma_deg: float = 0.0
+) -> Flags:
     """Whether any part of what a photodiode should see is hidden, or would be a `shadow_margin_deg` further on.
 
     Angles of the directions of observation in degrees, from the front's normal (the lower arc is beyond 90); shape as theirs.
     """
-    instrument = believed_instrument(rig)
+    instrument = nominal_instrument(rig)
     angles, where = np.unique(
         np.round(np.stack([np.ravel(zenith_deg), np.ravel(azimuth_deg)], axis=1), 6), axis=0, return_inverse=True
     )
     if not angles.size:
         return np.zeros(np.shape(zenith_deg), dtype=bool)
-    hidden = _hidden(instrument, rig.geometry.shadow_margin_deg, sigma_deg, gamma_deg, angles.tobytes())
+    hidden = _blocked(instrument, rig.geometry.shadow_margin_deg, sigma_deg, gamma_deg, angles.tobytes())
     return hidden[where.ravel()].reshape(np.shape(zenith_deg))
 
 
-def may_be_shadowed(rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
+def may_be_blocked(rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
     """The same at a glance: where this is False nothing is hidden."""
     directions = arc_direction(zenith_deg, azimuth_deg)
-    return ~certainly_clear(believed_instrument(rig), rig.geometry.shadow_margin_deg, sigma_deg, directions)
+    return ~clear_of_mirrors(nominal_instrument(rig), rig.geometry.shadow_margin_deg, sigma_deg, directions)
 
 
 @lru_cache(maxsize=4096)
-def _hidden(instrument: Instrument, margin_deg: float, sigma_deg: float, gamma_deg: float, angles: bytes) -> Flags:
+def _blocked(instrument: Instrument, margin_deg: float, sigma_deg: float, gamma_deg: float, angles: bytes) -> Flags:
     """For pairs of zenith and azimuth, as bytes so that they can be remembered.
 
     A few rays find most of what is hidden; only what they leave free is looked at closely.
     """
     zenith, azimuth = np.frombuffer(angles).reshape(-1, 2).T
     hidden = np.zeros(len(zenith), dtype=bool)
-    left = np.flatnonzero(~certainly_clear(instrument, margin_deg, sigma_deg, arc_direction(zenith, azimuth)))
-    for rays in (GLANCE, CLOSELY):
+    left = np.flatnonzero(~clear_of_mirrors(instrument, margin_deg, sigma_deg, arc_direction(zenith, azimuth)))
+    for rays in (RAYS_COARSE, RAYS_FINE):
         if left.size:
             directions = _around(zenith[left], azimuth[left], margin_deg)
             visible = visible_fraction(instrument, sigma_deg, directions.reshape(-1, 3), rays, gamma_deg)
-            cut = np.any(visible.reshape(directions.shape[:-1]) < WHOLE, axis=0)
+            cut = np.any(visible.reshape(directions.shape[:-1]) < FULLY_VISIBLE, axis=0)
             hidden[left[cut]] = True
             left = left[~cut]
     return hidden

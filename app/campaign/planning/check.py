@@ -7,45 +7,45 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import directions_seen, lit_arc
+from goniotwin.app.campaign.geometry.arcs import lit_arc, observed_directions
 from goniotwin.app.campaign.planning.durations import Moves
-from goniotwin.app.campaign.planning.loop_order import Nest
-from goniotwin.app.campaign.planning.plan import Made, Plan
-from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
-from goniotwin.app.campaign.planning.scan_order import Order
-from goniotwin.app.campaign.planning.timeline import PlannedRows, Run
-from goniotwin.app.campaign.planning.warnings import doubts, duration_range
+from goniotwin.app.campaign.planning.loop_order import LoopOrder
+from goniotwin.app.campaign.planning.plan import Plan, PlanDetails
+from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, ScanGrid
+from goniotwin.app.campaign.planning.scan_order import ScanOrder
+from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRows
+from goniotwin.app.campaign.planning.warnings import duration_range, plan_warnings
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.file import NESTED
+from goniotwin.app.campaign.schedule.file import LOOP_NAMES
 from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.rig import AXES
 
-LOOPS = (*NESTED, "filter")
-REARRANGED = "rearranged where steps are uneven"
+COLUMN_NAMES = (*LOOP_NAMES, "filter")
+PATH_SEARCH = "rearranged where steps are uneven"
 
 
-def sample_order(made: Made) -> tuple[Lattice, Order]:
+def sample_order(details: PlanDetails) -> tuple[ScanGrid, ScanOrder]:
     """Of the samples' own poses: the etalon's may be others, and those of the open beam are few."""
-    lattice = made.mountings[1][0].lattice
-    return lattice, made.orders[lattice]
+    grid = details.mountings[1][0].grid
+    return grid, details.orders[grid]
 
 
-def loops(order: Order) -> list[str]:
+def loop_names(order: ScanOrder) -> list[str]:
     """The loops, the innermost first."""
-    return [LOOPS[column] for column in reversed(order.nest.columns)]
+    return [COLUMN_NAMES[column] for column in reversed(order.loop_order.columns)]
 
 
-def why(plan: Plan, made: Made) -> str:
+def explain_order(plan: Plan, details: PlanDetails) -> str:
     """The nestings that were compared, the one taken first, with about how long the whole campaign takes in each; and how often
     the filter changes.
     """
-    lattice, order = sample_order(made)
-    passes = sum(each.lattice is lattice for mounted in made.mountings for each in mounted)
-    seconds = {REARRANGED: plan.seconds} if order.rearranged else {}
-    for nest in sorted(order.tried, key=lambda nest: (nest != order.nest, order.tried[nest])):
-        if order.tried[nest] < float("inf"):
-            whole = plan.seconds + (order.tried[nest] - order.seconds) * passes
-            for words in _called(nest, order.nest):
+    grid, order = sample_order(details)
+    passes = sum(each.grid is grid for mounted in details.mountings for each in mounted)
+    seconds = {PATH_SEARCH: plan.seconds} if order.improved else {}
+    for nest in sorted(order.candidates, key=lambda nest: (nest != order.loop_order, order.candidates[nest])):
+        if order.candidates[nest] < float("inf"):
+            whole = plan.seconds + (order.candidates[nest] - order.seconds) * passes
+            for words in _labels(nest, order.loop_order):
                 seconds.setdefault(words, whole)
     count, wheel_s = filter_changes(plan)
     filters = f"; filter changes: {count}, {duration_text(wheel_s)}" if count else ""
@@ -60,71 +60,71 @@ def filter_changes(plan: Plan) -> tuple[int, float]:
     assert isinstance(plan.rows, PlannedRows)
     moves, wavelengths = Moves(plan.rig.file), []
     for piece in plan.rows.pieces:
-        if isinstance(piece, Run):
-            known = piece.of.lattice.wavelengths_nm
+        if isinstance(piece, MeasurementBlock):
+            known = piece.scan_pass.grid.wavelengths_nm
             wavelengths.append(known[piece.points % len(known)])
         elif piece.wavelength_nm is not None:
             wavelengths.append(np.array([piece.wavelength_nm]))
     return moves.filter_changes(np.concatenate(wavelengths))
 
 
-def _called(nest: Nest, taken: Nest) -> list[str]:
+def _labels(nest: LoopOrder, taken: LoopOrder) -> list[str]:
     """What tells a nest from the others; only of one with the innermost loop of the `taken` also whether it goes by filters."""
     if len(nest.columns) < 2:
         return ["one loop"]
     outside = ["wavelength outside"] if nest.columns[0] == WAVELENGTH else []
     by_filter = ", filter by filter" if FILTER in nest.columns and nest.columns[-1] == taken.columns[-1] else ""
-    return [f"{LOOPS[nest.columns[-1]]} inside{by_filter}", *outside]
+    return [f"{COLUMN_NAMES[nest.columns[-1]]} inside{by_filter}", *outside]
 
 
-MOST_TOLD = 6
-__all__ = ["checked_plan", "in_words"]
+MAX_LISTED = 6
+__all__ = ["check_plan", "describe_check"]
 
 
-def checked_plan(plan: Plan) -> dict[str, Any]:
+def check_plan(plan: Plan) -> dict[str, Any]:
     """rows, duration_s, from what to what it may turn out and what no order could beat, the order and why, rows by kind, the
     range of each axis, how many directions there are, how many of them are hidden, only at the etalon, and which, how many
     two photodiodes share, how many poses the symmetry leaves out, how often the filter changes, warnings, and which axes have
     to be referenced after a power-up. Of a plan that was just made.
     """
-    made, rows = plan.made, plan.rows
-    assert made is not None
+    details, rows = plan.details, plan.rows
+    assert details is not None
     assert isinstance(rows, PlannedRows)
-    seen = directions_seen(plan.schedule.file, plan.rig.file, made.mountings[1][0].poses.angles)
+    seen = observed_directions(plan.schedule.file, plan.rig.file, details.mountings[1][0].poses.angles)
     return {
         "rows": len(rows),
         "duration_s": plan.seconds,
         "duration_range_s": list(duration_range(plan)),
         "least_s": plan.lower_bound_s,
-        "order": loops(sample_order(made)[1]),
-        "why": why(plan, made),
+        "order": loop_names(sample_order(details)[1]),
+        "why": explain_order(plan, details),
         "kinds": rows.kinds,
-        "axes_deg": _ranges(made, rows),
+        "axes_deg": _ranges(details, rows),
         "directions": sum(each.directions for each in seen),
-        "shadowed": sum(len(each.hidden_deg) for each in seen),
-        "shadowed_only_for_etalon": sum(each.only_etalon for each in seen),
+        "shadowed": sum(len(each.blocked_deg) for each in seen),
+        "shadowed_only_for_etalon": sum(each.blocked_only_at_etalon for each in seen),
         "shadowed_deg": [
             {
                 "sigma": each.sigma_deg,
                 "arc": each.arc,
-                "only_for_etalon": each.only_etalon,
-                "specular": each.hides_specular,
-                "zenith_azimuth": each.hidden_deg.tolist(),
+                "only_for_etalon": each.blocked_only_at_etalon,
+                "specular": each.specular_blocked,
+                "zenith_azimuth": each.blocked_deg.tolist(),
             }
             for each in seen
-            if len(each.hidden_deg)
+            if len(each.blocked_deg)
         ],
         "overlaps": sum(each.shared for each in seen),
-        "left_out": made.mountings[1][0].poses.left_out,
+        "left_out": details.mountings[1][0].poses.left_out,
         "filter_changes": filter_changes(plan)[0],
-        "warnings": doubts(plan, made, seen),
-        "mountings": [passes[0].sample for passes in made.mountings],
+        "warnings": plan_warnings(plan, details, seen),
+        "mountings": [passes[0].sample for passes in details.mountings],
         "unreferenced": _to_be_referenced(plan),
         "simulated": plan.rig.simulated,
     }
 
 
-def in_words(plan: Plan, result: dict[str, Any]) -> str:
+def describe_check(plan: Plan, result: dict[str, Any]) -> str:
     """The same for a person."""
     file = plan.schedule.file
     kinds = ", ".join(f"{count} {kind}" for kind, count in result["kinds"].items())
@@ -171,8 +171,8 @@ def _hidden_where(result: dict[str, Any]) -> list[str]:
         f"{len(each['zenith_azimuth'])} at sigma {each['sigma']:g}{f' with the {_straight(each)}' if each['specular'] else ''}"
         for each in result["shadowed_deg"]
     ]
-    more = [f"and {len(told) - MOST_TOLD} sigmas more"] if len(told) > MOST_TOLD else []
-    return [f"              {', '.join([*told[:MOST_TOLD], *more])}"] if told else []
+    more = [f"and {len(told) - MAX_LISTED} sigmas more"] if len(told) > MAX_LISTED else []
+    return [f"              {', '.join([*told[:MAX_LISTED], *more])}"] if told else []
 
 
 def _of_arc(each: dict[str, Any]) -> str:
@@ -183,10 +183,10 @@ def _straight(each: dict[str, Any]) -> str:
     return "specular one" if each["arc"] == lit_arc(each["sigma"]) else "one straight through"
 
 
-def _ranges(made: Made, rows: PlannedRows) -> dict[str, list[float]]:
+def _ranges(details: PlanDetails, rows: PlannedRows) -> dict[str, list[float]]:
     """How far each axis goes."""
     single = [piece.pose for piece in rows.pieces if isinstance(piece, Row) and piece.pose is not None]
-    blocks = [each.poses.angles for passes in made.mountings for each in passes]
+    blocks = [each.poses.angles for passes in details.mountings for each in passes]
     poses = np.concatenate([*blocks, np.array(single).reshape(-1, len(AXES))])
     return {axis: [float(column.min()), float(column.max())] for axis, column in zip(AXES, poses.T, strict=True)}
 

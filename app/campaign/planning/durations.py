@@ -30,7 +30,7 @@ from goniotwin.protocols.tmcl import FRAME_BYTES
 
 CONTROLLER_LATENCY_S = 3.0e-4
 WHEEL_AFTER_POWER_ON = 1
-BEFORE_A_MOVE, AFTER_A_MOVE, BETWEEN_LEGS = 3, 2, 2
+EXCHANGES_BEFORE_MOVE, EXCHANGES_AFTER_MOVE, EXCHANGES_BETWEEN_LEGS = 3, 2, 2
 """Exchanges: where it is, the canary, the move; whether it has arrived, the canary; whether it has arrived, the next leg."""
 
 
@@ -60,10 +60,10 @@ class Moves:
             changed = here != there
             if not changed.any():
                 continue
-            begun += np.where(changed, BEFORE_A_MOVE * self.exchange_s, 0.0)
+            begun += np.where(changed, EXCHANGES_BEFORE_MOVE * self.exchange_s, 0.0)
             known = np.where(np.isnan(here), axis.zero_offset_deg, here)
             arrived = begun + self._turning(axis, known, there)
-            done = np.where(changed, np.maximum(done, arrived) + AFTER_A_MOVE * self.exchange_s, done)
+            done = np.where(changed, np.maximum(done, arrived) + EXCHANGES_AFTER_MOVE * self.exchange_s, done)
             settling = np.where(changed, np.maximum(settling, axis.settling_s), settling)
         slewed = before[:, 4] != after[:, 4]
         if slewed.any():
@@ -106,7 +106,7 @@ class Moves:
         if far == 0.0:
             return direct
         legs = sum(ramp_seconds(way, axis.speed, axis.acceleration) for way in (there + far - here, np.full(len(here), far)))
-        detour = legs + 2 * ARRIVED_AFTER_S + BETWEEN_LEGS * self.exchange_s
+        detour = legs + 2 * ARRIVED_AFTER_S + EXCHANGES_BETWEEN_LEGS * self.exchange_s
         return np.asarray(np.where((there - here) * -far >= 0.0, direct, detour))
 
     def _sorting(self, here_nm: Floats, there_nm: Floats) -> Floats:
@@ -139,13 +139,13 @@ def ramp_seconds(way: Floats, speed: float, acceleration: float) -> Floats:
 
 USB_LATENCY_S = 1.0e-3
 TINY = 1e-9
-LIKELY_GAINS = 2
-UNKNOWN: Floats = np.full(5, np.nan)
-Lots = tuple[int, tuple[int, ...]]
+TYPICAL_GAINS = 2
+UNKNOWN_POINT: Floats = np.full(5, np.nan)
+ReadingLots = tuple[int, tuple[int, ...]]
 """A gain, and how many readings are taken at it, one lot after the other."""
 
 
-def least_warm_up_seconds(longest_s: float) -> float:
+def shortest_warm_up_s(longest_s: float) -> float:
     """A warm-up ends no sooner than the monitor has been looked at so often, or its time is up; when it does is the lamp's."""
     looks = min(MIN_SLOPE_READINGS, 1 + math.ceil(max(0.0, longest_s - MONITOR_MEAN_S) / WARM_UP_PERIOD_S))
     return (looks - 1) * WARM_UP_PERIOD_S + MONITOR_MEAN_S
@@ -155,23 +155,23 @@ class Timing:
     """Follows the rows of a plan in order, knowing where each left the rig."""
 
     def __init__(self, rig: RigFile) -> None:
-        self.foreseen: dict[str, float] = {}
+        self.expected_reading_s: dict[str, float] = {}
         """By sample, what its rows take to be read, where that is not known from the schedule alone and was looked at."""
         self.moves = Moves(rig)
         self._monochromator = monochromator_settings(rig)
         self._photodiodes = photodiode_settings(rig)
         encoders = sum(settings.encoder for settings in axis_settings(rig).values())
         self.readback_s = 2 * (len(AXES) + encoders) * self.moves.exchange_s  # each with the canary
-        self.here = UNKNOWN
+        self.here = UNKNOWN_POINT
         self._shutter_open: bool | None = None
         self._gain: int | None = None
 
     def row_seconds(self, row: Row) -> float:
         """The duration of the next row, s; a person's time at mountings is not in it."""
         if row.kind == "mount":
-            return self.shutter(opened=False)
+            return self.switch_shutter(opened=False)
         if row.kind == "dark":
-            return self.shutter(opened=False) + self.readings(row)
+            return self.switch_shutter(opened=False) + self.take_readings(row)
         there = self.here.copy()
         there[:WAVELENGTH] = there[:WAVELENGTH] if row.pose is None else row.pose
         there[WAVELENGTH] = there[WAVELENGTH] if row.wavelength_nm is None else row.wavelength_nm
@@ -179,52 +179,52 @@ class Timing:
         before = np.where(np.isnan(there), 0.0, self.here)
         moving = float(self.moves.seconds(before[None], np.nan_to_num(there)[None])[0])
         self.here = there
-        opening = moving + self.shutter(opened=True)
+        opening = moving + self.switch_shutter(opened=True)
         return opening + (
-            least_warm_up_seconds(row.longest_s) if row.kind == "warm-up" else self.readings(row) + self.readback_s
+            shortest_warm_up_s(row.longest_s) if row.kind == "warm-up" else self.take_readings(row) + self.readback_s
         )
 
-    def readings(self, row: Row) -> float:
+    def take_readings(self, row: Row) -> float:
         """All gains of a row, from where the rows before have left the amplifiers.
 
         How many gains are needed where they are automatic, and how many readings where there is a target, is known when the
         row has been read. It is taken to need its two highest gains, and between the fewest and the most readings the
         geometric mean.
         """
-        seconds = self.readings_from_here(row)
-        self.pass_by(row, 1)
+        seconds = self.next_reading_s(row)
+        self.advance(row, 1)
         return seconds
 
-    def readings_from_here(self, row: Row) -> float:
+    def next_reading_s(self, row: Row) -> float:
         """The same for a row that only might come next."""
-        if row.sample in self.foreseen and row.kind != "dark":
-            return self.foreseen[row.sample]
+        if row.sample in self.expected_reading_s and row.kind != "dark":
+            return self.expected_reading_s[row.sample]
         return self._reading(self._likely(row, self._gain), self._likely_readings(row), self._gain)
 
-    def usual_readings(self, row: Row) -> float:
+    def typical_reading_s(self, row: Row) -> float:
         """The same for a row that comes after one like it."""
-        if row.sample in self.foreseen and row.kind != "dark":
-            return self.foreseen[row.sample]
+        if row.sample in self.expected_reading_s and row.kind != "dark":
+            return self.expected_reading_s[row.sample]
         before = self._likely(row, None)[-1]
         return self._reading(self._likely(row, before), self._likely_readings(row), before)
 
-    def pass_by(self, row: Row, rows: int) -> None:
+    def advance(self, row: Row, rows: int) -> None:
         """The amplifiers are where so many such rows leave them."""
         for _ in range(2 - rows % 2 if rows else 0):  # every second one leaves them alike
             self._gain = self._likely(row, self._gain)[-1]
 
-    def readings_range(self, row: Row) -> tuple[float, float]:
-        """The least and the most that `usual_readings` could turn out to be: with automatic gains one may do."""
+    def reading_range_s(self, row: Row) -> tuple[float, float]:
+        """The least and the most that `typical_reading_s` could turn out to be: with automatic gains one may do."""
         gains = gain_order(row, max(row.gains))
         least = gains[:1] if row.automatic else gains
-        return self._reading(least, _least_readings(row), gains[0]), self._reading(gains, self._most_readings(row), gains[-1])
+        return self._reading(least, _min_readings(row), gains[0]), self._reading(gains, self._most_readings(row), gains[-1])
 
-    def longest_readings(self, row: Row) -> float:
+    def longest_reading_s(self, row: Row) -> float:
         """The most that a plan takes such a row to need, wherever the amplifiers are before it."""
         likely = self._reading(self._likely(row, None), self._likely_readings(row), None)
-        return max(likely, self.foreseen.get(row.sample, 0.0))
+        return max(likely, self.expected_reading_s.get(row.sample, 0.0))
 
-    def lots_seconds(self, taken: list[Lots]) -> float:
+    def lots_seconds(self, taken: list[ReadingLots]) -> float:
         """Of a row that is read at these gains, after one like it."""
         seconds, before = 0.0, taken[-1][0]
         for gain, (first, *further) in taken:
@@ -235,13 +235,13 @@ class Timing:
 
     def _likely(self, row: Row, before: int | None) -> tuple[int, ...]:
         gains = gain_order(row, before)
-        return gains[:LIKELY_GAINS] if row.automatic else gains
+        return gains[:TYPICAL_GAINS] if row.automatic else gains
 
     def _likely_readings(self, row: Row) -> int:
-        return round(math.sqrt(_least_readings(row) * self._most_readings(row)))
+        return round(math.sqrt(_min_readings(row) * self._most_readings(row)))
 
     def _most_readings(self, row: Row) -> int:
-        least = _least_readings(row)
+        least = _min_readings(row)
         return least if row.target is None else max(least, int(row.longest_s / self._photodiodes.period_s))
 
     def _reading(self, gains: tuple[int, ...], readings: int, before: int | None) -> float:
@@ -255,7 +255,7 @@ class Timing:
             seconds += (readings - 1) * settings.period_s + fetching
         return seconds
 
-    def shutter(self, *, opened: bool) -> float:
+    def switch_shutter(self, *, opened: bool) -> float:
         """Opening or closing it, where it is not yet."""
         seconds = self.shutter_seconds(opened=opened)
         self._shutter_open = opened
@@ -270,11 +270,11 @@ class Timing:
         return self._monochromator.shutter_s + told + STATUS_MARGIN_S + asked
 
 
-def _least_readings(row: Row) -> int:
+def _min_readings(row: Row) -> int:
     """At each gain; where their scatter decides, there have to be some to scatter."""
     return row.readings if row.target is None else max(row.readings, MIN_AVERAGED_READINGS)
 
 
-def fewest_stretches(rows: int, reading_s: float, every_s: float) -> int:
+def min_intervals(rows: int, reading_s: float, every_s: float) -> int:
     """Of rows that each take so long at least: none longer than `every_s`, unless it is a single row that takes longer."""
     return math.ceil(rows / max(1, int(min(rows, every_s / reading_s + TINY))))

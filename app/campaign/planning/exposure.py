@@ -10,9 +10,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.durations import Lots, Timing
+from goniotwin.app.campaign.planning.durations import ReadingLots, Timing
 from goniotwin.app.campaign.planning.mountings import Pass
-from goniotwin.app.campaign.planning.scan_grid import Lattice
+from goniotwin.app.campaign.planning.scan_grid import ScanGrid
 from goniotwin.app.campaign.readout import MIN_AVERAGED_READINGS, GainSequence, readings_needed, saturation
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.rig import RigDescription, monochromator_settings, photodiode_settings
@@ -24,16 +24,16 @@ from goniotwin.twin.plant.converter import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.view import Aspect
 
-LOOKED_AT = 40
-"""Rows of each sample, for each of its lattices."""
-GOLDEN = 0.6180339887498949
+SAMPLED_ROWS = 40
+"""Rows of each sample, for each of its grids."""
+GOLDEN_FRACTION = 0.6180339887498949
 """Multiples of it, their whole parts left out, are spread evenly however many there are: in step with no grid."""
-MOST_DRAWN = 1024
-APART = 37
+MAX_DRAWS = 1024
+DRAW_OFFSET = 37
 """Of the noise that is drawn once, each row begins so much further on."""
 
 
-def twin_of(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel | None:
+def exposure_twin(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel | None:
     """The twin to ask: that of a virtual rig, or the one that a real rig's file describes; None where asking takes long."""
     model = described_twin(rig, etalon, samples, {}).rig.model()
     if model is None or model.estimator.kind != "fast" or model.estimator.stray:
@@ -41,20 +41,20 @@ def twin_of(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel |
     return model
 
 
-def reading_seconds(rig: RigDescription, model: TwinModel, passes: list[Pass], row: Row, timing: Timing) -> float:
+def expected_reading_s(rig: RigDescription, model: TwinModel, passes: list[Pass], row: Row, timing: Timing) -> float:
     """What a row of these passes takes to be read after one like it, on average, s."""
-    light = Light(rig, model)
-    known: dict[Lattice, float] = {}
+    light = ExpectedSignal(rig, model)
+    known: dict[ScanGrid, float] = {}
     for each in passes:
-        if each.lattice not in known:
-            points = each.lattice.points[_spread(len(each.lattice))]
+        if each.grid not in known:
+            points = each.grid.points[_spread(len(each.grid))]
             found = [list(light.lots(row, point, number)) for number, point in enumerate(points)]
-            known[each.lattice] = float(np.mean([timing.lots_seconds(lots) for lots in found]))
-    rows = sum(len(each.lattice) for each in passes)
-    return sum(known[each.lattice] * len(each.lattice) for each in passes) / rows
+            known[each.grid] = float(np.mean([timing.lots_seconds(lots) for lots in found]))
+    rows = sum(len(each.grid) for each in passes)
+    return sum(known[each.grid] * len(each.grid) for each in passes) / rows
 
 
-class Light:
+class ExpectedSignal:
     """What a twin's photodiodes give, as counts."""
 
     def __init__(self, rig: RigDescription, model: TwinModel) -> None:
@@ -63,7 +63,7 @@ class Light:
         self._model = model
         self._plant = Plant(model)
 
-    def lots(self, row: Row, point: Floats, number: int) -> Iterator[Lots]:
+    def lots(self, row: Row, point: Floats, number: int) -> Iterator[ReadingLots]:
         """Gain by gain, how many readings are taken one lot after the other, of a row at a point (5,)."""
         gamma, sigma, beta, shift, wavelength = point.tolist()
         sample = None if row.sample == NO_SAMPLE else row.sample
@@ -72,10 +72,10 @@ class Light:
         signal = self._plant.steady_photocurrents_a(aspect, 1 if sorting is None else sorting.position)
         gains = GainSequence(row, self._settings.count, max(row.gains))
         for gain in gains:
-            drawn = _normals(len(signal) + 1)[np.mod(np.arange(MOST_DRAWN) + number * APART, MOST_DRAWN)]
+            drawn = _normals(len(signal) + 1)[np.mod(np.arange(MAX_DRAWS) + number * DRAW_OFFSET, MAX_DRAWS)]
             counts = self._counts(signal, gain, drawn)
             lots = self._read(row, gain, counts, gains.saturated)
-            gains.add(counts[: max(MIN_AVERAGED_READINGS, min(sum(lots), MOST_DRAWN))])
+            gains.add(counts[: max(MIN_AVERAGED_READINGS, min(sum(lots), MAX_DRAWS))])
             yield gain, lots
 
     def _read(self, row: Row, gain: int, counts: Counts, waiting: Flags) -> tuple[int, ...]:
@@ -85,7 +85,7 @@ class Light:
         dark = self._counts(np.zeros(counts.shape[1]), gain, np.zeros((1, counts.shape[1] + 1)))[0].astype(float)
         most = max(row.readings, int(row.longest_s / self._settings.period_s))
         lots = [max(row.readings, MIN_AVERAGED_READINGS)]
-        while sum(lots) <= MOST_DRAWN:
+        while sum(lots) <= MAX_DRAWS:
             taken = counts[: sum(lots)]
             needed = readings_needed(taken, dark, waiting & ~saturation(taken), row.target, most)
             if needed <= sum(lots):
@@ -112,12 +112,12 @@ class Light:
 def _normals(columns: int) -> Floats:
     """Standard normal numbers (MOST_DRAWN, columns), always the same."""
     key = process_key(0, "foreseen readings")
-    drawn = [normal(key, np.int64(k)) for k in range(MOST_DRAWN * columns)]
-    return np.array(drawn).reshape(MOST_DRAWN, columns)
+    drawn = [normal(key, np.int64(k)) for k in range(MAX_DRAWS * columns)]
+    return np.array(drawn).reshape(MAX_DRAWS, columns)
 
 
 def _spread(rows: int) -> Ints:
     """The numbers of some of so many rows, all where there are few."""
-    if rows <= LOOKED_AT:
+    if rows <= SAMPLED_ROWS:
         return np.arange(rows)
-    return np.asarray(rows * np.mod(GOLDEN * np.arange(LOOKED_AT), 1.0), dtype=np.int64)
+    return np.asarray(rows * np.mod(GOLDEN_FRACTION * np.arange(SAMPLED_ROWS), 1.0), dtype=np.int64)

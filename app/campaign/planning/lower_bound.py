@@ -13,10 +13,10 @@ from itertools import product
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.durations import TINY, Moves, Timing, fewest_stretches, least_warm_up_seconds
+from goniotwin.app.campaign.planning.durations import TINY, Moves, Timing, min_intervals, shortest_warm_up_s
 from goniotwin.app.campaign.planning.mountings import Pass
-from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH, Lattice
-from goniotwin.app.campaign.planning.timeline import Measuring
+from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH, ScanGrid
+from goniotwin.app.campaign.planning.timeline import RowTemplates
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
@@ -26,16 +26,16 @@ LEVELS = 200
 """So many different costs are told apart."""
 
 
-def least_moving_seconds(lattice: Lattice, moves: Moves) -> float:
-    """Less than this no order of a lattice's points takes for its moves."""
-    gaps = {column: _gap_seconds(lattice.values[column], moves, column) for column in lattice.active}
+def moving_lower_bound_s(grid: ScanGrid, moves: Moves) -> float:
+    """Less than this no order of a grid's points takes for its moves."""
+    gaps = {column: _gap_seconds(grid.values[column], moves, column) for column in grid.varying_columns}
     if not gaps:
         return 0.0
     levels = _levels(np.concatenate(list(gaps.values())))
     total, below = 0.0, 0.0
     for level in levels.tolist():
         # Joined by gaps that cost less than `level`: exact where no level between was left out, too few islands else.
-        islands = lattice.distinct({column: _islands(costs, level) for column, costs in gaps.items()})
+        islands = grid.count_distinct({column: _clusters(costs, level) for column, costs in gaps.items()})
         total += (level - below) * (islands - 1)
         below = level
     return total
@@ -59,7 +59,7 @@ def _either_way(here: Floats, there: Floats, moves: Moves, column: int) -> Float
     return np.minimum(seconds(here, there), seconds(there, here))
 
 
-def _islands(costs: Floats, level: float) -> Ints:
+def _clusters(costs: Floats, level: float) -> Ints:
     """A label for each value: the same where all gaps between two of them cost less than `level`."""
     return np.concatenate([[0], np.cumsum(costs >= level)]).astype(np.int64)
 
@@ -70,40 +70,40 @@ def _levels(costs: Floats) -> Floats:
     return found if len(found) <= LEVELS else found[np.linspace(0, len(found) - 1, LEVELS).astype(int)]
 
 
-def least_seconds(rig: RigFile, measuring: Measuring, mounted: list[list[Pass]]) -> float:
+def plan_lower_bound_s(rig: RigFile, templates: RowTemplates, mounted: list[list[Pass]]) -> float:
     """The least readings that each row can do with, the least moving, and as many darks and drift checks as that takes."""
     timing = Timing(rig)
-    moving: dict[Lattice, float] = {}
+    moving: dict[ScanGrid, float] = {}
     for passes in mounted:
         for each in passes:
-            if each.lattice not in moving:
-                moving[each.lattice] = least_moving_seconds(each.lattice, timing.moves)
-    warm_up = measuring.file.warm_up
-    waited = 0.0 if warm_up is None else least_warm_up_seconds(warm_up.longest_s)
-    return waited + sum(_mounted(measuring, passes, moving, timing) for passes in mounted)
+            if each.grid not in moving:
+                moving[each.grid] = moving_lower_bound_s(each.grid, timing.moves)
+    warm_up = templates.file.warm_up
+    waited = 0.0 if warm_up is None else shortest_warm_up_s(warm_up.longest_s)
+    return waited + sum(_mounted(templates, passes, moving, timing) for passes in mounted)
 
 
-def _mounted(measuring: Measuring, passes: list[Pass], moving: dict[Lattice, float], timing: Timing) -> float:
+def _mounted(templates: RowTemplates, passes: list[Pass], moving: dict[ScanGrid, float], timing: Timing) -> float:
     """All that is done with one mounting."""
-    file = measuring.file
-    row = measuring.row(passes[0].sample)
-    reading = timing.readings_range(row)[0] + timing.readback_s
-    rows = sum(len(each.lattice) for each in passes)
+    file = templates.file
+    row = templates.measurement(passes[0].sample)
+    reading = timing.reading_range_s(row)[0] + timing.readback_s
+    rows = sum(len(each.grid) for each in passes)
     if file.drift is not None and passes[0].sample != NO_SAMPLE:
-        rows += 1 + fewest_stretches(rows, reading, file.drift.every_s)
-    measured = rows * reading + sum(moving[each.lattice] for each in passes)
-    stretches = fewest_stretches(rows, reading, file.dark_every_s)
-    if _longest_row_seconds(measuring, passes, timing) <= file.dark_every_s:
+        rows += 1 + min_intervals(rows, reading, file.drift.every_s)
+    measured = rows * reading + sum(moving[each.grid] for each in passes)
+    stretches = min_intervals(rows, reading, file.dark_every_s)
+    if _longest_row_seconds(templates, passes, timing) <= file.dark_every_s:
         stretches = max(stretches, math.ceil(measured / file.dark_every_s - TINY))
-    shutters = timing.shutter(opened=True) + timing.shutter(opened=False)
-    dark = measuring.dark("", 0)
-    return measured + (stretches + 1) * timing.usual_readings(dark) + stretches * shutters
+    shutters = timing.switch_shutter(opened=True) + timing.switch_shutter(opened=False)
+    dark = templates.dark("", 0)
+    return measured + (stretches + 1) * timing.typical_reading_s(dark) + stretches * shutters
 
 
-def _longest_row_seconds(measuring: Measuring, passes: list[Pass], timing: Timing) -> float:
+def _longest_row_seconds(templates: RowTemplates, passes: list[Pass], timing: Timing) -> float:
     """The most that a row takes in any order: right across all axes, with what only the first one after a dark needs."""
-    drift = measuring.file.drift
-    ends = [each.lattice.values for each in passes]
+    drift = templates.file.drift
+    ends = [each.grid.values for each in passes]
     if drift is not None:
         pose = (drift.gamma_deg, drift.sigma_deg, drift.beta_deg, drift.shift_deg, drift.wavelength_nm)
         ends.append([np.array([value]) for value in pose])
@@ -116,6 +116,6 @@ def _longest_row_seconds(measuring: Measuring, passes: list[Pass], timing: Timin
     waves = np.unique([f(every[filters == number]) for number in np.unique(filters) for f in (np.min, np.max)])
     slewing = timing.moves.one_step(WAVELENGTH)
     beyond = slewing(np.repeat(waves, len(waves)), np.tile(waves, len(waves))).max() - slewing(waves[:1], waves[-1:])[0]
-    row = measuring.row(passes[0].sample)
-    reading = timing.longest_readings(row) + timing.readback_s
+    row = templates.measurement(passes[0].sample)
+    reading = timing.longest_reading_s(row) + timing.readback_s
     return float(moving.max() + max(0.0, beyond)) + timing.shutter_seconds(opened=True) + reading

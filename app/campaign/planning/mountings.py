@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from goniotwin.app.campaign.planning.poses import Poses, etalon_poses, open_beam_poses, sample_poses
-from goniotwin.app.campaign.planning.scan_grid import Lattice
+from goniotwin.app.campaign.planning.scan_grid import ScanGrid
 from goniotwin.app.campaign.row import MIRRORED_MARK, NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -16,11 +16,11 @@ from goniotwin.arrays import Floats, Ints
 
 @dataclass(frozen=True)
 class Pass:
-    """Once through all points of a lattice with one sample. `purpose` and `ending` tell its rows from others of that pose."""
+    """Once through all points of a grid with one sample. `purpose` and `ending` tell its rows from others of that pose."""
 
     sample: str
     poses: Poses
-    lattice: Lattice
+    grid: ScanGrid
     purpose: str = ""
     ending: str = ""
 
@@ -31,7 +31,7 @@ class Pass:
             for gamma, sigma, beta, shift in self.poses.angles.tolist()
         ]
         endings = [f" nm{MIRRORED_MARK if mirrored else ''}{self.ending}" for mirrored in self.poses.mirrored.tolist()]
-        return poses, [f"{wavelength:.9g}" for wavelength in self.lattice.wavelengths_nm.tolist()], endings
+        return poses, [f"{wavelength:.9g}" for wavelength in self.grid.wavelengths_nm.tolist()], endings
 
     def identities(self, points: Ints) -> list[str]:
         """Of points by their numbers: stable, whatever the order."""
@@ -46,17 +46,17 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     of_samples = sample_poses(file, rig)
     of_etalon = etalon_poses(file, of_samples)
     filters = monochromator_settings(rig).wheel.numbers(wavelengths)
-    lattice = Lattice(of_samples.angles, wavelengths, filters)
-    etalon_lattice = lattice if of_etalon is of_samples else Lattice(of_etalon.angles, wavelengths, filters)
+    grid = ScanGrid(of_samples.angles, wavelengths, filters)
+    etalon_grid = grid if of_etalon is of_samples else ScanGrid(of_etalon.angles, wavelengths, filters)
     endings = ["", *(f"/repeat {k}" for k in range(2, file.repeats + 1))]
-    found = [[Pass(file.etalon, of_etalon, etalon_lattice, ending=ending) for ending in endings]]
-    found += [[Pass(sample, of_samples, lattice, ending=ending) for ending in endings] for sample in file.samples]
+    found = [[Pass(file.etalon, of_etalon, etalon_grid, ending=ending) for ending in endings]]
+    found += [[Pass(sample, of_samples, grid, ending=ending) for ending in endings] for sample in file.samples]
     # The poses of the etalon hold those at which reflected light is measured; in transmitted light the beam itself is seen.
-    empty = [Pass(NO_SAMPLE, of_etalon, etalon_lattice, ending=ending) for ending in endings] if file.signature else []
+    empty = [Pass(NO_SAMPLE, of_etalon, etalon_grid, ending=ending) for ending in endings] if file.signature else []
     if file.open_beam:
         beam = open_beam_poses(file, rig)
         poses = Poses(beam, np.zeros(len(beam), dtype=bool), 0)
-        empty.append(Pass(NO_SAMPLE, poses, Lattice(beam, wavelengths, filters), purpose="/open beam"))
+        empty.append(Pass(NO_SAMPLE, poses, ScanGrid(beam, wavelengths, filters), purpose="/open beam"))
     return [*found, empty] if empty else found
 
 

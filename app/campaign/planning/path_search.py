@@ -3,14 +3,14 @@
 A path is an array (n + 2,) of points' numbers with the number n, which is no point, at both ends; `table` (n + 1, n + 1) says
 what each step costs, and what it costs to begin or to end at a point. What is done is cheaper by more than TINY_S each time.
 
-What each step between two points of a lattice costs, looked up instead of reckoned: for orders that no nest of loops gives.
+What each step between two points of a grid costs, looked up instead of reckoned: for orders that no nest of loops gives.
 
 A step costs what its costliest column costs alone, and every further column the words of one more move. A step on which the
 arc would meet the beam costs BARRED_S besides, so that an order without any is preferred to every other.
 
 An order that no nest of loops gives: where steps are uneven, or poses lie beside the grids, or the arc meets the beam.
 
-Two orders are begun with, the best nest's and that of the islands, and shortened piece by piece. Of a great lattice the poses
+Two orders are begun with, the best nest's and that of the islands, and shortened piece by piece. Of a great grid the poses
 alone are looked at, with the wavelengths inside or outside. All of it within a fixed amount of work, so that the same
 schedule has the same order on every machine.
 """
@@ -20,26 +20,26 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.collision import swept_ways
-from goniotwin.app.campaign.planning.durations import AFTER_A_MOVE, BEFORE_A_MOVE, Moves
-from goniotwin.app.campaign.planning.loop_order import Loop, looped, moving_seconds
-from goniotwin.app.campaign.planning.lower_bound import least_moving_seconds
-from goniotwin.app.campaign.planning.scan_grid import Lattice
+from goniotwin.app.campaign.geometry.collision import crosses_beam_between
+from goniotwin.app.campaign.planning.durations import EXCHANGES_AFTER_MOVE, EXCHANGES_BEFORE_MOVE, Moves
+from goniotwin.app.campaign.planning.loop_order import Loop, moving_seconds, nested_sequence
+from goniotwin.app.campaign.planning.lower_bound import moving_lower_bound_s
+from goniotwin.app.campaign.planning.scan_grid import ScanGrid
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
 from goniotwin.twin.optics.kernel import kernel
 
 TINY_S = 1e-7
-PIECES = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
+PIECE_LENGTHS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
 """How many points are moved together."""
-LEAST_REACH = 8
+MIN_REACH = 8
 
 
-def shortened(path: Ints, table: Floats, work: int) -> Ints:
+def shorten_path(path: Ints, table: Floats, work: int) -> Ints:
     """An order (n,) of which no piece costs less elsewhere or the other way round, or as far as `work` (steps) goes."""
     ended = np.concatenate([[len(path)], path, [len(path)]])
-    reach = max(LEAST_REACH, work // (8 * len(path) * (len(PIECES) + 1)))
-    _shorten(ended, table, PIECES, reach, work)
+    reach = max(MIN_REACH, work // (8 * len(path) * (len(PIECE_LENGTHS) + 1)))
+    _shorten(ended, table, PIECE_LENGTHS, reach, work)
     return ended[1:-1]
 
 
@@ -54,7 +54,7 @@ def _shorten(path: Any, table: Any, pieces: Any, reach: int, work: int) -> None:
         for i in range(1, n):
             far = min(n + 1, i + 1 + reach)
             work -= 4 * (far - i)
-            if _turned_round(path, table, forth, back, i, far):
+            if _reverse_piece(path, table, forth, back, i, far):
                 work -= 2 * n
                 better = True
             if work <= 0:
@@ -65,7 +65,7 @@ def _shorten(path: Any, table: Any, pieces: Any, reach: int, work: int) -> None:
             for i in range(1, n - size + 2):
                 near, far = max(1, i - reach), min(n + 1, i + size + reach)
                 work -= 5 * (far - near - size)
-                if _put_elsewhere(path, table, forth, back, i, size, near, far):
+                if _move_piece(path, table, forth, back, i, size, near, far):
                     work -= 2 * n
                     better = True
                 if work <= 0:
@@ -81,7 +81,7 @@ def _sums(path: Any, table: Any, forth: Any, back: Any) -> None:
 
 
 @kernel(error_model="python")
-def _turned_round(path: Any, table: Any, forth: Any, back: Any, i: int, far: int) -> bool:
+def _reverse_piece(path: Any, table: Any, forth: Any, back: Any, i: int, far: int) -> bool:
     """What is from place `i` to the best one before `far`, if that is a gain."""
     before, first = path[i - 1], path[i]
     best, where = -TINY_S, -1
@@ -99,7 +99,7 @@ def _turned_round(path: Any, table: Any, forth: Any, back: Any, i: int, far: int
 
 
 @kernel(error_model="python")
-def _put_elsewhere(path: Any, table: Any, forth: Any, back: Any, i: int, size: int, near: int, far: int) -> bool:
+def _move_piece(path: Any, table: Any, forth: Any, back: Any, i: int, size: int, near: int, far: int) -> bool:
     """The piece of that size at place `i` before the best place from `near` to `far`, either way round, if that is a gain."""
     end = i + size
     before, first, last, after = path[i - 1], path[i], path[end - 1], path[end]
@@ -132,24 +132,24 @@ def _put_elsewhere(path: Any, table: Any, forth: Any, back: Any, i: int, size: i
     return True
 
 
-BARRED_S = 1.0e6
+COLLISION_PENALTY_S = 1.0e6
 BETA, SHIFT = 2, 3
-MOST_PIECES = 60
+MAX_PIECES = 60
 
 
-class Steps:
-    """Of one lattice on a rig. `ends` (5,): a point that is come from, and gone to afterwards."""
+class StepCosts:
+    """Of one grid on a rig. `ends` (5,): a point that is come from, and gone to afterwards."""
 
-    def __init__(self, lattice: Lattice, moves: Moves, clearance: ArcClearance, ends: Floats | None) -> None:
-        self._ranks = lattice.ranks
-        self._columns = lattice.active
-        self._seconds = {column: _seconds(lattice.values[column], moves, column) for column in lattice.active}
-        self._more_s = (BEFORE_A_MOVE + AFTER_A_MOVE) * moves.exchange_s
-        self._barred, self._high = _barred(lattice, clearance)
-        self._end_s = np.zeros((len(lattice),))
+    def __init__(self, grid: ScanGrid, moves: Moves, clearance: ArcClearance, ends: Floats | None) -> None:
+        self._ranks = grid.ranks
+        self._columns = grid.varying_columns
+        self._seconds = {column: _seconds(grid.values[column], moves, column) for column in grid.varying_columns}
+        self._more_s = (EXCHANGES_BEFORE_MOVE + EXCHANGES_AFTER_MOVE) * moves.exchange_s
+        self._barred, self._high = _beam_crossings(grid, clearance)
+        self._end_s = np.zeros((len(grid),))
         if ends is not None:
-            towards = np.broadcast_to(ends, lattice.points.shape)
-            self._end_s = np.asarray(BARRED_S * swept_ways(clearance, lattice.points, towards))
+            towards = np.broadcast_to(ends, grid.points.shape)
+            self._end_s = np.asarray(COLLISION_PENALTY_S * crosses_beam_between(clearance, grid.points, towards))
 
     def seconds(self, here: Ints, there: Ints) -> Floats:
         """From points to others by their numbers, arrays that fit each other; -1 is beyond the end of an order."""
@@ -161,7 +161,9 @@ class Steps:
         taken = longest + self._more_s * np.maximum(changed, 0)
         if self._barred.any():
             beta, shift = self._ranks[BETA], self._ranks[SHIFT]
-            taken += BARRED_S * (self._barred[beta[here], beta[there]] & (self._high[shift[here]] | self._high[shift[there]]))
+            taken += COLLISION_PENALTY_S * (
+                self._barred[beta[here], beta[there]] & (self._high[shift[here]] | self._high[shift[there]])
+            )
         return np.where(here < 0, self._end_s[there], np.where(there < 0, self._end_s[here], taken))
 
     def table(self) -> Floats:
@@ -171,12 +173,12 @@ class Steps:
         table[-1, -1] = 0.0
         return table
 
-    def joined(self, order: Ints) -> Ints:
+    def join_pieces(self, order: Ints) -> Ints:
         """The same points: cut where the arc would meet the beam, the pieces put back, the longest first, where they cost
         least. As it was where there are too many pieces.
         """
-        cuts = np.flatnonzero(self.seconds(order[:-1], order[1:]) >= BARRED_S) + 1
-        if len(cuts) >= MOST_PIECES:
+        cuts = np.flatnonzero(self.seconds(order[:-1], order[1:]) >= COLLISION_PENALTY_S) + 1
+        if len(cuts) >= MAX_PIECES:
             return order
         longest, *others = sorted(np.split(order, cuts), key=len, reverse=True)
         found = longest
@@ -197,9 +199,9 @@ def _seconds(values: Floats, moves: Moves, column: int) -> Floats:
     return moves.one_step(column)(here, there).reshape(len(values), len(values))
 
 
-def _barred(lattice: Lattice, clearance: ArcClearance) -> tuple[Ints, Ints]:
+def _beam_crossings(grid: ScanGrid, clearance: ArcClearance) -> tuple[Ints, Ints]:
     """Between which betas the arc crosses the beam, and at which shifts it may not."""
-    betas, shifts = lattice.values[BETA].tolist(), lattice.values[SHIFT].tolist()
+    betas, shifts = grid.values[BETA].tolist(), grid.values[SHIFT].tolist()
     barred = np.zeros((len(betas), len(betas)), dtype=np.int64)
     if clearance.collision((betas[0], betas[-1]), (shifts[-1],)) is not None:
         for k, beta in enumerate(betas):
@@ -209,68 +211,68 @@ def _barred(lattice: Lattice, clearance: ArcClearance) -> tuple[Ints, Ints]:
     return barred, np.array([clearance.collision((azimuth,), (shift,)) is not None for shift in shifts], dtype=np.int64)
 
 
-MOST_POINTS = 1500
+MAX_POINTS = 1500
 """Of so many the order is rearranged; of more that of their poses, if these are no more."""
-MOST_VALUES = 500
-WORK = 60_000_000
+MAX_VALUES = 500
+WORK_LIMIT = 60_000_000
 """Steps looked up: about a tenth of a second."""
-CLOSE = 1.0005
+CLOSE_TO_BOUND = 1.0005
 """So near to the bound an order is left as it is."""
-ALIKE = 1.2
+SAME_LOOP_RATIO = 1.2
 """Gaps whose costs differ by less are one loop."""
 
 
-def rearranged(
-    lattice: Lattice, moves: Moves, clearance: ArcClearance, nested: Ints, seconds: float, ends: Floats | None
+def search_paths(
+    grid: ScanGrid, moves: Moves, clearance: ArcClearance, nested: Ints, seconds: float, ends: Floats | None
 ) -> list[tuple[Ints, float]]:
     """Other orders than `nested`, which takes `seconds` of moving, with theirs; none where it is as good as any.
 
     `ends` (5,), where there is one, is a point from which the first must be reached and that must be reached from the last.
     """
-    if seconds <= CLOSE * least_moving_seconds(lattice, moves):
+    if seconds <= CLOSE_TO_BOUND * moving_lower_bound_s(grid, moves):
         return []
-    orders = _orders(lattice, moves, clearance, nested, ends, clear=seconds < float("inf"))
-    return [(order, moving_seconds(moves, clearance, lattice.points[order], ends)) for order in orders]
+    orders = _sequences(grid, moves, clearance, nested, ends, clear=seconds < float("inf"))
+    return [(order, moving_seconds(moves, clearance, grid.points[order], ends)) for order in orders]
 
 
-def _orders(
-    lattice: Lattice, moves: Moves, clearance: ArcClearance, nested: Ints, ends: Floats | None, *, clear: bool
+def _sequences(
+    grid: ScanGrid, moves: Moves, clearance: ArcClearance, nested: Ints, ends: Floats | None, *, clear: bool
 ) -> Iterator[Ints]:
-    if max(len(values) for values in lattice.values) > MOST_VALUES:
+    if max(len(values) for values in grid.values) > MAX_VALUES:
         return
-    if len(lattice) <= MOST_POINTS:
-        steps = Steps(lattice, moves, clearance, ends)
+    if len(grid) <= MAX_POINTS:
+        steps = StepCosts(grid, moves, clearance, ends)
         table = steps.table()
-        for begun in (nested, islands(lattice, moves)):
-            yield shortened(begun if clear else steps.joined(begun), table, WORK)
+        for begun in (nested, cluster_sequence(grid, moves)):
+            yield shorten_path(begun if clear else steps.join_pieces(begun), table, WORK_LIMIT)
         return
     if not clear:
-        yield Steps(lattice, moves, clearance, ends).joined(nested)
-    waves = len(lattice.wavelengths_nm)
-    if waves > 1 and len(lattice.poses) <= MOST_POINTS:
+        yield StepCosts(grid, moves, clearance, ends).join_pieces(nested)
+    waves = len(grid.wavelengths_nm)
+    if waves > 1 and len(grid.poses) <= MAX_POINTS:
         met, first = np.unique(nested // waves, return_index=True)
-        single = Lattice(lattice.poses, lattice.wavelengths_nm[:1])
-        for poses in _orders(single, moves, clearance, met[np.argsort(first)], ends, clear=clear):
-            yield from _with_wavelengths(lattice, poses)
+        single = ScanGrid(grid.poses, grid.wavelengths_nm[:1])
+        for poses in _sequences(single, moves, clearance, met[np.argsort(first)], ends, clear=clear):
+            yield from _with_wavelengths(grid, poses)
 
 
-def _with_wavelengths(lattice: Lattice, poses: Ints) -> Iterator[Ints]:
+def _with_wavelengths(grid: ScanGrid, poses: Ints) -> Iterator[Ints]:
     """The wavelengths inside of poses in their order, and outside, back and forth."""
-    waves = np.argsort(lattice.wavelengths_nm)
+    waves = np.argsort(grid.wavelengths_nm)
     numbers = poses[:, None] * len(waves) + waves
     yield np.where((np.arange(len(poses)) % 2 == 1)[:, None], numbers[:, ::-1], numbers).ravel()
     yield np.where((np.arange(len(waves)) % 2 == 1)[:, None], numbers.T[:, ::-1], numbers.T).ravel()
 
 
-def islands(lattice: Lattice, moves: Moves) -> Ints:
+def cluster_sequence(grid: ScanGrid, moves: Moves) -> Ints:
     """The order in which the costliest gaps are crossed least often, whatever their column: a column may be several loops."""
     loops: list[tuple[float, int, Ints]] = []
-    for column in lattice.active:
-        values, seconds = lattice.values[column], moves.one_step(column)
+    for column in grid.varying_columns:
+        values, seconds = grid.values[column], moves.one_step(column)
         costs = np.minimum(seconds(values[:-1], values[1:]), seconds(values[1:], values[:-1]))
         below = float("inf")
         for cost in sorted(set(costs.tolist()), reverse=True):
-            if cost * ALIKE < below:
+            if cost * SAME_LOOP_RATIO < below:
                 below = cost
             labels = np.concatenate([[0], np.cumsum(costs >= cost)]).astype(np.int64)
             if cost == below:
@@ -278,4 +280,4 @@ def islands(lattice: Lattice, moves: Moves) -> Ints:
             else:
                 loops[-1] = (loops[-1][0], column, labels)
     ordered = sorted(loops, key=lambda loop: -loop[0])
-    return looped(len(lattice), [Loop(labels[lattice.ranks[k]], int(labels[-1]) + 1) for _, k, labels in ordered])
+    return nested_sequence(len(grid), [Loop(labels[grid.ranks[k]], int(labels[-1]) + 1) for _, k, labels in ordered])

@@ -15,11 +15,11 @@ from goniotwin.app.campaign.geometry.arcs import (
     etalon_sigmas_deg,
     far_arc,
     lit_sides,
-    looking_arcs,
+    observing_arcs,
     polar_deg,
     rig_sigma_deg,
 )
-from goniotwin.app.campaign.geometry.symmetry import images, one_of_each
+from goniotwin.app.campaign.geometry.symmetry import mirror_images, unique_pose_mask
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import DECIMALS, grid_values
 from goniotwin.app.rig import RigFile, arc_clearance
@@ -30,7 +30,7 @@ CHECK_TURNS_DEG = (90.0, -90.0, 0.0)
 IN_THE_BEAM_DEG = 180.0
 
 
-def mirror_images(file: ScheduleFile, rig: RigFile, poses: Floats) -> Floats:
+def symmetry_check_poses(file: ScheduleFile, rig: RigFile, poses: Floats) -> Floats:
     """The images (n, 4) of as many of the `poses` as `[symmetry_check]` says, spread over all of them.
 
     Raises ValueError where the rig reaches too few.
@@ -41,7 +41,7 @@ def mirror_images(file: ScheduleFile, rig: RigFile, poses: Floats) -> Floats:
     plain = poses[poses[:, 3] == grid_values(file.shift_deg)[0]]
     told: dict[int, str] = {}
     for turn in CHECK_TURNS_DEG:
-        mirrored = images(plain, file.symmetry, turn)
+        mirrored = mirror_images(plain, file.symmetry, turn)
         others = np.any(mirrored != plain, axis=1)
         reached = others & _reached(rig, mirrored)
         usable = mirrored[reached & _clear(rig, plain, mirrored)]
@@ -124,11 +124,11 @@ def open_beam_poses(file: ScheduleFile, rig: RigFile) -> Floats:
     return np.array(poses)
 
 
-MOST_LOOKED_AT = 10_000_000
+MAX_NEAR_CANDIDATES = 10_000_000
 TINY_DEG = 1e-6
 
 
-def near_poses(file: ScheduleFile, rig: RigFile, side: Side) -> Floats:
+def near_specular_poses(file: ScheduleFile, rig: RigFile, side: Side) -> Floats:
     """Sigma (of the incidence), beta, shift (n, 3) of the schedule's `[near_specular]`, those of the grids among them.
 
     Raises ValueError where there are too many to look at.
@@ -146,7 +146,7 @@ def near_poses(file: ScheduleFile, rig: RigFile, side: Side) -> Floats:
     _refuse_too_many(len(grid_values(file.sigma_deg)), len(betas), len(shifts))
     found = []
     for sigma in grid_values(file.sigma_deg):
-        arcs = looking_arcs(file, rig_sigma_deg(sigma, side))
+        arcs = observing_arcs(file, rig_sigma_deg(sigma, side))
         polar = sorted(set(chain.from_iterable(polar_deg(rig, arc) for arc in arcs)))
         k, j = np.nonzero(_closest_deg(sigma, betas, shifts, polar, table.within_deg) <= table.within_deg + TINY_DEG)
         found.append(np.stack([np.full(len(k), sigma), betas[k], shifts[j]], axis=1))
@@ -168,14 +168,14 @@ def _closest_deg(sigma_deg: float, beta_deg: Floats, shift_deg: Floats, polar_de
 
 
 def _refuse_too_many(sigmas: int, betas: float, shifts: int) -> None:
-    if sigmas * betas * shifts > MOST_LOOKED_AT:
+    if sigmas * betas * shifts > MAX_NEAR_CANDIDATES:
         raise ValueError(
             f"near_specular: {sigmas} sigma_deg x {betas:.0f} beta x {shifts} shift would have to be looked at; "
             "take greater steps"
         )
 
 
-MOST_FURTHER = 4_000_000
+MAX_FURTHER_POSES = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def sample_poses(file: ScheduleFile, rig: RigFile) -> Poses:
     """Of each sample. Raises ValueError, naming the key, for what the rig cannot do."""
     sides = [_of_side(file, rig, side) for side in lit_sides(file)]
     angles = np.concatenate([angles for angles, _ in sides])
-    checks = mirror_images(file, rig, angles)
+    checks = symmetry_check_poses(file, rig, angles)
     mirrored = np.arange(len(angles) + len(checks)) >= len(angles)
     return Poses(np.concatenate([angles, checks]), mirrored, sum(left_out for _, left_out in sides))
 
@@ -211,7 +211,7 @@ def etalon_poses(file: ScheduleFile, of_samples: Poses) -> Poses:
             blocks.append(block)
             mirrored.append(of_samples.mirrored[chosen])
     angles, flags = np.concatenate(blocks), np.concatenate(mirrored)
-    kept = one_of_each(angles, "anisotropic")
+    kept = unique_pose_mask(angles, "anisotropic")
     return Poses(angles[kept], flags[kept], 0)
 
 
@@ -224,12 +224,12 @@ def _of_side(file: ScheduleFile, rig: RigFile, side: Side) -> tuple[Floats, int]
         gammas = gammas[:1]
     turns = np.zeros((len(gammas) * len(betas), 4))
     turns[:, 0], turns[:, 2] = np.repeat(gammas, len(betas)), np.tile(betas, len(gammas))
-    turns = turns[one_of_each(turns, file.symmetry)]
+    turns = turns[unique_pose_mask(turns, file.symmetry)]
     tilts = np.array([(sigma, shift) for sigma in sigmas for shift in shifts])
     poses = np.repeat(turns, len(tilts), axis=0)
     poses[:, [1, 3]] = np.tile(tilts, (len(turns), 1))
-    further = np.concatenate([near_poses(file, rig, side), overlap_poses(file, rig)])
-    if len(gammas) * len(further) > MOST_FURTHER:
+    further = np.concatenate([near_specular_poses(file, rig, side), overlap_poses(file, rig)])
+    if len(gammas) * len(further) > MAX_FURTHER_POSES:
         raise ValueError(
             f"near_specular: {len(gammas)} gamma_deg x {len(further)} = {len(gammas) * len(further)} poses; take greater steps"
         )
@@ -237,7 +237,7 @@ def _of_side(file: ScheduleFile, rig: RigFile, side: Side) -> tuple[Floats, int]
         beside = np.zeros((len(gammas) * len(further), 4))
         beside[:, 0], beside[:, 1:] = np.repeat(gammas, len(further)), np.tile(further, (len(gammas), 1))
         poses = np.concatenate([poses, beside])
-        poses = poses[one_of_each(poses, file.symmetry)]
+        poses = poses[unique_pose_mask(poses, file.symmetry)]
     left_out = planned - len(turns) * len(tilts)
     for sigma in sigmas.tolist():
         poses[poses[:, 1] == sigma, 1] = rig_sigma_deg(sigma, side)

@@ -10,11 +10,11 @@ WAVELENGTH = 4
 """The column of the wavelength; before it come gamma, sigma, beta, shift."""
 FILTER = 5
 """The column of the order-sorting filter, which the wavelength decides: a loop of it goes around that of the wavelength."""
-ROOMY = 8
+TABLE_FACTOR = 8
 """A table of so many places a point finds the distinct numbers faster than sorting does."""
 
 
-class Lattice:
+class ScanGrid:
     """All pairs of `poses` (n, 4) and `wavelengths` (w,); a point's number is its pose's times w, and its wavelength's.
 
     `filters` (w,) are the numbers of the filters that the wavelengths have; all one where they are not given.
@@ -47,16 +47,16 @@ class Lattice:
         return [*outer, *(np.tile(ranks, len(self.poses)) for ranks in (self._wavelength_ranks, self._filter_ranks))]
 
     @property
-    def active(self) -> tuple[int, ...]:
+    def varying_columns(self) -> tuple[int, ...]:
         """The columns that change at all; the filter is none of them, for it changes with the wavelength."""
         return tuple(column for column, values in enumerate(self.values[:FILTER]) if len(values) > 1)
 
     @property
-    def grouped(self) -> bool:
+    def has_filter_groups(self) -> bool:
         """Whether there are several filters, and several wavelengths to one of them."""
         return 1 < len(self.values[FILTER]) < len(self.values[WAVELENGTH])
 
-    def distinct(self, labels: dict[int, Ints]) -> int:
+    def count_distinct(self, labels: dict[int, Ints]) -> int:
         """How many points differ in some column, where the values of each have the `labels`; other columns do not count."""
         light = WAVELENGTH if WAVELENGTH in labels else FILTER  # the wavelength has told the filter
         waves = int(labels[light].max()) + 1 if light in labels else 1
@@ -68,12 +68,12 @@ class Lattice:
         room = 1
         for column, size in zip(columns, sizes, strict=True):
             key, room = key * size + labels[column][self._pose_ranks[column]], room * size
-        return len(numbered(key, room)[0]) * waves
+        return len(unique_ranks(key, room)[0]) * waves
 
 
-def numbered(key: Ints, room: int) -> tuple[Ints, Ints]:
+def unique_ranks(key: Ints, room: int) -> tuple[Ints, Ints]:
     """The distinct numbers of `key` (each below `room`) in order, and the place of each among them."""
-    if room > ROOMY * len(key):
+    if room > TABLE_FACTOR * len(key):
         found, places = np.unique(key, return_inverse=True)
         return found, places
     there = np.zeros(room, dtype=bool)

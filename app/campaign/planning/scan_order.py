@@ -1,10 +1,9 @@
-"""In which order to measure: which loop goes inside which, so that the rig takes the least time.
+"""Scan order: the order of a grid's points that takes the least machine time, and the order of the passes.
 
-All nestings are estimated from how often each of their loops steps and what a step costs. Of the best with each loop
-innermost, and of the best with the wavelength outermost, every single move is then added up: these are what the words
-compare, and the fastest of them is taken, rearranged where that makes it shorter still. Where wavelengths share filters, there
-are nests that do one filter after the other, too, with poses between the loop over the filters and that over the wavelengths of
-each.
+All loop orders are estimated: how often each loop steps, and what a step costs. The best ones are then added up move by move:
+the best with each loop innermost, and the best with the wavelength outermost. `check` lists these. The fastest is taken, or a
+path search improves it. Where wavelengths share filters, there are also loop orders with a loop over the filters, and poses
+between it and the loop over the wavelengths of one filter.
 """
 
 from collections.abc import Iterator
@@ -13,54 +12,61 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.collision import swept
+from goniotwin.app.campaign.geometry.collision import crosses_beam
 from goniotwin.app.campaign.planning.durations import Moves
-from goniotwin.app.campaign.planning.loop_order import Nest, moving_seconds, visited
+from goniotwin.app.campaign.planning.loop_order import LoopOrder, loop_sequence, moving_seconds
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
-from goniotwin.app.campaign.planning.path_search import rearranged
-from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
+from goniotwin.app.campaign.planning.path_search import search_paths
+from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, ScanGrid
 from goniotwin.app.campaign.row import NO_SAMPLE
-from goniotwin.app.campaign.schedule.file import NESTED, ScheduleFile
+from goniotwin.app.campaign.schedule.file import LOOP_NAMES, ScheduleFile
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
 
-MOST_CHOICES = 3
-MANY, FEW_ENDS = 20_000, 1
-"""Of a lattice with many points few ends of loops are tried, unless the arc keeps clear of the beam in no other way."""
+MAX_CHOICES = 3
+LARGE_GRID_POINTS, LARGE_GRID_REVERSALS = 20_000, 1
+"""Of a grid with many points few ends of loops are candidates, unless the arc keeps clear of the beam in no other way."""
 
 
 @dataclass(frozen=True)
-class Order:
-    """The order of a lattice's points: their numbers, its seconds of moving (without what comes before the first point), the
-    nest that gives it or that it was rearranged from, and the seconds of all nests that were tried, this one's among them.
+class ScanOrder:
+    """The order of a grid's points.
+
+    `sequence` has their numbers, `seconds` is the moving time without the way to the first point. `loop_order` gives the
+    sequence, or the path search started from it. `candidates` are all loop orders that were compared, with their seconds.
     """
 
     sequence: Ints
     seconds: float
-    nest: Nest
-    tried: dict[Nest, float]
-    others: tuple[tuple[Ints, float], ...] = ()
+    loop_order: LoopOrder
+    candidates: dict[LoopOrder, float]
+    alternatives: tuple[tuple[Ints, float], ...] = ()
 
     @property
-    def choices(self) -> list["Order"]:
+    def choices(self) -> list["ScanOrder"]:
         """This one, and others that are slower by themselves and may be faster with what comes before and after."""
-        return [self, *(replace(self, sequence=sequence, seconds=seconds, others=()) for sequence, seconds in self.others)]
+        return [
+            self,
+            *(replace(self, sequence=sequence, seconds=seconds, alternatives=()) for sequence, seconds in self.alternatives),
+        ]
 
     @property
-    def rearranged(self) -> bool:
-        """Whether it is better than its nest."""
-        return self.seconds < self.tried[self.nest]
+    def improved(self) -> bool:
+        """Whether it is better than its loop_order."""
+        return self.seconds < self.candidates[self.loop_order]
 
 
-def fastest_order(lattice: Lattice, file: ScheduleFile, moves: Moves, clearance: ArcClearance) -> Order:
+def fastest_scan_order(grid: ScanGrid, file: ScheduleFile, moves: Moves, clearance: ArcClearance) -> ScanOrder:
     """The order of least time; where the schedule says an `order`, the least within that nesting.
 
     The pose of the drift checks can be reached from its ends, if that can be.
     """
     ends = drift_point(file)
     order = None
-    for most in (FEW_ENDS, len(lattice.active)) if len(lattice) > MANY else (len(lattice.active),):
-        order = _fastest(lattice, file, moves, clearance, ends, most)
+    for most in (
+        (LARGE_GRID_REVERSALS, len(grid.varying_columns)) if len(grid) > LARGE_GRID_POINTS else (len(grid.varying_columns),)
+    ):
+        order = _fastest(grid, file, moves, clearance, ends, most)
         if order.seconds < float("inf"):
             break
     assert order is not None
@@ -68,89 +74,91 @@ def fastest_order(lattice: Lattice, file: ScheduleFile, moves: Moves, clearance:
 
 
 def _fastest(
-    lattice: Lattice, file: ScheduleFile, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
-) -> Order:
-    """The same, of nests of which at most so many loops begin at their other ends."""
-    nests = _estimated(lattice, file.back_and_forth, moves)
-    tried: dict[Nest, float] = {}
-    best: tuple[Nest, Ints] | None = None
-    for nest in _contenders(nests, _columns_said(lattice, file)):
-        turned, sequence, tried_s = _begun_well(lattice, nest, moves, clearance, ends, most)
-        tried[turned] = tried_s
-        allowed = file.order == "fastest" or nest.columns == _columns_said(lattice, file)
-        if allowed and (best is None or tried_s < tried[best[0]]):
+    grid: ScanGrid, file: ScheduleFile, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
+) -> ScanOrder:
+    """The same, of loop_orders of which at most so many loops begin at their other ends."""
+    loop_orders = _estimated(grid, file.back_and_forth, moves)
+    candidates: dict[LoopOrder, float] = {}
+    best: tuple[LoopOrder, Ints] | None = None
+    for loop_order in _contenders(loop_orders, _columns_said(grid, file)):
+        turned, sequence, tried_s = _begun_well(grid, loop_order, moves, clearance, ends, most)
+        candidates[turned] = tried_s
+        allowed = file.order == "fastest" or loop_order.columns == _columns_said(grid, file)
+        if allowed and (best is None or tried_s < candidates[best[0]]):
             best = turned, sequence
     assert best is not None
-    nest, sequence = best
-    found = [(sequence, tried[nest])]
+    loop_order, sequence = best
+    found = [(sequence, candidates[loop_order])]
     if file.order == "fastest" and file.back_and_forth:
-        found += rearranged(lattice, moves, clearance, sequence, tried[nest], ends)
-    found = sorted(found, key=lambda each: each[1])[:MOST_CHOICES]
-    return Order(*found[0], nest, tried, tuple(each for each in found[1:] if each[1] < float("inf")))
+        found += search_paths(grid, moves, clearance, sequence, candidates[loop_order], ends)
+    found = sorted(found, key=lambda each: each[1])[:MAX_CHOICES]
+    return ScanOrder(*found[0], loop_order, candidates, tuple(each for each in found[1:] if each[1] < float("inf")))
 
 
 def _begun_well(
-    lattice: Lattice, nest: Nest, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
-) -> tuple[Nest, Ints, float]:
-    """A nest with its order and seconds, begun at other ends of its loops where only then the arc keeps clear of the beam."""
-    for size in range(min(most, len(nest.columns)) + 1):
-        for begun in combinations(nest.columns, size):
-            turned = replace(nest, from_the_end=frozenset(begun))
-            sequence = visited(lattice, turned, moves)
-            seconds = moving_seconds(moves, clearance, lattice.points[sequence], ends)
+    grid: ScanGrid, loop_order: LoopOrder, moves: Moves, clearance: ArcClearance, ends: Floats | None, most: int
+) -> tuple[LoopOrder, Ints, float]:
+    """A loop order with its sequence and seconds; loops start at their other ends where only this keeps the arc clear."""
+    for size in range(min(most, len(loop_order.columns)) + 1):
+        for begun in combinations(loop_order.columns, size):
+            turned = replace(loop_order, reversed_columns=frozenset(begun))
+            sequence = loop_sequence(grid, turned, moves)
+            seconds = moving_seconds(moves, clearance, grid.points[sequence], ends)
             if seconds < float("inf"):
                 return turned, sequence, seconds
     return turned, sequence, seconds
 
 
-def _columns_said(lattice: Lattice, file: ScheduleFile) -> tuple[int, ...] | None:
+def _columns_said(grid: ScanGrid, file: ScheduleFile) -> tuple[int, ...] | None:
     """The columns of the schedule's own order, the outermost first; None where it leaves that to us."""
     if file.order == "fastest":
         return None
-    return tuple(column for column in (NESTED.index(name) for name in reversed(file.order)) if column in lattice.active)
+    return tuple(
+        column for column in (LOOP_NAMES.index(name) for name in reversed(file.order)) if column in grid.varying_columns
+    )
 
 
-def _contenders(nests: dict[Nest, float], said: tuple[int, ...] | None) -> list[Nest]:
+def _contenders(loop_orders: dict[LoopOrder, float], said: tuple[int, ...] | None) -> list[LoopOrder]:
     """Those whose moves are worth adding up: the best by innermost loop, with and without one over the filters, and with the
     wavelength outermost.
     """
-    ranked = sorted(nests, key=lambda nest: nests[nest])
-    chosen: dict[object, Nest] = {}
-    for nest in ranked:
-        columns = nest.columns
-        chosen.setdefault(("inside", columns[-1:], FILTER in columns), nest)
+    ranked = sorted(loop_orders, key=lambda loop_order: loop_orders[loop_order])
+    chosen: dict[object, LoopOrder] = {}
+    for loop_order in ranked:
+        columns = loop_order.columns
+        chosen.setdefault(("inside", columns[-1:], FILTER in columns), loop_order)
         if columns[:1] == (WAVELENGTH,):
-            chosen.setdefault("wavelength outside", nest)
+            chosen.setdefault("wavelength outside", loop_order)
         if columns == said:
-            chosen.setdefault(("said", nest.back_and_forth), nest)
+            chosen.setdefault(("said", loop_order.back_and_forth), loop_order)
     return list(dict.fromkeys(chosen.values()))
 
 
-def _estimated(lattice: Lattice, back_and_forth: bool, moves: Moves) -> dict[Nest, float]:
-    """All nests of the columns that change, with about how long their moves take."""
-    by_filters = {grouped: _step_seconds(lattice, moves, grouped) for grouped in {False, lattice.grouped}}
-    distinct = _distinct_prefixes(lattice)
+def _estimated(grid: ScanGrid, back_and_forth: bool, moves: Moves) -> dict[LoopOrder, float]:
+    """All loop_orders of the columns that change, with about how long their moves take."""
+    by_filters = {grouped: _step_seconds(grid, moves, grouped) for grouped in {False, grid.has_filter_groups}}
+    distinct = _distinct_prefixes(grid)
     found = {}
-    for nest in _nests(lattice, back_and_forth, moves):
-        there, back, whole = by_filters[FILTER in nest.columns]
+    for loop_order in _nests(grid, back_and_forth, moves):
+        there, back, whole = by_filters[FILTER in loop_order.columns]
         seconds, returning = 0.0, 0.0
-        for depth in reversed(range(len(nest.columns))):
-            column, both = nest.columns[depth], nest.back_and_forth[depth]
-            steps = distinct[frozenset(nest.columns[: depth + 1])] - distinct[frozenset(nest.columns[:depth])]
+        for depth in reversed(range(len(loop_order.columns))):
+            column, both = loop_order.columns[depth], loop_order.back_and_forth[depth]
+            steps = distinct[frozenset(loop_order.columns[: depth + 1])] - distinct[frozenset(loop_order.columns[:depth])]
             step = 0.5 * (there[column] + back[column]) if both else there[column]
             seconds += steps * max(step, returning)
             returning = returning if both else max(returning, whole[column])
-        found[nest] = seconds
+        found[loop_order] = seconds
     return found
 
 
-def _nests(lattice: Lattice, back_and_forth: bool, moves: Moves) -> Iterator[Nest]:
+def _nests(grid: ScanGrid, back_and_forth: bool, moves: Moves) -> Iterator[LoopOrder]:
     """Where backlash does not matter going back and forth is never slower; where it does, either may be."""
-    for columns in permutations(lattice.active):
-        for nested in (columns, *(_around_the_wavelength(columns) if lattice.grouped else ())):
+    for columns in permutations(grid.varying_columns):
+        for nested in (columns, *(_around_the_wavelength(columns) if grid.has_filter_groups else ())):
             ways = [(True, False) if moves.backlash(column) else (True,) for column in nested]
             for both in product(*(way if back_and_forth else (False,) for way in ways)):
-                yield Nest(nested, both)
+                yield LoopOrder(nested, both)
 
 
 def _around_the_wavelength(columns: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
@@ -159,16 +167,16 @@ def _around_the_wavelength(columns: tuple[int, ...]) -> Iterator[tuple[int, ...]
         yield (*columns[:place], FILTER, *columns[place:])
 
 
-def _step_seconds(lattice: Lattice, moves: Moves, grouped: bool) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
+def _step_seconds(grid: ScanGrid, moves: Moves, grouped: bool) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
     """By column: a step in the direction of going, one back, and the whole way back; on average, in seconds.
 
     Where wavelengths are `grouped` by their filters, steps between two filters are those of the loop over the filters.
     """
     there, back, whole = {}, {}, {}
-    changes = np.diff(moves.filter_numbers(lattice.values[WAVELENGTH])) != 0
-    for column in (*lattice.active, *((FILTER,) if grouped else ())):
+    changes = np.diff(moves.filter_numbers(grid.values[WAVELENGTH])) != 0
+    for column in (*grid.varying_columns, *((FILTER,) if grouped else ())):
         own = min(column, WAVELENGTH)
-        values = lattice.values[own] if moves.backlash(column) >= 0 else lattice.values[own][::-1]
+        values = grid.values[own] if moves.backlash(column) >= 0 else grid.values[own][::-1]
         steps = np.full(len(values) - 1, True) if not grouped or own != WAVELENGTH else changes == (column == FILTER)
         seconds = moves.one_step(own)
         there[column] = float(seconds(values[:-1][steps], values[1:][steps]).mean())
@@ -177,16 +185,16 @@ def _step_seconds(lattice: Lattice, moves: Moves, grouped: bool) -> tuple[dict[i
     return there, back, whole
 
 
-def _distinct_prefixes(lattice: Lattice) -> dict[frozenset[int], int]:
+def _distinct_prefixes(grid: ScanGrid) -> dict[frozenset[int], int]:
     """How many points differ in some of the columns, for every set of columns."""
-    columns = (*lattice.active, FILTER) if lattice.grouped else lattice.active
-    labels = {column: np.arange(len(lattice.values[column])) for column in columns}
+    columns = (*grid.varying_columns, FILTER) if grid.has_filter_groups else grid.varying_columns
+    labels = {column: np.arange(len(grid.values[column])) for column in columns}
     sets = (some for size in range(len(labels) + 1) for some in combinations(labels, size))
-    return {frozenset(some): lattice.distinct({column: labels[column] for column in some}) for some in sets}
+    return {frozenset(some): grid.count_distinct({column: labels[column] for column in some}) for some in sets}
 
 
 @dataclass(frozen=True)
-class _Way:
+class _Traversal:
     """An order gone through one way: where it begins and ends, and its seconds of moving."""
 
     sequence: Ints
@@ -195,7 +203,7 @@ class _Way:
     seconds: float
 
 
-class Chain:
+class PassOrder:
     """Of all passes of a plan, on a rig."""
 
     def __init__(self, mounted: list[list[Pass]], file: ScheduleFile, moves: Moves, clearance: ArcClearance) -> None:
@@ -208,29 +216,29 @@ class Chain:
         self._clearance = clearance
         self._between: dict[bytes, float] = {}
 
-    def fastest(self, orders: dict[Lattice, Order], here: Floats) -> tuple[dict[Lattice, Order], list[Ints]]:
+    def fastest(self, orders: dict[ScanGrid, ScanOrder], here: Floats) -> tuple[dict[ScanGrid, ScanOrder], list[Ints]]:
         """The orders taken, and the sequence of each pass, that take the least time from `here` on, all passes together."""
-        lattices = list(orders)
-        ways = {lattice: [self._ways(lattice, taken) for taken in orders[lattice].choices] for lattice in lattices}
+        grids = list(orders)
+        ways = {grid: [self._ways(grid, taken) for taken in orders[grid].choices] for grid in grids}
         best: tuple[float, tuple[int, ...], list[Ints]] | None = None
-        for chosen in product(*(range(len(ways[lattice])) for lattice in lattices)):
-            taken = {lattice: ways[lattice][k] for lattice, k in zip(lattices, chosen, strict=True)}
+        for chosen in product(*(range(len(ways[grid])) for grid in grids)):
+            taken = {grid: ways[grid][k] for grid, k in zip(grids, chosen, strict=True)}
             seconds, sequences = self._turned(taken, here)
             if best is None or seconds < best[0]:
                 best = seconds, chosen, sequences
         assert best is not None
-        picked = {lattice: orders[lattice].choices[k] for lattice, k in zip(lattices, best[1], strict=True)}
+        picked = {grid: orders[grid].choices[k] for grid, k in zip(grids, best[1], strict=True)}
         return picked, best[2]
 
-    def _ways(self, lattice: Lattice, order: Order) -> list[_Way]:
+    def _ways(self, grid: ScanGrid, order: ScanOrder) -> list[_Traversal]:
         turns = [order.sequence, order.sequence[::-1]] if self._file.back_and_forth else [order.sequence]
         found = []
         for sequence in turns:
-            points = lattice.points[sequence]
-            found.append(_Way(sequence, points[0], points[-1], moving_seconds(self._moves, self._clearance, points)))
+            points = grid.points[sequence]
+            found.append(_Traversal(sequence, points[0], points[-1], moving_seconds(self._moves, self._clearance, points)))
         return found
 
-    def _turned(self, ways: dict[Lattice, list[_Way]], here: Floats) -> tuple[float, list[Ints]]:
+    def _turned(self, ways: dict[ScanGrid, list[_Traversal]], here: Floats) -> tuple[float, list[Ints]]:
         """The fastest way round in each pass, found pass by pass: what came before matters only by where it ended."""
         ends: list[tuple[float, Floats]] = [(0.0, here)]
         came_from: list[list[int]] = []
@@ -238,7 +246,7 @@ class Chain:
             check = None if each.sample == NO_SAMPLE else self._drift
             reached = []
             steps = []
-            for way in ways[each.lattice]:
+            for way in ways[each.grid]:
                 begun = [(seconds + self._moving(last, check if opening else None, way.first)) for seconds, last in ends]
                 k = int(np.argmin(begun))
                 steps.append(k)
@@ -250,7 +258,7 @@ class Chain:
         total = ends[k][0]
         sequences = []
         for each, steps in zip(reversed(self._passes), reversed(came_from), strict=True):
-            sequences.append(ways[each.lattice][k].sequence)
+            sequences.append(ways[each.grid][k].sequence)
             k = steps[k]
         return total, sequences[::-1]
 
@@ -261,6 +269,6 @@ class Chain:
         key = here.tobytes() + there.tobytes()
         if key not in self._between:
             known = np.where(np.isnan(here), there, here)
-            barred = swept(self._clearance, np.stack([known, there])).any()
+            barred = crosses_beam(self._clearance, np.stack([known, there])).any()
             self._between[key] = float("inf") if barred else float(self._moves.seconds(here[None], there[None])[0])
         return self._between[key]

@@ -13,7 +13,7 @@ from typing import overload
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.collision import swept_ways
+from goniotwin.app.campaign.geometry.collision import crosses_beam_between
 from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
@@ -23,22 +23,22 @@ from goniotwin.drivers import ArcClearance
 
 
 @dataclass(frozen=True)
-class Run:
+class MeasurementBlock:
     """Measurements without a break: points of a pass by their numbers, in order, with their seconds."""
 
-    of: Pass
+    scan_pass: Pass
     points: Ints
     seconds: Floats
 
 
 @dataclass(frozen=True)
-class Measuring:
+class RowTemplates:
     """How every measurement is read, and what a dark after it is."""
 
     file: ScheduleFile
     gains: tuple[int, ...]
 
-    def row(self, sample: str) -> Row:
+    def measurement(self, sample: str) -> Row:
         """A measurement without a place yet."""
         file, averaging = self.file, self.file.averaging
         return Row(
@@ -52,14 +52,14 @@ class Measuring:
 
 
 @dataclass
-class Timeline:
+class PlanTimeline:
     """Grows piece by piece; a piece is a single row (its number still 0) or a run."""
 
     file: ScheduleFile
-    measuring: Measuring
+    templates: RowTemplates
     timing: Timing
     clearance: ArcClearance
-    pieces: list[Row | Run] = field(default_factory=list)
+    pieces: list[Row | MeasurementBlock] = field(default_factory=list)
     oldest_dark_s: float = 0.0
     _darks: int = 0
     _drifts: int = 0
@@ -88,37 +88,37 @@ class Timeline:
         self._drift(sample)
         self._dark(sample)
 
-    def measure(self, of: Pass, sequence: Ints) -> None:
+    def measure(self, scan_pass: Pass, sequence: Ints) -> None:
         """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards.
 
         A drift check where the arc would meet the beam on its way there, or back, comes sooner, or later if that cannot be.
         """
-        points = of.lattice.points[sequence]
-        timing, row = self.timing, self.measuring.row(of.sample)
-        reading = timing.usual_readings(row) + timing.readback_s
+        points = scan_pass.grid.points[sequence]
+        timing, row = self.timing, self.templates.measurement(scan_pass.sample)
+        reading = timing.typical_reading_s(row) + timing.readback_s
         moving = timing.moves.seconds(np.concatenate([timing.here[None], points[:-1]]), points)
         seconds = moving + reading
         ends = np.cumsum(seconds)
-        free = self._free_for_a_check(of.sample, points)
+        free = self._free_for_a_check(scan_pass.sample, points)
         places = np.array([-1, *np.flatnonzero(free[1:]) + 1, len(points)])
         begin, away, checking = 0, False, False
         while begin < len(points):
             # What came between has closed the shutter, or left the axes elsewhere, or the amplifiers at another gain.
-            first = timing.shutter_seconds(opened=True) + timing.readings_from_here(row) - timing.usual_readings(row)
+            first = timing.shutter_seconds(opened=True) + timing.next_reading_s(row) - timing.typical_reading_s(row)
             if away:
                 back = timing.moves.seconds(timing.here[None], points[begin : begin + 1])
                 first += float(back[0] - moving[begin])
             until_dark = self.file.dark_every_s - self._since_dark
-            until_drift = self._until_drift(of.sample)
+            until_drift = self._until_drift(scan_pass.sample)
             next_s = float(seconds[begin]) + first
             # A row that takes longer than either may be old is done all the same, right after it.
             overdue = next_s > until_drift and self._measured_since_drift
             if checking or (overdue and free[begin]):
-                self._drift(of.sample)
+                self._drift(scan_pass.sample)
                 away, checking = True, False
                 continue
             if next_s > until_dark and self._lit_since_dark:
-                self._dark(of.sample)
+                self._dark(scan_pass.sample)
                 continue
             began = float(ends[begin]) - next_s
             dark, check = np.searchsorted(ends, (began + until_dark, began + until_drift), side="right").tolist()
@@ -126,13 +126,13 @@ class Timeline:
             check = int(places[sooner] if places[sooner] > begin else places[sooner + 1])
             end = max(begin + 1, min(dark, check))
             checking = end == check < len(points)
-            timing.shutter(opened=True)
+            timing.switch_shutter(opened=True)
             timing.here = points[end - 1]
-            timing.pass_by(row, end - begin)
+            timing.advance(row, end - begin)
             taken = seconds[begin:end].copy()
             taken[0] += first
             self._pass_by(float(taken.sum()))
-            self.pieces.append(Run(of, sequence[begin:end], taken))
+            self.pieces.append(MeasurementBlock(scan_pass, sequence[begin:end], taken))
             self._measured_since_drift = self._lit_since_dark = True
             begin, away = end, False
 
@@ -142,8 +142,8 @@ class Timeline:
         if there is None or sample == NO_SAMPLE:
             return np.ones(len(points), dtype=bool)
         drift = np.broadcast_to(there, points.shape)
-        back = ~swept_ways(self.clearance, drift, points)
-        back[1:] &= ~swept_ways(self.clearance, points[:-1], drift[1:])
+        back = ~crosses_beam_between(self.clearance, drift, points)
+        back[1:] &= ~crosses_beam_between(self.clearance, points[:-1], drift[1:])
         return back
 
     def _until_drift(self, sample: str) -> float:
@@ -151,7 +151,7 @@ class Timeline:
 
     def _dark(self, sample: str) -> None:
         self._darks += 1
-        self._add(self.measuring.dark(sample, self._darks))
+        self._add(self.templates.dark(sample, self._darks))
         self._since_dark = 0.0
         self._lit_since_dark = False
 
@@ -160,7 +160,7 @@ class Timeline:
         if table is None or sample == NO_SAMPLE:  # which sends no light anywhere that could change
             return
         pose = (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg)
-        like = self.measuring.row(sample)
+        like = self.templates.measurement(sample)
         row = Row(
             0, f"{sample}/drift {self._drifts + 1}", "drift", sample, 0.0, table.wavelength_nm, pose,
             like.gains, like.readings, like.automatic, like.target, like.longest_s,
@@ -189,25 +189,27 @@ class Timeline:
 class PlannedRows(Sequence[Row]):
     """Like a tuple of rows. Until one of them is asked for there is none, so that a million can be checked in no time."""
 
-    def __init__(self, pieces: list[Row | Run], measuring: Measuring) -> None:
+    def __init__(self, pieces: list[Row | MeasurementBlock], templates: RowTemplates) -> None:
         self._pieces = pieces
-        self._measuring = measuring
+        self._templates = templates
 
     @cached_property
     def kinds(self) -> dict[str, int]:
         """How many rows there are of each kind."""
         counted: Counter[str] = Counter()
         for piece in self._pieces:
-            counted.update({"measure": len(piece.points)} if isinstance(piece, Run) else {piece.kind: 1})
+            counted.update({"measure": len(piece.points)} if isinstance(piece, MeasurementBlock) else {piece.kind: 1})
         return dict(counted)
 
     @cached_property
     def seconds(self) -> float:
         """The whole duration foretold."""
-        return sum(float(piece.seconds.sum()) if isinstance(piece, Run) else piece.seconds for piece in self._pieces)
+        return sum(
+            float(piece.seconds.sum()) if isinstance(piece, MeasurementBlock) else piece.seconds for piece in self._pieces
+        )
 
     @property
-    def pieces(self) -> list[Row | Run]:
+    def pieces(self) -> list[Row | MeasurementBlock]:
         """Single rows, their numbers still 0, and runs of measurements."""
         return self._pieces
 
@@ -233,18 +235,19 @@ class PlannedRows(Sequence[Row]):
     def _rows(self) -> tuple[Row, ...]:
         rows: list[Row] = []
         for piece in self._pieces:
-            if isinstance(piece, Run):
+            if isinstance(piece, MeasurementBlock):
                 rows += self._made(piece, len(rows))
             else:
                 rows.append(replace(piece, number=len(rows)))
         return tuple(rows)
 
-    def _made(self, run: Run, number: int) -> Iterator[Row]:
-        like = self._measuring.row(run.of.sample)
-        poses, wavelengths = run.of.poses.angles.tolist(), run.of.lattice.wavelengths_nm.tolist()
+    def _made(self, run: MeasurementBlock, number: int) -> Iterator[Row]:
+        like = self._templates.measurement(run.scan_pass.sample)
+        poses, wavelengths = run.scan_pass.poses.angles.tolist(), run.scan_pass.grid.wavelengths_nm.tolist()
         which, when = divmod(run.points, len(wavelengths))
         return map(
-            Row, range(number, number + len(run.points)), run.of.identities(run.points), repeat(like.kind), repeat(like.sample),
+            Row, range(number, number + len(run.points)), run.scan_pass.identities(run.points), repeat(like.kind),
+            repeat(like.sample),
             run.seconds.tolist(), [wavelengths[k] for k in when.tolist()], [tuple(poses[k]) for k in which.tolist()],
             repeat(like.gains), repeat(like.readings), repeat(like.automatic), repeat(like.target), repeat(like.longest_s),
         )  # fmt: skip

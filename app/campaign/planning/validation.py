@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import Seen, directions_seen, incidence_deg, lit_sides, rig_sigma_deg
-from goniotwin.app.campaign.geometry.symmetry import one_of_each
-from goniotwin.app.campaign.planning.durations import Timing, fewest_stretches
+from goniotwin.app.campaign.geometry.arcs import ArcDirections, incidence_deg, lit_sides, observed_directions, rig_sigma_deg
+from goniotwin.app.campaign.geometry.symmetry import unique_pose_mask
+from goniotwin.app.campaign.planning.durations import Timing, min_intervals
 from goniotwin.app.campaign.planning.mountings import Pass
-from goniotwin.app.campaign.planning.timeline import Measuring
+from goniotwin.app.campaign.planning.timeline import RowTemplates
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import Certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
@@ -24,10 +24,10 @@ from goniotwin.arrays import Floats
 from goniotwin.drivers import LimitError
 from goniotwin.drivers.motion import Axis, AxisSettings
 
-MOST_ROWS = 1_000_000
+MAX_ROWS = 1_000_000
 
 
-def refuse_too_many(schedule: ScheduleDescription) -> None:
+def refuse_too_many_rows(schedule: ScheduleDescription) -> None:
     """Raises UserError with the arithmetic where the grids alone make more rows than a campaign may have."""
     file = schedule.file
     counts = {
@@ -40,9 +40,9 @@ def refuse_too_many(schedule: ScheduleDescription) -> None:
         "repeats": file.repeats,
     }
     rows = math.prod(counts.values())
-    if rows > MOST_ROWS:
+    if rows > MAX_ROWS:
         sums = " x ".join(f"{count} {key}" for key, count in counts.items() if count > 1)
-        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take coarser grids")
+        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MAX_ROWS}; take coarser grids")
     betas = len(grid_values(file.beta_deg))
     if file.overlap is not None and file.overlap.points > betas:
         raise UserError(
@@ -56,59 +56,59 @@ def _turns(file: ScheduleFile) -> dict[str, int]:
     if file.symmetry == "isotropic":
         poses = np.zeros((len(betas), 4))
         poses[:, 2] = betas
-        return {"beta_deg": int(one_of_each(poses, file.symmetry).sum())}
-    if file.symmetry == "plane-symmetric" and len(gammas) * len(betas) <= MOST_ROWS:
+        return {"beta_deg": int(unique_pose_mask(poses, file.symmetry).sum())}
+    if file.symmetry == "plane-symmetric" and len(gammas) * len(betas) <= MAX_ROWS:
         poses = np.zeros((len(gammas) * len(betas), 4))
         poses[:, 0], poses[:, 2] = np.repeat(gammas, len(betas)), np.tile(betas, len(gammas))
-        return {"pairs of gamma_deg and beta_deg": int(one_of_each(poses, file.symmetry).sum())}
+        return {"pairs of gamma_deg and beta_deg": int(unique_pose_mask(poses, file.symmetry).sum())}
     return {"gamma_deg": len(gammas), "beta_deg": len(betas)}
 
 
 def refuse_too_many_poses(schedule: ScheduleDescription, mounted: list[list[Pass]]) -> None:
     """The same where it is what comes beyond the grids: near_specular, overlap, symmetry_check and open_beam."""
-    rows = sum(len(each.lattice) for passes in mounted for each in passes)
-    if rows > MOST_ROWS:
-        wavelengths = len(mounted[0][0].lattice.wavelengths_nm)
-        passes_of = Counter((each.sample, len(each.lattice.poses)) for passes in mounted for each in passes)
+    rows = sum(len(each.grid) for passes in mounted for each in passes)
+    if rows > MAX_ROWS:
+        wavelengths = len(mounted[0][0].grid.wavelengths_nm)
+        passes_of = Counter((each.sample, len(each.grid.poses)) for passes in mounted for each in passes)
         told = " + ".join(
             f"{sample}: {poses} poses x {wavelengths} wavelengths x {passes} passes"
             for (sample, poses), passes in passes_of.items()
         )
         raise UserError(
-            f"{schedule.name}: {told} = {rows} rows, more than {MOST_ROWS}; take coarser grids, a narrower near_specular, "
+            f"{schedule.name}: {told} = {rows} rows, more than {MAX_ROWS}; take coarser grids, a narrower near_specular, "
             "or less of overlap and symmetry_check"
         )
 
 
-def fewest_rows(mounted: list[list[Pass]], measuring: Measuring, timing: Timing) -> dict[str, int]:
+def min_rows(mounted: list[list[Pass]], templates: RowTemplates, timing: Timing) -> dict[str, int]:
     """By kind, how many rows a plan has at least, whatever its order: from the least that its rows take to read."""
-    file = measuring.file
+    file = templates.file
     kinds = {"measure": 0, "drift": 0, "dark": 0}
     for passes in mounted:
-        row = measuring.row(passes[0].sample)
-        reading = timing.readings_range(row)[0] + timing.readback_s
-        rows = sum(len(each.lattice) for each in passes)
+        row = templates.measurement(passes[0].sample)
+        reading = timing.reading_range_s(row)[0] + timing.readback_s
+        rows = sum(len(each.grid) for each in passes)
         checks = 0
         if file.drift is not None and passes[0].sample != NO_SAMPLE:
-            checks = 1 + fewest_stretches(rows, reading, file.drift.every_s)
+            checks = 1 + min_intervals(rows, reading, file.drift.every_s)
         kinds["measure"] += rows
         kinds["drift"] += checks
-        kinds["dark"] += 1 + fewest_stretches(rows + checks, reading, file.dark_every_s)
+        kinds["dark"] += 1 + min_intervals(rows + checks, reading, file.dark_every_s)
     return kinds
 
 
-def refuse_too_many_beside(schedule: ScheduleDescription, kinds: Mapping[str, int], about: str = "") -> None:
+def refuse_too_many_checks(schedule: ScheduleDescription, kinds: Mapping[str, int], about: str = "") -> None:
     """The same where it is the rows between the measurements."""
     measured, darks, checks = (kinds.get(kind, 0) for kind in ("measure", "dark", "drift"))
     rows = sum(kinds.values())
-    if rows > MOST_ROWS:
+    if rows > MAX_ROWS:
         file = schedule.file
         told = [f"{about}{darks} darks (dark_every_s = {file.dark_every_s:g})"]
         if file.drift is not None:
             told.append(f"{about}{checks} drift checks (drift.every_s = {file.drift.every_s:g})")
         others = [f"{count} {kind}" for kind, count in kinds.items() if kind not in ("measure", "dark", "drift")]
         sums = " + ".join([f"{measured} measurements", *told, *others])
-        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MOST_ROWS}; take them less often, or coarser grids")
+        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MAX_ROWS}; take them less often, or coarser grids")
 
 
 def refuse_beyond_limits(schedule: ScheduleDescription, rig: RigDescription) -> None:
@@ -184,7 +184,7 @@ def refuse_uncertified(schedule: ScheduleDescription, rig: RigFile, poses: Float
     what = "wavelengths"
     if within.any():
         what = "directions"
-        if covered_directions(certificate, directions_seen(file, rig, poses)):
+        if certified_directions(certificate, observed_directions(file, rig, poses)):
             return
     raise UserError(
         f"{schedule.name}: certificate.file: {file.certificate.file} says nothing of any of the schedule's {what}, so that "
@@ -192,7 +192,7 @@ def refuse_uncertified(schedule: ScheduleDescription, rig: RigFile, poses: Float
     )
 
 
-def covered_directions(certificate: Certificate, seen: list[Seen]) -> int:
+def certified_directions(certificate: Certificate, seen: list[ArcDirections]) -> int:
     """How many directions it says something of, at the wavelengths that it has."""
     count = 0
     for each in seen:

@@ -15,20 +15,20 @@ import numpy as np
 from goniotwin.app.campaign.geometry.arcs import (
     HALF_TURN_DEG,
     Arc,
-    Seen,
+    ArcDirections,
+    etalon_sigma_deg,
     far_arc,
     incidence_deg,
-    lighting_deg,
     lit_arc,
     polar_deg,
 )
-from goniotwin.app.campaign.geometry.shadow import shadowed
-from goniotwin.app.campaign.planning.durations import Timing, least_warm_up_seconds
-from goniotwin.app.campaign.planning.exposure import LOOKED_AT
-from goniotwin.app.campaign.planning.plan import Made, Plan
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
+from goniotwin.app.campaign.planning.durations import Timing, shortest_warm_up_s
+from goniotwin.app.campaign.planning.exposure import SAMPLED_ROWS
+from goniotwin.app.campaign.planning.plan import Plan, PlanDetails
 from goniotwin.app.campaign.planning.poses import overlapping_step_deg
-from goniotwin.app.campaign.planning.timeline import PlannedRows, Run
-from goniotwin.app.campaign.planning.validation import covered_directions
+from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRows
+from goniotwin.app.campaign.planning.validation import certified_directions
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -38,7 +38,7 @@ from goniotwin.arrays import Ints
 from goniotwin.twin.optics import Scatterer
 
 
-def lightless(plan: Plan, seen: list[Seen]) -> Iterator[str]:
+def _no_signal(plan: Plan, seen: list[ArcDirections]) -> Iterator[str]:
     """A warning for each; what a real rig's samples do nobody knows."""
     if not any(each.transmitted for each in seen) and plan.schedule.file.side == "front":
         return  # what reflects nothing from its front nobody measures
@@ -46,10 +46,10 @@ def lightless(plan: Plan, seen: list[Seen]) -> Iterator[str]:
     if model is None:
         return
     file = plan.schedule.file
-    bare = sorted({_side(lighting_deg(each.sigma_deg, each.arc)) for each in seen})
+    bare = sorted({_side(etalon_sigma_deg(each.sigma_deg, each.arc)) for each in seen})
     for side in bare:
         if not _scatters(model.samples[file.etalon], side, transmitted=False):
-            light = _kinds(each for each in seen if _side(lighting_deg(each.sigma_deg, each.arc)) == side)
+            light = _kinds(each for each in seen if _side(etalon_sigma_deg(each.sigma_deg, each.arc)) == side)
             yield (
                 f"{file.etalon} reflects nothing when its {side} is lit, so that {light} has no scale and no value: "
                 "take an etalon that scatters on both sides"
@@ -68,7 +68,7 @@ def _side(sigma_deg: float) -> str:
     return "front" if lit_arc(sigma_deg) == "upper" else "back"
 
 
-def _kinds(seen: Iterator[Seen]) -> str:
+def _kinds(seen: Iterator[ArcDirections]) -> str:
     kinds = sorted({"transmitted" if each.transmitted else "reflected" for each in seen})
     return f"{' and '.join(kinds)} light"
 
@@ -78,7 +78,7 @@ def _scatters(sample: Scatterer, side: str, *, transmitted: bool) -> bool:
     return any(lobe.incident == incident and lobe.transmits == transmitted for lobe in sample.lobes)
 
 
-def unwatched(plan: Plan, seen: list[Seen]) -> Iterator[str]:
+def _unmonitored(plan: Plan, seen: list[ArcDirections]) -> Iterator[str]:
     """A warning for each reason."""
     table = plan.schedule.file.drift
     if table is None:
@@ -95,7 +95,7 @@ def unwatched(plan: Plan, seen: list[Seen]) -> Iterator[str]:
             f"the drift checks at sigma {table.sigma_deg:g} deg do not light the side of the etalon that photodiodes "
             f"{number_list(_channels(rig, dark))} look at: a fault of theirs while the etalon is measured would pass; {other}"
         )
-    hidden = np.concatenate([_hidden_photodiodes(rig, table, arc) for arc in sorted(arcs)])
+    hidden = np.concatenate([_blocked_photodiodes(rig, table, arc) for arc in sorted(arcs)])
     if hidden.size:
         yield (
             f"at the pose of the drift checks the mirror unit hides photodiodes {number_list(hidden)}: a fault of theirs would "
@@ -108,14 +108,14 @@ def _channels(rig: RigFile, arc: Arc) -> Ints:
     return first + np.arange(len(polar_deg(rig, arc)))
 
 
-def _hidden_photodiodes(rig: RigFile, table: DriftTable, arc: Arc) -> Ints:
+def _blocked_photodiodes(rig: RigFile, table: DriftTable, arc: Arc) -> Ints:
     signed = np.array(polar_deg(rig, arc), dtype=float) + table.shift_deg
     azimuth = table.beta_deg + np.where(signed < 0.0, HALF_TURN_DEG, 0.0)
     zenith = np.abs(signed) if arc == "upper" else HALF_TURN_DEG - np.abs(signed)
-    return _channels(rig, arc)[shadowed(rig, table.sigma_deg, zenith, azimuth, table.gamma_deg)]
+    return _channels(rig, arc)[blocked_by_mirrors(rig, table.sigma_deg, zenith, azimuth, table.gamma_deg)]
 
 
-def uncovered(schedule: ScheduleDescription, seen: list[Seen]) -> Iterator[str]:
+def _uncertified(schedule: ScheduleDescription, seen: list[ArcDirections]) -> Iterator[str]:
     """A warning where some of the directions, at some of the wavelengths, will have no value for want of a certificate."""
     file = schedule.file
     if schedule.certificate is None or file.certificate is None:
@@ -123,7 +123,7 @@ def uncovered(schedule: ScheduleDescription, seen: list[Seen]) -> Iterator[str]:
     certificate = parse_certificate(schedule.certificate, file.certificate.file)
     wavelengths = np.array(grid_values(file.wavelength_nm))
     within = certificate.covers("wavelength_nm", wavelengths)
-    directions, total = covered_directions(certificate, seen), sum(each.directions for each in seen)
+    directions, total = certified_directions(certificate, seen), sum(each.directions for each in seen)
     outside = [
         *([f"{(~within).sum()} of {within.size} wavelengths"] if not within.all() else []),
         *([f"{total - directions} of {total} directions"] if directions < total else []),
@@ -139,23 +139,23 @@ SECOND_ORDER_NM = 710.0
 """Beyond this the grating's second order lets light of half the wavelength through that the lamp's bulb does not absorb."""
 
 
-def doubts(plan: Plan, made: Made, seen: list[Seen]) -> list[str]:
+def plan_warnings(plan: Plan, details: PlanDetails, seen: list[ArcDirections]) -> list[str]:
     """All of them."""
     return [
-        *_left_out(plan, made),
-        *_hidden(seen),
-        *uncovered(plan.schedule, seen),
-        *lightless(plan, seen),
-        *unwatched(plan, seen),
+        *_omitted(plan, details),
+        *_blocked(seen),
+        *_uncertified(plan.schedule, seen),
+        *_no_signal(plan, seen),
+        *_unmonitored(plan, seen),
         *_overlaps(plan, seen),
-        *_darks(plan, made),
+        *_darks(plan, details),
         *_light(plan),
-        *_guessed(plan),
+        *_estimated(plan),
     ]
 
 
-def _left_out(plan: Plan, made: Made) -> Iterator[str]:
-    for name in made.without:
+def _omitted(plan: Plan, details: PlanDetails) -> Iterator[str]:
+    for name in details.omitted:
         points = getattr(plan.schedule.file, name).points
         yield (
             f"[{name}] points = {points} is left out: the arc would meet the incoming beam on its way to its poses, whatever "
@@ -163,14 +163,14 @@ def _left_out(plan: Plan, made: Made) -> Iterator[str]:
         )
 
 
-def _hidden(seen: list[Seen]) -> Iterator[str]:
+def _blocked(seen: list[ArcDirections]) -> Iterator[str]:
     for each in seen:
-        if each.hides_specular and not each.transmitted:
+        if each.specular_blocked and not each.transmitted:
             yield (
                 f"at sigma {each.sigma_deg:g} deg the mirror unit hides the specular direction, "
                 f"{incidence_deg(each.sigma_deg):g} deg from the normal: what is measured there is no value of the sample"
             )
-        elif each.hides_specular:
+        elif each.specular_blocked:
             yield (
                 f"at sigma {each.sigma_deg:g} deg the mirror unit hides the direction straight through, "
                 f"{incidence_deg(each.sigma_deg):g} deg from the normal, when the etalon is lit from that side: what is "
@@ -178,7 +178,7 @@ def _hidden(seen: list[Seen]) -> Iterator[str]:
             )
 
 
-def _overlaps(plan: Plan, seen: list[Seen]) -> Iterator[str]:
+def _overlaps(plan: Plan, seen: list[ArcDirections]) -> Iterator[str]:
     if any(each.shared for each in seen):
         return
     base = grid_values(plan.schedule.file.shift_deg)[0]
@@ -190,11 +190,11 @@ def _overlaps(plan: Plan, seen: list[Seen]) -> Iterator[str]:
         )
 
 
-def _darks(plan: Plan, made: Made) -> Iterator[str]:
+def _darks(plan: Plan, details: PlanDetails) -> Iterator[str]:
     every = plan.schedule.file.dark_every_s
-    if made.oldest_dark_s > every:
+    if details.oldest_dark_s > every:
         yield (
-            f"a dark gets {made.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes longer, "
+            f"a dark gets {details.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes longer, "
             "with its move and its readings; allow older darks, or take fewer readings"
         )
 
@@ -230,7 +230,7 @@ def _second_order(plan: Plan) -> Iterator[str]:
     )
 
 
-def _guessed(plan: Plan) -> Iterator[str]:
+def _estimated(plan: Plan) -> Iterator[str]:
     """Where the duration depends on the sample or the lamp."""
     file = plan.schedule.file
     unknown = [
@@ -242,31 +242,31 @@ def _guessed(plan: Plan) -> Iterator[str]:
         least, most = duration_range(plan)
         yield (
             f"the duration is a guess, for {' and '.join(unknown)} is known afterwards: it may be from about "
-            f"{duration_text(least)} to {duration_text(most)}; {_stands_on(plan)}a rehearsal knows better"
+            f"{duration_text(least)} to {duration_text(most)}; {_basis(plan)}a rehearsal knows better"
         )
 
 
-def _stands_on(plan: Plan) -> str:
+def _basis(plan: Plan) -> str:
     """What the guess is taken from."""
-    if plan.made is None or not plan.made.foreseen:
+    if plan.details is None or not plan.details.expected_reading_s:
         return ""
     whose = "the twin" if plan.rig.file.twin is not None else "the twin that the rig's file describes, its samples assumed,"
-    return f"it stands on the light of {whose} in up to {LOOKED_AT} poses and wavelengths of each sample; "
+    return f"it stands on the light of {whose} in up to {SAMPLED_ROWS} poses and wavelengths of each sample; "
 
 
 def duration_range(plan: Plan) -> tuple[float, float]:
     """The least and the most that the foretold duration could turn out to be, by what sample and lamp need; about, in s."""
-    assert plan.made is not None
+    assert plan.details is not None
     assert isinstance(plan.rows, PlannedRows)
     timing = Timing(plan.rig.file)
-    timing.foreseen.update(plan.made.foreseen)
+    timing.expected_reading_s.update(plan.details.expected_reading_s)
     warm_up = plan.schedule.file.warm_up
-    waiting = 0.0 if warm_up is None else warm_up.longest_s - least_warm_up_seconds(warm_up.longest_s)
+    waiting = 0.0 if warm_up is None else warm_up.longest_s - shortest_warm_up_s(warm_up.longest_s)
     least = most = plan.seconds
     for sample, rows in _rows_by_sample(plan.rows).items():
-        row = plan.made.measuring.row(sample)
-        likely = timing.usual_readings(row)
-        fewest, highest = timing.readings_range(row)
+        row = plan.details.templates.measurement(sample)
+        likely = timing.typical_reading_s(row)
+        fewest, highest = timing.reading_range_s(row)
         least, most = least + rows * (fewest - likely), most + rows * (highest - likely)
     return min(least, plan.seconds), max(most, plan.seconds) + waiting
 
@@ -275,8 +275,8 @@ def _rows_by_sample(rows: PlannedRows) -> Counter[str]:
     """Measurements and drift checks."""
     counted: Counter[str] = Counter()
     for piece in rows.pieces:
-        if isinstance(piece, Run):
-            counted[piece.of.sample] += len(piece.points)
+        if isinstance(piece, MeasurementBlock):
+            counted[piece.scan_pass.sample] += len(piece.points)
         elif piece.kind == "drift":
             counted[piece.sample] += 1
     return counted

@@ -1,1 +1,1 @@
-"""From a journal's counts to the BSDF with its uncertainty, and to files."""
+"""The reduction: from a journal's counts to the BSDF with its uncertainty; checks, comparison and export."""

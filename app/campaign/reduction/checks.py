@@ -1,41 +1,101 @@
-"""What a campaign says of itself: its symmetry, and photodiodes that saw the same, from a sample's points in any blocks."""
+"""Consistency checks of a campaign: the stated symmetry, and the agreement of photodiodes that measured the same direction."""
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from goniotwin.app.campaign.reduction.overlaps import OverlapCheck, Overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.readings import PLACE, Listed
-from goniotwin.app.campaign.reduction.symmetry import Symmetrical, SymmetryCheck
+from goniotwin.app.campaign.reduction.readings import PLACE, RowTable
+from goniotwin.app.campaign.reduction.symmetry import SymmetryCheck, SymmetryResult
 from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.refinement import ANGLE_DEG
+from goniotwin.app.campaign.schedule.refinement import DEFAULT_ANGLE_UNCERTAINTY_DEG
 from goniotwin.app.rig import RigFile
 
 
-class Checks:
-    """Of one sample, whose measurements are `listed`. `common` is the relative uncertainty that all its points share."""
+class ConsistencyChecks:
+    """The checks of one sample, whose measured rows are `table`; its points are added in blocks.
 
-    def __init__(self, schedule: ScheduleFile, rig: RigFile, listed: Listed, common: float) -> None:
+    `common` is the relative uncertainty that all points of the sample share.
+    """
+
+    def __init__(self, schedule: ScheduleFile, rig: RigFile, table: RowTable, common: float) -> None:
         monitor = math.sqrt(2.0) * rig.monitor.relative_uncertainty
-        self._overlaps = OverlapCheck(common, monitor, ANGLE_DEG if schedule.overlap is None else schedule.overlap.angle_deg)
+        self._overlaps = OverlapCheck(
+            common, monitor, DEFAULT_ANGLE_UNCERTAINTY_DEG if schedule.overlap is None else schedule.overlap.angle_deg
+        )
         self._symmetry: SymmetryCheck | None = None
         if schedule.symmetry_check is not None:
-            mirrored = listed[listed["mirrored"]]
+            mirrored = table[table["mirrored"]]
             poses = np.stack([mirrored[name] for name in PLACE[1:]], axis=1)
             angle = schedule.symmetry_check.angle_deg
             self._symmetry = SymmetryCheck(schedule.symmetry, poses, angle, common=common, monitor=monitor)
 
     def add(self, points: BsdfPoints) -> None:
-        """Some more points, whole pairs of opposite half planes."""
+        """Take more points: whole pairs of opposite half planes."""
         self._overlaps.add(points)
         if self._symmetry is not None:
             self._symmetry.add(points)
 
     def overlaps(self) -> Overlaps:
-        """Of all that was added."""
-        return self._overlaps.verdict()
+        """The overlaps of all points that were added."""
+        return self._overlaps.result()
 
-    def symmetry(self) -> Symmetrical | None:
-        """Of all that was added; None where the schedule asks for no such check."""
-        return None if self._symmetry is None else self._symmetry.verdict()
+    def symmetry(self) -> SymmetryResult | None:
+        """The symmetry of all points that were added; None if the schedule does not ask for this check."""
+        return None if self._symmetry is None else self._symmetry.result()
+
+
+@dataclass(frozen=True)
+class CheckResults:
+    """The results of the checks by sample; the overlaps as they are before a calibration.
+
+    `calibrated`: whether the values have been multiplied by the calibration factors. `trouble` is the reason why the checks
+    cannot be evaluated, or empty.
+    """
+
+    symmetry: dict[str, SymmetryResult]
+    overlaps: dict[str, Overlaps]
+    trouble: str = ""
+    calibrated: bool = False
+
+    def add(self, name: str, checks: ConsistencyChecks) -> None:
+        """Add the results of a sample, after all of its points."""
+        self.overlaps[name] = checks.overlaps()
+        if (symmetry := checks.symmetry()) is not None:
+            self.symmetry[name] = symmetry
+
+    def as_dict(self) -> dict[str, Any]:
+        """The results for JSON."""
+        return {
+            "symmetry": {name: result.as_dict() for name, result in self.symmetry.items()},
+            "overlaps": {name: result.as_dict() for name, result in self.overlaps.items() if result.pairs},
+            "calibrated": self.calibrated,
+            "trouble": self.trouble,
+            "told": self.lines,
+        }
+
+    @property
+    def lines(self) -> list[str]:
+        """The results as lines of text."""
+        if self.trouble:
+            return [f"the checks cannot be evaluated: {self.trouble}"]
+        lines = [f"symmetry of {name}: {result}" for name, result in self.symmetry.items()]
+        for name, result in self.overlaps.items():
+            factors = result.factors
+            lines += [f"overlaps of {name}: {result}"] if result.pairs else []
+            if self.calibrated and factors.values:
+                low, high = min(factors.values), max(factors.values)
+                lines.append(f"overlaps of {name}: values have been multiplied by {low:.4f} to {high:.4f}")
+            if listed := ", ".join(f"photodiode {k}: {factors.of(k):.4f}" for k in factors.significant):
+                applied = "applied" if self.calibrated else "NOT applied, because overlap.calibrate is false"
+                lines.append(f"overlaps of {name}: calibration factors beyond 4 u from 1 ({applied}): {listed}")
+        return lines
+
+    @property
+    def alarms(self) -> list[str]:
+        """The lines of the checks that have failed."""
+        alarms = [f"symmetry of {name}: {each}" for name, each in self.symmetry.items() if each.pairs and not each.holds]
+        return alarms + [f"overlaps of {name}: {each}" for name, each in self.overlaps.items() if not each.agree]

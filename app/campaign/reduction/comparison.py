@@ -1,14 +1,19 @@
-"""Measured points against the BSDF that the virtual rig's sample has: the paper's formula 5.
+"""Comparison of measured points with theory: the known BSDF of a virtual rig's sample, by the paper's formula 5; with a figure.
 
-Only this and the figure read the theory; measurement and reduction do not know it.
+Only this file uses the theory. Measurement and reduction do not.
 """
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from goniotwin.app.campaign.reduction.reduction import BsdfPoints
+from goniotwin.app.campaign.reduction.export import heading
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.samples import GaussianTable
@@ -16,12 +21,15 @@ from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDT
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
 
+COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
+
 
 @dataclass(frozen=True)
 class Comparison:
-    """At one sigma: relative RMS in percent over `count` directions, and the hidden ones that would have belonged to it.
+    """At one sigma: the relative RMS in percent over `count` directions, and the directions without a value.
 
-    `hidden_deg` are their theta: negative on the grazing side of the specular direction.
+    `hidden_deg` are the aspecular angles of the directions in range that the mirror unit blocks: negative on the grazing side
+    of the specular direction.
     """
 
     sigma_deg: float
@@ -30,17 +38,18 @@ class Comparison:
     hidden_deg: tuple[float, ...]
 
 
-def theory(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
-    """BSDF in 1/sr of the virtual rig's sample at the points' directions. Raises UserError for a rig that is not virtual."""
+def theoretical_bsdf(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
+    """BSDF (n,) in 1/sr of a virtual rig's sample at the points' directions. Raises UserError for a real rig."""
     scatterer = _scatterer(rig, sample)
     lights = np.array([light_direction(float(sigma)) for sigma in points.sigma_deg]).reshape(-1, 3)
     return evaluate(scatterer, lights, arc_direction(points.zenith_deg, points.azimuth_deg))
 
 
 def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:
-    """Each sigma of a Gaussian sample: the plane of incidence, theta <= 2 widths, zenith <= 85 deg, not hidden.
+    """Compare a Gaussian sample with theory at each sigma: plane of incidence, theta <= 2 widths, zenith <= 85 deg.
 
-    A direction that two photodiodes saw counts once, with the mean. Raises UserError for a sample that is no Gaussian.
+    Directions blocked by the mirror unit are left out. A direction that two photodiodes measured counts once, with the mean.
+    Raises UserError for any other sample.
     """
     table = rig.file.twin.samples.get(sample) if rig.file.twin is not None else None
     if not isinstance(table, GaussianTable):
@@ -48,25 +57,25 @@ def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Compar
     points = points.front
     chosen = points.in_plane & (points.theta_deg <= WIDTHS * table.width_deg + 1e-6)
     chosen &= points.zenith_deg <= HIGHEST_ZENITH_DEG + 1e-6
-    found = []
+    comparisons = []
     for sigma in np.unique(points.sigma_deg):
         here = points.where(chosen & (points.sigma_deg == sigma))
-        seen = here.where(here.good)
-        measured, expected = _once_each(seen, seen.luminance_factor, math.pi * theory(rig, sample, seen))
-        hidden = here.where(here.shadowed).aspecular_deg
-        found.append(
+        good = here.where(here.good)
+        measured, expected = _direction_means(good, good.luminance_factor, math.pi * theoretical_bsdf(rig, sample, good))
+        blocked = here.where(here.shadowed).aspecular_deg
+        comparisons.append(
             Comparison(
                 float(sigma),
                 relative_rms_percent(measured, expected),
                 measured.size,
-                tuple(float(each) for each in np.unique(np.round(hidden, 6))),
+                tuple(float(each) for each in np.unique(np.round(blocked, 6))),
             )
         )
-    return found
+    return comparisons
 
 
-def _once_each(points: BsdfPoints, *values: Floats) -> list[Floats]:
-    """Means of `values` over the points that share a direction."""
+def _direction_means(points: BsdfPoints, *values: Floats) -> list[Floats]:
+    """Means of `values` over the points of the same direction."""
     directions = np.round(arc_direction(points.zenith_deg, points.azimuth_deg), 6).reshape(-1, 3)
     _, which, counts = np.unique(directions, axis=0, return_inverse=True, return_counts=True)
     return [np.bincount(which.ravel(), weights=each, minlength=counts.size) / counts for each in values]
@@ -75,5 +84,102 @@ def _once_each(points: BsdfPoints, *values: Floats) -> list[Floats]:
 def _scatterer(rig: RigDescription, sample: str) -> Scatterer:
     model = rig.model()
     if model is None or sample not in model.samples:
-        raise UserError(f"{rig.name}: no virtual rig says what {sample!r} is, so there is no theory to compare with")
+        raise UserError(f"{rig.name}: {sample!r} is not a sample of a virtual rig, so there is no theory to compare with")
     return model.samples[sample]
+
+
+def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison], path: Path) -> None:
+    """Write the paper's figure 13 as a PNG: points over theoretical curves in the plane of incidence; below, the deviation.
+
+    `sample` is one with a known theory. Blocked directions are shaded.
+    """
+    points = reduced.samples[sample].front
+    chosen = points.where(points.in_plane)
+    with mpl.rc_context({"font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = Figure(figsize=(9.0, 6.4), dpi=150, layout="constrained")
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+        for comparison, colour in zip(comparisons, COLOURS * len(comparisons), strict=False):
+            _draw_cut(upper, lower, reduced, sample, chosen, comparison, colour)
+        _draw_axes(upper, lower, reduced, sample)
+        figure.savefig(path)
+
+
+def _draw_cut(
+    upper: Axes,
+    lower: Axes,
+    reduced: BsdfDataset,
+    sample: str,
+    points: BsdfPoints,
+    comparison: Comparison,
+    colour: str,
+) -> None:
+    sigma = comparison.sigma_deg
+    here = points.where(points.sigma_deg == sigma)
+    good = here.where(here.good)
+    x = _signed_zenith(good)
+    order = np.argsort(x)
+    angles = np.linspace(-89.0, 89.0, 1781)
+    label = f"sigma {sigma:g} deg, relative RMS {comparison.relative_rms_percent:.2f} %"
+    upper.plot(angles, _theoretical_curve(reduced, sample, sigma, angles), color=colour, lw=1.2)
+    upper.plot(x[order], good.luminance_factor[order], "o", ms=3.2, mfc="white", mec=colour, mew=0.9, label=label)
+    for start, stop in _blocked_ranges(here):
+        upper.axvspan(start, stop, ymax=0.97, color=colour, alpha=0.10, lw=0)
+        upper.annotate(
+            "blocked", (0.5 * (start + stop), 0.5), xycoords=("data", "axes fraction"), rotation=90, color=colour,
+            fontsize=8, ha="center", va="center",
+        )  # fmt: skip
+    near = good.theta_deg <= WIDTHS * _width(reduced, sample) + 1e-6
+    close = good.where(near & (good.zenith_deg <= HIGHEST_ZENITH_DEG))
+    deviation = 100.0 * (close.bsdf / theoretical_bsdf(reduced.rig, sample, close) - 1.0)
+    lower.plot(_signed_zenith(close), deviation, ".", ms=4, color=colour)
+
+
+def _draw_axes(upper: Axes, lower: Axes, reduced: BsdfDataset, sample: str) -> None:
+    upper.set_ylabel("luminance factor (pi times BRDF)")
+    upper.set_ylim(bottom=0.0)
+    upper.legend(loc="upper left", framealpha=1.0, edgecolor="white", title="points: measured, lines: theory")
+    lower.axhline(0.0, color="0.6", lw=0.8)
+    lower.set_ylabel("deviation, %\n(theta <= 2 widths)")
+    lower.set_xlabel("zenith angle in the plane of incidence, deg (positive on the specular side)")
+    lower.set_xlim(-90.0, 90.0)
+    lower.set_xticks(range(-90, 91, 15))
+    upper.set_title(f"{sample}: measurement and theory", loc="left", fontsize=12)
+    if reduced.simulated:
+        text = heading(reduced)[-1].split(";")[0]
+        upper.text(1.0, 1.02, text.split(":")[0] + f" (seed {reduced.rig.seed})", transform=upper.transAxes, ha="right",
+                   va="bottom", color="#a93226", weight="bold")  # fmt: skip
+
+
+def _theoretical_curve(reduced: BsdfDataset, sample: str, sigma: float, angles: Floats) -> Floats:
+    """Luminance factors at signed zenith angles (n,) in the plane of incidence."""
+    model = reduced.rig.model()
+    assert model is not None
+    directions = arc_direction(np.abs(angles), np.where(angles > 0.0, 180.0, 0.0))
+    return math.pi * evaluate(model.samples[sample], light_direction(sigma), directions)
+
+
+def _width(reduced: BsdfDataset, sample: str) -> float:
+    twin = reduced.rig.file.twin
+    assert twin is not None
+    return float(getattr(twin.samples[sample], "width_deg", 45.0))
+
+
+def _signed_zenith(points: BsdfPoints) -> Floats:
+    specular_side = np.cos(np.radians(points.azimuth_deg)) < 0.0
+    signed: Floats = np.where(specular_side, points.zenith_deg, -points.zenith_deg)
+    return signed
+
+
+def _blocked_ranges(points: BsdfPoints) -> list[tuple[float, float]]:
+    """Ranges of signed zenith in which every direction is blocked, widened by half a step so that they meet the points."""
+    x = np.round(_signed_zenith(points), 6)
+    angles = np.unique(x)
+    blocked = np.array([bool(points.shadowed[x == angle].all()) for angle in angles])
+    step = float(np.min(np.diff(angles))) if angles.size > 1 else 1.0
+    ranges: list[tuple[float, float]] = []
+    for angle in angles[blocked]:
+        if ranges and angle - ranges[-1][1] <= 1.01 * step + 0.5 * step:
+            ranges[-1] = (ranges[-1][0], float(angle) + 0.5 * step)
+        else:
+            ranges.append((float(angle) - 0.5 * step, float(angle) + 0.5 * step))
+    return ranges

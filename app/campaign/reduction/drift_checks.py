@@ -1,9 +1,10 @@
-"""Drift checks: whether the light at one pose, over the monitor's, is still what it was when the sample was mounted.
+"""Drift checks: comparison of the signals at one reference pose with those right after the mounting.
 
-The monitor sees what the lamp does, and the ratio does not change with it. What is left is what the monitor cannot see: the
-way of the light after the beam splitter, photodiodes, amplifiers, the sample.
+A signal is a photocurrent over the monitor's current, so that it does not change with the lamp. A change of it comes from what
+the monitor does not see: the light path after the beam splitter, the photodiodes, the amplifiers, the sample.
 
-Photodiodes that the drift checks could not watch: those to which what was mounted sent too little light at their pose.
+A photodiode that gets too little light at the reference pose is not covered by the drift checks; `unchecked_photodiodes`
+lists those.
 """
 
 import math
@@ -14,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.journal.record import CommittedRow, RowData
-from goniotwin.app.campaign.reduction.signals import Signal, darks_by_gain, signal
+from goniotwin.app.campaign.reduction.signals import Signal, dark_readings_by_gain, signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
@@ -22,72 +23,78 @@ from goniotwin.app.rig import RigFile, photodiode_settings
 from goniotwin.arrays import Flags
 
 LIGHT = 5.0
-"""A photodiode whose signal is below so many standard uncertainties says nothing about the light."""
+"""A photodiode takes part in a comparison where its first signal is above so many standard uncertainties."""
 CERTAIN = 4.0
+"""A single photodiode has to be beyond the limit by so many standard uncertainties: there are many photodiodes."""
 LIKELY = 2.0
-"""By so many standard uncertainties a photodiode alone (there are many), and the mean of all, have to be beyond a limit."""
-AT_RESUME = 0.005
-"""The limit, a share, where a campaign without drift checks is gone on with."""
+"""The mean of all photodiodes has to be beyond the limit by so many standard uncertainties."""
+RESUME_LIMIT = 0.005
+"""Limit of the relative change at a resume, for a schedule without drift checks."""
+DETECTABLE_LOSS = 0.1
+"""A photodiode is covered by the drift checks if a relative loss of this size would be certain."""
 SignalOf = Callable[[], Signal]
 
 
 @dataclass(frozen=True)
-class Check:
-    """One check against the first since the mounting: the mean relative `change` of the photodiodes that have light, its
-    standard uncertainty, whether that is beyond the limit, and the photodiodes (n,) that are beyond it by themselves.
+class DriftCheck:
+    """Comparison of a drift check with the first one since the mounting.
 
-    Those are not in the mean, unless they are the most.
+    `change` is the mean relative change of the photodiodes that have light, with its standard uncertainty; `beyond` whether it
+    is beyond the limit. `outliers` (n,) are the photodiodes that are beyond the limit by themselves. The mean leaves them out,
+    unless they are the majority.
     """
 
     change: float
     u_change: float
     beyond: bool
-    alone: Flags
+    outliers: Flags
 
     @property
-    def excess(self) -> bool:
-        """Whether anything is beyond the limit."""
-        return self.beyond or bool(self.alone.any())
+    def beyond_limit(self) -> bool:
+        """Whether the mean or any photodiode is beyond the limit."""
+        return self.beyond or bool(self.outliers.any())
 
     @property
-    def spoiled(self) -> Flags:
-        """The photodiodes (n,) whose values are not to be trusted: all, where the mean is beyond the limit."""
-        return self.alone | self.beyond
+    def untrusted(self) -> Flags:
+        """The photodiodes (n,) whose values are flagged: the outliers, or all if the mean is beyond the limit."""
+        return self.outliers | self.beyond
 
     def __str__(self) -> str:
         if math.isnan(self.change):
             return "no photodiode has light at the pose of the drift checks"
-        alone = ", ".join(str(k) for k in np.flatnonzero(self.alone))
-        told = f"the light has changed by {100 * self.change:+.3f} % (u {100 * self.u_change:.3f} %)"
-        return f"{told}, beyond the limit by themselves are photodiodes {alone}" if alone else told
+        outliers = ", ".join(str(k) for k in np.flatnonzero(self.outliers))
+        change = f"the light has changed by {100 * self.change:+.3f} % (u {100 * self.u_change:.3f} %)"
+        return f"{change}, beyond the limit by themselves are photodiodes {outliers}" if outliers else change
 
 
-def compared(first: Signal, now: Signal, rig: RigFile, limit: float) -> Check:
-    """`now` against `first`, signals of one pose and sample.
+def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> DriftCheck:
+    """Compare `now` with `first`, signals of one pose and one sample; `limit` is a relative change.
 
-    A photodiode alone is beyond the `limit`, a share, where it is by four standard uncertainties, or has come over the range.
+    A photodiode is an outlier if it is beyond the limit by four standard uncertainties, or is saturated now and was not before.
     """
-    # One that is over the range now, and was not, has more light.
-    alone = now.clipped & ~first.clipped
+    # Saturated now and not before: it gets more light.
+    outliers = now.clipped & ~first.clipped
     light = np.isfinite(first.ratio) & np.isfinite(now.ratio)
     light &= np.nan_to_num(first.ratio) > LIGHT * np.sqrt(np.nan_to_num(first.variance))
     if not light.any():
-        return Check(math.nan, math.nan, beyond=True, alone=alone)
+        return DriftCheck(math.nan, math.nan, beyond=True, outliers=outliers)
     ratio = now.ratio[light] / first.ratio[light]
     gain = 2.0 * rig.photodiodes.gain_uncertainty**2 * (now.gain != first.gain)[light]
     variance = (now.variance[light] + ratio**2 * first.variance[light]) / first.ratio[light] ** 2 + gain
     monitor = 2.0 * rig.monitor.relative_uncertainty**2
     own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + monitor) > limit
-    alone[light] |= own
+    outliers[light] |= own
     weight = np.where(own, 0.0, 1.0 / variance) if own.sum() <= own.size / 2 else 1.0 / variance
     change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
     u_change = math.sqrt(1.0 / float(np.sum(weight)) + monitor)
-    return Check(change, u_change, abs(change) - LIKELY * u_change > limit, alone)
+    return DriftCheck(change, u_change, abs(change) - LIKELY * u_change > limit, outliers)
 
 
-class Reference:
-    """What drift checks are compared with: the first since a mounting. Where a campaign was gone on with, the mounting before
-    counts, and where it has no drift checks what was measured last is measured again.
+class DriftReference:
+    """The signal that drift checks are compared with: the first drift check since the mounting.
+
+    After a resume the reference is still that of the mounting before the interruption. A schedule without drift checks
+    (`limit` None) repeats the last measured row at a resume, and compares it with that row.
     """
 
     def __init__(self, rig: RigFile, limit: float | None) -> None:
@@ -96,84 +103,87 @@ class Reference:
         self._first: Signal | None = None
         self._last: tuple[Row, SignalOf] | None = None
 
-    def check(self, row: Row, signal_of: SignalOf) -> Check | None:
-        """A row with readings, or a mounting, in order of time; for a drift row after the first what it says."""
+    def check(self, row: Row, signal_of: SignalOf) -> DriftCheck | None:
+        """Take a mounting or a row with readings, in order of time; give the comparison for a drift row after the first."""
         if row.kind == "mount" and not row.unplanned:
             self._first = self._last = None
         elif row.kind == "measure":
             self._last = (row, signal_of)
         elif row.kind == "drift":
-            return self._compared(row, signal_of)
+            return self._compare(row, signal_of)
         return None
 
-    def _compared(self, row: Row, signal_of: SignalOf) -> Check | None:
+    def _compare(self, row: Row, signal_of: SignalOf) -> DriftCheck | None:
         if self._limit is None:
-            # A pose that nobody chose for it: it may be dark there, and what noise does is no drift.
+            # This pose was not chosen for a drift check. It may be dark there, and noise is not drift: a higher threshold.
             if self._last is None or (self._last[0].pose, self._last[0].wavelength_nm) != (row.pose, row.wavelength_nm):
                 return None
-            found = compared(self._last[1](), signal_of(), self._rig, AT_RESUME)
-            return replace(found, beyond=abs(found.change) - CERTAIN * found.u_change > AT_RESUME)
+            result = compare_signals(self._last[1](), signal_of(), self._rig, RESUME_LIMIT)
+            return replace(result, beyond=abs(result.change) - CERTAIN * result.u_change > RESUME_LIMIT)
         now = signal_of()
         if self._first is not None:
-            return compared(self._first, now, self._rig, self._limit)
+            return compare_signals(self._first, now, self._rig, self._limit)
         self._first = now
         return None
 
 
 class DriftWatch:
-    """Compares while the run goes on, with the darks that there are by then."""
+    """Drift checks during a run, with the dark readings committed so far."""
 
     def __init__(self, table: DriftTable | None, rig: RigFile) -> None:
-        self._reference = Reference(rig, None if table is None else table.limit)
+        self._reference = DriftReference(rig, None if table is None else table.limit)
         self._settings = photodiode_settings(rig)
-        self._darks: list[CommittedRow] = []
+        self._dark_rows: list[CommittedRow] = []
 
-    def add(self, row: Row, data: RowData) -> Check | None:
-        """A row that has been committed; for a drift row that has something to be compared with, what it says.
-
-        Raises UserError.
-        """
+    def add(self, row: Row, data: RowData) -> DriftCheck | None:
+        """Take a committed row; give the comparison for a drift row that has a reference. Raises UserError."""
         if row.kind == "dark":
-            self._darks.append(CommittedRow(row, data))
+            self._dark_rows.append(CommittedRow(row, data))
         if row.kind == "mount" or data.readings:
-            return self._reference.check(row, lambda: signal(data, darks_by_gain(self._darks, self._settings), self._settings))
+            return self._reference.check(row, lambda: self._signal(data))
         return None
+
+    def _signal(self, data: RowData) -> Signal:
+        return signal(data, dark_readings_by_gain(self._dark_rows, self._settings), self._settings)
 
 
 @dataclass(frozen=True)
-class Drift:
-    """A stretch of time, s on the rig's clock, between drift checks one of which was beyond the limit; `told` says which.
-    `photodiodes` (n,) are those whose values it spoils.
+class DriftInterval:
+    """Time between two drift checks of which at least one is beyond the limit; s on the rig's clock.
+
+    `reason` names that check; `photodiodes` (n,) are those whose values are flagged.
     """
 
     begin_s: float
     end_s: float
     photodiodes: Flags
-    told: str
+    reason: str
 
-    def of(self, t: float) -> Flags:
-        """The photodiodes (n,) that are flagged in a row that began at `t`."""
+    def flagged_at(self, t: float) -> Flags:
+        """The photodiodes (n,) that are flagged in a row that started at `t`."""
         return self.photodiodes & (self.begin_s <= t < self.end_s)
 
     def __str__(self) -> str:
         until = "the end" if math.isinf(self.end_s) else f"{self.end_s:.0f} s"
-        return f"flagged for drift: what was measured from {self.begin_s:.0f} s to {until}; {self.told}"
+        return f"flagged for drift: all readings from {self.begin_s:.0f} s to {until}; {self.reason}"
 
 
-def drifts(
+def drift_intervals(
     rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal], rig: RigFile, limit: float | None
-) -> list[Drift]:
-    """All of a campaign: mountings, drift checks and measurements in order of time, of which few are kept. `signal_of` one with
-    readings; the `limit` of the schedule's drift checks, None where it has none.
-    """
-    found: list[Drift] = []
-    reference = Reference(rig, limit)
-    before, last = -math.inf, ("", np.zeros(len(rig.photodiodes.upper_deg) + len(rig.photodiodes.lower_deg), dtype=bool))
-    well = last
+) -> list[DriftInterval]:
+    """All drift intervals of a campaign.
 
-    def between(end: float, then: tuple[str, Flags]) -> None:
+    `rows` are mountings, drift checks and measurements in order of time; few of them are kept in memory. `signal_of` gives the
+    signal of a row with readings. `limit` is that of the schedule's drift checks, None if it has none.
+    """
+    intervals: list[DriftInterval] = []
+    reference = DriftReference(rig, limit)
+    before, last = -math.inf, ("", np.zeros(len(rig.photodiodes.upper_deg) + len(rig.photodiodes.lower_deg), dtype=bool))
+    within = last
+
+    def close(end: float, then: tuple[str, Flags]) -> None:
         if last[0] or then[0]:
-            found.append(Drift(before, end, last[1] | then[1], last[0] or then[0]))
+            intervals.append(DriftInterval(before, end, last[1] | then[1], last[0] or then[0]))
 
     for each in rows:
         now, row = each.data.started_s, each.row
@@ -182,50 +192,53 @@ def drifts(
             continue
         check = reference.check(row, partial(signal_of, each))
         if mounted and not row.unplanned:
-            between(now, well)
-            before, last = now, well
+            close(now, within)
+            before, last = now, within
         elif row.kind == "drift":
-            said = well if check is None or not check.excess else (f"{row.identity}: {check}", check.spoiled)
-            between(now, said)
-            before, last = now, said
-    between(math.inf, well)
-    return found
+            result = within if check is None or not check.beyond_limit else (f"{row.identity}: {check}", check.untrusted)
+            close(now, result)
+            before, last = now, result
+    close(math.inf, within)
+    return intervals
 
 
-A_TENTH = 0.1
-"""A loss of so much that would not be certain leaves a photodiode unwatched."""
+def insensitive_photodiodes(rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal]) -> dict[str, Flags]:
+    """By the mounted sample, the photodiodes (n,) for which a drift check could not detect a loss of a tenth of the light.
 
-
-def unseen(rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal]) -> dict[str, Flags]:
-    """By what was mounted, the photodiodes (n,) of which a drift check could not have told that a tenth of the light is lost.
-
-    `rows` in order of time, of which only drift checks count. Of campaigns without drift checks nothing.
+    `rows` are in order of time; only drift checks count. Empty for a campaign without drift checks.
     """
-    found: dict[str, Flags] = {}
+    result: dict[str, Flags] = {}
     for each in rows:
-        # What the first check saw is what the others are compared with.
-        if each.row.kind == "drift" and not each.row.unplanned and each.data.readings and each.row.sample not in found:
-            found[each.row.sample] = ~_seen(signal_of(each))
-    return found
+        # The first check after a mounting is the reference of all others.
+        if each.row.kind == "drift" and not each.row.unplanned and each.data.readings and each.row.sample not in result:
+            result[each.row.sample] = ~_sensitive(signal_of(each))
+    return result
 
 
-def _seen(first: Signal) -> Flags:
+def _sensitive(first: Signal) -> Flags:
     light = np.nan_to_num(first.ratio)
-    # A change is that of two checks of one uncertainty. One over the range shows no loss until it is below.
-    uncertain = CERTAIN * np.sqrt(2.0 * np.nan_to_num(first.variance))
-    return np.asarray((light > 0.0) & (uncertain < A_TENTH * light))
+    # A change has the uncertainty of two checks. A saturated photodiode shows no loss until it is below its range.
+    u_change = CERTAIN * np.sqrt(2.0 * np.nan_to_num(first.variance))
+    return np.asarray((light > 0.0) & (u_change < DETECTABLE_LOSS * light))
 
 
-def unwatched(found: Mapping[str, Flags], trusted: Mapping[str, set[int]], etalon: str) -> dict[str, tuple[int, ...]]:
-    """The same, of those photodiodes alone whose values a reader would trust: a sample's own, the etalon's for all samples."""
+def unchecked_photodiodes(
+    insensitive: Mapping[str, Flags], trusted: Mapping[str, set[int]], etalon: str
+) -> dict[str, tuple[int, ...]]:
+    """The insensitive photodiodes among those with trusted values, by the mounted sample.
+
+    `trusted` are the photodiodes of each sample; the etalon counts for the photodiodes of all samples.
+    """
     own = {**trusted, etalon: set().union(*trusted.values())} if trusted else {}
-    told = {name: tuple(k for k in sorted(own[name]) if found[name][k]) for name in found if name in own}
-    return {name: photodiodes for name, photodiodes in told.items() if photodiodes}
+    unchecked = {
+        name: tuple(k for k in sorted(own[name]) if insensitive[name][k]) for name in insensitive if name in own
+    }  # fmt: skip
+    return {name: photodiodes for name, photodiodes in unchecked.items() if photodiodes}
 
 
-def in_words(name: str, photodiodes: tuple[int, ...]) -> str:
-    """Of one thing that was mounted."""
+def unchecked_note(name: str, photodiodes: tuple[int, ...]) -> str:
+    """The note on the unchecked photodiodes of one mounted sample."""
     return (
-        f"drift checks of {name} saw no light, or too little to tell that a tenth of it is lost, on photodiodes "
-        f"{number_list(photodiodes)}: a fault of theirs would pass"
+        f"drift checks of {name} cannot detect a loss of a tenth of the light on photodiodes {number_list(photodiodes)}: "
+        "they get no light at the pose of the drift checks, or too little; a fault of theirs would not be noticed"
     )

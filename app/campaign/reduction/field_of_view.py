@@ -1,13 +1,12 @@
-"""What the finite field of photodiodes and beam does to a value: a part of its uncertainty, from the measured values about it.
+"""The finite field of view: a component of each value's uncertainty, estimated from the measured values around it.
 
-Illuminated spot, exit pupil and a photodiode's acceptance make each value a mean over directions. To second order that adds
-half of the directions' variance times the second derivatives, along the arc and across it. Both are taken from the values
-nearby: a parabola through their logarithms, which follows a Gaussian lobe exactly, or through themselves where some are lost
-in their noise. Across the arc that needs other beta near enough; where there are none the lobe is taken to be rotationally
-symmetric about the specular direction (of transmitted light: the direction straight on). The moduli of the two are added,
-and taken for a standard uncertainty: nothing is corrected. See docs/decisions/0015-the-fields-uncertainty.md.
-
-First and second derivatives of measured values along a line, each from the parabola through its nearest neighbours.
+Illuminated spot, exit pupil and a photodiode's acceptance make each value a mean over directions. To second order the mean
+differs from the value at its centre by half the variance of the directions times the second derivatives, along the arc and
+across it. Both are taken from the values nearby: a parabola through their logarithms, which follows a Gaussian lobe exactly,
+or, where some are lost in their noise, through the values themselves. Across the arc this needs measurements at other beta,
+near enough. Without them the lobe is assumed to be rotationally symmetric about the specular direction (for transmitted light:
+about the direction of regular transmission). The sum of the moduli of both derivatives is taken as the standard uncertainty;
+nothing is corrected. See docs/decisions/0015-the-fields-uncertainty.md.
 """
 
 import math
@@ -16,19 +15,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.rig import RigFile, believed_instrument
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 
-MOST = 24
-"""Neighbours on each side."""
+MAX_NEIGHBOURS = 24
+"""Largest number of neighbours on each side."""
 NEAR = 1.0 + 1e-9
+WINDOW = 5.0
+"""Values within so many standard deviations of the field's directions are fitted together: the field does not resolve less."""
+MAX_DISTANCE_RAD = math.radians(6.0)
+"""Neighbours further away have no information on the curvature; photodiodes are 5 deg apart."""
+DETECTED = 3.0
+"""A value above so many standard uncertainties has light; its logarithm is used."""
+RADIAL = 0.7
+"""An arc passes close enough to the lobe's centre where theta changes by this share of the way along it."""
+MIN_SINE = 0.1
+"""Smaller circles about the normal are no neighbourhood across the arc."""
+NOISE_MARGIN = 3.0
+"""Standard uncertainties by which a second derivative is reduced before a first derivative is taken from it."""
+CHUNK_POINTS = 20_000
+"""Points processed together; more if they are of one wavelength and incidence."""
+DECIMALS = 6
 
 
 @dataclass(frozen=True)
 class Parabola:
-    """At each value the first and second derivative; NaN where there are too few neighbours. `leverage` is the standard
-    uncertainty of the second derivative where that of all values is 1.
+    """First and second derivatives at each value (n,); NaN where there are too few neighbours.
+
+    `leverage` is the standard uncertainty of the second derivative if that of all values is 1.
     """
 
     first: Floats
@@ -37,17 +52,17 @@ class Parabola:
 
 
 def local_parabola(line: Ints, x: Floats, y: Floats, window: float, longest: float) -> Parabola:
-    """The least squares of each value and of those of its line within `window`.
+    """Fit a parabola to each value and the values of its line within `window`, by least squares.
 
-    Where that holds none on one of its sides it is as much wider as one on each side needs, `longest` at most; or two on one
-    side, within twice that, at the end of a line. Values are in order of `line` and, in it, of `x`, which are all different;
-    where one that takes part is NaN there is no answer.
+    If the window has no value on one side, it is widened until there is one on each side, to `longest` at most; or, at the end
+    of a line, to two values on one side, within twice `longest`. The values are sorted by `line`, and within it by `x`, whose
+    values are all different. The result is NaN where one of the fitted values is NaN.
     """
     half = reach(line, x, window, longest)
     width = np.where(np.isfinite(half), half, 1.0)
     powers, products = np.zeros((5, x.size)), np.zeros((3, x.size))
     powers[0], products[0] = 1.0, y
-    for step in range(1, min(MOST, x.size - 1) + 1):
+    for step in range(1, min(MAX_NEIGHBOURS, x.size - 1) + 1):
         together = line[step:] == line[:-step]
         apart = x[step:] - x[:-step]
         reached = False
@@ -65,7 +80,7 @@ def local_parabola(line: Ints, x: Floats, y: Floats, window: float, longest: flo
                 power = power * place
         if not reached:
             break
-    # The normal equations by cofactors: three by three, of every value at once.
+    # Normal equations of three unknowns, solved by cofactors for all values at once.
     s0, s1, s2, s3, s4 = powers
     t0, t1, t2 = products
     c02, c12, c22 = s1 * s3 - s2 * s2, s1 * s2 - s0 * s3, s0 * s2 - s1 * s1
@@ -77,7 +92,7 @@ def local_parabola(line: Ints, x: Floats, y: Floats, window: float, longest: flo
 
 
 def reach(line: Ints, x: Floats, window: float, longest: float) -> Floats:
-    """How far away the values may be that take part in the parabola of each; NaN where there are too few."""
+    """Half width (n,) of the window of each value's parabola; NaN where there are too few neighbours."""
     after = [_apart(line, x, step) for step in (1, 2)]
     before = [_apart(-line[::-1], -x[::-1], step)[::-1] for step in (1, 2)]
     both = np.maximum(after[0], before[0])
@@ -87,7 +102,7 @@ def reach(line: Ints, x: Floats, window: float, longest: float) -> Floats:
 
 
 def _apart(line: Ints, x: Floats, step: int) -> Floats:
-    """The distance to the value `step` further on along the line; infinite where there is none."""
+    """Distance to the value `step` places further along the line; infinite where there is none."""
     apart = np.full(x.size, np.inf)
     if x.size > step:
         same = line[step:] == line[:-step]
@@ -95,26 +110,12 @@ def _apart(line: Ints, x: Floats, step: int) -> Floats:
     return apart
 
 
-WINDOW = 5.0
-"""Values within so many standard deviations of the field's directions are taken together: less it does not tell apart."""
-LONGEST_RAD = math.radians(6.0)
-"""Neighbours further away say nothing of the curvature; photodiodes are 5 deg apart."""
-DETECTED = 3.0
-RADIAL = 0.7
-"""An arc goes through the lobe's middle, near enough, where theta changes by so much of the way along it."""
-LEAST_SINE = 0.1
-"""Circles about the normal that are smaller than this are no neighbourhood across the arc."""
-SURE = 3.0
-AT_ONCE = 20_000
-"""Points, or more where they are of one wavelength and incidence."""
-DECIMALS = 6
-
-
 def field_variance(instrument: Instrument) -> float:
-    """Of the directions that one value is a mean of, about the specular direction, along either axis: rad^2.
+    """Variance of the directions that one value averages over, along either axis about the specular direction, in rad^2.
 
-    Of discs a quarter of the radius squared, of squares a twelfth of the side squared: cone, or disc and spot seen from each
-    other where these are narrower; the exit pupil; and the spot, from which the light's direction differs.
+    A disc contributes a quarter of its radius squared, a square a twelfth of its side squared. The contributions: the exit
+    pupil; the photodiode's cone, or its disc and the spot where these are narrower; and the spot, over which the direction of
+    the light differs.
     """
     pupil = (instrument.pupil_radius_mm / instrument.pupil_distance_mm) ** 2 / 4.0
     cone = math.tan(math.radians(0.5 * instrument.field_deg)) ** 2 / 4.0
@@ -124,25 +125,25 @@ def field_variance(instrument: Instrument) -> float:
     return pupil + min(cone + side * far**2, disc + side * (near + far) ** 2)
 
 
-def with_field(points: BsdfPoints, rig: RigFile) -> BsdfPoints:
-    """The points with the field's part, `u_field`, in their uncertainty `u_bsdf`; NaN and not in it where nobody can tell."""
-    u_field = field_uncertainty(points, field_variance(believed_instrument(rig)))
+def add_field_uncertainty(points: BsdfPoints, rig: RigFile) -> BsdfPoints:
+    """Add the field's component `u_field` to the points' uncertainty `u_bsdf`; NaN, and not added, where it is unknown."""
+    u_field = field_uncertainty(points, field_variance(nominal_instrument(rig)))
     return replace(points, u_field=u_field, u_bsdf=np.hypot(points.u_bsdf, np.nan_to_num(u_field)))
 
 
 def field_uncertainty(points: BsdfPoints, variance: float) -> Floats:
-    """Of a sample's points, for a field whose directions have this `variance` (rad^2): 1/sr, NaN where it cannot be told."""
+    """Field component (n,) of the uncertainty in 1/sr, for directions of this `variance` in rad^2; NaN where unknown."""
     result = np.full(points.bsdf.size, np.nan)
     chosen = np.flatnonzero(points.good)
-    # Light of one wavelength and incidence says nothing of another's; by and by, for a campaign may be long.
+    # Process per wavelength and incidence, in chunks, to bound memory.
     lights = np.stack([points.wavelength_nm[chosen], points.sigma_deg[chosen]])
     order = chosen[np.lexsort(lights)]
     changes = np.any(np.diff(lights[:, np.lexsort(lights)], axis=1) != 0.0, axis=0)
     begin = 0
     for end in [*(np.flatnonzero(changes) + 1).tolist(), order.size]:
-        if end - begin >= AT_ONCE or end == order.size > begin:
+        if end - begin >= CHUNK_POINTS or end == order.size > begin:
             part = order[begin:end]
-            values, which = directions_of(points.where(part))
+            values, which = merge_directions(points.where(part))
             result[part] = _uncertainty(values, variance)[which]
             begin = end
     return result
@@ -150,9 +151,11 @@ def field_uncertainty(points: BsdfPoints, variance: float) -> Floats:
 
 @dataclass(frozen=True)
 class Directions:
-    """One for each direction and light, in order along the arcs: `setting` numbers what was the same, `plane` the arc's plane
-    too. `polar` is positive on one side of the normal and negative on the other, rad; `middle` the cosine of the angle to the
-    lobe's middle, and `slope` its derivative along the arc.
+    """Mean values by direction and setting, in order along the arcs.
+
+    `setting` numbers the sets of wavelength, sigma, gamma, side and light; `plane` numbers the planes of the arc in each of
+    them. `polar`, in rad, is positive on one side of the normal and negative on the other. `middle` is the cosine of the angle
+    to the lobe's centre, and `slope` its derivative along the arc.
     """
 
     setting: Ints
@@ -165,8 +168,8 @@ class Directions:
     u_bsdf: Floats
 
 
-def directions_of(points: BsdfPoints) -> tuple[Directions, Ints]:
-    """Of points that are good, and for each point the number of its value: the mean of those in one direction."""
+def merge_directions(points: BsdfPoints) -> tuple[Directions, Ints]:
+    """Average good points of the same direction; gives the means, and for each point the index of its mean."""
     polar = np.where(points.zenith_deg > 90.0, 180.0 - points.zenith_deg, points.zenith_deg)
     azimuth = np.mod(np.round(points.azimuth_deg, DECIMALS), 360.0)
     signed = np.round(np.where(azimuth >= 180.0, -polar, polar), DECIMALS)
@@ -183,7 +186,7 @@ def directions_of(points: BsdfPoints) -> tuple[Directions, Ints]:
     p, a = np.radians(signed[start]), np.radians(np.mod(azimuth[start], 180.0))
     up = np.where(points.zenith_deg[start] > 90.0, -1.0, 1.0)
     sigma = np.radians(points.sigma_deg[start])
-    # Mirrored, or straight on: towards -sin sigma along x either way.
+    # Specular direction or regular transmission: both have -sin sigma along x.
     x, z = -np.sin(sigma), np.where(points.transmitted[start], -1.0, 1.0) * np.cos(sigma)
     values = Directions(
         setting=np.cumsum(np.any(changes[2:], axis=0))[first],
@@ -208,14 +211,14 @@ def _uncertainty(values: Directions, variance: float) -> Floats:
     if np.isfinite(curved).all():
         return 0.5 * variance * curved
     plain = _second_derivatives(values, values.bsdf, values.u_bsdf, window, square=False)
-    # A value with light beside one without, further away than the field is wide, may be of any lobe.
-    plain[light & ~(reach(values.plane, values.polar, window, LONGEST_RAD) <= window)] = np.nan
+    # A value with light next to one without, further apart than the field is wide: the shape of the lobe is unknown.
+    plain[light & ~(reach(values.plane, values.polar, window, MAX_DISTANCE_RAD) <= window)] = np.nan
     return 0.5 * variance * np.where(np.isfinite(curved), curved, plain)
 
 
 def _second_derivatives(values: Directions, y: Floats, u: Floats, window: float, *, square: bool) -> Floats:
-    """The sum of their moduli, where `y` is the BSDF, or where it is its logarithm (`square`), over the BSDF."""
-    along = local_parabola(values.plane, values.polar, y, window, LONGEST_RAD)
+    """Sum of the moduli of both second derivatives; `y` is the BSDF, or, with `square`, its logarithm: then over the BSDF."""
+    along = local_parabola(values.plane, values.polar, y, window, MAX_DISTANCE_RAD)
     own = along.second + (along.first**2 if square else 0.0)
     across = _measured_across(values, y, window, along, square=square)
     return np.abs(own) + np.abs(
@@ -224,22 +227,27 @@ def _second_derivatives(values: Directions, y: Floats, u: Floats, window: float,
 
 
 def _measured_across(values: Directions, y: Floats, window: float, along: Parabola, *, square: bool) -> Floats:
-    """From what was measured at other beta: along a circle about the normal, with what this bends away from a great one."""
+    """Second derivative across the arc from measurements at other beta, along a circle about the normal.
+
+    It is corrected for the curvature of that circle against a great circle.
+    """
     polar = np.round(np.abs(values.polar), 2 + DECIMALS)
     azimuth = np.where(values.polar < 0.0, values.azimuth + math.pi, values.azimuth)
     order = np.lexsort((azimuth, polar, values.setting))
-    order = order[np.sin(polar[order]) > max(LEAST_SINE, 2.0 * window)]
+    order = order[np.sin(polar[order]) > max(MIN_SINE, 2.0 * window)]
     circle = np.cumsum((np.diff(polar[order], prepend=-1.0) != 0.0) | (np.diff(values.setting[order], prepend=-1) != 0))
-    found = local_parabola(circle, (azimuth * np.sin(polar))[order], y[order], window, LONGEST_RAD)
+    circles = local_parabola(circle, (azimuth * np.sin(polar))[order], y[order], window, MAX_DISTANCE_RAD)
     result = np.full(polar.size, np.nan)
     bent = along.first[order] / np.tan(values.polar[order])
-    result[order] = found.second + bent + (found.first**2 if square else 0.0)
+    result[order] = circles.second + bent + (circles.first**2 if square else 0.0)
     return result
 
 
 def _by_symmetry(values: Directions, along: Parabola, own: Floats, u: Floats, window: float, *, square: bool) -> Floats:
-    """That of a lobe that depends on theta alone. With dashes for derivatives along theta, which changes by t along the arc:
-    first = y' t, second = y'' t^2 + y' cot(theta) (1 - t^2), and the two second derivatives have the sum y'' + y' cot(theta).
+    """Second derivative across the arc for a lobe that depends on theta alone.
+
+    With y' and y'' the derivatives along theta, and t the change of theta along the arc: first = y' t,
+    second = y'' t^2 + y' cot(theta) (1 - t^2), and the sum of the two second derivatives is y'' + y' cot(theta).
     """
     theta = np.arccos(np.clip(values.middle, -1.0, 1.0))
     sine = np.maximum(np.sin(theta), 1e-9)
@@ -249,12 +257,13 @@ def _by_symmetry(values: Directions, along: Parabola, own: Floats, u: Floats, wi
     turned = np.where(radial, t, 1.0)
     first = along.first / turned
     second = (along.second - first * cot * (1.0 - t**2)) / turned**2
-    # An arc that passes the middle by tells y' by its second derivative, if y is a parabola in theta; noise tells nothing.
+    # For an arc that passes beside the centre y' follows from the second derivative, if y is a parabola in theta. A second
+    # derivative within its noise is not used.
     level = t**2 / np.maximum(theta, window) + (1.0 - t**2) / np.tan(np.clip(theta, window, math.radians(60.0)))
-    certain = np.sign(along.second) * np.maximum(np.abs(along.second) - SURE * along.leverage * u, 0.0)
+    certain = np.sign(along.second) * np.maximum(np.abs(along.second) - NOISE_MARGIN * along.leverage * u, 0.0)
     first = np.where(radial, first, certain / level)
     second = np.where(radial, second, first / np.maximum(theta, window))
     across = second + first * cot + (first**2 if square else 0.0) - own
-    # In the lobe's middle all directions are alike, and beside it the first derivative over theta is not to be relied on alone.
+    # At the lobe's centre all directions are equal. Close to it the first derivative over theta alone is not reliable.
     larger = np.where(np.abs(own) > np.abs(across), own, across)
     return np.where(theta <= 0.25 * window, own, np.where(theta <= window, larger, across))

@@ -1,12 +1,8 @@
-"""What a campaign comes to: a BSDF at the directions in which it was measured.
-
-What a sample's points come to when they themselves are gone: how many there are, how many are good, what the others lack.
-
-How steep a measured BSDF is along the arc: what an error of an angle makes of its value.
+"""The points of a reduction: a BSDF at the measured directions, with flags; their counts, slope and mutual agreement.
 
 Two values of one direction, or of a direction and its mirror image, differ by more than noise where the lobe is steep and the
-angles are not quite what they are said to be. Checks and calibrations that did not know this would find fault with every
-narrow lobe.
+angles have errors. `steepness` is the slope that turns an angular error into an error of the value. Without it, checks and
+calibrations would find a fault in every narrow lobe.
 """
 
 import math
@@ -16,29 +12,40 @@ import numpy as np
 
 from goniotwin.arrays import Flags, Floats, Ints
 
+DECIMALS = 3
+"""Directions closer than a thousandth of a degree are one direction."""
+HALF_TURN_DEG = 180.0
+FLAG_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
+"""Flags by which a tally counts a point: the first one that it has."""
+CHANCE = 1e-6
+"""Probability that the largest of all differences exceeds its limit, where the uncertainties are right."""
+DEVIATIONS = 5.0
+"""Limit of chi-square, in standard deviations of its distribution."""
+
 
 @dataclass(frozen=True)
 class BsdfPoints:
-    """A BSDF at the directions in which it was measured; arrays of one length, a point each.
+    """A BSDF at the measured directions; arrays of one length, an element for each point.
 
     Angles in degrees: `zenith` and `azimuth` of the observation in the rig's frame, `theta` and `phi` about the specular
-    direction (of transmitted light: about the direction straight on). `back`: the light came from behind, sigma is beyond 90
-    deg. `bsdf` and its standard uncertainty `u_bsdf` in 1/sr; NaN where there is no value, and then a flag says why:
+    direction (for transmitted light: about the direction of regular transmission). `back`: the sample is lit from behind,
+    sigma is beyond 90 deg. `bsdf` and its standard uncertainty `u_bsdf` are in 1/sr. Where there is no value they are NaN, and
+    a flag gives the reason:
 
-    - `shadowed` by the mirror unit, wholly or in part, at the sample or at the etalon that scales it: a value where there was
-      light, but not the sample's;
-    - `clipped`: over the range at every gain, of sample, etalon or signature;
-    - `no_etalon`: the etalon gave nothing to divide by;
-    - `dead`: although it should have, or the photodiode's dark current is gone;
-    - `uncertified`: the etalon's certificate says nothing of this wavelength or direction;
+    - `shadowed`: blocked by the mirror unit, wholly or in part, at the sample or at the etalon that scales it; a value from
+      the remaining light may be there, but it is not the sample's;
+    - `clipped`: saturated at every gain, for sample, etalon or signature;
+    - `no_etalon`: the etalon's signal is too low to divide by;
+    - `dead`: the same, although the photodiode should have a signal; or the photodiode has lost its dark current;
+    - `uncertified`: the etalon's certificate does not cover this wavelength or direction;
     - `drifted`: between drift checks one of which was beyond its limit; the value is there, and may be wrong;
-    - `under_range`: the sample's signal is lost in its noise, or in what is uncertain of the signature: the value is right, and
-      says little;
-    - `field`: what the finite field of view does to the value cannot be told from those about it, and is not in `u_bsdf`.
+    - `under_range`: the sample's signal is lost in its noise, or in the uncertainty of the signature: the value is right, but
+      its relative uncertainty is large;
+    - `field`: the effect of the finite field of view cannot be estimated from the values nearby, and is not in `u_bsdf`.
 
-    `signature` is the instrument's own share of the sample's signal, which has been subtracted; NaN where it was not measured.
-    `mirrored`: measured to check the stated symmetry; good, but no part of the table that was asked for.
-    `u_field` is the field's part of `u_bsdf`, 1/sr; NaN where it cannot be told.
+    `signature` is the instrument signature's share of the sample's signal, already subtracted; NaN where it was not measured.
+    `mirrored`: measured to check the stated symmetry; a good value, but not one that the schedule's grid asks for.
+    `u_field` is the field's component of `u_bsdf`, 1/sr; NaN where it cannot be estimated.
     """
 
     wavelength_nm: Floats
@@ -67,22 +74,22 @@ class BsdfPoints:
     u_field: Floats
 
     def where(self, chosen: Flags | Ints) -> "BsdfPoints":
-        """Some of the points, or all in another order."""
-        return BsdfPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        """A selection of the points, or all in another order."""
+        return BsdfPoints(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
     @property
     def good(self) -> Flags:
-        """Which have a value that may be trusted."""
+        """The points with a trusted value."""
         return np.isfinite(self.bsdf) & ~self.shadowed & ~self.drifted & ~self.dead
 
     @property
     def front(self) -> "BsdfPoints":
-        """Reflection of light from the front."""
+        """The points of light reflected on the front."""
         return self.where(~self.back & ~self.transmitted)
 
     @property
     def in_plane(self) -> Flags:
-        """Which lie in the plane of incidence, within 1e-6 deg."""
+        """The points in the plane of incidence, within 1e-6 deg."""
         offset = np.mod(self.azimuth_deg, 180.0)
         return (np.minimum(offset, 180.0 - offset) < 1e-6) | (self.zenith_deg < 1e-6)
 
@@ -100,7 +107,7 @@ class BsdfPoints:
 
     @property
     def flags(self) -> dict[str, Flags]:
-        """By their names in files."""
+        """The flags by their names in files."""
         return {
             "shadowed": self.shadowed,
             "clipped": self.clipped,
@@ -113,19 +120,17 @@ class BsdfPoints:
         }
 
 
-def joined(blocks: list[BsdfPoints]) -> BsdfPoints:
+def join_points(blocks: list[BsdfPoints]) -> BsdfPoints:
     """The points of all blocks, in order."""
-    return BsdfPoints(*(np.concatenate([getattr(block, field.name) for block in blocks]) for field in fields(BsdfPoints)))
-
-
-FIRST = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
-"""Flags by which a point is counted: the first that it has."""
+    return BsdfPoints(*(np.concatenate([getattr(block, each.name) for block in blocks]) for each in fields(BsdfPoints)))
 
 
 @dataclass
 class Tally:
-    """`under_range` are good ones lost in their noise; `flagged` how many of all have a flag, by the first; `trusted` the
-    photodiodes of good values that are not lost in noise; `freed` whether the instrument's own light was subtracted anywhere.
+    """Streaming counts of points by flag.
+
+    `under_range` counts good points that are lost in their noise; `flagged` all points by their first flag. `trusted` are the
+    photodiodes of good values above their noise; `signature_subtracted` is true if the signature was subtracted anywhere.
     """
 
     directions: int = 0
@@ -134,39 +139,33 @@ class Tally:
     flagged: dict[str, int] = field(default_factory=dict)
     trusted: set[int] = field(default_factory=set)
     transmitted: bool = False
-    freed: bool = False
+    signature_subtracted: bool = False
 
     def add(self, points: BsdfPoints) -> None:
-        """Some more points."""
+        """Count more points."""
         good = points.good
         self.directions += points.bsdf.size
         self.good += int(good.sum())
         self.under_range += int((good & points.under_range).sum())
         self.trusted.update(np.unique(points.photodiode[good & ~points.under_range]).tolist())
         self.transmitted |= bool(points.transmitted.any())
-        self.freed |= bool(np.isfinite(points.signature).any())
+        self.signature_subtracted |= bool(np.isfinite(points.signature).any())
         left = np.ones(points.bsdf.size, dtype=bool)
-        for flag in FIRST:
+        for flag in FLAG_ORDER:
             here = left & points.flags[flag]
             self.flagged[flag] = self.flagged.get(flag, 0) + int(here.sum())
             left &= ~here
 
 
-DECIMALS = 3
-"""Directions that are nearer than a thousandth of a degree are one."""
-HALF_TURN_DEG = 180.0
-
-
 def steepness(points: BsdfPoints) -> Floats:
-    """Relative change per degree along the arc, the greater of those to the neighbour on either side; 0 where none is known.
+    """Relative change of the BSDF per degree along the arc (n,): the larger of the slopes on either side, 0 where unknown.
 
-    Neighbours are the nearest directions of the same half planes that have a value above zero, whichever photodiode and shift
-    they were seen with.
+    Neighbours are the nearest directions of the same half planes with a value above zero, from any photodiode and shift.
     """
-    found = np.zeros(points.bsdf.size)
+    result = np.zeros(points.bsdf.size)
     usable = np.isfinite(points.bsdf) & (points.bsdf > 0.0) & ~points.shadowed
     if not usable.any():
-        return found
+        return result
     here = points.where(usable)
     plane = np.mod(here.beta_deg, HALF_TURN_DEG)
     polar = np.minimum(here.zenith_deg, HALF_TURN_DEG - here.zenith_deg)
@@ -177,5 +176,17 @@ def steepness(points: BsdfPoints) -> Floats:
     logs = np.bincount(which, weights=np.log(here.bsdf)) / np.bincount(which)
     same = np.all(places[1:, :-1] == places[:-1, :-1], axis=1)
     slope = np.abs(np.diff(logs)) / np.where(same, np.diff(places[:, -1]), np.inf)
-    found[usable] = np.maximum(np.append(slope, 0.0), np.insert(slope, 0, 0.0))[which]
-    return found
+    result[usable] = np.maximum(np.append(slope, 0.0), np.insert(slope, 0, 0.0))[which]
+    return result
+
+
+def plausible(pairs: int, chi_square: float, worst: float) -> bool:
+    """Whether differences of pairs of values are as their uncertainties allow: one rule for all consistency checks.
+
+    `chi_square` has to be within five standard deviations of its distribution for so many `pairs`, and `worst`, the largest
+    difference in its standard uncertainties, below a limit that it exceeds with a probability of 1e-6.
+    """
+    if not pairs:
+        return True
+    most = math.sqrt(2.0 * math.log(pairs / CHANCE))
+    return chi_square <= pairs + DEVIATIONS * math.sqrt(2.0 * pairs) and worst <= most

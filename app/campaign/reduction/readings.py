@@ -1,7 +1,8 @@
-"""What was measured, as signals: read from the journal where it is wanted, few rows at a time.
+"""Signals of the measured rows, read from the journal on demand, a few rows at a time.
 
-A campaign may have a hundred thousand rows. What stays in memory is their list (half a hundred bytes a row), the means of the
-darks, and what drift checks have said; the etalon's and the signature's signals are made again where a block needs them.
+A campaign may have a hundred thousand rows. Memory holds their list (about fifty bytes a row), the means of the dark readings
+and the results of the drift checks. The signals of the etalon and of the instrument signature are computed again for each
+block that needs them.
 """
 
 import contextlib
@@ -14,15 +15,15 @@ import numpy.typing as npt
 from goniotwin.app.campaign.geometry.directions import Pose
 from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.drift_checks import drifts, unseen
+from goniotwin.app.campaign.reduction.drift_checks import drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.signals import (
     Signal,
-    darks_by_gain,
-    dead_since,
+    add_tracing_error,
+    dark_current_loss_s,
+    dark_readings_by_gain,
     mean_signal,
-    middle,
+    middle_s,
     signal,
-    with_tracing_error,
 )
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
@@ -33,13 +34,16 @@ from goniotwin.arrays import Flags, Floats, Ints
 DECIMALS = 6
 HALF_TURN_DEG = 180.0
 PLACE = ("wavelength_nm", "gamma_deg", "sigma_deg", "beta_deg", "shift_deg")
-Key = tuple[float, Pose]
-Listed = npt.NDArray[np.void]
+PoseKey = tuple[float, Pose]
+RowTable = npt.NDArray[np.void]
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A row, or the mean of several of one pose: its signal, and which of its photodiodes (n,) had drifted, or were dead."""
+class RowSignal:
+    """A measured row, or the mean of several rows of one pose: its signal, and the photodiodes (n,) that are flagged.
+
+    `drifted`: the row lies in a drift interval of the photodiode. `dead`: the photodiode has lost its dark current.
+    """
 
     row: Row
     signal: Signal
@@ -47,87 +51,87 @@ class Measured:
     dead: Flags
 
 
-def key_of(row: Row, pose: Pose) -> Key:
-    """A row's wavelength with a pose; 180 deg - sigma is not always what a planner has rounded."""
+def pose_key(row: Row, pose: Pose) -> PoseKey:
+    """A row's wavelength with a pose, rounded: 180 deg - sigma may differ in the last bits from the planner's sigma."""
     assert row.wavelength_nm is not None
     gamma, sigma, beta, shift = (round(angle, DECIMALS) for angle in pose)
     return (row.wavelength_nm, (gamma, sigma, beta, shift))
 
 
 class Measurements:
-    """All of a journal. Raises UserError where there are no darks, or something cannot be reduced."""
+    """All measured rows of a journal. Raises UserError where there are no dark readings, or a row cannot be reduced."""
 
     def __init__(self, journal: Journal, schedule: ScheduleFile, rig: RigDescription) -> None:
         self._journal = journal
         self._rig = rig
         self._settings = photodiode_settings(rig.file)
-        darks = list(journal.rows("dark"))
-        with self._told():
-            self._darks = darks_by_gain(darks, self._settings)
-        self._dead_since = dead_since(darks, self._settings)
-        del darks
-        self._listed, self._names = journal.row_index()
+        dark_rows = list(journal.rows("dark"))
+        with self._path_in_errors():
+            self._dark = dark_readings_by_gain(dark_rows, self._settings)
+        self._loss_s = dark_current_loss_s(dark_rows, self._settings)
+        del dark_rows
+        self._table, self._names = journal.row_index()
         limit = None if schedule.drift is None else schedule.drift.limit
-        self.unseen = unseen(journal.rows("drift"), self._signal)
+        self.insensitive = insensitive_photodiodes(journal.rows("drift"), self._signal)
         some = next(journal.rows("drift"), None) is not None
         rows = journal.rows("mount", "measure", "drift") if some else iter(())
-        self.drifts = drifts(rows, self._signal, rig.file, limit)
+        self.drift_intervals = drift_intervals(rows, self._signal, rig.file, limit)
 
-    def listed(self, sample: str) -> Listed:
-        """The measurements of a sample, in order of time."""
+    def row_table(self, sample: str) -> RowTable:
+        """The measured rows of a sample, in order of time."""
         code = self._names.index(sample) if sample in self._names else -1
-        chosen: Listed = self._listed[self._listed["sample"] == code]
-        return chosen
+        rows: RowTable = self._table[self._table["sample"] == code]
+        return rows
 
-    def of(self, numbers: Iterable[int]) -> Iterator[Measured]:
-        """Rows by their numbers."""
+    def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
+        """The signals of rows, by the rows' numbers."""
         none = np.zeros(self._settings.count, dtype=bool)
         for each in self._journal.rows_of(numbers):
-            drifted = np.any([none, *(drift.of(each.data.started_s) for drift in self.drifts)], axis=0)
-            yield Measured(each.row, self._signal(each), drifted, self._dead_since < middle(each.data.readings[0]))
+            drifted = np.any([none, *(drift.flagged_at(each.data.started_s) for drift in self.drift_intervals)], axis=0)
+            yield RowSignal(each.row, self._signal(each), drifted, self._loss_s < middle_s(each.data.readings[0]))
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _path_in_errors(self) -> Iterator[None]:
         try:
             yield
         except UserError as error:
             raise UserError(f"{self._journal.path}: {error}") from None
 
     def _signal(self, row: CommittedRow) -> Signal:
-        with self._told():
-            return with_tracing_error(signal(row.data, self._darks, self._settings), self._rig.file)
+        with self._path_in_errors():
+            return add_tracing_error(signal(row.data, self._dark, self._settings), self._rig.file)
 
 
-class References:
-    """The measurements of the etalon, or of nothing mounted, by wavelength and pose: each the mean of all that there are."""
+class ReferenceMeasurements:
+    """Measurements of the etalon, or without a sample, by wavelength and pose; repeats of one pose are averaged."""
 
     def __init__(self, measurements: Measurements, sample: str) -> None:
         self._measurements = measurements
-        listed = measurements.listed(sample)
-        self.places: Floats = np.stack([np.round(listed[name], DECIMALS) for name in PLACE], axis=1)
+        table = measurements.row_table(sample)
+        self.places: Floats = np.stack([np.round(table[name], DECIMALS) for name in PLACE], axis=1)
         self._columns = [np.unique(column) for column in self.places.T]
         codes = self._codes(self.places)
         order = np.argsort(codes, kind="stable")
-        self._sorted, self._numbers = codes[order], listed["number"][order]
+        self._sorted, self._numbers = codes[order], table["number"][order]
 
     def __len__(self) -> int:
         return len(self._numbers)
 
-    def of(self, keys: Iterable[Key]) -> dict[Key, Measured]:
-        """Those of the keys that were measured."""
+    def at(self, keys: Iterable[PoseKey]) -> dict[PoseKey, RowSignal]:
+        """The signals at those keys that were measured."""
         wanted = list(dict.fromkeys(keys))
         if not wanted or not len(self):
             return {}
         codes = self._codes(np.array([(wavelength, *pose) for wavelength, pose in wanted]))
         first, last = (np.searchsorted(self._sorted, codes, side=side) for side in ("left", "right"))
-        found = {}
+        signals = {}
         for key, begin, end in zip(wanted, first.tolist(), last.tolist(), strict=True):
             if end > begin:
-                found[key] = _mean(list(self._measurements.of(self._numbers[begin:end].tolist())))
-        return found
+                signals[key] = _mean(list(self._measurements.row_signals(self._numbers[begin:end].tolist())))
+        return signals
 
-    def meets(self, other: "References") -> bool:
-        """Whether anything was measured at a wavelength and pose of the other's."""
+    def meets(self, other: "ReferenceMeasurements") -> bool:
+        """Whether both have a measurement at the same wavelength and pose."""
         return bool(np.any(self._codes(other.places) >= 0)) if len(self) else False
 
     def _codes(self, places: Floats) -> Ints:
@@ -140,21 +144,21 @@ class References:
         return np.where(known, codes, -1)
 
 
-def in_settings(listed: Listed) -> tuple[Ints, Ints]:
-    """Measurements in the order of wavelength, sigma, gamma and half planes, each in order of time: their places in the list;
-    and where in that order another wavelength, sigma or gamma begins, ending with the number of all.
+def order_by_setting(table: RowTable) -> tuple[Ints, Ints]:
+    """Indices of the rows in the order of wavelength, sigma, gamma and half planes, each in order of time; and the edges.
 
-    All that tells of a value what its neighbours are lies in one such stretch, and so does what two photodiodes have seen.
+    The edges are the places in that order where wavelength, sigma or gamma changes, with 0 first and the number of rows last.
+    All neighbours of a value, and all overlaps of photodiodes, lie between two edges.
     """
-    plane = np.round(np.mod(listed["beta_deg"], HALF_TURN_DEG), DECIMALS)
-    keys = [listed[name] for name in ("gamma_deg", "sigma_deg", "wavelength_nm")]
+    plane = np.round(np.mod(table["beta_deg"], HALF_TURN_DEG), DECIMALS)
+    keys = [table[name] for name in ("gamma_deg", "sigma_deg", "wavelength_nm")]
     order = np.lexsort([plane, *keys])
     changes = np.any([key[order][1:] != key[order][:-1] for key in keys], axis=0) if len(order) else np.zeros(0, dtype=bool)
     return order, np.concatenate([[0], 1 + np.flatnonzero(changes), [len(order)]])
 
 
-def _mean(group: list[Measured]) -> Measured:
-    return Measured(
+def _mean(group: list[RowSignal]) -> RowSignal:
+    return RowSignal(
         group[0].row,
         mean_signal([each.signal for each in group]),
         np.any([each.drifted for each in group], axis=0),

@@ -1,8 +1,7 @@
-"""From the directions that the arc measured to a grid of specular coordinates, and which nodes were not measured.
+"""Interpolation of measured points to a grid of specular coordinates, with the nodes that were not measured.
 
-Between measured directions of one sigma that are at most 3 deg apart the value is bilinear in zenith and azimuth,
-mirrored in the plane of incidence.
-Where there is nothing between which to interpolate, a file that needs a number gets a continued one, and is told so.
+Between measured directions of one sigma that are at most 3 deg apart the value is bilinear in zenith and azimuth, mirrored in
+the plane of incidence. A table needs a number at every node: other nodes get a continued value, and are marked as not measured.
 """
 
 import math
@@ -16,13 +15,13 @@ from goniotwin.twin.optics import from_specular
 
 FINEST_DEG = 0.1
 WIDEST_GAP_DEG = 3.0
-"""Measured directions further apart than this say nothing of what is between them."""
+"""There is no interpolation between measured directions that are further apart."""
 PHI_STEP_DEG = 5.0
 
 
 @dataclass(frozen=True)
-class Regridded:
-    """BSDF (sigma, phi, theta) in 1/sr; `measured` where it rests on measured directions, the rest is continued."""
+class SpecularTable:
+    """BSDF (sigma, phi, theta) in 1/sr; `measured` is true where it is interpolated, false where it is continued."""
 
     sigma_deg: Floats
     phi_deg: Floats
@@ -31,8 +30,8 @@ class Regridded:
     measured: Flags
 
 
-def regrid(points: BsdfPoints) -> Regridded:
-    """Points of one wavelength and one gamma on a grid of specular coordinates.
+def regrid(points: BsdfPoints) -> SpecularTable:
+    """Interpolate points of one wavelength and one gamma to a grid of specular coordinates.
 
     theta goes from 0 to 180 in the finest step of the zenith angles; phi is 0 and 180 where only the plane of incidence
     was measured. Raises ValueError where no point has a value.
@@ -48,15 +47,15 @@ def regrid(points: BsdfPoints) -> Regridded:
     shape = (sigmas.size, phi.size, theta.size)
     bsdf, measured = np.empty(shape), np.empty(shape, dtype=bool)
     for k, sigma in enumerate(sigmas):
-        bsdf[k], measured[k] = _one_sigma(good.where(good.sigma_deg == sigma), float(sigma), phi, theta)
-    return Regridded(sigmas, phi, theta, bsdf, measured)
+        bsdf[k], measured[k] = _interpolate_sigma(good.where(good.sigma_deg == sigma), float(sigma), phi, theta)
+    return SpecularTable(sigmas, phi, theta, bsdf, measured)
 
 
-def _one_sigma(points: BsdfPoints, sigma: float, phi: Floats, theta: Floats) -> tuple[Floats, Flags]:
+def _interpolate_sigma(points: BsdfPoints, sigma: float, phi: Floats, theta: Floats) -> tuple[Floats, Flags]:
     directions = from_specular(sigma, theta[None, :], phi[:, None])
     zenith = np.degrees(np.arccos(np.clip(directions[..., 2], -1.0, 1.0)))
     azimuth = _folded(np.degrees(np.arctan2(directions[..., 1], directions[..., 0])))
-    values = _interpolated(points, zenith, azimuth)
+    values = _interpolate(points, zenith, azimuth)
     measured = np.isfinite(values)
     for row, known in zip(values, measured, strict=True):
         if known.any():
@@ -68,7 +67,7 @@ def _one_sigma(points: BsdfPoints, sigma: float, phi: Floats, theta: Floats) -> 
     return values, measured
 
 
-def _interpolated(points: BsdfPoints, zenith: Floats, azimuth: Floats) -> Floats:
+def _interpolate(points: BsdfPoints, zenith: Floats, azimuth: Floats) -> Floats:
     """Bilinear in the measured zeniths and azimuths; NaN where a needed corner is missing."""
     rows, columns, table = _table(points)
     i, u = _place(rows, zenith)
@@ -79,7 +78,7 @@ def _interpolated(points: BsdfPoints, zenith: Floats, azimuth: Floats) -> Floats
             weight = weight_i * weight_j
             corner = table[np.minimum(i + di, rows.size - 1), np.minimum(j + dj, columns.size - 1)]
             result += np.where(weight > 1e-9, weight * corner, 0.0)
-    pole = zenith < 1e-6  # there the azimuth says nothing
+    pole = zenith < 1e-6  # any azimuth is the same direction there
     apart = np.sin(np.radians(zenith)) * _gap(columns, j, v)
     wide = (_gap(rows, i, u) > WIDEST_GAP_DEG + 1e-6) | (~pole & (apart > WIDEST_GAP_DEG + 1e-6))
     outside = wide | (zenith > rows[-1] + 1e-6) | (zenith < rows[0] - 1e-6)
@@ -102,7 +101,7 @@ def _table(points: BsdfPoints) -> tuple[Floats, Floats, Floats]:
 
 
 def _place(grid: Floats, values: Floats) -> tuple[Ints, Floats]:
-    """Index of the grid's value below, and the share of the way to the next one."""
+    """Index of the grid value below, and the position between it and the next one, 0 to 1."""
     if grid.size == 1:
         return np.zeros(values.shape, dtype=np.int64), np.zeros(values.shape)
     index = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, grid.size - 2)
@@ -112,7 +111,7 @@ def _place(grid: Floats, values: Floats) -> tuple[Ints, Floats]:
 
 
 def _gap(grid: Floats, index: Ints, share: Floats) -> Floats:
-    """How far apart the two values are that a place lies between; 0 where it lies on one."""
+    """Distance of the two grid values around a place; 0 where it lies on one of them."""
     if grid.size == 1:
         return np.zeros(index.shape)
     between = (share > 0.0) & (share < 1.0)
@@ -121,12 +120,13 @@ def _gap(grid: Floats, index: Ints, share: Floats) -> Floats:
 
 
 def _folded(azimuth_deg: Floats) -> Floats:
-    """Mirrored in the plane of incidence into 0 to 180."""
+    """Azimuths mirrored in the plane of incidence, 0 to 180 deg."""
     turned = np.mod(azimuth_deg, 360.0)
     folded: Floats = np.minimum(turned, 360.0 - turned)
     return folded
 
 
 def _step(zenith_deg: Floats) -> float:
+    """The finest step of the zenith angles, deg."""
     apart = np.diff(np.unique(np.round(zenith_deg, 6)))
     return max(FINEST_DEG, float(apart.min())) if apart.size else 5.0

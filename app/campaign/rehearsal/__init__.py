@@ -1,1 +1,1 @@
-"""A whole campaign on the twin, on the virtual clock, before anyone measures."""
+"""The rehearsal: a whole campaign on the twin, on the virtual clock, with its forecast and warnings."""

@@ -1,4 +1,7 @@
-"""What a rehearsal's journal foretells: the uncertainty of each direction, and the checks. In blocks that are not kept."""
+"""The forecast from a rehearsal's journal: the predicted uncertainty of each direction, and the consistency checks.
+
+The points are processed in blocks, which are not kept in memory.
+"""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -10,30 +13,30 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.checks import CheckResults
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
-from goniotwin.app.campaign.reduction.reduction import ROWS_AT_ONCE, Reduction
-from goniotwin.app.campaign.reduction.verdicts import Verdicts
+from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
 from goniotwin.arrays import Floats
 
 PERCENTILES = (5, 50, 95)
 WELL_KNOWN = 0.1
-OF_POINTS = (
+POINT_COLUMNS = (
     "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg", "theta_deg",
     "phi_deg",
 )  # fmt: skip
-ABOUT = (
+COMMENTS = (
     "in the order of wavelength, sigma, gamma and half planes",
-    "relative_uncertainty: the standard uncertainty foretold for a value, over the value; nothing where there is no value",
-    "trusted: 0 where a direction is hidden, or its value otherwise not to be trusted",
+    "relative_uncertainty: the predicted standard uncertainty over the value; empty where there is no value",
+    "trusted: 0 where a direction is blocked by the mirror unit, or its value is flagged for another reason",
 )
 
 
 @dataclass
-class Spread:
-    """Of one sample: how many directions there are, how many may be trusted, and the relative uncertainties of those of them
-    that have a value above zero.
+class UncertaintySpread:
+    """Relative uncertainties of one sample: the numbers of directions and of trusted ones, and `known`, the relative
+    uncertainties of the trusted directions with a value above zero.
     """
 
     directions: int = 0
@@ -41,19 +44,19 @@ class Spread:
     known: list[Floats] = field(default_factory=list)
 
     def add(self, points: BsdfPoints) -> None:
-        """Some more points."""
+        """Take more points."""
         good = points.good
-        found = relative(points)[good]
+        values = relative_uncertainty(points)[good]
         self.directions += int(points.bsdf.size)
         self.trusted += int(good.sum())
-        self.known.append(found[np.isfinite(found)])
+        self.known.append(values[np.isfinite(values)])
 
     def as_dict(self) -> dict[str, Any]:
-        """Percentiles, and how many are known to a tenth of their value."""
+        """Percentiles, and the number of directions known to a tenth of their value."""
         known = np.concatenate(self.known)
-        found = np.percentile(known, PERCENTILES).tolist() if known.size else [None] * len(PERCENTILES)
+        percentiles = np.percentile(known, PERCENTILES).tolist() if known.size else [None] * len(PERCENTILES)
         return {
-            **{f"p{each:02d}": value for each, value in zip(PERCENTILES, found, strict=True)},
+            **{f"p{each:02d}": value for each, value in zip(PERCENTILES, percentiles, strict=True)},
             "directions": self.directions,
             "trusted": self.trusted,
             "above_zero": int(known.size),
@@ -63,66 +66,69 @@ class Spread:
 
 @dataclass(frozen=True)
 class Forecast:
-    """`spread` and `tallies` by sample; `trouble` says why there are none. `unwatched` are photodiodes, by what was mounted, of
-    which drift checks could tell nothing.
+    """`spread` and `tallies` by sample; `trouble` is the reason why there are none.
+
+    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover.
     """
 
     spread: dict[str, dict[str, Any]]
-    verdicts: Verdicts
+    check_results: CheckResults
     trouble: str = ""
     tallies: dict[str, Tally] = field(default_factory=dict)
-    unwatched: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
 
-def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = ROWS_AT_ONCE) -> Forecast:
-    """Of a journal; each direction is written to the CSV `points`, with the comments `about`. Raises UserError where that
-    cannot be, or has nothing in it.
+def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = BLOCK_ROWS) -> Forecast:
+    """The forecast from the journal `path`; each direction is written to the CSV `points`, with the comments `about`.
+
+    Raises UserError where the CSV cannot be written, or there are no points for it.
     """
-    spreads: dict[str, Spread] = {}
+    spreads: dict[str, UncertaintySpread] = {}
     try:
         with Journal.open(path) as journal:
             reduction = Reduction(journal)
-            verdicts = Verdicts({}, {}, calibrated=reduction.calibrates)
-            parts = _parts(reduction, spreads, verdicts, rows_at_once)
+            check_results = CheckResults({}, {}, calibrated=reduction.calibrates)
+            parts = _parts(reduction, spreads, check_results, rows_at_once)
             first = next(parts, None)
             if points is None or first is None:
                 for _ in parts:
                     pass
             else:
-                write_points_csv(points, [*about, *ABOUT], itertools.chain([first], parts))
-            unwatched = reduction.unwatched()
+                write_points_csv(points, [*about, *COMMENTS], itertools.chain([first], parts))
+            unchecked = reduction.unchecked()
     except FormatError as error:
         raise UserError(str(error)) from None
     except UserError as error:
         trouble = str(error).removeprefix(f"{path}: ")
         if points is not None:
-            raise UserError(f"{points}: no sample has come to a value, so there is nothing to write: {trouble}") from None
-        return Forecast({}, Verdicts({}, {}, trouble), trouble)
+            raise UserError(f"{points}: no sample has a value, so there is nothing to write: {trouble}") from None
+        return Forecast({}, CheckResults({}, {}, trouble), trouble)
     if points is not None and not spreads:
-        raise UserError(f"{points}: no sample has come to a value, so there is nothing to write")
-    spread = {name: spread.as_dict() for name, spread in spreads.items()}
-    return Forecast(spread, verdicts, tallies=reduction.tallies, unwatched=unwatched)
+        raise UserError(f"{points}: no sample has a value, so there is nothing to write")
+    spread = {name: each.as_dict() for name, each in spreads.items()}
+    return Forecast(spread, check_results, tallies=reduction.tallies, unchecked=unchecked)
 
 
-def relative(points: BsdfPoints) -> Floats:
-    """Relative standard uncertainties; NaN where there is no value above zero."""
+def relative_uncertainty(points: BsdfPoints) -> Floats:
+    """Relative standard uncertainties (n,); NaN where the value is not above zero."""
     value = np.where(points.bsdf > 0.0, points.bsdf, np.nan)
-    found: Floats = points.u_bsdf / value
-    return found
+    relative: Floats = points.u_bsdf / value
+    return relative
 
 
 def _parts(
-    reduction: Reduction, spreads: dict[str, Spread], verdicts: Verdicts, rows_at_once: int
+    reduction: Reduction, spreads: dict[str, UncertaintySpread], check_results: CheckResults, rows_at_once: int
 ) -> Iterator[dict[str, npt.NDArray[Any]]]:
-    """The columns of a CSV, block by block; fills `spreads` and `verdicts`."""
+    """The columns of a CSV, block by block; fills `spreads` and `check_results`."""
     for name in reduction.schedule.samples:
         checks, overlaps = reduction.checks(name), reduction.overlaps(name, rows_at_once)
         for block in reduction.blocks(name, rows_at_once):
             checks.add(block.points)
-            found = reduction.finished(block.points, overlaps)
-            spreads.setdefault(name, Spread()).add(found)
-            columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(found.bsdf.size, name)}
-            columns |= {column: getattr(found, column) for column in OF_POINTS}
-            yield columns | {"bsdf_per_sr": found.bsdf, "relative_uncertainty": relative(found), "trusted": found.good}
+            points = reduction.finish(block.points, overlaps)
+            spreads.setdefault(name, UncertaintySpread()).add(points)
+            columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(points.bsdf.size, name)}
+            columns |= {column: getattr(points, column) for column in POINT_COLUMNS}
+            columns |= {"bsdf_per_sr": points.bsdf, "relative_uncertainty": relative_uncertainty(points)}
+            yield columns | {"trusted": points.good}
         if name in spreads:
-            verdicts.add(name, checks)
+            check_results.add(name, checks)

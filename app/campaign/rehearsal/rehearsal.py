@@ -1,7 +1,8 @@
-"""The rehearsal: a whole campaign through the real drivers against the twin, on the virtual clock, before anyone measures.
+"""The rehearsal: a whole campaign through the real drivers against the twin, on the virtual clock.
 
-Nothing of a real rig is opened: no port, and no lock. For its file a twin is built that the file describes; what that can find
-and what not is said in app.rig.described_twin. A mounting takes no time here; at the rig a person takes some.
+Nothing of a real rig is opened: no port and no lock. For a real rig's file a twin is built from the file's description;
+app.rig.described_twin states what such a twin can detect and what not. A mounting takes no time here; at the rig it takes the
+operator some time.
 """
 
 import tempfile
@@ -12,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.rehearsal.forecast import forecast
-from goniotwin.app.campaign.rehearsal.row_statistics import Watch
-from goniotwin.app.campaign.rehearsal.warnings import heeded, warnings_of, worthless
+from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
+from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, relevant_photodiodes, value_warnings
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
@@ -30,21 +31,23 @@ from goniotwin.protocols.clock import VirtualClock
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What it has shown. `result` is what `goniotwin rehearse --json` prints."""
+    """A rehearsed plan with its `result`, the object that `goniotwin rehearse --json` prints."""
 
     plan: Plan
     result: dict[str, Any]
 
     @property
     def done(self) -> bool:
-        """Whether it came to its end."""
+        """Whether the campaign was completed."""
         return bool(self.result["state"] == State.DONE)
 
 
 @dataclass(frozen=True)
-class Run:
-    """How it ended, and by which words of the schedule; the planned rows that were done, in how many sessions and of the rig's
-    seconds; what went wrong, and what was assumed of the axes.
+class RehearsalRun:
+    """The end of a run on the twin: its state, and the condition of the schedule's [stop] that ended it.
+
+    `rows` is the number of planned rows that were done, in so many `sessions`; `seconds` are simulated time. `faults` are the
+    faults of the run, `assumed` the assumptions on the axes.
     """
 
     state: State
@@ -56,15 +59,20 @@ class Run:
     assumed: tuple[str, ...]
 
 
-def prepared(schedule: ScheduleDescription, rig: RigDescription, samples: Mapping[str, str]) -> tuple[Plan, tuple[str, ...]]:
-    """The plan on a virtual rig, the one that the file is or describes, and what was assumed. Raises UserError."""
+def plan_rehearsal(
+    schedule: ScheduleDescription, rig: RigDescription, samples: Mapping[str, str]
+) -> tuple[Plan, tuple[str, ...]]:
+    """Make the plan on a virtual rig, and list the assumptions on it. Raises UserError.
+
+    The virtual rig is the file's own, or the one that a real rig's file describes. `samples` are models by the sample's name.
+    """
     file = schedule.file
     unknown = [name for name in samples if name not in (file.etalon, *file.samples)]
     if unknown:
         named = ", ".join((file.etalon, *file.samples))
         raise UserError(f"--sample {unknown[0]}: {schedule.name} has no such sample; it has {named}")
     described = described_twin(rig, file.etalon, file.samples, samples)
-    return make_plan(schedule, described.rig), described.assumed
+    return make_plan(schedule, described.rig), described.assumptions
 
 
 def rehearse(
@@ -75,24 +83,28 @@ def rehearse(
     points: Path | None = None,
     listeners: list[Listener] | None = None,
 ) -> Rehearsal:
-    """Runs a plan of `prepared`; its journal is thrown away, or `out`. `points` is a CSV for the uncertainty foretold for each
-    direction. Raises UserError, KeyboardInterrupt for a Ctrl-C.
+    """Run a plan of `plan_rehearsal` on the twin, and evaluate its journal.
+
+    The journal is written to `out`, or deleted. `points` is a CSV for the predicted uncertainty of each direction. Raises
+    UserError, and KeyboardInterrupt for a Ctrl-C.
     """
-    watch = Watch(photodiode_settings(plan.rig.file), partial(heeded, plan))
+    statistics = RowStatistics(photodiode_settings(plan.rig.file), partial(relevant_photodiodes, plan))
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
-        run = performed(plan, path, watch, listeners or [])
-        warnings = [*checked_plan(plan)["warnings"], *warnings_of(plan, watch)]
-        said = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
-        foretold = forecast(path, points, [said, *(f"assumed: {each}" for each in (*assumed, *run.assumed))])
-        if foretold.trouble:
-            warnings.append(f"nothing can be foretold of the uncertainty: {foretold.trouble}")
+        run = run_on_twin(plan, path, statistics, listeners or [])
+        warnings = [*check_plan(plan)["warnings"], *rehearsal_warnings(plan, statistics)]
+        heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
+        predicted = forecast(path, points, [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))])
+        if predicted.trouble:
+            warnings.append(f"the uncertainty cannot be predicted: {predicted.trouble}")
         if run.state is State.IDLE:
-            warnings.append(f"it ends before all rows are measured: {run.ended_by_schedule}")
+            warnings.append(f"the campaign ends before all rows are measured: {run.ended_by_schedule}")
         elif run.sessions > 1:
-            warnings.append(f"the schedule's [stop] ends it {run.sessions - 1} times; each time goniotwin run --resume goes on")
-        warnings += foretold.verdicts.alarming
-        warnings += worthless(plan.schedule.file, foretold.tallies, foretold.unwatched) if not foretold.trouble else []
+            warnings.append(
+                f"the schedule's [stop] ends the run {run.sessions - 1} times; continue each time with goniotwin run --resume"
+            )
+        warnings += predicted.check_results.alarms
+        warnings += value_warnings(plan.schedule.file, predicted.tallies, predicted.unchecked) if not predicted.trouble else []
         result = {
             "simulated": True,
             "state": "stopped" if run.state is State.IDLE else str(run.state),
@@ -102,15 +114,15 @@ def rehearse(
             "planned": len(plan.rows),
             "duration_s": run.seconds,
             "foretold_s": plan.seconds,
-            "blocks": [vars(block) for block in watch.blocks],
-            "axes_deg": watch.axes_deg,
+            "blocks": [vars(block) for block in statistics.blocks],
+            "axes_deg": statistics.axes_deg,
             "counts": {
-                "largest": max(watch.largest.values(), default=None),
-                "share_of_range": {f"{gain:g}": share for gain, share in watch.share_of_range.items()},
+                "largest": max(statistics.largest.values(), default=None),
+                "share_of_range": {f"{gain:g}": share for gain, share in statistics.share_of_range.items()},
             },
-            "saturated": watch.saturated,
-            "checks": foretold.verdicts.as_dict(),
-            "relative_uncertainty": foretold.spread,
+            "saturated": statistics.saturated,
+            "checks": predicted.check_results.as_dict(),
+            "relative_uncertainty": predicted.spread,
             "lamp_hours": run.seconds / 3600.0,
             "journal_bytes": path.stat().st_size,
             "warnings": warnings,
@@ -119,10 +131,11 @@ def rehearse(
     return Rehearsal(plan, result)
 
 
-def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -> Run:
-    """The plan on its virtual rig, with `watch` and others listening; the journal is there afterwards. Raises as `rehearse`.
+def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: list[Listener]) -> RehearsalRun:
+    """Run the plan on its virtual rig, with `statistics` and other listeners; the journal is left at `path`.
 
-    Where the schedule ends a session, another one goes on, as long as that comes any further.
+    Where the schedule's [stop] ends a session, the next one continues, as long as that measures further rows. Raises as
+    `rehearse`.
     """
     faults: list[str] = []
     with Journal.create(path, plan, software_versions(), durable=False) as journal:
@@ -131,10 +144,10 @@ def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -
         while True:
             with open_rig(plan.rig, VirtualClock(rest.start_s if rest else 0.0)) as opened:
                 opened.connect()
-                referenced = _referenced(opened)
+                assumed = _assume_referenced(opened)
                 assert opened.virtual is not None
                 work = rest.work if rest else None
-                engine = Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), [watch, *listeners], work=work)
+                engine = Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), [statistics, *listeners], work=work)
                 state = engine.run()
             faults += engine.faults
             if state is State.IDLE and not engine.ended_by_schedule:
@@ -142,13 +155,17 @@ def performed(plan: Plan, path: Path, watch: Watch, listeners: list[Listener]) -
             before, (done, _) = done, journal.row_counts()
             if state is not State.IDLE or done <= before:
                 sessions = len(journal.sessions())
-                return Run(state, engine.ended_by_schedule, done, sessions, journal.seconds, tuple(faults), tuple(referenced))
+                return RehearsalRun(
+                    state, engine.ended_by_schedule, done, sessions, journal.seconds, tuple(faults), tuple(assumed)
+                )
             rest = remaining_work(journal, plan.rig)
 
 
-def _referenced(opened: OpenRig) -> list[str]:
-    """Axes of which nobody would know where they are after a power-up stand where the twin has them."""
-    doubtful = [name for name, axis in opened.rig.axes.items() if axis.unreferenced_reason]
-    for name in doubtful:
+def _assume_referenced(opened: OpenRig) -> list[str]:
+    """Reference the axes that are unreferenced after power-up, at the twin's positions; give the assumptions."""
+    unreferenced = [name for name, axis in opened.rig.axes.items() if axis.unreferenced_reason]
+    for name in unreferenced:
         opened.rig.axes[name].set_position()
-    return [f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in doubtful]
+    return [
+        f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in unreferenced
+    ]  # fmt: skip

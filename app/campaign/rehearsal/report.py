@@ -1,4 +1,4 @@
-"""A rehearsal for a person at a terminal."""
+"""A rehearsal's result as text for a terminal."""
 
 from typing import Any
 
@@ -8,8 +8,8 @@ from goniotwin.app.campaign.wording import duration_text
 UNITS = ("bytes", "kB", "MB", "GB")
 
 
-def in_words(rehearsal: Rehearsal) -> str:
-    """What it has shown, a line each."""
+def report_text(rehearsal: Rehearsal) -> str:
+    """The result, one line for each quantity."""
     result = rehearsal.result
     plan = rehearsal.plan
     lines = [
@@ -29,21 +29,21 @@ def in_words(rehearsal: Rehearsal) -> str:
 
 
 def _ranges(axes: dict[str, list[float]]) -> str:
-    return ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in axes.items()) + " deg" if axes else "none has moved"
+    return ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in axes.items()) + " deg" if axes else "no axis moved"
 
 
 def _counts(result: dict[str, Any]) -> str:
     shares = ", ".join(f"{share:.1%} of the range at {gain} V/A" for gain, share in result["counts"]["share_of_range"].items())
-    return f"at most {shares}; {result['saturated']} values over the range at every gain" if shares else "none"
+    return f"at most {shares}; {result['saturated']} values saturated at every gain" if shares else "none"
 
 
 def _spread(spread: dict[str, Any]) -> str:
     if spread["p50"] is None:
         return f"none of {spread['directions']} directions has a value"
     return (
-        f"{spread['p50']:.2%} in the median, {spread['p05']:.2%} to {spread['p95']:.2%} for nine tenths of "
-        f"{spread['above_zero']} directions; {spread['to_a_tenth']} are known to a tenth of their value (of "
-        f"{spread['directions']} measured, {spread['trusted']} can be trusted)"
+        f"median {spread['p50']:.2%}, 5th to 95th percentile {spread['p05']:.2%} to {spread['p95']:.2%}; "
+        f"{spread['to_a_tenth']} of {spread['above_zero']} directions better than 10 % ({spread['directions']} measured, "
+        f"{spread['trusted']} trusted)"
     )
 
 

@@ -1,4 +1,4 @@
-"""What a rehearsal learns while it runs, row by row: it keeps sums and extremes, and no row."""
+"""Statistics of a rehearsal's rows, updated at each commit: sums and extremes; no row is kept."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,23 +16,27 @@ from goniotwin.protocols import adam
 
 
 @dataclass
-class Block:
-    """What is measured of one mounted sample, from its mounting to the next."""
+class MountingBlock:
+    """Rows and duration of one mounted sample, from its mounting to the next."""
 
     name: str
     rows: int = 0
     duration_s: float = 0.0
 
 
-class Watch:
-    """A listener of the engine. `heeded` says of a row which photodiodes may not be over their range."""
+class RowStatistics:
+    """A listener of the engine. `relevant` gives for a row the photodiodes (n,) that may not be saturated.
 
-    def __init__(self, settings: PhotodiodeSettings, heeded: Callable[[Row], Flags]) -> None:
+    `axes_deg` is the range of each axis. `largest` is the largest count by gain, `steps` by sample and gain the largest mean
+    count above zero of each photodiode (n,). `saturated` is the number of saturated values, `flagged` that of rows by flag.
+    """
+
+    def __init__(self, settings: PhotodiodeSettings, relevant: Callable[[Row], Flags]) -> None:
         self._settings = settings
-        self._heeded = heeded
+        self._relevant = relevant
         self._zero = round(-settings.range.low_v / settings.range.lsb_v)
         self.span = adam.FULL_SCALE - self._zero
-        self.blocks: list[Block] = []
+        self.blocks: list[MountingBlock] = []
         self.axes_deg: dict[str, list[float]] = {}
         self.largest: dict[float, int] = {}
         self.saturated = 0
@@ -40,28 +44,28 @@ class Watch:
         self.flagged: dict[str, int] = {}
 
     def __call__(self, event: Event) -> None:
-        """Heeds the rows."""
+        """Take a committed row; other events are ignored."""
         if isinstance(event, RowCommitted):
             row, data = event.row, event.data
             if row.kind == "mount" or not self.blocks:
-                self.blocks.append(Block(row.sample))
+                self.blocks.append(MountingBlock(row.sample))
             block = self.blocks[-1]
             block.rows += 1
             block.duration_s += data.ended_s - data.started_s
             for flag in data.flags:
                 self.flagged[flag] = self.flagged.get(flag, 0) + 1
-            self._see_positions(data)
+            self._add_positions(data)
             if row.kind == "measure":
-                self._see_counts(row, data)
+                self._add_counts(row, data)
 
-    def _see_positions(self, data: RowData) -> None:
+    def _add_positions(self, data: RowData) -> None:
         for axis in AXES:
             angle = None if data.positions is None else data.positions.get(axis)
             if angle is not None:
                 low, high = self.axes_deg.get(axis, (angle, angle))
                 self.axes_deg[axis] = [min(low, angle), max(high, angle)]
 
-    def _see_counts(self, row: Row, data: RowData) -> None:
+    def _add_counts(self, row: Row, data: RowData) -> None:
         if not data.readings:
             return
         for reading in data.readings:
@@ -70,10 +74,10 @@ class Watch:
             self.largest[gain] = max(self.largest.get(gain, 0), int(highest.max()))
             steps = np.abs(reading.counts.mean(axis=0) - self._zero)
             self.steps[row.sample, gain] = np.maximum(self.steps.get((row.sample, gain), steps), steps)
-        over = np.all([saturation(reading.counts) for reading in data.readings], axis=0)
-        self.saturated += int((over & self._heeded(row)).sum())
+        saturated = np.all([saturation(reading.counts) for reading in data.readings], axis=0)
+        self.saturated += int((saturated & self._relevant(row)).sum())
 
     @property
     def share_of_range(self) -> dict[float, float]:
-        """By gain, how much of the range above zero the largest count takes."""
+        """By gain, the largest count as a share of the range above zero."""
         return {gain: (count - self._zero) / self.span for gain, count in sorted(self.largest.items())}

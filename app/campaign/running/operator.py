@@ -5,7 +5,7 @@ from typing import Protocol
 
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.errors import UserError
-from goniotwin.mocks.control import Control, Refused
+from goniotwin.mocks.control import ControlClient, OrderRefused
 from goniotwin.twin import VirtualRig
 
 
@@ -43,12 +43,12 @@ class ServedOperator:
     def mount(self, sample: str) -> None:
         """Mount a sample. Raises UserError where the rig is not served any more, or has no such sample."""
         try:
-            control = Control(self._port)
+            control = ControlClient(self._port)
             try:
                 control.do("mount", sample=None if sample == NO_SAMPLE else sample)
             finally:
                 control.close()
-        except (OSError, Refused) as error:
+        except (OSError, OrderRefused) as error:
             raise UserError(f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running?") from None
 
     def confirm_fix(self, _fault: str, /) -> bool:
@@ -69,6 +69,6 @@ class HumanOperator:
         self._ask(f"{what}, then confirm.")
 
     def confirm_fix(self, fault: str, /) -> bool:
-        """Ask for a fault to be fixed. A person who cannot fix it stops the run instead of confirming."""
+        """Ask for a fault to be fixed. To end the run instead, stop it without confirming."""
         self._ask(f"{fault}. Fix the fault, then confirm: the row is retried.")
         return True

@@ -1,4 +1,4 @@
-"""Resuming a campaign that was stopped, failed, or was killed: at the first planned row that is not in its journal."""
+"""Resuming a campaign that was stopped, failed, or killed: at the first planned row that is not in its journal."""
 
 import json
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ PORT_KEYS = (
     ("simulated", "control_port"),
     ("simulated", "speed"),
 )
-"""Keys (table, key) of the rig file that may change while a campaign is interrupted: the addresses of the devices."""
+"""Keys (table, key) of the rig file that may change while a campaign is interrupted: addresses and simulation speed."""
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ class RowExecutor:
         self._stop_request = stop_request
         self._on_poll = on_poll
         self._log_event = log_event
-        self._darks: dict[float, Floats] = {}
+        self._dark_means: dict[float, Floats] = {}
         self._encoder_warnings: set[str] = set()
         self.forget_settings()
 
@@ -67,7 +67,7 @@ class RowExecutor:
     def remember_dark(self, dark: RowData) -> None:
         """Use a dark reading for the rows that follow."""
         for reading in dark.readings:
-            self._darks[reading.gain_v_per_a] = reading.counts.mean(axis=0)
+            self._dark_means[reading.gain_v_per_a] = reading.counts.mean(axis=0)
 
     def execute(self, row: Row) -> RowData:
         """Execute one row. Raises DeviceError where a device fails (the row then has no data), Stopped, UserError."""
@@ -180,7 +180,7 @@ class RowExecutor:
         """The flag UNDER_RANGE where the row should show light and does not. Without a dark reading there is no flag."""
         if row.kind == "dark" or row.sample == NO_SAMPLE or not readings:
             return ()
-        dark = self._darks.get(readings[-1].gain_v_per_a)
+        dark = self._dark_means.get(readings[-1].gain_v_per_a)
         return () if dark is None or shows_light(readings[-1].counts, dark) else (UNDER_RANGE,)
 
     def _read_to_target(self, row: Row, gain: int, selected: Flags) -> Reading:
@@ -190,7 +190,7 @@ class RowExecutor:
         reading = self._take_readings(gain, max(row.readings, MIN_AVERAGED_READINGS))
         settings = self._rig.photodiodes.settings
         zero = np.full(settings.count, -settings.range.low_v / settings.range.lsb_v)
-        dark = self._darks.get(settings.gains_v_per_a[gain], zero)
+        dark = self._dark_means.get(settings.gains_v_per_a[gain], zero)
         limit = max(row.readings, int(row.longest_s / settings.period_s))
         while (
             needed := readings_needed(reading.counts, dark, selected & ~saturation(reading.counts), row.target, limit)

@@ -48,8 +48,8 @@ class StopConditions:
         check = self._drift.add(row, data)
         if check is None:
             return None
-        stops = check.excess and self._drift_stops
-        beyond = "beyond the limit: " if check.excess else ""
+        stops = check.beyond_limit and self._drift_stops
+        beyond = "beyond the limit: " if check.beyond_limit else ""
         return "stop" if stops else "drift", f"{row.identity}: {beyond}{check}"
 
     def _lamp_ratio(self, row: Row, data: RowData) -> float | None:

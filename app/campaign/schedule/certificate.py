@@ -18,16 +18,16 @@ from pydantic import Field
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import refuse_percentage
-from goniotwin.app.toml_file import Table
+from goniotwin.app.toml_file import TomlTable
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
 
-AXES = ("wavelength_nm", "incidence_deg", "zenith_deg", "azimuth_deg")
-VALUES = ("radiance_factor", "relative_uncertainty")
-SAME = 1e-6
+INPUT_COLUMNS = ("wavelength_nm", "incidence_deg", "zenith_deg", "azimuth_deg")
+VALUE_COLUMNS = ("radiance_factor", "relative_uncertainty")
+TOLERANCE = 1e-6
 
 
-class CertificateTable(Table):
+class CertificateTable(TomlTable):
     """The etalon's certificate, in place of the rig file's `[etalon]`: a CSV `file` beside the schedule, which holds until
     the end of the day `expires`. `accept_expired_by` is the name of who answers for using it after that.
     """
@@ -39,15 +39,17 @@ class CertificateTable(Table):
 
 @dataclass(frozen=True)
 class Certificate:
-    """A table on a grid: ascending values of each of AXES (none where the certificate has no such column), and on their
-    product the radiance factor and its relative standard uncertainty.
+    """A table on a grid: ascending values of each of INPUT_COLUMNS (none where the certificate has no such column), and on
+    their product the radiance factor and its relative standard uncertainty.
     """
 
     grid: tuple[Floats, ...]
     factor: Floats
     relative_uncertainty: Floats
 
-    def at(self, wavelength_nm: float, incidence_deg: float, zenith_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
+    def interpolate(
+        self, wavelength_nm: float, incidence_deg: float, zenith_deg: Floats, azimuth_deg: Floats
+    ) -> tuple[Floats, Floats]:
         """Radiance factor and relative uncertainty for directions of observation (n,); NaN where it says nothing."""
         n = np.shape(zenith_deg)
         asked = [np.broadcast_to(each, n) for each in (wavelength_nm, incidence_deg, zenith_deg, _folded(azimuth_deg))]
@@ -58,20 +60,20 @@ class Certificate:
         return factor, relative
 
     def covers(self, axis: str, values: Floats) -> Flags:
-        """At which `values` of one of AXES it says something; azimuths at any turn and to either side."""
-        return _within(self.grid[AXES.index(axis)], _folded(values) if axis == "azimuth_deg" else values)
+        """At which `values` of one of INPUT_COLUMNS it says something; azimuths at any turn and to either side."""
+        return _within(self.grid[INPUT_COLUMNS.index(axis)], _folded(values) if axis == "azimuth_deg" else values)
 
     def __str__(self) -> str:
         """What it is about: its columns, from where to where."""
         ranges = [
             f"{axis} {values[0]:g}{f' to {values[-1]:g}' if values.size > 1 else ' alone'}"
-            for axis, values in zip(AXES, self.grid, strict=True)
+            for axis, values in zip(INPUT_COLUMNS, self.grid, strict=True)
             if values.size
         ]
         return ", ".join(ranges) or "all wavelengths and directions"
 
 
-def constant(radiance_factor: float, relative_uncertainty: float) -> Certificate:
+def constant_certificate(radiance_factor: float, relative_uncertainty: float) -> Certificate:
     """One that says the same of everything."""
     shape = (1, 1, 1, 1)
     return Certificate((np.zeros(0),) * 4, np.full(shape, radiance_factor), np.full(shape, relative_uncertainty))
@@ -82,21 +84,21 @@ def parse_certificate(text: str, name: str) -> Certificate:
     numbered = enumerate(text.splitlines(), 1)
     lines = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
-        raise UserError(f"{name}: is empty; a certificate begins with a line of {', '.join((*AXES, *VALUES))}")
+        raise UserError(f"{name}: is empty; a certificate begins with a line of {', '.join((*INPUT_COLUMNS, *VALUE_COLUMNS))}")
     heading = [column.strip() for column in next(csv.reader([lines[0][1]]))]
-    unknown = [column for column in heading if column not in (*AXES, *VALUES)]
-    missing = [column for column in VALUES if column not in heading]
+    unknown = [column for column in heading if column not in (*INPUT_COLUMNS, *VALUE_COLUMNS)]
+    missing = [column for column in VALUE_COLUMNS if column not in heading]
     if unknown or missing or len(set(heading)) != len(heading):
         twice = "a column is there twice"
         said = f"there is no column {unknown[0]!r}" if unknown else f"{missing[0]} is missing" if missing else twice
-        raise UserError(f"{name}: line {lines[0][0]}: {said}; the columns are {', '.join((*AXES, *VALUES))}")
+        raise UserError(f"{name}: line {lines[0][0]}: {said}; the columns are {', '.join((*INPUT_COLUMNS, *VALUE_COLUMNS))}")
     rows: dict[tuple[float, ...], tuple[float, float]] = {}
     for number, line in lines[1:]:
         found = _numbers(line, heading, f"{name}: line {number}")
-        key = tuple(found.get(axis, 0.0) for axis in AXES)
+        key = tuple(found.get(axis, 0.0) for axis in INPUT_COLUMNS)
         if key in rows:
             raise UserError(f"{name}: line {number}: is the second one for the same wavelength and angles; keep one")
-        rows[key] = (found[VALUES[0]], found[VALUES[1]])
+        rows[key] = (found[VALUE_COLUMNS[0]], found[VALUE_COLUMNS[1]])
     return _gridded(rows, heading, name)
 
 
@@ -146,13 +148,13 @@ def _gridded(rows: dict[tuple[float, ...], tuple[float, float]], heading: list[s
     if not rows:
         raise UserError(f"{name}: has a heading and no line below it; a certificate has one at least")
     given = np.array(sorted(rows))
-    axes = [np.unique(given[:, k]) for k in range(len(AXES))]
+    axes = [np.unique(given[:, k]) for k in range(len(INPUT_COLUMNS))]
     shape = tuple(axis.size for axis in axes)
     if len(rows) != int(np.prod(shape)):
         told = " x ".join(str(size) for size in shape if size > 1)
         raise UserError(f"{name}: has {len(rows)} lines, and {told} combinations of its values; each must be there once")
     values = np.array([rows[tuple(key)] for key in given.tolist()])
-    grid = tuple(axis if column in heading else np.zeros(0) for axis, column in zip(axes, AXES, strict=True))
+    grid = tuple(axis if column in heading else np.zeros(0) for axis, column in zip(axes, INPUT_COLUMNS, strict=True))
     return Certificate(grid, values[:, 0].reshape(shape), values[:, 1].reshape(shape))
 
 
@@ -176,7 +178,7 @@ def _within(values: Floats, wanted: Floats) -> Flags:
     """Which are between the first and the last of a table's ascending values; all, where it has none."""
     if not values.size:
         return np.ones(np.shape(wanted), dtype=bool)
-    return np.asarray((wanted >= values[0] - SAME) & (wanted <= values[-1] + SAME))
+    return np.asarray((wanted >= values[0] - TOLERANCE) & (wanted <= values[-1] + TOLERANCE))
 
 
 def _folded(azimuth_deg: Floats) -> Floats:

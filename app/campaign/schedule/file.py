@@ -18,43 +18,43 @@ from pydantic import (
 
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
-from goniotwin.app.campaign.schedule.grids import Grid, grid_values, without_twins
+from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
-from goniotwin.app.toml_file import Table, checked, parse_toml, read_toml
+from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
-NESTED = ("gamma", "sigma", "beta", "shift", "wavelength")
+LOOP_NAMES = ("gamma", "sigma", "beta", "shift", "wavelength")
 """What the loops of a measurement go over."""
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[^/\s][^/\r\n\t]*$")]
-Gains = Annotated[
+GainsSetting = Annotated[
     Annotated[Literal["automatic"], Tag("automatic")]
-    | Annotated[list[PositiveFloat], Field(min_length=1), AfterValidator(without_twins), Tag("list")],
+    | Annotated[list[PositiveFloat], Field(min_length=1), AfterValidator(refuse_duplicates), Tag("list")],
     Discriminator(lambda value: "automatic" if isinstance(value, str) else "list"),
 ]
-Nesting = Annotated[
+OrderSetting = Annotated[
     Annotated[Literal["fastest"], Tag("fastest")]
     | Annotated[list[Literal["gamma", "sigma", "beta", "shift", "wavelength"]], Tag("list")],
     Discriminator(lambda value: "fastest" if isinstance(value, str) else "list"),
 ]
 
-Share = Annotated[float, Field(gt=0.0, lt=1.0)]
+Fraction = Annotated[float, Field(gt=0.0, lt=1.0)]
 Policy = Literal["retry", "reconnect", "skip", "ask", "stop"]
 
-WORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_per_a": ("automatic", "gains")}
+KEYWORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_per_a": ("automatic", "gains")}
 """What may stand in place of a list."""
 
 
-class AveragingTable(Table):
+class AveragingTable(TomlTable):
     """Each row is read on, at each of its gains, until every photodiode that has light knows it to `relative_uncertainty`
     (standard, of noise alone), or for `longest_s`. The schedule's `readings` are then the fewest.
     """
 
-    relative_uncertainty: Share
+    relative_uncertainty: Fraction
     longest_s: PositiveFloat = 10.0
 
 
-class WarmUpTable(Table):
+class WarmUpTable(TomlTable):
     """The campaign begins with a wait for the lamp, with open shutter: until the monitor changes by no more than
     `percent_per_10min`, or for `longest_s`.
     """
@@ -63,7 +63,7 @@ class WarmUpTable(Table):
     longest_s: PositiveFloat = 3600.0
 
 
-class DriftTable(Table):
+class DriftTable(TomlTable):
     """Every `every_s` the light at one pose is measured again. Where it, over the monitor's, is another than it was at first
     by more than `limit` (a share), the rows between the checks are flagged, or the run stops as well.
     """
@@ -74,11 +74,11 @@ class DriftTable(Table):
     shift_deg: float = 0.0
     gamma_deg: float = 0.0
     wavelength_nm: PositiveFloat
-    limit: Share = 0.005
+    limit: Fraction = 0.005
     on_excess: Literal["flag", "stop"] = "flag"
 
 
-class StopTable(Table):
+class StopTable(TomlTable):
     """What ends a run before its last row, in good order: it can be gone on with.
 
     `longest_s` is of the rig's time in one session; `skipped_rows` how many rows of a session may be skipped for faults;
@@ -87,10 +87,10 @@ class StopTable(Table):
 
     longest_s: PositiveFloat | None = None
     skipped_rows: PositiveInt | None = None
-    lamp_below: Share | None = None
+    lamp_below: Fraction | None = None
 
 
-class FaultsTable(Table):
+class FaultsTable(TomlTable):
     """What is done where a device fails in a row, by the kind of fault; without this table the run stops safely.
 
     `wire`: no answer, or a wrong one. `reset`: a device has lost its settings. `refused`: it will not, or cannot. `axis`: it is
@@ -108,13 +108,13 @@ class FaultsTable(Table):
     then: Literal["skip", "ask", "stop"] = "stop"
 
 
-class ScheduleFile(Table):
+class ScheduleFile(TomlTable):
     """The whole file. Angles in degrees, wavelengths in nanometres, times in seconds."""
 
     name: Name
     side: Literal["front", "back", "both"] = "front"
     light: Literal["reflected", "transmitted", "both"] = "reflected"
-    samples: Annotated[list[Name], Field(min_length=1), AfterValidator(without_twins)]
+    samples: Annotated[list[Name], Field(min_length=1), AfterValidator(refuse_duplicates)]
     etalon: Name
     symmetry: Symmetry = "isotropic"
     sigma_deg: Grid
@@ -128,9 +128,9 @@ class ScheduleFile(Table):
     signature: bool = False
     open_beam: bool = False
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
-    order: Nesting = "fastest"
+    order: OrderSetting = "fastest"
     back_and_forth: bool = True
-    gains_v_per_a: Gains
+    gains_v_per_a: GainsSetting
     readings: Annotated[int, Field(ge=1, le=10_000)] = 4
     dark_every_s: PositiveFloat = 60.0
     dark_readings: Annotated[int, Field(ge=4, le=10_000)] = 16
@@ -163,16 +163,16 @@ class ScheduleFile(Table):
     @field_validator("order", "gains_v_per_a", mode="before")
     @classmethod
     def _word_or_list(cls, value: object, info: ValidationInfo) -> object:
-        word, listed = WORDS[str(info.field_name)]
+        word, listed = KEYWORDS[str(info.field_name)]
         if isinstance(value, str) and value != word:
             raise ValueError(f"should be {word!r} or a list of {listed}, not {value!r}")
         return value
 
     @field_validator("order")
     @classmethod
-    def _every_loop_once(cls, value: Nesting) -> Nesting:
-        if value != "fastest" and sorted(value) != sorted(NESTED):
-            raise ValueError(f"must name each of {', '.join(NESTED)} once, the innermost first")
+    def _every_loop_once(cls, value: OrderSetting) -> OrderSetting:
+        if value != "fastest" and sorted(value) != sorted(LOOP_NAMES):
+            raise ValueError(f"must name each of {', '.join(LOOP_NAMES)} once, the innermost first")
         return value
 
     @model_validator(mode="after")
@@ -195,11 +195,11 @@ class ScheduleDescription:
 def read_schedule(path: Path) -> ScheduleDescription:
     """A schedule file. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
-    file = checked(ScheduleFile, content, str(path))
+    file = validate_table(ScheduleFile, content, str(path))
     certificate = None if file.certificate is None else read_certificate(path.parent, file.certificate)
     return ScheduleDescription(text, file, str(path), certificate)
 
 
 def parse_schedule(text: str, name: str) -> ScheduleDescription:
     """A schedule's text, such as a journal holds. Raises UserError."""
-    return ScheduleDescription(text, checked(ScheduleFile, parse_toml(text, name), name), name)
+    return ScheduleDescription(text, validate_table(ScheduleFile, parse_toml(text, name), name), name)

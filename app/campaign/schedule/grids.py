@@ -5,15 +5,15 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, model_validator
 
-from goniotwin.app.toml_file import Table
+from goniotwin.app.toml_file import TomlTable
 
-MOST_POINTS = 100_000
+MAX_GRID_VALUES = 100_000
 DECIMALS = 6
 """Values that agree to so many decimals are one."""
 Item = TypeVar("Item")
 
 
-class GridRange(Table):
+class GridRange(TomlTable):
     """Evenly spaced values, both ends included."""
 
     start: float
@@ -25,8 +25,8 @@ class GridRange(Table):
         if self.stop < self.start:
             raise ValueError(f"stop {self.stop:g} is below start {self.start:g}; exchange them")
         steps = (self.stop - self.start) / self.step
-        if steps > MOST_POINTS:
-            raise ValueError(f"makes {steps:.0f} steps, more than {MOST_POINTS}; take a greater step")
+        if steps > MAX_GRID_VALUES:
+            raise ValueError(f"makes {steps:.0f} steps, more than {MAX_GRID_VALUES}; take a greater step")
         if abs(steps - round(steps)) > 1e-6:
             raise ValueError(
                 f"stop {self.stop:g} is not a whole number of steps of {self.step:g} from start {self.start:g}; "
@@ -44,17 +44,17 @@ def _kind(value: object) -> str:
     return "range" if isinstance(value, dict | GridRange) else "list" if isinstance(value, list) else "number"
 
 
-def _no_number_twice(grid: Any) -> Any:
+def _refuse_duplicate_numbers(grid: Any) -> Any:
     """Ranges may meet and overlap; a number that stands there by itself twice is a slip of the pen."""
     if isinstance(grid, list):
-        without_twins([each for each in grid if isinstance(each, float)])
+        refuse_duplicates([each for each in grid if isinstance(each, float)])
         points = sum(1 if isinstance(each, float) else len(each.values()) for each in grid)
-        if points > MOST_POINTS:
-            raise ValueError(f"has {points} values, more than {MOST_POINTS}; take greater steps")
+        if points > MAX_GRID_VALUES:
+            raise ValueError(f"has {points} values, more than {MAX_GRID_VALUES}; take greater steps")
     return grid
 
 
-def without_twins(values: list[Item]) -> list[Item]:
+def refuse_duplicates(values: list[Item]) -> list[Item]:
     """The list. Raises ValueError where something stands in it twice."""
     seen: set[object] = set()
     for each in values:
@@ -69,7 +69,7 @@ Part = Annotated[Annotated[GridRange, Tag("range")] | Annotated[float, Tag("numb
 Grid = Annotated[
     Annotated[GridRange, Tag("range")] | Annotated[list[Part], Field(min_length=1), Tag("list")],
     Discriminator(lambda value: "range" if _kind(value) == "range" else "list"),
-    AfterValidator(_no_number_twice),
+    AfterValidator(_refuse_duplicate_numbers),
 ]
 
 

@@ -5,14 +5,14 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from goniotwin.app.campaign.schedule.grids import Grid
-from goniotwin.app.toml_file import Table
+from goniotwin.app.toml_file import TomlTable
 
-ANGLE_DEG = 0.05
+DEFAULT_ANGLE_UNCERTAINTY_DEG = 0.05
 """As far as counter and encoder of an axis may be apart at rest where nobody has said otherwise."""
 Symmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
 
 
-class NearSpecularTable(Table):
+class NearSpecularTable(TomlTable):
     """Further poses wherever some photodiode then looks within `within_deg` of the specular direction, or, for transmitted
     light, of the one straight through: at the arc shifts `shift_deg`, and at betas every `beta_step_deg` over the whole grid.
     """
@@ -28,16 +28,16 @@ class NearSpecularTable(Table):
         return self
 
 
-class SymmetryCheckTable(Table):
+class SymmetryCheckTable(TomlTable):
     """So many poses are measured at their mirror image by the stated symmetry as well. `angle_deg` is how well the axes know
     where they are (standard): where a lobe is steep, so much makes a difference that is none of the sample's.
     """
 
     points: PositiveInt
-    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = ANGLE_DEG
+    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = DEFAULT_ANGLE_UNCERTAINTY_DEG
 
 
-class OverlapTable(Table):
+class OverlapTable(TomlTable):
     """At each sigma so many poses at which photodiodes look where their neighbours look at the first shift of the grid.
 
     `calibrate`: the values are brought together by a factor for each photodiode, from all directions that two have seen; else
@@ -47,4 +47,4 @@ class OverlapTable(Table):
 
     points: PositiveInt
     calibrate: bool = False
-    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = ANGLE_DEG
+    angle_deg: Annotated[float, Field(ge=0.0, le=5.0)] = DEFAULT_ANGLE_UNCERTAINTY_DEG

@@ -1,7 +1,7 @@
-"""The cut that a run is measuring, as far as it has come: what the live plot shows. Plain numbers, no Qt.
+"""The scan in progress: the data of the live plot. Plain numbers, no Qt.
 
-A cut is one half plane and its opposite, at one sample, sigma, gamma and wavelength. What is shown is reduced as the
-journal will be, but with the darks taken so far, so that the last digit is still open until the run is over.
+A scan is one half plane and the opposite one, at one sample, sigma, gamma and wavelength. Its values are reduced in the same
+way as the journal after the run, but with the dark readings so far, so that the last digit may still change.
 """
 
 from collections import deque
@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.shadow import shadowed
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.row_points import live_points
-from goniotwin.app.campaign.reduction.signals import Signal, darks_by_gain, signal
+from goniotwin.app.campaign.reduction.signals import Signal, dark_readings_by_gain, signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.rig import RigDescription, photodiode_settings
@@ -22,67 +22,64 @@ from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import arc_direction, to_specular
 
 Key = tuple[str, float | None, float, float, float]
-DARKS_KEPT = 8
-CUTS_KEPT = 512
+DARK_READINGS_KEPT = 8
+SCANS_KEPT = 512
 GRID_DEG = 0.5
 
 
 @dataclass(frozen=True)
-class Points:
-    """Points of a cut: `x_deg`, values with their standard uncertainty, and which the mirror unit hides. One length."""
+class ScanPoints:
+    """Points of a scan (n,): `x_deg`, values with their standard uncertainty, and which are blocked by the mirror unit."""
 
     x_deg: Floats
     values: Floats
     u_values: Floats
-    hidden: Flags
+    blocked: Flags
 
 
 @dataclass(frozen=True)
-class Cut:
-    """What a plot of a cut needs. `spans_deg` are the stretches of the abscissa that the mirror unit hides."""
+class ScanData:
+    """Data of the plot of a scan. `blocked_deg` are the intervals of the abscissa that are blocked by the mirror unit."""
 
     title: str
     x_label: str
     y_label: str
     range_deg: tuple[float, float]
-    spans_deg: tuple[tuple[float, float], ...]
-    points: Points
+    blocked_deg: tuple[tuple[float, float], ...]
+    points: ScanPoints
 
 
 @dataclass
-class LiveCut:
-    """Follows a run's events; `cut()` says what there is to be seen now."""
+class LiveScan:
+    """The scan in progress, from the events of a run."""
 
     plan: Plan
     _key: Key | None = None
     _row: Row | None = None
-    _cuts: dict[Key, list[Points]] = field(default_factory=dict)
-    _spans: tuple[tuple[float, float], ...] = ()
-    _darks: deque[CommittedRow] = field(default_factory=lambda: deque(maxlen=DARKS_KEPT))
+    _scans: dict[Key, list[ScanPoints]] = field(default_factory=dict)
+    _blocked: tuple[tuple[float, float], ...] = ()
+    _dark_readings: deque[CommittedRow] = field(default_factory=lambda: deque(maxlen=DARK_READINGS_KEPT))
     _etalon: dict[tuple[object, ...], Signal] = field(default_factory=dict)
 
-    def heed(self, event: RowStarted | RowCommitted) -> None:
-        """Takes a row in. Raises UserError where it cannot be reduced."""
+    def add_row(self, event: RowStarted | RowCommitted) -> None:
+        """Add a row. Raises UserError if it cannot be reduced."""
         row = event.row
         if row.kind == "measure" and _key(row) != self._key:
             self._key, self._row = _key(row), row
-            self._spans = _hidden_spans(self.plan.rig, row)
-            # A plan may come back to a cut after others: what has been seen of it is shown again.
-            self._cuts[self._key] = self._cuts.pop(self._key, [])
-            if len(self._cuts) > CUTS_KEPT:
-                del self._cuts[next(iter(self._cuts))]
+            self._blocked = _blocked_intervals(self.plan.rig, row)
+            # A plan may return to a scan after others: its earlier points are shown again.
+            self._scans[self._key] = self._scans.pop(self._key, [])
+            if len(self._scans) > SCANS_KEPT:
+                del self._scans[next(iter(self._scans))]
         if isinstance(event, RowCommitted):
             committed = CommittedRow(row, event.data)
             if row.kind == "dark":
-                self._darks.append(committed)
+                self._dark_readings.append(committed)
             elif row.kind == "measure" and event.data.readings and self._has_etalon(row):
-                self._cuts[_key(row)].append(self._reduced(committed))
+                self._scans[_key(row)].append(self._reduce(committed))
 
-    def _has_etalon(self, row: Row) -> bool:
-        return row.sample == self.plan.schedule.file.etalon or (row.wavelength_nm, row.pose) in self._etalon
-
-    def cut(self) -> Cut | None:
-        """The cut as it is now; None before its first row."""
+    def data(self) -> ScanData | None:
+        """The scan as it is now; None before its first row."""
         row = self._row
         if row is None:
             return None
@@ -91,33 +88,36 @@ class LiveCut:
         in_plane = _in_plane(beta)
         etalon = row.sample == self.plan.schedule.file.etalon
         place = "plane of incidence" if in_plane else f"β {beta % 180.0:g}°"
-        turned = f", γ {gamma:g}°" if gamma else ""
+        rotation = f", γ {gamma:g}°" if gamma else ""
         reach = max(self.plan.rig.file.photodiodes.upper_deg) + 5.0
         ends = _abscissa(sigma, np.array([-reach, reach]), beta % 180.0)
-        return Cut(
-            title=f"{row.sample}: σ {sigma:g}°{turned}, {place}, {row.wavelength_nm:g} nm",
-            x_label="θ from specular, positive towards the normal (°)" if in_plane else "polar angle (°)",
+        return ScanData(
+            title=f"{row.sample}: σ {sigma:g}°{rotation}, {place}, {row.wavelength_nm:g} nm",
+            x_label="aspecular angle θ (°), positive towards the normal" if in_plane else "polar angle (°)",
             y_label="photocurrent / monitor" if etalon else "BSDF (1/sr)",
             range_deg=(float(np.min(ends)), float(np.max(ends))),
-            spans_deg=self._spans,
-            points=_sorted(self._cuts[_key(row)]),
+            blocked_deg=self._blocked,
+            points=_sort(self._scans[_key(row)]),
         )
 
-    def _reduced(self, committed: CommittedRow) -> Points:
+    def _has_etalon(self, row: Row) -> bool:
+        return row.sample == self.plan.schedule.file.etalon or (row.wavelength_nm, row.pose) in self._etalon
+
+    def _reduce(self, committed: CommittedRow) -> ScanPoints:
         row, rig = committed.row, self.plan.rig
         assert row.pose is not None
         settings = photodiode_settings(rig.file)
-        found = signal(committed.data, darks_by_gain(list(self._darks), settings), settings)
+        reduced = signal(committed.data, dark_readings_by_gain(list(self._dark_readings), settings), settings)
         place = (row.wavelength_nm, row.pose)
         upper = len(settings.upper_deg)
         if row.sample == self.plan.schedule.file.etalon:
-            self._etalon[place] = found
-            points = live_points(rig, row, found, found)
-            values, u_values = found.ratio[:upper], np.sqrt(found.variance[:upper])
+            self._etalon[place] = reduced
+            points = live_points(rig, row, reduced, reduced)
+            values, u_values = reduced.ratio[:upper], np.sqrt(reduced.variance[:upper])
         else:
-            points = live_points(rig, row, found, self._etalon[place])
+            points = live_points(rig, row, reduced, self._etalon[place])
             values, u_values = points.bsdf, points.u_bsdf
-        return Points(_x_deg(points), values, u_values, points.shadowed)
+        return ScanPoints(_x_deg(points), values, u_values, points.shadowed)
 
 
 def _key(row: Row) -> Key:
@@ -131,15 +131,17 @@ def _in_plane(beta_deg: float) -> bool:
 
 
 def _x_deg(points: BsdfPoints) -> Floats:
-    """Of a row's points, whose half plane may be either of the cut's."""
+    """The abscissa of the points of a row, which may be in either half plane of the scan."""
     plane = float(points.beta_deg[0]) % 180.0
     opposite = np.cos(np.radians(points.azimuth_deg - plane)) < 0.0
     return _abscissa(float(points.sigma_deg[0]), np.where(opposite, -points.zenith_deg, points.zenith_deg), plane)
 
 
 def _abscissa(sigma_deg: float, polar_deg: Floats, plane_deg: float) -> Floats:
-    """From signed polar angles, positive at the azimuth `plane_deg`: in the plane of incidence to the aspecular angle
-    as `BsdfPoints.aspecular_deg` has it, elsewhere they stay."""
+    """The abscissa of signed polar angles, positive at the azimuth `plane_deg`.
+
+    In the plane of incidence it is the aspecular angle (as `BsdfPoints.aspecular_deg`), elsewhere the polar angle.
+    """
     if not _in_plane(plane_deg):
         return polar_deg
     theta, phi = to_specular(sigma_deg, arc_direction(np.abs(polar_deg), _azimuths(polar_deg, plane_deg)))
@@ -151,31 +153,31 @@ def _azimuths(polar_deg: Floats, plane_deg: float) -> Floats:
     return np.mod(np.where(polar_deg < 0.0, plane_deg + 180.0, plane_deg), 360.0)
 
 
-def _hidden_spans(rig: RigDescription, row: Row) -> tuple[tuple[float, float], ...]:
-    """The stretches of a row's cut that the mirror unit hides, to half a step of a grid."""
+def _blocked_intervals(rig: RigDescription, row: Row) -> tuple[tuple[float, float], ...]:
+    """The intervals of a row's scan that are blocked by the mirror unit, to half a step of a grid of GRID_DEG."""
     assert row.pose is not None
     _gamma, sigma, beta, _shift = row.pose
     plane = beta % 180.0
     polar = np.arange(-90.0, 90.0 + GRID_DEG, GRID_DEG)
-    hidden = shadowed(rig.file, sigma, np.abs(polar), _azimuths(polar, plane))
+    blocked = blocked_by_mirrors(rig.file, sigma, np.abs(polar), _azimuths(polar, plane))
     x = _abscissa(sigma, polar, plane)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(np.int8)))
-    spans = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], blocked, [False]]).astype(np.int8)))
+    intervals = []
     for first, after in zip(edges[::2], edges[1::2], strict=True):
         ends = sorted((float(x[first]), float(x[after - 1])))
-        spans.append((ends[0] - 0.5 * GRID_DEG, ends[1] + 0.5 * GRID_DEG))
-    return tuple(spans)
+        intervals.append((ends[0] - 0.5 * GRID_DEG, ends[1] + 0.5 * GRID_DEG))
+    return tuple(intervals)
 
 
-def _sorted(blocks: list[Points]) -> Points:
+def _sort(blocks: list[ScanPoints]) -> ScanPoints:
     if not blocks:
-        nothing = np.empty(0)
-        return Points(nothing, nothing, nothing, np.empty(0, dtype=bool))
+        empty = np.empty(0)
+        return ScanPoints(empty, empty, empty, np.empty(0, dtype=bool))
     x = np.concatenate([each.x_deg for each in blocks])
     order = np.argsort(x, kind="stable")
-    return Points(
+    return ScanPoints(
         x[order],
         np.concatenate([each.values for each in blocks])[order],
         np.concatenate([each.u_values for each in blocks])[order],
-        np.concatenate([each.hidden for each in blocks])[order],
+        np.concatenate([each.blocked for each in blocks])[order],
     )

@@ -1,4 +1,4 @@
-"""What the rig's thread tells the window, besides the engine's own events."""
+"""Messages from the rig's thread to the window; the events of the engine are among them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,36 +12,36 @@ DEVICES = ("axes", "monochromator", "photodiodes", "monitor")
 
 @dataclass(frozen=True)
 class DeviceStatus:
-    """Whether a device answers; `text` is who it is, or why it does not."""
+    """Whether a device is connected. `text` is its identity, or the reason why it does not respond."""
 
-    answers: bool
+    connected: bool
     text: str
 
 
 @dataclass(frozen=True)
 class RigOpened:
-    """A rig is open, with whatever of its devices answers. `paced` where its time may be made to pass faster."""
+    """A rig is open, with the status of each device. `virtual` if all devices are: then the simulation speed can be set."""
 
     description: RigDescription
     devices: dict[str, DeviceStatus]
-    paced: bool
+    virtual: bool
 
     @property
-    def silent(self) -> list[str]:
-        """The devices that do not answer."""
-        return [device for device, status in self.devices.items() if not status.answers]
+    def not_responding(self) -> list[str]:
+        """The devices that do not respond."""
+        return [device for device, status in self.devices.items() if not status.connected]
 
 
 @dataclass(frozen=True)
 class RigClosed:
-    """There is no rig: `reason` says why in a line, where it is not plain."""
+    """No rig is open. `reason` is one line for the operator, or empty."""
 
     reason: str = ""
 
 
 @dataclass(frozen=True)
-class DeviceLost:
-    """A device that answered does not answer any more."""
+class DeviceFault:
+    """A connected device does not respond any more."""
 
     device: str
     reason: str
@@ -49,21 +49,21 @@ class DeviceLost:
 
 @dataclass(frozen=True)
 class PlanMade:
-    """A schedule was read and fits the rig: it can be started."""
+    """A schedule was read and the rig can do it: the plan can be started."""
 
     plan: Plan
 
 
 @dataclass(frozen=True)
 class PlanRefused:
-    """There is no plan: `reason` is one line for a person."""
+    """There is no plan. `reason` is one line for the operator."""
 
     reason: str
 
 
 @dataclass(frozen=True)
-class RunBegan:
-    """A run of a plan begins, into a journal."""
+class RunStarted:
+    """A run of a plan has started, into a journal."""
 
     plan: Plan
     journal: Path
@@ -71,7 +71,7 @@ class RunBegan:
 
 @dataclass(frozen=True)
 class RunEnded:
-    """It has ended: done, failed, or idle where it was stopped; the journal is closed."""
+    """A run has ended: done, failed, or idle if it was stopped. Its journal is closed."""
 
     state: State
     reason: str
@@ -80,26 +80,26 @@ class RunEnded:
 
 @dataclass(frozen=True)
 class RunRefused:
-    """It did not begin, and nothing was written: `reason` is one line for a person."""
+    """A run was not started and nothing was written. `reason` is one line for the operator."""
 
     reason: str
 
 
 @dataclass(frozen=True)
-class MountWanted:
-    """A person has to mount something; the run waits for `RigThread.mounted`."""
+class MountRequested:
+    """The operator has to mount a sample; the run waits for `RigThread.confirm_mounted`."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class StopFailed:
-    """Axes that could not be told to stop. The main switch is the person's."""
+    """A stop command did not reach some axes. Only the main switch stops them."""
 
     reasons: tuple[str, ...]
 
 
 Message = (
-    Event | RigOpened | RigClosed | DeviceLost | PlanMade | PlanRefused | RunBegan | RunEnded | RunRefused | MountWanted
+    Event | RigOpened | RigClosed | DeviceFault | PlanMade | PlanRefused | RunStarted | RunEnded | RunRefused | MountRequested
     | StopFailed
 )  # fmt: skip

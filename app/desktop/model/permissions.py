@@ -1,4 +1,4 @@
-"""What may be done now, and why not otherwise: while a run goes on only what cannot disturb it."""
+"""Which controls are enabled now. During a run only those that cannot disturb it."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ BUSY = (State.RUNNING, State.PAUSING, State.PAUSED, State.RECOVERING, State.STOP
 
 
 @dataclass(frozen=True)
-class Allowed:
-    """Whether each control works. `no_start` says in a line why Start does not; empty where it does."""
+class Permissions:
+    """Whether each control is enabled. `no_start` is the reason why Start is not, in one line; empty if it is."""
 
     no_start: str
     pause: bool
@@ -20,22 +20,25 @@ class Allowed:
     open: bool
 
 
-def allowed(rig: RigOpened | None, plan: Plan | None, no_plan: str, state: State, opening: bool) -> Allowed:
-    """From what is known: the rig, the plan (or why there is none), the engine's state, whether a rig is being opened."""
+def permissions(rig: RigOpened | None, plan: Plan | None, no_plan: str, state: State, opening: bool) -> Permissions:
+    """The permissions for a rig, a plan (or the reason why there is none), and a state of the engine.
+
+    `opening` is True while a rig is being opened.
+    """
     busy = state in BUSY
     if opening:
         no_start = "the rig is being opened"
     elif busy:
         no_start = f"a run is {state}"
     elif rig is None:
-        no_start = "there is no rig"
-    elif rig.silent:
-        no_start = f"no answer from {' and '.join(rig.silent)}"
+        no_start = "no rig is open"
+    elif rig.not_responding:
+        no_start = f"not responding: {' and '.join(rig.not_responding)}"
     elif plan is None:
-        no_start = no_plan or "there is no schedule"
+        no_start = no_plan or "no schedule is open"
     else:
         no_start = ""
-    return Allowed(
+    return Permissions(
         no_start=no_start,
         pause=state in (State.RUNNING, State.RECOVERING),
         resume=state in (State.PAUSING, State.PAUSED),

@@ -1,9 +1,7 @@
-"""The thread that owns the rig: it opens it, watches the axes, and runs the engine. It knows no Qt.
+"""The thread that owns the rig: it opens the rig, polls the axes, and runs the engine. No Qt.
 
-Everything that may take long (a port that does not answer, a long plan) happens here, so the window never waits.
-Stop does not come through here, since this thread may be waiting for a device: it has a thread of its own.
-
-Where the next journal goes: a name that no file has, without a date in it.
+Everything that may take long (a port that does not respond, a long plan) happens in this thread, so the window never waits.
+Stop does not pass through it, because it may be waiting for a device: Stop has a thread of its own.
 """
 
 import queue
@@ -14,122 +12,108 @@ from itertools import count
 from pathlib import Path
 
 from goniotwin.app.campaign.campaign import operator_for
+from goniotwin.app.campaign.journal.summary import SUFFIX
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, Positions, State, StateChanged
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.messages import (
-    DeviceLost,
+    DeviceFault,
     DeviceStatus,
     Message,
-    MountWanted,
+    MountRequested,
     PlanMade,
     PlanRefused,
     RigClosed,
     RigOpened,
-    RunBegan,
     RunEnded,
     RunRefused,
+    RunStarted,
     StopFailed,
 )
-from goniotwin.app.desktop.model.scaled_clock import PacedClock
+from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.drivers import DeviceError
 
-SUFFIX = ".journal"
-
-
-def next_journal(folder: Path, name: str) -> Path:
-    """`NAME-001.journal` in a folder, or the first number that is free after the highest one there.
-
-    Numbers are not used again after a journal has been taken away, as long as a later one is there.
-    """
-    stem = re.sub(r"[^\w.-]+", "-", name).strip("-.") or "campaign"
-    pattern = re.compile(rf"{re.escape(stem)}-(\d+){re.escape(SUFFIX)}")
-    taken = [int(found[1]) for each in folder.glob(f"*{SUFFIX}") if (found := pattern.fullmatch(each.name))]
-    paths = (folder / f"{stem}-{number:03d}{SUFFIX}" for number in count(max(taken, default=0) + 1))
-    return next(path for path in paths if not path.exists())
-
-
-Tell = Callable[[Message], None]
-Ask = Callable[[str], None]
-WATCH_S = 0.2
-"""Between two looks at the axes while nothing runs, in a person's time."""
+Send = Callable[[Message], None]
+AskOperator = Callable[[str], None]
 TWIN = "twin://"
+NO_RIG = "no rig is open"
+POLL_S = 0.2
+"""Real time between two readings of the axis positions."""
 LONGEST_HEARTBEAT_S = 65.0
-"""The module's silence counter has 16 bits of ms. Of a virtual rig it counts the rig's time, while the host that it minds
-is slow in ours: at 60 times a drawing of 35 ms would look like a dead host."""
-NO_RIG = "there is no rig to plan for"
+"""The silence counter of the TMCL module has 16 bits of ms. For a virtual rig it counts simulated time, but the host is slow
+in real time: at simulation speed 60, a repaint of 35 ms would exceed a short heartbeat."""
 
 
 class RigThread:
-    """One rig and what is done with it. `tell` is called from this thread and from Stop's; it must only pass on."""
+    """One rig and its runs. `send` is called from this thread and from that of Stop; it must return at once."""
 
-    def __init__(self, tell: Tell, speed: float = 1.0) -> None:
-        self._tell = tell
+    def __init__(self, send: Send, speed: float = 1.0) -> None:
+        self._send = send
         self._speed = speed
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._clock = PacedClock()
+        self._clock = ScaledClock()
         self._opened: OpenRig | None = None
         self._description: RigDescription | None = None
         self._schedule: Path | None = None
         self._engine: Engine | None = None
         self._reason = ""
-        self._axes_answer = False
+        self._axes_connected = False
         self._stops: list[threading.Thread] = []
-        self._halted = threading.Event()
+        self._stop_requested = threading.Event()
         self._mounted = threading.Event()
         self._thread = threading.Thread(target=self._work, name="rig")
         self._thread.start()
 
-    # What the window asks for; each returns at once.
+    # Requests of the window. Each returns at once.
 
     def open(self, rig: Path) -> None:
-        """Opens the rig of a file in the place of the one that is open."""
+        """Open the rig of a file; the rig that is open is closed first."""
         self._tasks.put(lambda: self._open(rig))
 
     def load(self, schedule: Path) -> None:
-        """Reads a schedule and makes the plan for the rig."""
+        """Read a schedule and make the plan for the rig."""
         self._tasks.put(lambda: self._load(schedule))
 
     def start(self, plan: Plan, folder: Path) -> None:
-        """Runs a plan on the open rig, into a new journal in `folder`, which is made if need be."""
-        self._halted.clear()
+        """Run a plan on the open rig, into a new journal in `folder`, which is created if it does not exist."""
+        self._stop_requested.clear()
         self._tasks.put(lambda: self._run(plan, folder))
 
     def pause(self) -> None:
-        """The run waits before its next row."""
+        """Pause the run before its next row."""
         engine = self._engine
         if engine is not None:
             engine.pause()
 
     def resume(self) -> None:
-        """The run goes on."""
+        """Resume the run."""
         engine = self._engine
         if engine is not None:
             engine.resume()
 
     def stop(self) -> None:
-        """All axes come to rest and the run ends. An axis whose wire is silent delays nobody but itself."""
+        """Bring all axes to rest and end the run. An axis that does not respond delays no other."""
         thread = threading.Thread(target=self._stop, name="stop")
         self._stops = [each for each in self._stops if each.is_alive()] + [thread]
         thread.start()
 
-    def mounted(self) -> None:
-        """What was to be mounted is in the sample unit."""
+    def confirm_mounted(self) -> None:
+        """Confirm that the requested sample is mounted."""
         self._mounted.set()
 
     def set_speed(self, speed: float) -> None:
-        """How fast a virtual rig's time passes; a real rig's passes as it does."""
+        """Set the simulation speed of a virtual rig; ignored for a real one."""
         self._speed = speed
         if self._description is not None and _all_virtual(self._description):
             self._clock.set_speed(speed)
 
     def close(self) -> None:
-        """Stops a run if there is one, gives the rig back, ends the threads. Nothing is moved. Blocks until then."""
-        self._halted.set()  # a run that has been asked for and not begun does not begin
+        """Stop a run, close the rig and end the threads; return when they have ended. Nothing is moved."""
+        self._stop_requested.set()  # a run that is requested but not started does not start
         if self._engine is not None:
             self.stop()
         self._tasks.put(None)
@@ -137,141 +121,153 @@ class RigThread:
         for each in self._stops:
             each.join()
 
-    # What happens in the thread.
+    # In the thread.
 
     def _work(self) -> None:
         while True:
             try:
-                # The one wait here that is not the rig's clock's: it is for a person, at a person's pace.
-                task = self._tasks.get(timeout=WATCH_S)
+                # Real time: this wait is for the operator, not for the rig.
+                task = self._tasks.get(timeout=POLL_S)
             except queue.Empty:
-                self._watch()
+                self._poll_axes()
                 continue
             if task is None:
                 break
             try:
                 task()
-            except Exception as error:  # noqa: BLE001  (whatever a library throws: it is told, and the window lives on)
-                self._give_back()
-                self._refuse(f"the rig was given back after a fault: {type(error).__name__}: {error}")
-        self._give_back()
+            except Exception as error:  # noqa: BLE001  (of any library: reported, and the window stays open)
+                self._close_rig()
+                self._report_no_rig(f"the rig was closed after a fault: {type(error).__name__}: {error}")
+        self._close_rig()
 
-    def _watch(self) -> None:
-        """Where the axes are, while nobody moves them; the first failure ends it until the rig is opened again."""
-        if self._opened is None or not self._axes_answer:
+    def _poll_axes(self) -> None:
+        """Send the positions of the axes while no run is on. After a failure no more are read until the rig is opened again."""
+        if self._opened is None or not self._axes_connected:
             return
         try:
             degrees = {name: axis.position_deg() for name, axis in self._opened.rig.axes.items()}
         except DeviceError as error:
-            self._axes_answer = False
-            self._tell(DeviceLost("axes", str(error)))
+            self._axes_connected = False
+            self._send(DeviceFault("axes", str(error)))
         else:
-            self._tell(Positions(degrees))
+            self._send(Positions(degrees))
 
     def _open(self, path: Path) -> None:
-        self._give_back()
+        self._close_rig()
         try:
             description = read_rig(path)
-            self._clock = PacedClock(self._speed if _all_virtual(description) else 1.0)
+            self._clock = ScaledClock(self._speed if _all_virtual(description) else 1.0)
             opened = open_rig(description, self._clock)
         except UserError as error:
-            self._refuse(str(error))
+            self._report_no_rig(str(error))
             return
         self._opened, self._description = opened, description
         if _all_virtual(description):
             opened.rig.axes_module.heartbeat_s = LONGEST_HEARTBEAT_S
         outcome = opened.rig.connect()
-        self._axes_answer = outcome["axes"] is None
+        self._axes_connected = outcome["axes"] is None
         devices = {
             device: DeviceStatus(True, opened.rig.identities[device]) if error is None else DeviceStatus(False, str(error))
             for device, error in outcome.items()
         }
-        self._tell(RigOpened(description, devices, _all_virtual(description)))
+        self._send(RigOpened(description, devices, _all_virtual(description)))
         if self._schedule is not None:
             self._load(self._schedule)
 
-    def _refuse(self, reason: str) -> None:
-        self._tell(RigClosed(reason))
-        self._tell(PlanRefused(NO_RIG))
+    def _report_no_rig(self, reason: str) -> None:
+        self._send(RigClosed(reason))
+        self._send(PlanRefused(NO_RIG))
 
     def _load(self, path: Path) -> None:
         self._schedule = path
         if self._description is None:
-            self._tell(PlanRefused(NO_RIG))
+            self._send(PlanRefused(NO_RIG))
             return
         try:
-            self._tell(PlanMade(make_plan(read_schedule(path), self._description)))
+            self._send(PlanMade(make_plan(read_schedule(path), self._description)))
         except UserError as error:
-            self._tell(PlanRefused(str(error)))
+            self._send(PlanRefused(str(error)))
 
     def _run(self, plan: Plan, folder: Path) -> None:
         if self._opened is None or plan.rig is not self._description:
-            self._tell(RunRefused("the plan is for another rig than the one that is open"))
+            self._send(RunRefused("the plan is for another rig; open the schedule again"))
             return
-        if self._halted.is_set():
-            self._tell(RunRefused("it was stopped before it began"))
+        if self._stop_requested.is_set():
+            self._send(RunRefused("stopped before the start"))
             return
         try:
             folder.mkdir(parents=True, exist_ok=True)
             path = next_journal(folder, plan.schedule.file.name)
             journal = Journal.create(path, plan, software_versions())
         except (UserError, OSError) as error:
-            self._tell(RunRefused(f"the journal cannot be made: {error}"))
+            self._send(RunRefused(f"the journal cannot be created: {error}"))
             return
         with journal:
-            # So often that the numbers move for a person, whatever the pace of the rig's time.
-            every_s = max(WATCH_S, 0.25 * WATCH_S * self._clock.speed)
-            operator = operator_for(self._opened, plan.rig.file, self._ask)
+            # Often enough for the operator to see the positions change, at any simulation speed.
+            every_s = max(POLL_S, 0.25 * POLL_S * self._clock.speed)
+            operator = operator_for(self._opened, plan.rig.file, self._ask_operator)
             self._reason = ""
-            engine = Engine(self._opened.rig, plan, journal, operator, [self._heed], every_s)
+            engine = Engine(self._opened.rig, plan, journal, operator, [self._forward], every_s)
             self._engine = engine
-            self._tell(RunBegan(plan, path))
-            if self._halted.is_set():  # Stop came while there was no engine yet to be told
+            self._send(RunStarted(plan, path))
+            if self._stop_requested.is_set():  # requested before the engine existed
                 engine.stop()
-            state = self._carried_out(engine)
+            state = self._run_engine(engine)
             self._engine = None
-        self._tell(RunEnded(state, self._reason, path))
+        self._send(RunEnded(state, self._reason, path))
 
-    def _carried_out(self, engine: Engine) -> State:
-        """Runs it; what the engine does not know as a fault (a full disk, a mistake of ours) still stops the axes."""
+    def _run_engine(self, engine: Engine) -> State:
+        """Run the engine. An exception that is not a fault of a device (a full disk, a program error) stops the axes too."""
         try:
             return engine.run()
-        except Exception as error:  # noqa: BLE001  (the thread's last line of defence: it is told, and nothing moves on)
-            self._reason = f"the run broke off: {type(error).__name__}: {error}"
-            self._report(engine.stop())
+        except Exception as error:  # noqa: BLE001  (last resort of the thread: reported, and nothing moves on)
+            self._reason = f"the run was aborted: {type(error).__name__}: {error}"
+            self._report_stop(engine.stop())
             return State.FAILED
 
-    def _heed(self, event: Event) -> None:
+    def _forward(self, event: Event) -> None:
         if isinstance(event, StateChanged) and event.reason:
             self._reason = event.reason
-        self._tell(event)
+        self._send(event)
 
-    def _ask(self, text: str) -> None:
-        """Waits for the person at the rig, or for Stop."""
+    def _ask_operator(self, text: str) -> None:
+        """Wait until the operator has mounted a sample, or for Stop."""
         self._mounted.clear()
-        if not self._halted.is_set():
-            self._tell(MountWanted(text))
+        if not self._stop_requested.is_set():
+            self._send(MountRequested(text))
             self._mounted.wait()
 
     def _stop(self) -> None:
-        self._halted.set()  # before it is asked whether there is an engine: whoever makes one looks here afterwards
+        self._stop_requested.set()  # before the engine is looked up: `_run` checks it after it has created one
         engine, opened = self._engine, self._opened
         if engine is not None:
-            self._report(engine.stop())
+            self._report_stop(engine.stop())
         elif opened is not None:
-            self._report(opened.rig.stop())
+            self._report_stop(opened.rig.stop())
         self._mounted.set()
 
-    def _report(self, failures: list[DeviceError]) -> None:
+    def _report_stop(self, failures: list[DeviceError]) -> None:
         if failures:
-            self._tell(StopFailed(tuple(str(each) for each in failures)))
+            self._send(StopFailed(tuple(str(each) for each in failures)))
 
-    def _give_back(self) -> None:
+    def _close_rig(self) -> None:
         opened, self._opened, self._description = self._opened, None, None
-        self._axes_answer = False
+        self._axes_connected = False
         if opened is not None:
             opened.close()
 
 
 def _all_virtual(description: RigDescription) -> bool:
     return all(address.startswith(TWIN) for address in description.file.addresses)
+
+
+def next_journal(folder: Path, name: str) -> Path:
+    """The path of the next journal in a folder: `NAME-001.journal`, or the number after the highest one there.
+
+    The number of a removed journal is not used again while a later one is there.
+    """
+    stem = re.sub(r"[^\w.-]+", "-", name).strip("-.") or "campaign"
+    pattern = re.compile(rf"{re.escape(stem)}-(\d+){re.escape(SUFFIX)}")
+    numbers = [int(match[1]) for each in folder.glob(f"*{SUFFIX}") if (match := pattern.fullmatch(each.name))]
+    paths = (folder / f"{stem}-{number:03d}{SUFFIX}" for number in count(max(numbers, default=0) + 1))
+    return next(path for path in paths if not path.exists())

@@ -1,15 +1,15 @@
-"""The clock of a rig that people watch: real time at a pace that may be changed while it runs."""
+"""The clock of a virtual rig in the window: real time, multiplied by a simulation speed that can change during a run."""
 
 import threading
 
 from goniotwin.protocols.clock import Action, Event, RealClock
 
-NOTICED_WITHIN_S = 0.05
-"""A sleeper looks up so often, in a person's time, so that it follows a change of pace."""
+POLL_S = 0.05
+"""Real time between two checks of the speed during a sleep, so that a sleeping thread follows a change of speed."""
 
 
-class PacedClock:
-    """Time for any number of threads, `speed` times as fast as a person's; it never goes back and never jumps."""
+class ScaledClock:
+    """Time for any number of threads, `speed` times as fast as real time. It is continuous and never runs back."""
 
     def __init__(self, speed: float = 1.0) -> None:
         self._wall = RealClock()
@@ -21,11 +21,11 @@ class PacedClock:
 
     @property
     def speed(self) -> float:
-        """Seconds of this clock a second."""
+        """Seconds of this clock in one second of real time."""
         return self._speed
 
     def set_speed(self, speed: float) -> None:
-        """From now on. Raises ValueError for a speed at which time would not go on."""
+        """Set the speed from now on. Raises ValueError for a speed that is not positive."""
         if not speed > 0:
             raise ValueError(f"speed must be positive, not {speed}")
         with self._lock:
@@ -39,22 +39,22 @@ class PacedClock:
             return self._then + (self._wall.now() - self._since) * self._speed
 
     def sleep_until(self, t: float) -> None:
-        """Blocks the calling thread until `t`."""
+        """Block the calling thread until `t`."""
         while (left := t - self.now()) > 0:
-            self._wall.sleep_until(self._wall.now() + min(left / self._speed, NOTICED_WITHIN_S))
+            self._wall.sleep_until(self._wall.now() + min(left / self._speed, POLL_S))
 
     def at(self, t: float, action: Action) -> Event:
-        """Has `action` called at `t`, in a thread of its own."""
+        """Call `action` at `t`, in a thread of its own."""
         event = Event(t, action)
 
-        def look() -> None:
+        def poll() -> None:
             left = (t - self.now()) / self._speed
             if event.cancelled:
                 return
             if left > 0:
-                self._wall.at(self._wall.now() + min(left, NOTICED_WITHIN_S), look)
+                self._wall.at(self._wall.now() + min(left, POLL_S), poll)
             else:
                 event.action()
 
-        self._wall.at(self._wall.now(), look)
+        self._wall.at(self._wall.now(), poll)
         return event

@@ -1,4 +1,4 @@
-"""The panels that only show: devices, axes, rig, schedule."""
+"""The panels of the instrument: devices and axes. They only show."""
 
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QGridLayout, QGroupBox, QLabel, QWidget
@@ -8,17 +8,17 @@ from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.rig import AXES
 
 GREEK = {"gamma": "γ", "sigma": "σ", "beta": "β", "shift": "Δ"}
-NOTHING = "–"
+NO_VALUE = "–"
 
 
 class DevicesPanel(QGroupBox):
-    """Each device: whether it answers, and who it is or why not."""
+    """Each device: whether it is connected, its identity, or the reason why it does not respond."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__("Devices")
         self.setAccessibleName("Devices")
         self._colours = colours
-        self._known: dict[str, DeviceStatus] = {}
+        self._statuses: dict[str, DeviceStatus] = {}
         self._marks: dict[str, QLabel] = {}
         self._texts: dict[str, QLabel] = {}
         grid = QGridLayout(self)
@@ -36,45 +36,45 @@ class DevicesPanel(QGroupBox):
         self._show()
 
     def text(self, device: str) -> str:
-        """What is shown of a device."""
+        """The text of a device."""
         return f"{self._marks[device].text()}: {self._texts[device].text()}"
 
     def set_devices(self, devices: dict[str, DeviceStatus]) -> None:
-        """What is known of them now."""
-        self._known = dict(devices)
+        """Show the status of each device."""
+        self._statuses = dict(devices)
         self._show()
 
     def set_colours(self, colours: Colours) -> None:
-        """Follows the scheme."""
+        """Take the colours of a scheme."""
         self._colours = colours
         self._show()
 
     def _show(self) -> None:
         for device in DEVICES:
-            status = self._known.get(device)
+            status = self._statuses.get(device)
             mark, text = self._marks[device], self._texts[device]
             if status is None:
-                said, colour = "not connected", self._colours.dim
-            elif status.answers:
-                said, colour = "✓ answers", self._colours.good
+                shown, colour = "not connected", self._colours.dim
+            elif status.connected:
+                shown, colour = "✓ connected", self._colours.good
             else:
-                said, colour = "✗ does not answer", self._colours.bad
-            mark.setText(said)
+                shown, colour = "✗ not responding", self._colours.bad
+            mark.setText(shown)
             mark.setStyleSheet(f"color: {colour}; font-weight: bold")
             text.setText(status.text if status else "")
             text.setVisible(status is not None)
-            text.setStyleSheet(f"color: {self._colours.text if status and not status.answers else self._colours.dim}")
-            mark.setAccessibleName(f"{device} {said}")
-            text.setAccessibleName(f"{device}: {status.text if status else 'nothing known'}")
+            text.setStyleSheet(f"color: {self._colours.text if status and not status.connected else self._colours.dim}")
+            mark.setAccessibleName(f"{device} {shown}")
+            text.setAccessibleName(f"{device}: {status.text if status else 'not connected'}")
 
 
 class AxesPanel(QGroupBox):
-    """Where each axis is, and where it is sent."""
+    """The position and the target of each axis."""
 
     def __init__(self) -> None:
         super().__init__("Axes")
         self.setAccessibleName("Axes")
-        self._places: dict[str, QLabel] = {}
+        self._positions: dict[str, QLabel] = {}
         self._targets: dict[str, QLabel] = {}
         grid = QGridLayout(self)
         grid.setColumnStretch(0, 1)
@@ -82,31 +82,31 @@ class AxesPanel(QGroupBox):
         grid.addWidget(_right("position"), 0, 1)
         grid.addWidget(_right("target"), 0, 2)
         for at, axis in enumerate(AXES, start=1):
-            place, target = _right(NOTHING), _right(NOTHING)
-            font = place.font()
+            position, target = _right(NO_VALUE), _right(NO_VALUE)
+            font = position.font()
             font.setPointSizeF(1.25 * font.pointSizeF())
             font.setBold(True)
-            place.setFont(font)
-            # Wide enough for the widest value, so that nothing jumps while the numbers run.
-            place.setMinimumWidth(place.fontMetrics().horizontalAdvance("−000.00°"))
+            position.setFont(font)
+            # Wide enough for the widest value, so that the layout does not change with the numbers.
+            position.setMinimumWidth(position.fontMetrics().horizontalAdvance("−000.00°"))
             grid.addWidget(QLabel(f"{GREEK[axis]}  {axis}"), at, 0)
-            grid.addWidget(place, at, 1)
+            grid.addWidget(position, at, 1)
             grid.addWidget(target, at, 2)
-            self._places[axis], self._targets[axis] = place, target
+            self._positions[axis], self._targets[axis] = position, target
         self.set_positions({})
 
     def position(self, axis: str) -> str:
-        """What is shown of an axis."""
-        return self._places[axis].text()
+        """The text of an axis position."""
+        return self._positions[axis].text()
 
     def set_positions(self, degrees: dict[str, float]) -> None:
-        """Where they are; those not named are unknown."""
-        for axis, label in self._places.items():
+        """Show the positions, deg; without a value an axis has a dash."""
+        for axis, label in self._positions.items():
             label.setText(_angle(degrees.get(axis)))
             label.setAccessibleName(f"{axis} position {label.text()}")
 
     def set_targets(self, pose: tuple[float, ...] | None) -> None:
-        """Where they are sent; None where nobody sends them."""
+        """Show the targets of a pose, deg; None while no axis is sent anywhere."""
         for axis, value in zip(AXES, pose or (None,) * len(AXES), strict=True):
             label = self._targets[axis]
             label.setText(_angle(value))
@@ -114,7 +114,7 @@ class AxesPanel(QGroupBox):
 
 
 def heading(text: str, parent: QWidget | None = None) -> QLabel:
-    """A name in bold that wraps."""
+    """A label in bold that wraps."""
     label = QLabel(text, parent)
     label.setWordWrap(True)
     font = label.font()
@@ -125,8 +125,8 @@ def heading(text: str, parent: QWidget | None = None) -> QLabel:
 
 def _angle(degrees: float | None) -> str:
     if degrees is None:
-        return NOTHING
-    # A counter that stands at nothing rounds to -0.00 half of the time.
+        return NO_VALUE
+    # Noise about zero would otherwise show -0.00.
     return f"{round(degrees, 2) + 0.0:.2f}°".replace("-", "−")
 
 

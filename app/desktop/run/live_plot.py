@@ -1,58 +1,218 @@
-"""Keeps the plot up with the run, and keeps the plot's failures away from it."""
+"""The live plot of a run: values on a logarithmic axis against the angle, redrawn at most every REDRAW_MS.
 
-from PySide6.QtCore import QObject, QTimer, Signal, Slot
+A logarithmic axis has no place for values that are not positive, and pyqtgraph hides a whole curve for one such value. So
+the logarithm is taken here, and values below the detection limit are marks of their own at the lower edge.
+"""
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import QObject, Qt, QTimer, Signal, Slot
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
-from goniotwin.app.desktop.model.live_scan import LiveCut
-from goniotwin.app.desktop.run.scan_plot import CutPlot
+from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanPoints
+from goniotwin.app.desktop.theme import Colours
+from goniotwin.arrays import Flags, Floats
 
 REDRAW_MS = 100
-"""Not more often, however fast the rows come: drawing is for eyes."""
+"""Shortest time between two repaints, at any rate of rows."""
+DETECTION_LIMIT = 2.0
+"""In standard uncertainties: a smaller value is below the detection limit."""
+POINT_SIZE = 7
+
+
+class LogAxis(pg.AxisItem):
+    """The axis of logarithms, with the values themselves at its ticks: 0.01, 0.05, 100."""
+
+    def __init__(self) -> None:
+        super().__init__("left")
+        self.setLogMode(y=True)
+        self.enableAutoSIPrefix(False)
+        self.setWidth(64)
+
+    def logTickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
+        """The texts of the ticks (pyqtgraph calls it)."""
+        del scale, spacing
+        return [f"{10.0**value:.2g}" if value < 2.0 else f"{10.0**value:.0f}" for value in values]
+
+
+class ScanPlot(QWidget):
+    """The plot of a scan, and its content as a line of text."""
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__()
+        self._colours = colours
+        self._mark = ""
+        self._scan: ScanData | None = None
+        self._regions: list[pg.LinearRegionItem] = []
+        self._view = pg.PlotWidget(background=None, axisItems={"left": LogAxis()})
+        self._view.setAccessibleName("Plot of the scan in progress")
+        self._view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._plot = self._view.getPlotItem()
+        self._plot.setMenuEnabled(False)
+        self._plot.showGrid(x=True, y=True, alpha=0.15)
+        self._bars = pg.ErrorBarItem(beam=0.0)
+        self._plot.addItem(self._bars)
+        self._measured = pg.ScatterPlotItem(symbol="o", size=POINT_SIZE)
+        self._blocked = pg.ScatterPlotItem(symbol="o", size=POINT_SIZE)
+        self._below_limit = pg.ScatterPlotItem(symbol="t", size=POINT_SIZE - 2)
+        for item in (self._blocked, self._below_limit, self._measured):
+            self._plot.addItem(item)
+        self._note = QLabel()
+        self._note.setWordWrap(True)
+        self._note.setAccessibleName("The scan in progress as text")
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self._view, 1)
+        layout.addWidget(self._note)
+        self.set_colours(colours)
+        self.clear("")
+
+    @property
+    def summary(self) -> str:
+        """The content of the plot as text."""
+        return self._note.text()
+
+    @property
+    def title(self) -> str:
+        """The title of the plot."""
+        return f"{self._mark} {self._scan.title if self._scan else ''}".strip()
+
+    def marks(self) -> dict[str, tuple[Floats, Floats]]:
+        """The marks that are drawn, by kind: angles and logarithms to the base 10."""
+        items = {"measured": self._measured, "blocked": self._blocked, "below limit": self._below_limit}
+        return {kind: item.getData() for kind, item in items.items()}
+
+    def clear(self, mark: str) -> None:
+        """Clear the plot; `mark` is the first part of its title (SIMULATED, or empty)."""
+        self._mark = mark
+        self._scan = None
+        for item in (self._measured, self._blocked, self._below_limit):
+            item.setData([], [])
+        self._bars.setData(x=np.empty(0), y=np.empty(0), top=np.empty(0), bottom=np.empty(0))
+        self._show_blocked(())
+        self._plot.setXRange(-90.0, 90.0, padding=0.02)
+        self._plot.setYRange(-4.0, 0.0)
+        self._plot.enableAutoRange(axis="y")
+        self._label()
+        self._note.setText("The scan in progress is plotted here.")
+
+    def show_scan(self, scan: ScanData) -> None:
+        """Show the points of a scan so far."""
+        is_new = self._scan is None or self._scan.title != scan.title
+        self._scan = scan
+        points = scan.points
+        above = np.isfinite(points.values) & (points.values > 0) & (points.values > DETECTION_LIMIT * points.u_values)
+        logs = np.log10(np.where(above, points.values, 1.0))
+        measured, blocked = above & ~points.blocked, above & points.blocked
+        below = np.isfinite(points.values) & ~above
+        floor = float(np.min(logs[above])) - 0.3 if above.any() else -4.0
+        self._measured.setData(points.x_deg[measured], logs[measured])
+        self._blocked.setData(points.x_deg[blocked], logs[blocked])
+        self._below_limit.setData(points.x_deg[below], np.full(int(below.sum()), floor))
+        share = points.u_values[above] / points.values[above]
+        self._bars.setData(x=points.x_deg[above], y=logs[above], top=np.log10(1.0 + share), bottom=-np.log10(1.0 - share))
+        if is_new:
+            self._show_blocked(scan.blocked_deg)
+            self._plot.setXRange(*scan.range_deg, padding=0.02)
+            self._plot.enableAutoRange(axis="y")
+            self._label()
+        self._note.setText(_note_text(scan, measured, int(blocked.sum()), int(below.sum())))
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self._colours = colours
+        self._view.setBackground(colours.base)
+        for name in ("left", "bottom", "right", "top"):
+            self._plot.getAxis(name).setPen(colours.line)
+            self._plot.getAxis(name).setTextPen(colours.text)
+        self._measured.setPen(pg.mkPen(colours.base, width=0.5))
+        self._measured.setBrush(pg.mkBrush(colours.points))
+        self._blocked.setPen(pg.mkPen(colours.blocked, width=1.2))
+        self._blocked.setBrush(pg.mkBrush(None))
+        self._below_limit.setPen(pg.mkPen(colours.blocked, width=0.8))
+        self._below_limit.setBrush(pg.mkBrush(None))
+        self._bars.setData(pen=pg.mkPen(colours.points, width=1))
+        self._show_blocked(self._scan.blocked_deg if self._scan else ())
+        self._label()
+
+    def _show_blocked(self, intervals: tuple[tuple[float, float], ...]) -> None:
+        for each in self._regions:
+            self._plot.removeItem(each)
+        shade = QColor(self._colours.blocked)
+        shade.setAlpha(50)
+        brush, pen = pg.mkBrush(shade), pg.mkPen(None)
+        self._regions = [pg.LinearRegionItem(each, movable=False, brush=brush, pen=pen) for each in intervals]
+        for each in self._regions:
+            each.setZValue(-10)
+            self._plot.addItem(each)
+
+    def _label(self) -> None:
+        title = self._scan.title if self._scan else "No scan yet"
+        marked = f"<b style='color:{self._colours.bad}'>{self._mark}</b>&nbsp;&nbsp; " if self._mark else ""
+        self._plot.setTitle(marked + title, color=self._colours.text, size="10pt")
+        style = {"color": self._colours.text}
+        self._plot.setLabel("bottom", self._scan.x_label if self._scan else "aspecular angle θ (°)", **style)
+        self._plot.setLabel("left", self._scan.y_label if self._scan else "BSDF (1/sr)", **style)
 
 
 class LivePlot(QObject):
-    """Between the run's events and the plot. It never raises; `failed` says what went wrong."""
+    """Shows the rows of a run in a plot. It never raises; `failed` has the error."""
 
     failed = Signal(str)
 
-    def __init__(self, plot: CutPlot, parent: QObject) -> None:
+    def __init__(self, plot: ScanPlot, parent: QObject) -> None:
         super().__init__(parent)
         self._plot = plot
-        self._cut: LiveCut | None = None
+        self._scan: LiveScan | None = None
         self._redraw = QTimer(self, interval=REDRAW_MS, singleShot=True)
         self._redraw.timeout.connect(self._draw)
 
-    def begin(self, plan: Plan | None, mark: str) -> None:
-        """An empty plot for the run of a plan, or for none."""
-        self._cut = LiveCut(plan) if plan is not None else None
+    def start(self, plan: Plan | None, mark: str) -> None:
+        """Clear the plot for the run of a plan, or for none."""
+        self._scan = LiveScan(plan) if plan is not None else None
         self._plot.clear(mark)
 
-    def heed(self, event: RowStarted | RowCommitted) -> None:
-        """Takes a row in; it is drawn soon."""
-        if self._cut is None:
+    def add_row(self, event: RowStarted | RowCommitted) -> None:
+        """Add a row; the plot follows within REDRAW_MS."""
+        if self._scan is None:
             return
         try:
-            self._cut.heed(event)
-        except Exception as error:  # noqa: BLE001  (what is shown may fail in any way; what is measured goes on)
+            self._scan.add_row(event)
+        except Exception as error:  # noqa: BLE001  (any error of the plot: the measurement goes on)
             self._fail(error)
         if not self._redraw.isActive():
             self._redraw.start()
 
-    def end(self) -> None:
-        """Nothing is drawn any more."""
+    def stop(self) -> None:
+        """Draw no more."""
         self._redraw.stop()
 
     @Slot()
     def _draw(self) -> None:
         try:
-            cut = self._cut.cut() if self._cut is not None else None
-            if cut is not None:
-                self._plot.show_cut(cut)
+            scan = self._scan.data() if self._scan is not None else None
+            if scan is not None:
+                self._plot.show_scan(scan)
         except Exception as error:  # noqa: BLE001  (as above)
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:
-        """It is not tried again in this run: what failed once would fail at every row."""
-        self._cut = None
+        """Report the error. The plot of this run ends here, because the error would come back at every row."""
+        self._scan = None
         self.failed.emit(f"The plot failed ({type(error).__name__}: {error}); the run is not affected.")
+
+
+def _note_text(scan: ScanData, measured: Flags, blocked: int, below: int) -> str:
+    points: ScanPoints = scan.points
+    text = f"●\u00a0{int(measured.sum())} measured"
+    if measured.any():
+        top = int(np.argmax(np.where(measured, points.values, -np.inf)))
+        text += f", highest {points.values[top]:.3g} at {points.x_deg[top]:.1f}°"
+    if blocked or scan.blocked_deg:
+        text += f"    ○\u00a0{blocked} blocked by the mirror unit (shaded)"
+    if below:
+        text += f"    ▽\u00a0{below} below detection limit (under {DETECTION_LIMIT:g} u)"
+    return text

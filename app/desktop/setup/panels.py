@@ -1,4 +1,4 @@
-"""What is measured on what: the rig's and the schedule's files, and where journals go."""
+"""The panels of the set-up: the rig file, the schedule file, and the folder of data files (journals)."""
 
 from pathlib import Path
 
@@ -6,13 +6,13 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
 
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.model.messages import RigOpened
 from goniotwin.app.desktop.rig.panels import heading
-from goniotwin.app.desktop.run.panel import in_words
 
 
 class RigPanel(QGroupBox):
-    """Which rig is open."""
+    """The open rig."""
 
     open = Signal()
     connect_again = Signal()
@@ -31,13 +31,13 @@ class RigPanel(QGroupBox):
         _fill(self, [self._name], self.buttons)
 
     def set_rig(self, rig: RigOpened | None, path: Path) -> None:
-        """The open rig, or that there is none in a file."""
+        """Show the open rig, or that the one of a file is not open."""
         self._name.setText(rig.description.file.name if rig else f"no rig: {path.name}")
         self._name.setToolTip(str(path))
 
 
 class SchedulePanel(QGroupBox):
-    """Which schedule is planned, and into which folder it is measured."""
+    """The schedule, its size, and the folder of data files."""
 
     open = Signal()
     choose_folder = Signal()
@@ -53,7 +53,7 @@ class SchedulePanel(QGroupBox):
         self.open_button = QPushButton("Open &schedule…")
         self.open_button.setAccessibleName("Open a schedule file")
         self.folder_button = QPushButton("Save &in…")
-        self.folder_button.setAccessibleName("Choose the folder for journals")
+        self.folder_button.setAccessibleName("Choose the folder for data files (journals)")
         self.open_button.clicked.connect(self.open)
         self.folder_button.clicked.connect(self.choose_folder)
         self.buttons = (self.open_button, self.folder_button)
@@ -62,18 +62,18 @@ class SchedulePanel(QGroupBox):
         self.set_folder(folder)
 
     def set_plan(self, plan: Plan | None) -> None:
-        """What there is to measure."""
+        """Show the schedule of a plan and its size."""
         self._name.setText(plan.schedule.file.name if plan else "no schedule")
         self._name.setToolTip(plan.schedule.name if plan else "")
         self._size.setVisible(plan is not None)
         if plan is not None:
-            self._size.setText(f"{len(plan.rows)} rows, {in_words(plan.seconds)} of the rig's time")
+            self._size.setText(f"{len(plan.rows)} rows, estimated duration {rounded_duration_text(plan.seconds)}")
 
     def set_folder(self, folder: Path) -> None:
-        """Where journals go."""
-        # A path has no spaces to wrap at; an invisible one after each separator gives it places.
+        """Show the folder of data files."""
+        # A path has no spaces to wrap at; an invisible one after each separator allows a line break.
         text = str(folder).replace("/", "/\u200b").replace("\\", "\\\u200b")
-        self._folder.setText(f"Journals in {text}")
+        self._folder.setText(f"Data files (journals) in {text}")
         self._folder.setToolTip(str(folder))
 
 

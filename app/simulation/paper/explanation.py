@@ -12,11 +12,11 @@ import numpy as np
 
 from goniotwin.app.simulation.paper.gaussian_cut import (
     HIGHEST_ZENITH_DEG,
-    cuts,
-    directions_at,
+    gaussian_cuts,
+    gaussian_theory,
+    in_plane_directions,
     in_plane_theta,
     relative_rms_percent,
-    theory,
 )
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, gaussian, lambertian, throughput
@@ -34,7 +34,7 @@ NOISES_PERCENT = (0.0, *np.geomspace(0.05, 0.6, 40))
 
 
 @dataclass(frozen=True, eq=False)
-class Closest:
+class ClosestSettings:
     """The settings that come closest to the paper: `table` (3, 4) in percent, and by which factor it is off, typically."""
 
     form: Form
@@ -49,17 +49,18 @@ class Closest:
 def rms_table(instrument: Instrument, form: Form = "one_over_e", widths: float = 2.0, rays: int | None = None) -> Floats:
     """Relative RMS (3, 4) in percent, sigma by width."""
     columns = [
-        [cut.relative_rms_percent for cut in cuts(instrument, SIGMAS_DEG, width, form, widths, rays)] for width in WIDTHS_DEG
+        [cut.relative_rms_percent for cut in gaussian_cuts(instrument, SIGMAS_DEG, width, form, widths, rays)]
+        for width in WIDTHS_DEG
     ]
     return np.array(columns).T
 
 
-def tilted(instrument: Instrument, meridional_deg: float, sagittal_deg: float = 0.0) -> Instrument:
+def with_tilt(instrument: Instrument, meridional_deg: float, sagittal_deg: float = 0.0) -> Instrument:
     """The instrument with its sample tilted."""
     return replace(instrument, deviations={"sample": Deviation(rx_deg=sagittal_deg, ry_deg=meridional_deg)})
 
 
-def spread(instrument: Instrument, divergence_deg: float) -> Instrument:
+def with_divergence(instrument: Instrument, divergence_deg: float) -> Instrument:
     """The instrument with a beam of another divergence: another exit pupil at the same distance."""
     radius = instrument.pupil_distance_mm * math.tan(math.radians(0.5 * divergence_deg))
     return replace(instrument, pupil_radius_mm=radius)
@@ -76,7 +77,7 @@ def counting_variance(
     """
     result = np.empty((len(SIGMAS_DEG), len(WIDTHS_DEG)))
     for (i, sigma), (j, width) in itertools.product(enumerate(SIGMAS_DEG), enumerate(WIDTHS_DEG)):
-        directions = directions_at(sigma, in_plane_theta(sigma, width, widths))
+        directions = in_plane_directions(sigma, in_plane_theta(sigma, width, widths))
         counted = [lambertian()] if etalon_alone else [lambertian(), gaussian(width, form)]
         result[i, j] = sum(np.mean(1.0 / throughput(instrument, sigma, directions, each)) for each in counted)
     scaled: Floats = result / result[0, -1]
@@ -101,13 +102,13 @@ def interpolation_error(step_deg: float) -> Floats:
     result = np.empty((len(SIGMAS_DEG), len(WIDTHS_DEG)))
     for (i, sigma), (j, width) in itertools.product(enumerate(SIGMAS_DEG), enumerate(WIDTHS_DEG)):
         theta = in_plane_theta(sigma, width)
-        below, above = (theory(theta + side * step_deg, width, "one_over_e") for side in (-0.5, 0.5))
+        below, above = (gaussian_theory(theta + side * step_deg, width, "one_over_e") for side in (-0.5, 0.5))
         read = 0.5 * (below + above)
-        result[i, j] = relative_rms_percent(read, theory(theta, width, "one_over_e"))
+        result[i, j] = relative_rms_percent(read, gaussian_theory(theta, width, "one_over_e"))
     return result
 
 
-def tilt_needed(blur: Floats, with_tilt: Floats, tilt_deg: float) -> Floats:
+def required_tilt_deg(blur: Floats, with_tilt: Floats, tilt_deg: float) -> Floats:
     """Tilt of the sample (3, 4), deg, that lifts the blur to the paper's number; its square is taken as proportional.
 
     0 where the blur alone is above the paper's.
@@ -117,27 +118,27 @@ def tilt_needed(blur: Floats, with_tilt: Floats, tilt_deg: float) -> Floats:
     return needed
 
 
-def closest(instrument: Instrument, step: Callable[[], None] = lambda: None) -> Closest:
+def closest_settings(instrument: Instrument, step: Callable[[], None] = lambda: None) -> ClosestSettings:
     """Of forms, ranges of theta, divergences, tilts of the sample and counting noise, the setting nearest to the paper.
 
     Nearest in the root mean square of the logarithms of the ratios. `step` is called for each form and range.
     """
-    best: Closest | None = None
+    best: ClosestSettings | None = None
     for form, widths in itertools.product(FORMS, RANGES):
         variance = counting_variance(instrument, form, widths)
         for divergence, tilt in itertools.product(DIVERGENCES_DEG, TILTS_DEG):
-            table = rms_table(tilted(spread(instrument, divergence), tilt), form, widths)
+            table = rms_table(with_tilt(with_divergence(instrument, divergence), tilt), form, widths)
             for noise in NOISES_PERCENT:
                 total = np.sqrt(table**2 + noise**2 * variance)
                 off = math.exp(math.sqrt(float(np.mean(np.log(total / PAPER) ** 2))))
                 if best is None or off < best.off_by:
-                    best = Closest(form, widths, divergence, tilt, float(noise), total, off)
+                    best = ClosestSettings(form, widths, divergence, tilt, float(noise), total, off)
         step()
     assert best is not None
     return best
 
 
-def range_in_words(widths: float = 2.0) -> str:
+def describe_range(widths: float = 2.0) -> str:
     """The range of i in formula 5."""
     within = "1 width" if widths == 1.0 else f"{widths:g} widths"
     return (

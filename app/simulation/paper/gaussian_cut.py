@@ -1,4 +1,4 @@
-"""A Gaussian in the plane of incidence, as the instrument sees it and as the formula has it (paper, section 4)."""
+"""A Gaussian lobe in the plane of incidence: by formula 6, and as the simulated instrument measures it (paper, section 4)."""
 
 import math
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ HIGHEST_ZENITH_DEG = 85.0
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
-    """At one sigma: luminance factors (n,) by theory, with a peak of 1, and by the instrument against an ideal diffuser.
+class GaussianCut:
+    """Luminance factors (n,) at one sigma: `theory` with a peak of 1, and `simulated` relative to an ideal diffuser.
 
-    `theta_deg` (n,) ascends; it is positive towards the normal and negative towards grazing.
+    `theta_deg` (n,) is the aspecular angle, ascending: positive towards the normal, negative towards grazing.
     """
 
     sigma_deg: float
@@ -29,12 +29,12 @@ class Cut:
 
     @property
     def relative_deviation(self) -> Floats:
-        """(n,): difference over mean, whose root mean square is the paper's formula 5."""
+        """Difference over mean (n,); its root mean square is the paper's formula 5."""
         return relative_deviation(self.simulated, self.theory)
 
     @property
     def relative_rms_percent(self) -> float:
-        """The paper's formula 5."""
+        """Root mean square of the relative deviation, in percent (paper, formula 5)."""
         return relative_rms_percent(self.simulated, self.theory)
 
 
@@ -52,25 +52,28 @@ def relative_rms_percent(measured: Floats, theory: Floats) -> float:
 
 
 def in_plane_theta(sigma_deg: float, width_deg: float, widths: float = WIDTHS, step_deg: float = STEP_DEG) -> Floats:
-    """Signed theta (n,) in steps from the specular direction to `widths` widths, where the zenith angle is below 85 deg."""
+    """Aspecular angles (n,), deg, in steps of `step_deg`: up to `widths` widths on both sides of the specular direction.
+
+    Angles whose zenith angle is 85 deg or more are left out.
+    """
     count = math.floor(widths * width_deg / step_deg + 1e-9)
     theta = step_deg * np.arange(-count, count + 1, dtype=np.float64)
     return theta[np.abs(sigma_deg - theta) < HIGHEST_ZENITH_DEG - 1e-9]
 
 
-def directions_at(sigma_deg: float, theta_deg: Floats) -> Floats:
-    """Unit vectors (n, 3) in the plane of incidence at signed theta (n,)."""
+def in_plane_directions(sigma_deg: float, theta_deg: Floats) -> Floats:
+    """Unit vectors (n, 3) in the plane of incidence at aspecular angles (n,), deg."""
     return from_specular(sigma_deg, np.abs(theta_deg), np.where(theta_deg < 0.0, 180.0, 0.0))
 
 
-def theory(theta_deg: Floats, width_deg: float, form: Form) -> Floats:
-    """Formula 6 with a peak of 1: 1/e at the width, or half where `form` is "half_width"."""
+def gaussian_theory(theta_deg: Floats, width_deg: float, form: Form) -> Floats:
+    """Formula 6 with a peak of 1 (n,): it falls to 1/e at the width, or to a half where `form` is "half_width"."""
     exponent = 1.0 if form == "one_over_e" else math.log(2.0)
     value: Floats = np.exp(-exponent * (theta_deg / width_deg) ** 2)
     return value
 
 
-def cuts(
+def gaussian_cuts(
     instrument: Instrument,
     sigmas_deg: Sequence[float],
     width_deg: float,
@@ -78,12 +81,12 @@ def cuts(
     widths: float = WIDTHS,
     rays: int | None = None,
     step_deg: float = STEP_DEG,
-) -> list[Cut]:
-    """By the fast estimator, one for each sigma; `rays` as `twin.optics.throughput` has it."""
+) -> list[GaussianCut]:
+    """Cuts by the fast estimator, one for each sigma; `rays` as in `twin.optics.throughput`."""
     thetas = [in_plane_theta(sigma, width_deg, widths, step_deg) for sigma in sigmas_deg]
-    poses = [Pose(sigma, directions_at(sigma, theta)) for sigma, theta in zip(sigmas_deg, thetas, strict=True)]
+    poses = [Pose(sigma, in_plane_directions(sigma, theta)) for sigma, theta in zip(sigmas_deg, thetas, strict=True)]
     simulated = luminance_factors(instrument, poses, gaussian(width_deg, form, peak=1.0 / math.pi), rays)
     return [
-        Cut(sigma, theta, theory(theta, width_deg, form), values)
+        GaussianCut(sigma, theta, gaussian_theory(theta, width_deg, form), values)
         for sigma, theta, values in zip(sigmas_deg, thetas, simulated, strict=True)
     ]

@@ -10,14 +10,14 @@ from goniotwin.app.simulation.paper.explanation import (
     RANGES,
     SIGMAS_DEG,
     WIDTHS_DEG,
-    Closest,
-    closest,
+    ClosestSettings,
+    closest_settings,
     counting_variance,
     interpolation_error,
     noise_floor,
+    required_tilt_deg,
     rms_table,
-    tilt_needed,
-    tilted,
+    with_tilt,
 )
 from goniotwin.app.simulation.paper.worst_corner import TILT_DEG, Corner, tilts, with_shifts, worst_corner
 from goniotwin.arrays import Floats
@@ -56,7 +56,7 @@ class Table3:
     etalon_rise: Floats
     needed_deg: Floats
     half_way: Floats
-    closest: Closest
+    closest: ClosestSettings
 
     def corner(self, sigma_deg: float, width_deg: float) -> Corner:
         """The worst one of a cell."""
@@ -70,14 +70,14 @@ def table3(step: Step = lambda _: None, rays: int | None = None) -> Table3:
     """
     instrument = Instrument(obstruction=False)
     step("noise-free, tilted")
-    blur, with_tilt = rms_table(instrument, rays=rays), rms_table(tilted(instrument, TILT_DEG))
-    sagittal = rms_table(tilted(instrument, 0.0, TILT_DEG))
+    blur, tilted = rms_table(instrument, rays=rays), rms_table(with_tilt(instrument, TILT_DEG))
+    sagittal = rms_table(with_tilt(instrument, 0.0, TILT_DEG))
     corners = []
     for sigma in SIGMAS_DEG:
         for width in WIDTHS_DEG:
             step(f"worst corner at sigma {sigma:g}, width {width:g} deg")
             corners.append(worst_corner(instrument, sigma, width, tilts(instrument)))
-    far = _far(instrument)
+    far = _collimated(instrument)
     variance, alone = counting_variance(instrument), counting_variance(instrument, etalon_alone=True)
     percent, floor = noise_floor(blur, variance)
     worst = np.array([corner.relative_rms_percent for corner in corners]).reshape(blur.shape)
@@ -85,7 +85,7 @@ def table3(step: Step = lambda _: None, rays: int | None = None) -> Table3:
     return Table3(
         instrument=instrument,
         noise_free=blur,
-        tilted=with_tilt,
+        tilted=tilted,
         sagittal=sagittal,
         point=rms_table(replace(instrument, spot_side_mm=POINT_MM)),
         worst=worst,
@@ -95,13 +95,13 @@ def table3(step: Step = lambda _: None, rays: int | None = None) -> Table3:
         floor_percent=percent,
         floor=floor,
         etalon_rise=np.sqrt(alone[-1] / alone[0]),
-        needed_deg=tilt_needed(blur, with_tilt, TILT_DEG),
+        needed_deg=required_tilt_deg(blur, tilted, TILT_DEG),
         half_way=interpolation_error(0.5),
-        closest=closest(instrument, lambda: step("what comes closest to the paper")),
+        closest=closest_settings(instrument, lambda: step("what comes closest to the paper")),
     )
 
 
-def _far(instrument: Instrument) -> Instrument:
+def _collimated(instrument: Instrument) -> Instrument:
     """The same divergence from an exit pupil at infinity, with mirrors that do not cut the tilted beam."""
     distance = FAR_MM + 3.0 * instrument.mirror_distance_mm
     radius = instrument.pupil_radius_mm * distance / instrument.pupil_distance_mm

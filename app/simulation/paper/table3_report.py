@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.table import Table
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.simulation.paper.explanation import PAPER, SIGMAS_DEG, WIDTHS_DEG, Closest, exponents, range_in_words
-from goniotwin.app.simulation.paper.gaussian_cut import STEP_DEG, cuts, theory
+from goniotwin.app.simulation.files import write_figure
+from goniotwin.app.simulation.paper.explanation import PAPER, SIGMAS_DEG, WIDTHS_DEG, ClosestSettings, describe_range, exponents
+from goniotwin.app.simulation.paper.gaussian_cut import STEP_DEG, gaussian_cuts, gaussian_theory
 from goniotwin.app.simulation.paper.table3 import POINT_MM, Table3
-from goniotwin.app.simulation.paper.worst_corner import SHIFT_MM, TILT_DEG, deviating
-from goniotwin.app.simulation.picture import save
+from goniotwin.app.simulation.paper.worst_corner import SHIFT_MM, TILT_DEG, with_deviations
 from goniotwin.arrays import Floats
 
 
@@ -32,7 +32,7 @@ def assumptions(found: Table3) -> dict[str, dict[str, str]]:
     ours = {
         "spot": f"{side:g} x {side:g} mm on the sample, set by its frame at every sigma",
         "form": "1/e at the width (formula 6 as it is printed), a luminance factor, peak 1",
-        "range of i": range_in_words(),
+        "range of i": describe_range(),
         "divergence": f"{instrument.divergence_deg:.3f} deg full width: a pupil of {radius:g} mm radius at "
         f"{instrument.pupil_distance_mm:g} mm",
         "field": f"{instrument.field_deg:g} deg full width, discs of {disc:g} mm at {instrument.arc_radius_mm:g} mm",
@@ -167,7 +167,7 @@ def _rows(table: Floats) -> str:
     return " | ".join(" ".join(f"{value:.2f}" for value in row) for row in table)
 
 
-def _settings(near: Closest) -> str:
+def _settings(near: ClosestSettings) -> str:
     form = "half at the width" if near.form == "half_width" else "1/e at the width"
     within = "1 width" if near.widths == 1.0 else f"{near.widths:g} widths"
     return (
@@ -182,7 +182,7 @@ MARK = "#a93226"
 COLUMNS = {"paper": "paper", "noise_free": "noise-free", "tilted": "tilted", "worst": "worst corner"}
 
 
-def show(console: Console, found: Table3) -> None:
+def print_table3(console: Console, found: Table3) -> None:
     """Prints the table, the assumptions of each column, and what explains the paper's numbers."""
     table = Table(title="SIMULATED: relative RMS against theory (formula 5), %", title_justify="left")
     for column in ("sigma", "width", *COLUMNS.values()):
@@ -211,7 +211,7 @@ def _print(console: Console, words: str) -> None:
     console.print("\n".join(lines), markup=False, soft_wrap=True)
 
 
-def figures(found: Table3, folder: Path) -> dict[str, Path]:
+def write_figures(found: Table3, folder: Path) -> dict[str, Path]:
     """Writes both figures into a folder, which is made; returns their paths. Raises UserError."""
     paths = {"figure12": folder / "figure12.png", "figure13": folder / "figure13.png"}
     try:
@@ -233,7 +233,7 @@ def _gaussians(path: Path) -> None:
     axes = figure.subplots()
     theta = np.linspace(-90.0, 90.0, 1441)
     for width, colour in zip(WIDTHS_DEG, ("#1f618d", "#6c3483", "#117a65", "#873600"), strict=True):
-        axes.plot(theta, theory(theta, width, "one_over_e"), color=colour, lw=1.6, label=f"width {width:g} deg")
+        axes.plot(theta, gaussian_theory(theta, width, "one_over_e"), color=colour, lw=1.6, label=f"width {width:g} deg")
     axes.axhline(np.exp(-1.0), color="0.7", lw=0.8, ls=":")
     axes.text(-89.0, np.exp(-1.0) + 0.015, "1/e", color="0.4", fontsize=9)
     axes.set(
@@ -243,7 +243,7 @@ def _gaussians(path: Path) -> None:
     axes.legend(frameon=False)
     axes.set_title("The Gaussians of formula 6, 1/e at the width", loc="left", fontsize=12)
     _mark(axes, "SIMULATED: theory, nothing measured")
-    save(figure, path)
+    write_figure(figure, path)
 
 
 def _compared(found: Table3, path: Path) -> None:
@@ -265,14 +265,14 @@ def _compared(found: Table3, path: Path) -> None:
     title = "Gaussians in the plane of incidence, theory and virtual prototype"
     figure.suptitle(f"{title}\n", x=0.01, ha="left", fontsize=12)
     figure.text(0.99, 0.985, "SIMULATED: no obstruction, no noise", ha="right", va="top", color=MARK, weight="bold", fontsize=9)
-    save(figure, path)
+    write_figure(figure, path)
 
 
 def _lobe(axes: Axes, found: Table3, sigma_deg: float, width_deg: float, colour: str) -> None:
     corner = found.corner(sigma_deg, width_deg)
-    instrument = deviating(found.instrument, corner.components, corner.signs)
+    instrument = with_deviations(found.instrument, corner.components, corner.signs)
     widths = min(3.0, 75.0 / width_deg)
-    (cut,) = cuts(instrument, [sigma_deg], width_deg, widths=widths, step_deg=min(STEP_DEG, width_deg / 20.0))
+    (cut,) = gaussian_cuts(instrument, [sigma_deg], width_deg, widths=widths, step_deg=min(STEP_DEG, width_deg / 20.0))
     zenith = sigma_deg - cut.theta_deg
     axes.plot(zenith, cut.theory, color=colour, lw=1.1)
     axes.plot(zenith, cut.simulated, color=colour, lw=2.0, ls=":")

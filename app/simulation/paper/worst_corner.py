@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.simulation.paper.gaussian_cut import cuts
+from goniotwin.app.simulation.paper.gaussian_cut import gaussian_cuts
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument
 
@@ -72,7 +72,7 @@ def shifts(tolerance_mm: float = SHIFT_MM) -> tuple[Component, ...]:
     )
 
 
-def deviating(instrument: Instrument, components: Sequence[Component], signs: Sequence[int]) -> Instrument:
+def with_deviations(instrument: Instrument, components: Sequence[Component], signs: Sequence[int]) -> Instrument:
     """The instrument with each component at so many times its amount."""
     elements: dict[str, dict[str, float]] = {}
     for component, sign in zip(components, signs, strict=True):
@@ -85,7 +85,7 @@ def worst_corner(instrument: Instrument, sigma_deg: float, width_deg: float, com
     """Of all 2^n corners of n components, the one with the largest relative RMS (formula 5) of a Gaussian in plane."""
 
     def residual(signs: Sequence[int]) -> Floats:
-        (cut,) = cuts(deviating(instrument, components, signs), [sigma_deg], width_deg)
+        (cut,) = gaussian_cuts(with_deviations(instrument, components, signs), [sigma_deg], width_deg)
         return cut.relative_deviation
 
     known: dict[tuple[int, ...], float] = {}
@@ -118,7 +118,7 @@ def with_shifts(instrument: Instrument, sigma_deg: float, width_deg: float, corn
     every = (*corner.components, *shifts())
 
     def percent(more: Sequence[int]) -> float:
-        (cut,) = cuts(deviating(instrument, every, (*corner.signs, *more)), [sigma_deg], width_deg)
+        (cut,) = gaussian_cuts(with_deviations(instrument, every, (*corner.signs, *more)), [sigma_deg], width_deg)
         return cut.relative_rms_percent
 
     units = np.eye(len(every) - len(corner.signs), dtype=int)

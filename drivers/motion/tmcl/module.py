@@ -40,8 +40,8 @@ from goniotwin.drivers.motion.tmcl.rules import (
 from goniotwin.drivers.motion.tmcl.stop_lock import StopLock
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.tmcl import HOST_ADDRESS, Command, Reply, Request, Status
-from goniotwin.protocols.tmcl_parameters import USER_BANK, Global
+from goniotwin.protocols.tmcl import HOST_ADDRESS, Command, CommandFrame, ReplyFrame, ReplyStatus
+from goniotwin.protocols.tmcl_parameters import USER_BANK, GlobalParameter
 
 MODELS = (6214, 1240)
 TIMEOUT_S = 0.06
@@ -112,7 +112,7 @@ class TmclModule:
     def identify(self) -> int:
         """Open the port and read the first module's number; nothing is written to the module. Raises DeviceError."""
         self._open()
-        return self.exchange(Request(self.addresses[0], Command.FIRMWARE_VERSION, 1, 0)) >> 16
+        return self.exchange(CommandFrame(self.addresses[0], Command.FIRMWARE_VERSION, 1, 0)) >> 16
 
     def close(self) -> None:
         """Close the port. Nothing is sent; the heartbeat stops motors that still turn."""
@@ -121,7 +121,7 @@ class TmclModule:
                 self._port.close()
                 self._port = None
 
-    def exchange(self, request: Request, stop_count: int | None = None) -> int:
+    def exchange(self, request: CommandFrame, stop_count: int | None = None) -> int:
         """Send a request and return the value of its reply.
 
         A repeatable request is repeated once after a fault. A request that starts a motion is not sent, or not sent again,
@@ -146,7 +146,7 @@ class TmclModule:
                         raise
         raise AssertionError("not reached")
 
-    def read_confirmed(self, request: Request) -> int:
+    def read_confirmed(self, request: CommandFrame) -> int:
         """Value of a reply, followed by a read of the canary: the module had its settings. Raises Forgotten as well."""
         value = self.exchange(request)
         self.check_canary(request.address)
@@ -154,7 +154,7 @@ class TmclModule:
 
     def check_canary(self, address: int) -> None:
         """Raise Forgotten if a module has reset since it was connected, until it is connected again."""
-        value = self.exchange(Request(address, Command.GGP, CANARY_VARIABLE, USER_BANK))
+        value = self.exchange(CommandFrame(address, Command.GGP, CANARY_VARIABLE, USER_BANK))
         if value != CANARY:
             self._note_reset(address)
             raise Forgotten(
@@ -162,7 +162,7 @@ class TmclModule:
                 "connect again, then home its axes or set their positions (goniotwin home, goniotwin here)",
             )  # fmt: skip
 
-    def stop(self, targets: Sequence[tuple[str, Request]], then: Callable[[], None] = lambda: None) -> list[DeviceError]:
+    def stop(self, targets: Sequence[tuple[str, CommandFrame]], then: Callable[[], None] = lambda: None) -> list[DeviceError]:
         """Send the stop frames of axes, by their names, before anything else; return what was not confirmed. Thread-safe.
 
         The last frame is sent after one short wait for the exchange in progress and one for each earlier frame without
@@ -191,7 +191,7 @@ class TmclModule:
             happened, remedy = "the module has not confirmed it", "cut the motors' power if the axis still turns"
             return [NoAnswer(name, "stop", happened, remedy) for name, _ in silent]
 
-    def _check_before_repeating(self, move: Request) -> None:
+    def _check_before_repeating(self, move: CommandFrame) -> None:
         """A module that reset after the failed attempt has lost its position; raise Forgotten."""
         try:
             self.check_canary(move.address)
@@ -214,18 +214,18 @@ class TmclModule:
 
     def _initialise(self, address: int) -> int:
         """Identify a module, set its canary and heartbeat; return its number. Raises DeviceError."""
-        number = self.exchange(Request(address, Command.FIRMWARE_VERSION, 1, 0)) >> 16
+        number = self.exchange(CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0)) >> 16
         if number not in MODELS:
             raise BadAnswer(
                 "axes", f"identify module {address}", f"it is a TMCM-{number}",
                 f"this driver supports {' and '.join(f'TMCM-{each}' for each in MODELS)}",
             )  # fmt: skip
-        canary = Request(address, Command.SGP, CANARY_VARIABLE, USER_BANK, CANARY)
+        canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, CANARY)
         if self.exchange(replace(canary, command=Command.GGP, value=0)) != CANARY:
             if address in self._connected:
                 self._note_reset(address)
             self.exchange(canary)
-        heartbeat = Request(address, Command.SGP, Global.HEARTBEAT, 0, round(self.heartbeat_s * 1000.0))
+        heartbeat = CommandFrame(address, Command.SGP, GlobalParameter.HEARTBEAT, 0, round(self.heartbeat_s * 1000.0))
         if self.exchange(replace(heartbeat, command=Command.GGP, value=0)) != heartbeat.value:
             self.exchange(heartbeat)
         self._connected.add(address)
@@ -241,12 +241,12 @@ class TmclModule:
                 for each in unreferenced_marks(address):
                     self.exchange(each)
 
-    def _once(self, request: Request) -> int:
+    def _once(self, request: CommandFrame) -> int:
         port = self._opened(request)
         command, value, when = self._last
         alike = command == request.command and (command == Command.GAP or (command == Command.SAP and value == request.value))
         if alike and self._clock.now() - when < 4.0 * self._frame_s + SLICE_S:
-            self._once(Request(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK))
+            self._once(CommandFrame(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK))
         try:
             stops = self._lock.acquired
             port.send(request.encode())
@@ -268,7 +268,7 @@ class TmclModule:
         """True if a stop was carried out within this exchange, or has waited long enough for its end."""
         return stops != self._lock.acquired or (self._lock.stop_waiting and self._clock.now() >= started + self._patience_s)
 
-    def _resynchronise(self, request: Request) -> None:
+    def _resynchronise(self, request: CommandFrame) -> None:
         """Wait for late bytes, then exchange a marker. Raises NoAnswer if the marker does not come back."""
         port = self._opened(request)
         try:
@@ -276,10 +276,10 @@ class TmclModule:
                 stops = self._lock.acquired
                 self._clock.sleep_until(self._clock.now() + 2.0 * self._frame_s + SLICE_S)
                 self._marker += 1
-                marker = Request(request.address, Command.SGP, MARKER_VARIABLE, USER_BANK, self._marker)
+                marker = CommandFrame(request.address, Command.SGP, MARKER_VARIABLE, USER_BANK, self._marker)
                 port.send(marker.encode())
                 started = self._clock.now()
-                echo = Reply(HOST_ADDRESS, request.address, Status.OK, Command.SGP, self._marker).encode()
+                echo = ReplyFrame(HOST_ADDRESS, request.address, ReplyStatus.OK, Command.SGP, self._marker).encode()
                 if port.await_bytes(echo, started + self._timeout_s, partial(self._gives_way, stops, started)):
                     self._out_of_step = False
                     self.events.append("line resynchronised")
@@ -291,10 +291,10 @@ class TmclModule:
             raise NoAnswer("axes", self._describe(request), f"the port failed: {error}", "check cable and power") from None
         raise NoAnswer("axes", self._describe(request), "not responding, not even to a marker", "check cable and power")
 
-    def _opened(self, request: Request) -> TmclPort:
+    def _opened(self, request: CommandFrame) -> TmclPort:
         if self._port is None:
             raise NoAnswer("axes", self._describe(request), "the port is not open", "connect first")
         return self._port
 
-    def _describe(self, request: Request) -> str:
+    def _describe(self, request: CommandFrame) -> str:
         return str(request) if len(self.addresses) == 1 else f"{request} of module {request.address}"

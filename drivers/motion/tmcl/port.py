@@ -12,14 +12,14 @@ from serial import Serial, SerialException
 
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, FrameError, Reply, Request, Status, split
+from goniotwin.protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, CommandFrame, FrameError, ReplyFrame, ReplyStatus, split
 
 SLICE_S = 0.01
 FRAME_S_BITS = FRAME_BYTES * 10.0
 MOST_STALE = 4096
 PORT_FAULTS = (SerialException, OSError)
 GiveUp = Callable[[], bool]
-Targets = Sequence[tuple[str, Request]]
+Targets = Sequence[tuple[str, CommandFrame]]
 
 
 class TmclPort:
@@ -70,13 +70,13 @@ class TmclPort:
         self._rest = b""
         return True
 
-    def send_all(self, targets: Targets, patience_s: float, timeout_s: float) -> list[tuple[str, Request]]:
+    def send_all(self, targets: Targets, patience_s: float, timeout_s: float) -> list[tuple[str, CommandFrame]]:
         """Send requests one after the other; return those without reply. Raises SerialException or OSError.
 
         It waits `patience_s` for each reply, and at the end `timeout_s` for all missing replies together.
         """
         self._discard_received()
-        missing: list[tuple[str, Request]] = []
+        missing: list[tuple[str, CommandFrame]] = []
         for name, request in targets:
             self._write(request.encode())
             if not self._await_reply(request, self._clock.now() + patience_s):
@@ -89,7 +89,7 @@ class TmclPort:
         waited = self._clock.now() - started
         return f"{len(self._rest)} of {FRAME_BYTES} bytes within {waited:.3f} s"
 
-    def _await_reply(self, request: Request, deadline: float) -> bool:
+    def _await_reply(self, request: CommandFrame, deadline: float) -> bool:
         """True if the reply to a request comes by the deadline, at any place of the stream: anything may come before it."""
         while True:
             for place in range(len(self._rest) - FRAME_BYTES + 1):
@@ -148,11 +148,11 @@ class TmclPort:
         return self._port
 
 
-def _confirms(frame: bytes, request: Request) -> bool:
+def _confirms(frame: bytes, request: CommandFrame) -> bool:
     try:
-        reply = Reply.decode(frame)
+        reply = ReplyFrame.decode(frame)
     except FrameError:
         return False
     return (reply.host, reply.address, reply.command) == (HOST_ADDRESS, request.address, request.command) and (
-        reply.status == Status.OK
+        reply.status == ReplyStatus.OK
     )

@@ -8,8 +8,16 @@ from collections.abc import Callable
 
 from goniotwin.drivers.errors import BadAnswer, Refused
 from goniotwin.drivers.tap import TO_DEVICE
-from goniotwin.protocols.tmcl import HOST_ADDRESS, Axis, Command, FrameError, MoveType, Reply, Request, Status
-from goniotwin.protocols.tmcl_parameters import USER_BANK, Search
+from goniotwin.protocols.tmcl import (
+    HOST_ADDRESS,
+    Command,
+    CommandFrame,
+    FrameError,
+    MoveType,
+    ReplyFrame,
+    ReplyStatus,
+)
+from goniotwin.protocols.tmcl_parameters import USER_BANK, AxisParameter, SearchCommand
 
 ECHOING = frozenset({Command.SAP, Command.SGP, Command.ROR, Command.ROL, Command.MST})
 REPEATABLE = frozenset({Command.GAP, Command.GGP, Command.SAP, Command.SGP, Command.MST, Command.FIRMWARE_VERSION})
@@ -21,57 +29,57 @@ REFERENCED, UNREFERENCED = 0x6B6E_6F77, 0x646F_7562
 """The two values of a mark; after a power-up it has neither."""
 
 
-def mark(address: int, motor: int, value: int | None = None) -> Request:
+def mark(address: int, motor: int, value: int | None = None) -> CommandFrame:
     """The request that reads the mark of a motor, or sets it to `value`."""
     command = Command.GGP if value is None else Command.SGP
-    return Request(address, command, FIRST_MARK_VARIABLE + motor, USER_BANK, value or 0)
+    return CommandFrame(address, command, FIRST_MARK_VARIABLE + motor, USER_BANK, value or 0)
 
 
-def unreferenced_marks(address: int) -> list[Request]:
+def unreferenced_marks(address: int) -> list[CommandFrame]:
     """The requests that mark all motors of a module as unreferenced."""
     return [mark(address, motor, UNREFERENCED) for motor in range(MOTORS)]
 
 
-def is_repeatable(request: Request) -> bool:
+def is_repeatable(request: CommandFrame) -> bool:
     """True if a request may be carried out twice. Reading the error flags clears them, so they are read once."""
     match request.command:
         case Command.MVP:
             return request.type == MoveType.ABSOLUTE
         case Command.RFS:
-            return request.type != Search.START
+            return request.type != SearchCommand.START
         case Command.GAP:
-            return request.type != Axis.ERROR_FLAGS
+            return request.type != AxisParameter.ERROR_FLAGS
     return request.command in REPEATABLE
 
 
-def starts_motion(request: Request) -> bool:
+def starts_motion(request: CommandFrame) -> bool:
     """True if a request sets a motor in motion."""
     match request.command:
         case Command.MVP | Command.ROR | Command.ROL:
             return True
         case Command.RFS:
-            return request.type == Search.START
+            return request.type == SearchCommand.START
         case Command.SAP:
-            return request.type in (Axis.TARGET_POSITION, Axis.TARGET_VELOCITY)
+            return request.type in (AxisParameter.TARGET_POSITION, AxisParameter.TARGET_VELOCITY)
     return False
 
 
-def check_reply(request: Request, frame: bytes, describe: Callable[[Request], str]) -> Reply | None:
+def check_reply(request: CommandFrame, frame: bytes, describe: Callable[[CommandFrame], str]) -> ReplyFrame | None:
     """The reply to a request; None for a reply to another one. Raises BadAnswer and Refused.
 
     `describe` gives the request as text for the error.
     """
     try:
-        reply = Reply.decode(frame)
+        reply = ReplyFrame.decode(frame)
     except FrameError as error:
         raise BadAnswer("axes", describe(request), str(error)) from None
     if reply.host != HOST_ADDRESS or reply.address != request.address:
         return None
-    if reply.status == Status.WRONG_CHECKSUM:
+    if reply.status == ReplyStatus.WRONG_CHECKSUM:
         raise BadAnswer("axes", describe(request), "the request was corrupted in transmission")
-    if reply.command != request.command or reply.status == Status.TARGET_REACHED:
+    if reply.command != request.command or reply.status == ReplyStatus.TARGET_REACHED:
         return None
-    if reply.status != Status.OK:
+    if reply.status != ReplyStatus.OK:
         raise Refused("axes", describe(request), f"the module replies: {reply}")
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
@@ -80,6 +88,6 @@ def check_reply(request: Request, frame: bytes, describe: Callable[[Request], st
 def explain(direction: str, data: bytes) -> str:
     """A frame as text, for transcripts."""
     try:
-        return str(Request.decode(data) if direction == TO_DEVICE else Reply.decode(data))
+        return str(CommandFrame.decode(data) if direction == TO_DEVICE else ReplyFrame.decode(data))
     except FrameError as error:
         return str(error)

@@ -1,4 +1,4 @@
-"""Windows on the virtual rig, with a schedule that is over in a second, and a clean end whatever the test did."""
+"""Windows on the virtual rig, with a schedule that takes a second, and an orderly end after every test."""
 
 import gc
 import os
@@ -17,12 +17,12 @@ from tests.conftest import RIG, Writer
 
 WindowOpener = Callable[..., MainWindow]
 READY_MS = 30_000
-"""For what takes a second: numba's compilation on a fresh machine is in it."""
+"""Limit for steps of a second; it includes the compilation by numba on a fresh machine."""
 
 
 @pytest.fixture(scope="package", autouse=True)
 def leave_no_widgets() -> Iterator[None]:
-    """What is left of them in cycles goes here, and not in a thread of a later test: see `app.desktop.collector`."""
+    """Collect widgets in reference cycles here, not in a thread of a later test: see `app.desktop.event_loop`."""
     yield
     gc.collect()
 
@@ -52,11 +52,11 @@ def open_window(qapp: QApplication, write_schedule: Writer, journals: Path) -> I
 
 @pytest.fixture
 def window(qtbot: QtBot, open_window: WindowOpener) -> MainWindow:
-    """Ready to start, the rig's time at 200 times ours."""
+    """A window that is ready to start, at simulation speed 200."""
     return ready(qtbot, open_window())
 
 
 def ready(qtbot: QtBot, window: MainWindow) -> MainWindow:
-    """The window, when Start is enabled."""
-    qtbot.waitUntil(window.parts.run.start_button.isEnabled, timeout=READY_MS)
+    """Wait until Start is enabled; return the window."""
+    qtbot.waitUntil(window.view.run.start_button.isEnabled, timeout=READY_MS)
     return window

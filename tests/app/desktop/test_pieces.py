@@ -1,18 +1,18 @@
-"""The pieces that need no window: the clock's pace, the journals' names, colours, words."""
+"""Parts that need no window: the clock, the names of journals, colours, texts."""
 
 import threading
 from pathlib import Path
 
 import pytest
 
+from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.model.rig_thread import next_journal
-from goniotwin.app.desktop.model.scaled_clock import PacedClock
-from goniotwin.app.desktop.run.panel import in_words
+from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.desktop.theme import DARK, LIGHT, Colours
 
 
-def test_a_change_of_pace_is_no_jump_and_wakes_whoever_sleeps() -> None:
-    clock = PacedClock(1.0)
+def test_a_change_of_speed_is_continuous_and_wakes_a_sleeping_thread() -> None:
+    clock = ScaledClock(1.0)
     sleeper = threading.Thread(target=lambda: clock.sleep_until(3600.0))
     sleeper.start()
     before = clock.now()
@@ -25,8 +25,8 @@ def test_a_change_of_pace_is_no_jump_and_wakes_whoever_sleeps() -> None:
     assert clock.now() >= fast >= 3600.0
 
 
-def test_an_action_at_a_time_heeds_the_pace_and_can_be_cancelled() -> None:
-    clock = PacedClock(1.0)
+def test_a_timed_action_follows_the_speed_and_can_be_cancelled() -> None:
+    clock = ScaledClock(1.0)
     done, cancelled = threading.Event(), threading.Event()
     clock.at(7200.0, done.set)
     clock.at(3600.0, cancelled.set).cancel()
@@ -37,7 +37,7 @@ def test_an_action_at_a_time_heeds_the_pace_and_can_be_cancelled() -> None:
         clock.set_speed(0.0)
 
 
-def test_no_journal_gets_a_name_that_another_has(tmp_path: Path) -> None:
+def test_a_journal_never_gets_the_name_of_another(tmp_path: Path) -> None:
     assert next_journal(tmp_path, "quick") == tmp_path / "quick-001.journal"
     (tmp_path / "quick-009.journal").touch()
     (tmp_path / "quick-old.journal").touch()
@@ -50,12 +50,12 @@ def test_no_journal_gets_a_name_that_another_has(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "stem"), [("a b: c?", "a-b-c"), ("..", "campaign"), ("Ölfarbe σ", "Ölfarbe-σ"), ("x.y", "x.y")]
 )
-def test_a_schedule_may_have_a_name_that_no_file_can_have(tmp_path: Path, name: str, stem: str) -> None:
+def test_characters_that_a_file_name_cannot_have_are_replaced(tmp_path: Path, name: str, stem: str) -> None:
     assert next_journal(tmp_path, name).name == f"{stem}-001.journal"
 
 
 @pytest.mark.parametrize("colours", [LIGHT, DARK], ids=["light", "dark"])
-def test_text_has_the_contrast_that_wcag_asks_for(colours: Colours) -> None:
+def test_colours_have_the_contrast_that_wcag_requires(colours: Colours) -> None:
     """WCAG 2.2, 1.4.3: at least 4.5 to 1."""
     grounds = (colours.window, colours.base)
     for text in (colours.text, colours.dim, colours.good, colours.bad):
@@ -64,8 +64,8 @@ def test_text_has_the_contrast_that_wcag_asks_for(colours: Colours) -> None:
     assert contrast(colours.on_simulated, colours.simulated) >= 4.5
     assert contrast("#ffffff", colours.stop) >= 4.5
     assert contrast(colours.on_accent, colours.accent) >= 4.5
-    # WCAG 2.2, 1.4.11: what carries meaning without being text, 3 to 1.
-    for mark in (colours.points, colours.hidden):
+    # WCAG 2.2, 1.4.11: graphical objects, at least 3 to 1.
+    for mark in (colours.points, colours.blocked):
         assert contrast(mark, colours.base) >= 3.0
 
 
@@ -85,5 +85,5 @@ def luminance(colour: str) -> float:
 @pytest.mark.parametrize(
     ("seconds", "text"), [(4.4, "4 s"), (59.7, "1 min 00 s"), (125.0, "2 min 05 s"), (11220.0, "3 h 07 min")]
 )
-def test_durations_in_words(seconds: float, text: str) -> None:
-    assert in_words(seconds) == text
+def test_durations_are_rounded_to_two_units(seconds: float, text: str) -> None:
+    assert rounded_duration_text(seconds) == text

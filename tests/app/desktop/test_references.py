@@ -1,6 +1,6 @@
-"""What the window draws and hears gives back no reference that it does not own.
+"""Repaints and signals of the window lose no references.
 
-PySide6 6.12.0 does on Python 3.11: after some hundred rows there is no None any more, and the interpreter aborts.
+PySide6 6.12.0 on Python 3.11 loses references to None: after some hundred rows none is left, and the interpreter aborts.
 """
 
 import gc
@@ -15,34 +15,34 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import Positions
 from goniotwin.app.desktop import MainWindow
-from goniotwin.app.desktop.model.live_scan import Cut, Points
-from goniotwin.app.desktop.run.scan_plot import CutPlot
+from goniotwin.app.desktop.model.live_scan import ScanData, ScanPoints
+from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.theme import LIGHT
 
 REPAINTS = 2000
-NEW_CUT_EVERY = 10
+NEW_SCAN_EVERY = 10
 MOST_LOST = 200
 RESERVE = 1_000_000
-"""References that the test holds, so that a loss fails it and does not end the interpreter."""
+"""References that the test holds, so that a loss fails the test and does not abort the interpreter."""
 
 
-class Paints(QObject):
+class PaintCounter(QObject):
     """Counts how often a widget is painted."""
 
     count = 0
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Qt's name for it."""
+        """Count an event; Qt calls it."""
         self.count += event.type() is QEvent.Type.Paint
         return super().eventFilter(watched, event)
 
 
-def cut_of(points: int) -> Cut:
+def scan_data(points: int) -> ScanData:
     x = np.arange(float(points))
-    return Cut("a cut", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), Points(x, x + 1.0, 0.1 * (x + 1.0), x == 3.0))
+    return ScanData("a scan", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), ScanPoints(x, x + 1.0, 0.1 * (x + 1.0), x == 3.0))
 
 
-def counted() -> tuple[int, int]:
+def reference_counts() -> tuple[int, int]:
     """References to None and to True, without those of unreachable objects."""
     gc.collect()
     return sys.getrefcount(None), sys.getrefcount(True)
@@ -50,28 +50,28 @@ def counted() -> tuple[int, int]:
 
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="None and True are immortal: their references are not counted")
 def test_repaints_and_signals_lose_no_references(qtbot: QtBot, qapp: QApplication, window: MainWindow) -> None:
-    """The plot is a small one of its own, which is painted faster; the signals are those of a window that is not painted."""
+    """The plot is a separate small one, which repaints faster; the signals are those of a hidden window."""
     held: list[object] = [None, True] * RESERVE
     window.hide()
-    plot = CutPlot(LIGHT)
+    plot = ScanPlot(LIGHT)
     qtbot.addWidget(plot)
     plot.resize(240, 180)
     plot.show()
     shown = plot.findChild(pg.PlotWidget)
     assert shown is not None
     view = shown.viewport()
-    paints = Paints()
+    paints = PaintCounter()
     view.installEventFilter(paints)
-    plot.show_cut(cut_of(2))
+    plot.show_scan(scan_data(2))
     view.repaint()
-    before = counted()
+    before = reference_counts()
     for k in range(REPAINTS):
-        if k % NEW_CUT_EVERY == 0:
-            plot.show_cut(cut_of(2 + k % 7))
+        if k % NEW_SCAN_EVERY == 0:
+            plot.show_scan(scan_data(2 + k % 7))
         view.repaint()
-        window.session.told.emit(Positions({"sigma": float(k)}))
+        window.presenter.message_received.emit(Positions({"sigma": float(k)}))
         qapp.processEvents()
-    lost = [then - now for then, now in zip(before, counted(), strict=True)]
+    lost = [then - now for then, now in zip(before, reference_counts(), strict=True)]
     assert len(held) == 2 * RESERVE
     assert paints.count > REPAINTS
     assert max(lost) < MOST_LOST, f"{lost[0]} of None, {lost[1]} of True"

@@ -1,4 +1,4 @@
-"""A run in the window: it goes to its end, waits, stops, and nothing that is shown can disturb it."""
+"""A run in the window: to the end, paused, stopped; and the plot cannot disturb it."""
 
 import gc
 import signal
@@ -17,8 +17,8 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
-from goniotwin.app.desktop.model import rig_thread as rigthread
-from goniotwin.app.desktop.model.live_scan import Cut, LiveCut
+from goniotwin.app.desktop.model import rig_thread
+from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.model.permissions import BUSY
 from goniotwin.app.end_signals import END_SIGNALS
 from goniotwin.app.rig import OpenRig, RigFile
@@ -31,100 +31,102 @@ ROWS = 10
 
 
 def click(button: QPushButton) -> None:
-    """As a person would: only what is enabled."""
+    """Click a button, which must be enabled."""
     assert button.isEnabled()
     button.click()
 
 
-def ended(qtbot: QtBot, window: MainWindow, state: State) -> None:
-    """Waits until a run has ended, which must be so."""
-    qtbot.waitUntil(lambda: window.session.state not in BUSY and "Saved in" in window.parts.saved, timeout=READY_MS)
-    assert window.session.state is state, window.parts.status
+def wait_for_end(qtbot: QtBot, window: MainWindow, state: State) -> None:
+    """Wait until a run has ended, in this state."""
+    qtbot.waitUntil(lambda: window.presenter.state not in BUSY and "Saved in" in window.view.saved, timeout=READY_MS)
+    assert window.presenter.state is state, window.view.status
 
 
-def counted(window: MainWindow) -> tuple[int, int]:
-    assert window.session.journal is not None
-    with Journal.open(window.session.journal) as journal:
+def row_counts(window: MainWindow) -> tuple[int, int]:
+    assert window.presenter.journal is not None
+    with Journal.open(window.presenter.journal) as journal:
         return journal.row_counts()
 
 
-def test_a_run_goes_to_its_end_and_all_of_it_is_in_the_journal(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
-    click(window.parts.run.start_button)
-    assert not window.parts.run.start_button.isEnabled()
-    assert not window.parts.rig.open_button.isEnabled()
-    ended(qtbot, window, State.DONE)
-    assert window.parts.run.progress.value() == window.parts.run.progress.maximum() == ROWS
-    assert "100 %" in window.parts.run.progress.text()
+def test_a_run_measures_all_rows_into_the_journal(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
+    click(window.view.run.start_button)
+    assert not window.view.run.start_button.isEnabled()
+    assert not window.view.rig.open_button.isEnabled()
+    wait_for_end(qtbot, window, State.DONE)
+    assert window.view.run.progress.value() == window.view.run.progress.maximum() == ROWS
+    assert "100 %" in window.view.run.progress.text()
     assert list(journals.iterdir()) == [journals / "small-001.journal"]
-    assert counted(window) == (ROWS, ROWS)
-    assert window.parts.trouble == ""
-    qtbot.waitUntil(lambda: "gaussian-5" in window.parts.plot.title)
-    assert "SIMULATED" in window.parts.plot.title
-    assert "measured" in window.parts.plot.summary
+    assert row_counts(window) == (ROWS, ROWS)
+    assert window.view.plot_error == ""
+    qtbot.waitUntil(lambda: "gaussian-5" in window.view.plot.title)
+    assert "SIMULATED" in window.view.plot.title
+    assert "measured" in window.view.plot.summary
 
 
 def test_a_second_run_gets_a_journal_of_its_own(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
     for _ in range(2):
         ready(qtbot, window)
-        click(window.parts.run.start_button)
-        ended(qtbot, window, State.DONE)
+        click(window.view.run.start_button)
+        wait_for_end(qtbot, window, State.DONE)
     assert sorted(path.name for path in journals.iterdir()) == ["small-001.journal", "small-002.journal"]
 
 
 def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=20.0))
     seen: set[str] = set()
-    window.session.heard.connect(lambda _message: seen.add(window.parts.axes.position("sigma")))
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.parts.axes.position("sigma") == "30.00°", timeout=READY_MS)
-    assert len(seen) >= 4  # more than where it began and where it ends
+    window.presenter.message_shown.connect(lambda _message: seen.add(window.view.axes.position("sigma")))
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.view.axes.position("sigma") == "30.00°", timeout=READY_MS)
+    assert len(seen) >= 4  # more than the first and the last position
 
 
-def test_pause_waits_and_resume_goes_on_without_a_row_twice(qtbot: QtBot, open_window: WindowOpener) -> None:
+def test_pause_waits_and_resume_measures_no_row_twice(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=20.0))
-    with qtbot.waitSignal(window.session.heard, timeout=READY_MS, check_params_cb=lambda m: isinstance(m, RowCommitted)):
-        click(window.parts.run.start_button)
-    qtbot.waitUntil(window.parts.run.pause_button.isEnabled)
-    click(window.parts.run.pause_button)
-    qtbot.waitUntil(lambda: window.session.state is State.PAUSED, timeout=READY_MS)
-    assert "Paused" in window.parts.status
-    assert window.parts.run.stop_button.isEnabled()
-    done = counted(window)[0]
+    with qtbot.waitSignal(
+        window.presenter.message_shown, timeout=READY_MS, check_params_cb=lambda m: isinstance(m, RowCommitted)
+    ):
+        click(window.view.run.start_button)
+    qtbot.waitUntil(window.view.run.pause_button.isEnabled)
+    click(window.view.run.pause_button)
+    qtbot.waitUntil(lambda: window.presenter.state is State.PAUSED, timeout=READY_MS)
+    assert "Paused" in window.view.status
+    assert window.view.run.stop_button.isEnabled()
+    done = row_counts(window)[0]
     assert 0 < done < ROWS
     window.rig_thread.set_speed(200.0)
-    click(window.parts.run.pause_button)
-    ended(qtbot, window, State.DONE)
-    assert counted(window) == (ROWS, ROWS)
-    assert window.session.journal is not None
-    with sqlite3.connect(window.session.journal) as db:
+    click(window.view.run.pause_button)
+    wait_for_end(qtbot, window, State.DONE)
+    assert row_counts(window) == (ROWS, ROWS)
+    assert window.presenter.journal is not None
+    with sqlite3.connect(window.presenter.journal) as db:
         assert db.execute("SELECT MAX(attempt) FROM attempt").fetchone() == (1,)
     db.close()
 
 
 def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=4.0))
-    heard: list[RowCommitted] = []
-    places: list[dict[str, float]] = []
+    committed: list[RowCommitted] = []
+    positions: list[dict[str, float]] = []
 
     def listen(message: object) -> None:
         if isinstance(message, RowCommitted):
-            heard.append(message)
+            committed.append(message)
         if isinstance(message, Positions):
-            places.append(message.degrees)
+            positions.append(message.degrees)
 
-    window.session.heard.connect(listen)
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: bool(places) and 2.0 < places[-1]["sigma"] < 20.0, timeout=READY_MS)
-    click(window.parts.run.stop_button)
-    ended(qtbot, window, State.IDLE)
-    assert "Stopped after 2 of 10 rows" in window.parts.status
-    assert counted(window) == (len(heard), ROWS) == (2, ROWS)
-    places.clear()
-    # From 10 deg/s at 10 deg/s2 it rests within a second of the rig's time: before the second look that follows.
-    qtbot.waitUntil(lambda: len(places) >= 3, timeout=READY_MS)
-    assert places[-1] == places[-2]
-    assert 2.0 < places[-1]["sigma"] < 29.0
-    assert window.parts.run.start_button.isEnabled()
+    window.presenter.message_shown.connect(listen)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: bool(positions) and 2.0 < positions[-1]["sigma"] < 20.0, timeout=READY_MS)
+    click(window.view.run.stop_button)
+    wait_for_end(qtbot, window, State.IDLE)
+    assert "Stopped after 2 of 10 rows" in window.view.status
+    assert row_counts(window) == (len(committed), ROWS) == (2, ROWS)
+    positions.clear()
+    # From 10 deg/s at 10 deg/s2 it rests within 1 s of simulated time: before the second reading from now.
+    qtbot.waitUntil(lambda: len(positions) >= 3, timeout=READY_MS)
+    assert positions[-1] == positions[-2]
+    assert 2.0 < positions[-1]["sigma"] < 29.0
+    assert window.view.run.start_button.isEnabled()
 
 
 @pytest.mark.parametrize("key", [Qt.Key.Key_Escape, Qt.Key.Key_F12])
@@ -132,18 +134,18 @@ def test_stop_has_keys(qtbot: QtBot, open_window: WindowOpener, key: Qt.Key) -> 
     window = ready(qtbot, open_window(speed=1.0))
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     qtbot.keyClick(window, key)  # type: ignore[no-untyped-call]
-    ended(qtbot, window, State.IDLE)
+    wait_for_end(qtbot, window, State.IDLE)
 
 
 def test_the_window_does_not_wait_for_a_stop_that_takes_long(
     qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = ready(qtbot, open_window(speed=1.0))
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     arrived, answered, stop = threading.Event(), threading.Event(), Rig.stop
 
     def slow(rig: Rig) -> list[DeviceError]:
@@ -152,46 +154,46 @@ def test_the_window_does_not_wait_for_a_stop_that_takes_long(
         return stop(rig)
 
     monkeypatch.setattr(Rig, "stop", slow)
-    click(window.parts.run.stop_button)
+    click(window.view.run.stop_button)
     qtbot.waitUntil(arrived.is_set)
-    assert window.session.state in BUSY
+    assert window.presenter.state in BUSY
     answered.set()
-    ended(qtbot, window, State.IDLE)
+    wait_for_end(qtbot, window, State.IDLE)
 
 
-def test_an_axis_that_could_not_be_told_to_stop_is_the_last_word(
+def test_a_stop_that_did_not_reach_an_axis_stays_in_the_status(
     qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = ready(qtbot, open_window(speed=1.0))
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
-    click(window.parts.run.stop_button)
-    ended(qtbot, window, State.IDLE)
-    qtbot.waitUntil(lambda: "main switch" in window.parts.status, timeout=READY_MS)
-    assert "sigma: MST: nothing" in window.parts.status
+    click(window.view.run.stop_button)
+    wait_for_end(qtbot, window, State.IDLE)
+    qtbot.waitUntil(lambda: "main switch" in window.view.status, timeout=READY_MS)
+    assert "sigma: MST: nothing" in window.view.status
 
 
-def test_axes_that_fall_silent_are_shown_so_and_nothing_can_be_started(
+def test_axes_that_stop_responding_are_shown_and_no_run_can_start(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def silent(_axis: Axis) -> float:
         raise NoAnswer("gamma", "GAP", "0 of 9 bytes")
 
     monkeypatch.setattr(Axis, "position_deg", silent)
-    qtbot.waitUntil(lambda: "does not answer" in window.parts.devices.text("axes"), timeout=READY_MS)
-    assert window.parts.axes.position("gamma") == "–"
-    assert not window.parts.run.start_button.isEnabled()
-    assert window.parts.run.stop_button.isEnabled()
+    qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
+    assert window.view.axes.position("gamma") == "–"
+    assert not window.view.run.start_button.isEnabled()
+    assert window.view.run.stop_button.isEnabled()
 
 
-def test_the_pace_of_a_virtual_rig_can_be_chosen_while_it_runs(qtbot: QtBot, open_window: WindowOpener) -> None:
+def test_the_simulation_speed_can_be_changed_during_a_run(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=1.0))
-    click(window.parts.run.start_button)
-    speeds = window.parts.run.speeds
+    click(window.view.run.start_button)
+    speeds = window.view.run.speeds
     speeds.setCurrentIndex(speeds.findData(60.0))
-    assert "at 60×" in window.parts.run.left.text()
-    ended(qtbot, window, State.DONE)
+    assert "to wait" in window.view.run.left.text()
+    wait_for_end(qtbot, window, State.DONE)
 
 
 def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path) -> None:
@@ -204,13 +206,13 @@ def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path) ->
 
 @pytest.fixture
 def handlers(qapp: QApplication) -> Iterator[None]:
-    """A request to end leaves its handlers in place; they are restored. A desktop that does not end is ended, with status 1."""
+    """Restore the handlers after a signal, which leaves its own. A desktop that does not end gets status 1."""
     before = {number: signal.getsignal(number) for number in END_SIGNALS}
-    patience = QTimer(interval=READY_MS, singleShot=True)
-    patience.timeout.connect(lambda: qapp.exit(1))
-    patience.start()
+    limit = QTimer(interval=READY_MS, singleShot=True)
+    limit.timeout.connect(lambda: qapp.exit(1))
+    limit.start()
     yield
-    patience.stop()
+    limit.stop()
     for number, handler in before.items():
         signal.signal(number, handler)
 
@@ -239,29 +241,29 @@ def test_a_signal_before_the_event_loop_ends_the_desktop(
 
 @pytest.mark.usefixtures("handlers")
 def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tmp_path: Path) -> None:
-    """A dialog for files has an event loop of its own inside the window's."""
+    """A file dialog has an event loop of its own inside that of the window."""
 
-    def press() -> None:
+    def press_open() -> None:
         for window in qapp.topLevelWidgets():
-            if isinstance(window, MainWindow) and window.isVisible() and window.parts.rig.open_button.isEnabled():
-                window.parts.rig.open_button.click()
+            if isinstance(window, MainWindow) and window.isVisible() and window.view.rig.open_button.isEnabled():
+                window.view.rig.open_button.click()
 
-    def look() -> None:
+    def check_dialog() -> None:
         if isinstance(qapp.activeModalWidget(), QFileDialog):
             timer.stop()
             signal.raise_signal(signal.SIGINT)
         else:
-            QTimer.singleShot(0, press)
+            QTimer.singleShot(0, press_open)
 
     timer = QTimer(interval=20)
-    timer.timeout.connect(look)
+    timer.timeout.connect(check_dialog)
     timer.start()
     assert run_desktop(RIG, None, tmp_path) == STOPPED
     assert qapp.activeModalWidget() is None
 
 
 def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: MainWindow) -> None:
-    """Qt crashes on it; so garbage is collected in the window's thread, for as long as there is another."""
+    """Qt would crash; so garbage is collected in the window's thread while there is another thread."""
     collected_in: set[str] = set()
 
     def note(phase: str, _info: dict[str, int]) -> None:
@@ -270,8 +272,8 @@ def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: Ma
 
     gc.callbacks.append(note)
     try:
-        click(window.parts.run.start_button)
-        ended(qtbot, window, State.DONE)
+        click(window.view.run.start_button)
+        wait_for_end(qtbot, window, State.DONE)
         other = threading.Thread(target=leave_cycles)
         other.start()
         other.join()
@@ -287,127 +289,125 @@ def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: Ma
 def test_a_plot_that_fails_does_not_stop_the_run(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
-    def fail(*_: object) -> Cut | None:
+    def fail(*_: object) -> ScanData | None:
         raise ZeroDivisionError("no paint")
 
     if broken == "drawing":
-        monkeypatch.setattr(window.parts.plot, "show_cut", fail)
+        monkeypatch.setattr(window.view.plot, "show_scan", fail)
     else:
-        monkeypatch.setattr(LiveCut, "heed", fail)
-    click(window.parts.run.start_button)
-    ended(qtbot, window, State.DONE)
-    assert counted(window) == (ROWS, ROWS)
-    qtbot.waitUntil(lambda: "no paint" in window.parts.trouble, timeout=READY_MS)
-    assert "the run is not affected" in window.parts.trouble
+        monkeypatch.setattr(LiveScan, "add_row", fail)
+    click(window.view.run.start_button)
+    wait_for_end(qtbot, window, State.DONE)
+    assert row_counts(window) == (ROWS, ROWS)
+    qtbot.waitUntil(lambda: "no paint" in window.view.plot_error, timeout=READY_MS)
+    assert "the run is not affected" in window.view.plot_error
 
 
-def test_a_fault_that_the_engine_does_not_know_is_told_and_ends_the_run(
+def test_an_exception_that_is_not_a_device_fault_is_shown_and_ends_the_run(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
         raise sqlite3.OperationalError("database or disk is full")
 
     monkeypatch.setattr(Journal, "commit", full)
-    click(window.parts.run.start_button)
-    ended(qtbot, window, State.FAILED)
-    assert "disk is full" in window.parts.status
+    click(window.view.run.start_button)
+    wait_for_end(qtbot, window, State.FAILED)
+    assert "disk is full" in window.view.status
 
 
-def test_a_folder_that_cannot_be_made_is_told_and_nothing_moves(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_shown_and_nothing_moves(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
     journals.write_text("a file, not a folder", encoding="utf-8")
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: "Not started" in window.parts.status, timeout=READY_MS)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: "Not started" in window.view.status, timeout=READY_MS)
     ready(qtbot, window)
-    assert window.session.journal is None
+    assert window.presenter.journal is None
 
 
-def test_closing_during_a_run_asks_and_keeps_it_or_stops_it(qtbot: QtBot, open_window: WindowOpener) -> None:
+def test_closing_during_a_run_asks_and_continues_or_stops_the_run(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=1.0))
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     assert not window.close()
-    assert window.leaving is not None
-    window.leaving.no_button.click()
+    assert window.close_question is not None
+    window.close_question.no_button.click()
     assert window.isVisible()
-    assert window.session.state is State.RUNNING
+    assert window.presenter.state is State.RUNNING
     assert not window.close()
-    assert window.leaving is not None
-    window.leaving.yes_button.click()
+    assert window.close_question is not None
+    window.close_question.yes_button.click()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
-    assert window.session.journal is not None
-    with Journal.open(window.session.journal) as journal:
+    assert window.presenter.journal is not None
+    with Journal.open(window.presenter.journal) as journal:
         assert journal.row_counts()[0] < ROWS
 
 
-def test_a_request_to_end_stops_the_run_and_asks_nothing(qtbot: QtBot, open_window: WindowOpener) -> None:
+def test_a_signal_stops_the_run_without_a_question(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=1.0))
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: window.session.journal is not None, timeout=READY_MS)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     assert not window.close()
-    asked = window.leaving
-    assert asked is not None
+    question = window.close_question
+    assert question is not None
     window.stop_and_close()
-    assert window.leaving is None
-    assert not asked.isVisible()
+    assert window.close_question is None
+    assert not question.isVisible()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
-    assert window.session.journal is not None
-    assert campaign_summary(window.session.journal).state == "stopped"
+    assert window.presenter.journal is not None
+    assert campaign_summary(window.presenter.journal).state == "stopped"
 
 
-def test_a_request_to_end_closes_the_window_where_the_run_cannot_begin(
-    qtbot: QtBot, window: MainWindow, journals: Path
-) -> None:
+def test_a_signal_closes_the_window_if_the_run_cannot_start(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
     journals.write_text("a file, not a folder", encoding="utf-8")
-    click(window.parts.run.start_button)
-    assert window.session.busy
+    click(window.view.run.start_button)
+    assert window.presenter.busy
     window.stop_and_close()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
-    assert window.session.journal is None
+    assert window.presenter.journal is None
 
 
 def leave_cycles() -> None:
-    """More than the collector lets pass: by itself it would begin here."""
+    """Create more reference cycles than the threshold of the collector, which would otherwise run here."""
     for _ in range(10 * gc.get_threshold()[0]):
         cycle: list[object] = []
         cycle.append(cycle)
 
 
-class Helped:
-    """A person, and the back door that does what the person says to have done."""
+class ManualOperator:
+    """Asks the operator, then mounts the sample in the simulation."""
 
-    def __init__(self, opened: OpenRig, _rig: RigFile, ask: rigthread.Ask) -> None:
+    def __init__(self, opened: OpenRig, _rig: RigFile, ask: rig_thread.AskOperator) -> None:
         assert opened.virtual is not None
-        self._door = VirtualOperator(opened.virtual)
+        self._operator = VirtualOperator(opened.virtual)
         self._ask = ask
 
     def mount(self, sample: str) -> None:
         self._ask(f"Mount {sample!r}")
-        self._door.mount(sample)
+        self._operator.mount(sample)
 
 
-def test_a_person_is_asked_to_mount_and_the_run_waits(
+def test_the_operator_is_asked_to_mount_and_the_run_waits(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rigthread, "operator_for", Helped)
-    click(window.parts.run.start_button)
+    monkeypatch.setattr(rig_thread, "operator_for", ManualOperator)
+    click(window.view.run.start_button)
     for sample in ("etalon", "gaussian-5"):
-        qtbot.waitUntil(lambda asked=sample: asks(window, asked), timeout=READY_MS)  # type: ignore[misc]
-        assert window.parts.run.stop_button.isEnabled()
-        assert window.mounting is not None
-        window.mounting.yes_button.click()
-    ended(qtbot, window, State.DONE)
+        qtbot.waitUntil(lambda asked=sample: asks_for(window, asked), timeout=READY_MS)  # type: ignore[misc]
+        assert window.view.run.stop_button.isEnabled()
+        assert window.mount_question is not None
+        window.mount_question.yes_button.click()
+    wait_for_end(qtbot, window, State.DONE)
 
 
-def test_stop_ends_the_waiting_for_a_person(qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rigthread, "operator_for", Helped)
-    click(window.parts.run.start_button)
-    qtbot.waitUntil(lambda: asks(window, "etalon"), timeout=READY_MS)
-    click(window.parts.run.stop_button)
-    ended(qtbot, window, State.IDLE)
-    assert counted(window)[0] == 0
-    assert window.mounting is None
+def test_stop_ends_the_wait_for_the_operator(qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig_thread, "operator_for", ManualOperator)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: asks_for(window, "etalon"), timeout=READY_MS)
+    click(window.view.run.stop_button)
+    wait_for_end(qtbot, window, State.IDLE)
+    assert row_counts(window)[0] == 0
+    assert window.mount_question is None
 
 
-def asks(window: MainWindow, sample: str) -> bool:
-    return window.mounting is not None and sample in window.mounting.text()
+def asks_for(window: MainWindow, sample: str) -> bool:
+    return window.mount_question is not None and sample in window.mount_question.text()

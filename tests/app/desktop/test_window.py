@@ -1,4 +1,4 @@
-"""What a person sees before anything is measured."""
+"""The window before a measurement."""
 
 import re
 from pathlib import Path
@@ -14,60 +14,60 @@ from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
 from tests.conftest import Writer
 
 
-def test_all_four_devices_of_the_virtual_rig_answer_and_say_who_they_are(window: MainWindow) -> None:
+def test_all_four_devices_of_the_virtual_rig_are_connected_with_their_identity(window: MainWindow) -> None:
     for device, identity in zip(DEVICES, ("TMCM-6214", "Cornerstone 260", "ADAM-6017", "PM100D"), strict=True):
-        assert "✓ answers" in window.parts.devices.text(device)
-        assert identity in window.parts.devices.text(device)
+        assert "✓ connected" in window.view.devices.text(device)
+        assert identity in window.view.devices.text(device)
 
 
-def test_a_simulated_rig_is_called_so_in_frame_banner_and_plot(window: MainWindow) -> None:
+def test_a_simulated_rig_is_marked_in_title_banner_and_plot(window: MainWindow) -> None:
     assert "SIMULATED (seed 1)" in window.windowTitle()
-    assert "SIMULATED" in window.parts.banner
-    assert "seed 1" in window.parts.banner
-    assert "SIMULATED (seed 1)" in window.parts.plot.title
+    assert "SIMULATED" in window.view.banner
+    assert "seed 1" in window.view.banner
+    assert "SIMULATED (seed 1)" in window.view.plot.title
 
 
 def test_positions_are_shown_before_anything_runs(qtbot: QtBot, window: MainWindow) -> None:
-    qtbot.waitUntil(lambda: window.parts.axes.position("gamma") == "0.00°", timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.view.axes.position("gamma") == "0.00°", timeout=READY_MS)
 
 
-def test_a_port_that_does_not_exist_is_named_and_the_rest_answers(
+def test_a_port_that_does_not_exist_is_named_and_the_other_devices_connect(
     qtbot: QtBot, open_window: WindowOpener, write_rig: Writer
 ) -> None:
     window = open_window(write_rig(('port = "twin://virtual/axes"', 'port = "/dev/no-such-port"')))
-    qtbot.waitUntil(lambda: "does not answer" in window.parts.devices.text("axes"), timeout=READY_MS)
-    assert "/dev/no-such-port" in window.parts.devices.text("axes")
+    qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
+    assert "/dev/no-such-port" in window.view.devices.text("axes")
     for device in DEVICES[1:]:
-        assert "✓ answers" in window.parts.devices.text(device)
-    qtbot.waitUntil(lambda: window.session.plan is not None, timeout=READY_MS)
-    assert not window.parts.run.start_button.isEnabled()
-    assert "no answer from axes" in window.parts.run.start_button.toolTip()
-    assert window.parts.run.stop_button.isEnabled()
+        assert "✓ connected" in window.view.devices.text(device)
+    qtbot.waitUntil(lambda: window.presenter.plan is not None, timeout=READY_MS)
+    assert not window.view.run.start_button.isEnabled()
+    assert "not responding: axes" in window.view.run.start_button.toolTip()
+    assert window.view.run.stop_button.isEnabled()
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [("name = ", "is not TOML"), ('name = "x"\nport = 1', "there is no such key"), (None, "cannot be read")],
 )
-def test_a_rig_file_that_will_not_do_is_named_in_the_window(
-    qtbot: QtBot, open_window: WindowOpener, tmp_path: Path, text: str | None, said: str
+def test_an_error_in_the_rig_file_is_shown_with_its_name(
+    qtbot: QtBot, open_window: WindowOpener, tmp_path: Path, text: str | None, message: str
 ) -> None:
     path = tmp_path / "bad.toml"
     if text is not None:
         path.write_text(text, encoding="utf-8")
     window = open_window(path)
-    qtbot.waitUntil(lambda: re.search(f"bad.toml.*{said}|is missing", window.parts.status) is not None, timeout=READY_MS)
-    assert not window.parts.run.start_button.isEnabled()
-    assert not window.parts.run.stop_button.isEnabled()
+    qtbot.waitUntil(lambda: re.search(f"bad.toml.*{message}|is missing", window.view.status) is not None, timeout=READY_MS)
+    assert not window.view.run.start_button.isEnabled()
+    assert not window.view.run.stop_button.isEnabled()
 
 
-def test_an_address_that_leads_nowhere_is_told(qtbot: QtBot, open_window: WindowOpener, write_rig: Writer) -> None:
+def test_an_address_without_a_device_is_shown(qtbot: QtBot, open_window: WindowOpener, write_rig: Writer) -> None:
     window = open_window(write_rig(("twin://virtual/adc-0", "twin://virtual/adc-9")))
-    qtbot.waitUntil(lambda: "adc-9" in window.parts.status + window.parts.devices.text("photodiodes"), timeout=READY_MS)
-    assert not window.parts.run.start_button.isEnabled()
+    qtbot.waitUntil(lambda: "adc-9" in window.view.status + window.view.devices.text("photodiodes"), timeout=READY_MS)
+    assert not window.view.run.start_button.isEnabled()
 
 
-def test_a_fault_that_nobody_foresaw_is_told_and_the_window_lives_on(
+def test_an_unexpected_exception_is_shown_and_the_window_stays_open(
     qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> None:
@@ -76,35 +76,35 @@ def test_a_fault_that_nobody_foresaw_is_told_and_the_window_lives_on(
     with monkeypatch.context() as patch:
         patch.setattr(Rig, "connect", broken)
         window = open_window()
-        qtbot.waitUntil(lambda: "AttributeError: no such thing" in window.parts.status, timeout=READY_MS)
-        assert not window.parts.run.stop_button.isEnabled()
-    window.parts.rig.again_button.click()
+        qtbot.waitUntil(lambda: "AttributeError: no such thing" in window.view.status, timeout=READY_MS)
+        assert not window.view.run.stop_button.isEnabled()
+    window.view.rig.again_button.click()
     ready(qtbot, window)
 
 
-def test_a_schedule_that_the_rig_cannot_do_is_told_and_cannot_be_started(
+def test_a_schedule_that_the_rig_cannot_do_is_refused_and_cannot_be_started(
     qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer
 ) -> None:
     window = open_window(schedule=write_schedule(("sigma_deg = [30]", "sigma_deg = [30]\ngamma_deg = [400]")))
-    qtbot.waitUntil(lambda: "gamma_deg: 400 deg is outside" in window.parts.status, timeout=READY_MS)
-    assert not window.parts.run.start_button.isEnabled()
-    assert "gamma_deg" in window.parts.run.start_button.toolTip()
+    qtbot.waitUntil(lambda: "gamma_deg: 400 deg is outside" in window.view.status, timeout=READY_MS)
+    assert not window.view.run.start_button.isEnabled()
+    assert "gamma_deg" in window.view.run.start_button.toolTip()
 
 
-def test_a_rig_whose_port_was_mended_connects_again(qtbot: QtBot, open_window: WindowOpener, write_rig: Writer) -> None:
+def test_a_rig_connects_again_after_its_port_is_corrected(qtbot: QtBot, open_window: WindowOpener, write_rig: Writer) -> None:
     window = open_window(write_rig(('port = "twin://virtual/axes"', 'port = "/dev/no-such-port"')))
-    qtbot.waitUntil(lambda: "does not answer" in window.parts.devices.text("axes"), timeout=READY_MS)
+    qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
     write_rig()
-    window.parts.rig.again_button.click()
+    window.view.rig.again_button.click()
     ready(qtbot, window)
-    assert "✓ answers" in window.parts.devices.text("axes")
+    assert "✓ connected" in window.view.devices.text("axes")
 
 
-def test_every_control_has_a_name_for_those_who_do_not_see_it(window: MainWindow) -> None:
+def test_every_control_has_an_accessible_name(window: MainWindow) -> None:
     controls = [
         control
         for kind in (QAbstractButton, QComboBox, QProgressBar)
-        for control in window.parts.findChildren(kind)
+        for control in window.view.findChildren(kind)
         if control.isVisible()
     ]
     assert len(controls) == 9

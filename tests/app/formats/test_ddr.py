@@ -1,4 +1,4 @@
-"""Lumicept .ddr files: byte for byte what other programs read, and nothing doubtful let in."""
+"""Lumicept .ddr files: written byte for byte as other programs read them; inconsistent files are refused."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -104,13 +104,13 @@ def saved(folder: Path, text: str) -> Path:
 def refusal(path: Path) -> str:
     with pytest.raises(FormatError) as caught:
         read_ddr(path)
-    message = str(caught.value)
-    assert message.isprintable(), "one line"
-    assert message.startswith(str(path))
-    return message.removeprefix(str(path))
+    text = str(caught.value)
+    assert text.isprintable(), "one line"
+    assert text.startswith(str(path))
+    return text.removeprefix(str(path))
 
 
-def test_a_spectral_table_is_written_as_the_format_says(tmp_path: Path) -> None:
+def test_a_spectral_table_is_written_in_the_format(tmp_path: Path) -> None:
     write_ddr(tmp_path / "out.ddr", spectral_table())
     assert (tmp_path / "out.ddr").read_bytes() == SPECTRAL.encode()
 
@@ -162,15 +162,15 @@ def test_kbdf_multiplies_the_values_sigma_fastest(tmp_path: Path) -> None:
     ],
     ids=["CRLF", "default symmetry", "default data", "no kbdf", "upper case", "one line"],
 )
-def test_what_other_readers_take_is_taken(tmp_path: Path, text: str) -> None:
+def test_variants_that_other_readers_accept_are_read(tmp_path: Path, text: str) -> None:
     np.testing.assert_allclose(read_ddr(saved(tmp_path, text)).values, spectral_table().values, rtol=5e-9)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
-        ("sigma 2\n", "sigma 3\n", "line 7: sigma says 3 angles but has 2"),
-        ("phi 3\n", "phi 2\n", "line 9: phi says 2 angles but has more"),
+        ("sigma 2\n", "sigma 3\n", "line 7: sigma: the count is 3, but the list has 2 angles"),
+        ("phi 3\n", "phi 2\n", "line 9: phi: the count is 2, but the list is longer"),
         (" 0 90 180\ntheta", " 180 90 0\ntheta", "line 10: phi 90 follows 180: the list does not ascend"),
         (" 0 90\n", " 90 0\n", "line 8: sigma 0 follows 90: the list does not ascend"),
         (" 0 90\n", " 0 91\n", "line 8: sigma 91 is outside 0 to 90 deg"),
@@ -178,42 +178,42 @@ def test_what_other_readers_take_is_taken(tmp_path: Path, text: str) -> None:
         (" 0.9 0.5 0.5\n", " 0.9 0.5\n", "line 18: def of wl 450 has too few numbers: 17, not 6 rows of 3"),
         (" 0.9 0.5 0.5\n", " 0.9 0.5 0.5 0.5\n", "line 18: def of wl 450 has too many numbers: 19, not 6 rows of 3"),
         (" 0.9 0.5 0.5\n", " 0.9 0.5 0,5\n", "line 18: def of wl 450: '0,5' has a decimal comma"),
-        (" 0.9 0.5 0.5\n", " 0.9 0.5 nan\n", "line 18: def of wl 450: 'nan' is no value"),
+        (" 0.9 0.5 0.5\n", " 0.9 0.5 nan\n", "line 18: def of wl 450: 'nan' is not finite"),
         ("  1.0 1.0\n", "  1.0\n", "line 15: kbdf of wl 450 has too few numbers"),
         ("  1.0 1.0\n", "  1.0 -1.0\n", "line 15: kbdf of wl 450 has a negative factor"),
-        (" enddef\nwl", "wl", "line 25: 'wl' stands where enddef should be"),
-        (" enddef\nwl", " enddef 1\nwl", "line 25: '1' stands where wl should be"),
-        ("spectral 2", "spectral 3", "line 38: the file ends after 2 of the 3 blocks that TypeColorModel says"),
-        ("spectral 2", "spectral 1", "line 26: 'wl' follows the 1 blocks that TypeColorModel says"),
+        (" enddef\nwl", "wl", "line 25: expected enddef, found 'wl'"),
+        (" enddef\nwl", " enddef 1\nwl", "line 25: expected wl, found '1'"),
+        ("spectral 2", "spectral 3", "line 38: the file ends after 2 of the 3 blocks of TypeColorModel"),
+        ("spectral 2", "spectral 1", "line 26: 'wl' follows the last of the 1 blocks of TypeColorModel"),
         ("spectral 2", "spectral", "line 6: 'TypeData' is not a possible number of wavelengths"),
-        ("spectral 2", "BW", "line 13: 'wl' stands where bw should be"),
-        ("spectral 2", "RGB", "line 5: TypeColorModel 'RGB' is not read"),
+        ("spectral 2", "BW", "line 13: expected bw, found 'wl'"),
+        ("spectral 2", "RGB", "line 5: TypeColorModel 'RGB' is not supported"),
         ("TypeColorModel spectral 2\n", "", "TypeColorModel is missing"),
         ("wl 650", "wl 450", "line 26: wl 450 does not ascend"),
-        ("Luminance Absolute", "Luminance Relative", "line 6: TypeData 'Relative' is not read"),
-        ("Luminance Absolute", "Intensity Absolute", "line 6: TypeData 'Intensity' is not read"),
-        ("PlaneSymmetrical", "AxiSymmetrical", "line 4: TypeSym 'AxiSymmetrical' is not read"),
-        ("PlaneSymmetrical", "Symmetric", "line 4: TypeSym 'Symmetric' is not read"),
-        ("Source Measured", "Source Guessed", "line 3: Source 'Guessed' is not read"),
+        ("Luminance Absolute", "Luminance Relative", "line 6: TypeData 'Relative' is not supported"),
+        ("Luminance Absolute", "Intensity Absolute", "line 6: TypeData 'Intensity' is not supported"),
+        ("PlaneSymmetrical", "AxiSymmetrical", "line 4: TypeSym 'AxiSymmetrical' is not supported"),
+        ("PlaneSymmetrical", "Symmetric", "line 4: TypeSym 'Symmetric' is not supported"),
+        ("Source Measured", "Source Guessed", "line 3: Source 'Guessed' is not supported"),
         ("Source Measured\n", "", "Source is missing"),
-        ("phi 3\n", "phy 3\n", "line 9: 'phy' is no keyword of a .ddr file; is it phi?"),
-        ("phi 3\n", "sigmat 0 90\nphi 3\n", "line 9: sigmat (a refracted axis) is not read"),
+        ("phi 3\n", "phy 3\n", "line 9: 'phy' is not a keyword of a .ddr file; did you mean phi?"),
+        ("phi 3\n", "sigmat 0 90\nphi 3\n", "line 9: sigmat (a refracted axis) is not supported"),
         ("phi 3\n", "psi 2\n0 90\nphi 3\n", "psi is [0] unless the symmetry is ASymmetrical 4D"),
         ("phi 3\n", "sigma 1\n0\nphi 3\n", "line 9: sigma is given twice"),
-        (";; our", "our", "line 1: 'our' is no keyword of a .ddr file"),
+        (";; our", "our", "line 1: 'our' is not a keyword of a .ddr file"),
     ],
 )
-def test_a_file_that_others_would_misread_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_a_file_that_other_programs_misread_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in SPECTRAL
-    assert said in refusal(saved(tmp_path, SPECTRAL.replace(old, new, 1)))
+    assert message in refusal(saved(tmp_path, SPECTRAL.replace(old, new, 1)))
 
 
-def test_a_file_cut_short_anywhere_is_refused(tmp_path: Path) -> None:
+def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
     for length in range(len(SPECTRAL.rstrip())):  # the last line end may be missing
         refusal(saved(tmp_path, SPECTRAL[:length]))
 
 
-def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_missing_or_unreadable_file_is_refused(tmp_path: Path) -> None:
     assert "there is no such file" in refusal(tmp_path / "absent.ddr")
     assert "is a folder" in refusal(tmp_path)
 
@@ -229,7 +229,7 @@ def read_or_refused(path: Path) -> None:
     except FormatError:
         refusal(path)
     else:
-        write_ddr(path, table)  # what is accepted is a table that can be written
+        write_ddr(path, table)  # a table that is read can be written
 
 
 @settings(deadline=None)
@@ -297,7 +297,7 @@ def tables(draw: st.DrawFn) -> DdrTable:
 
 @settings(deadline=None)
 @given(table=tables())
-def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: DdrTable) -> None:
+def test_reading_returns_the_written_table_to_nine_digits(folder: Path, table: DdrTable) -> None:
     path = folder / "round.ddr"
     write_ddr(path, table)
     again = read_ddr(path)
@@ -308,13 +308,13 @@ def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: D
     np.testing.assert_allclose(again.values, table.values, rtol=5e-9, atol=5e-324)
     first = path.read_bytes()
     write_ddr(path, again)
-    assert path.read_bytes() == first, "what was read is written the same"
+    assert path.read_bytes() == first, "writing the table read gives the same bytes"
     assert first.isascii()
 
 
 @settings(deadline=None)
 @given(comments=st.lists(st.text() | st.sampled_from(["wl 450", "a\nsigma 2\n0 90", "\r;; phi", "\x85def"]), max_size=4))
-def test_no_comment_changes_what_is_read(folder: Path, comments: list[str]) -> None:
+def test_no_comment_changes_the_table(folder: Path, comments: list[str]) -> None:
     path = folder / "commented.ddr"
     write_ddr(path, replace(spectral_table(), comments=tuple(comments)))
     top, mark, rest = path.read_bytes().partition(b"Source Measured\n")
@@ -323,10 +323,10 @@ def test_no_comment_changes_what_is_read(folder: Path, comments: list[str]) -> N
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"values": np.zeros((1, 1, 2, 3, 3))}, "shape"),
-        ({"values": np.full((2, 1, 2, 3, 3), np.inf)}, "36 of 36 that are not finite"),
+        ({"values": np.full((2, 1, 2, 3, 3), np.inf)}, "36 of 36 values that are not finite"),
         ({"sigma_deg": np.array([90.0, 0])}, "sigma does not ascend"),
         ({"theta_deg": np.array([0.0, 90, 181])}, "theta has numbers outside 0 to 180"),
         ({"phi_deg": np.array([0.0, 90, 360])}, "PlaneSymmetrical has 0 to 180 only"),
@@ -337,13 +337,13 @@ def test_no_comment_changes_what_is_read(folder: Path, comments: list[str]) -> N
         ({"source": "measured"}, "source is one of"),
     ],
 )
-def test_a_table_that_does_not_fit_together_is_not_made(change: dict[str, object], said: str) -> None:
+def test_an_inconsistent_table_is_refused(change: dict[str, object], message: str) -> None:
     fields: dict[str, object] = {**vars(spectral_table()), **change}
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         DdrTable(**fields)  # type: ignore[arg-type]
 
 
-def test_a_file_that_cannot_be_written_is_a_format_error(tmp_path: Path) -> None:
+def test_a_table_that_cannot_be_written_raises_a_format_error(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be written"):
         write_ddr(tmp_path / "absent" / "out.ddr", spectral_table())
     with pytest.raises(FormatError, match="sigma has two angles that are both written 30"):

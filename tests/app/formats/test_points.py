@@ -1,4 +1,4 @@
-"""CSV of points: a missing number stays missing, and what is written is read again."""
+"""CSV of points: a missing number stays missing, and reading returns what was written."""
 
 import csv
 from pathlib import Path
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from goniotwin.app.formats import FormatError, read_points_csv, write_points_csv
 
 
-def test_a_file_says_what_it_is_then_names_its_columns(tmp_path: Path) -> None:
+def test_a_file_has_comments_then_column_names_then_rows(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     columns: dict[str, ArrayLike] = {
         "theta_deg": np.array([0.0, 1 / 3, 2]),
@@ -62,7 +62,7 @@ def column_sets(draw: st.DrawFn) -> dict[str, np.ndarray[tuple[int], np.dtype[np
 
 @settings(deadline=None)
 @given(columns=column_sets(), comments=st.lists(TEXT, max_size=3))
-def test_what_is_written_is_read_again(
+def test_reading_returns_the_written_columns(
     tmp_path_factory: pytest.TempPathFactory,
     columns: dict[str, np.ndarray[tuple[int], np.dtype[np.float64 | np.str_]]],
     comments: list[str],
@@ -94,25 +94,25 @@ def test_arbitrary_bytes_raise_nothing_but_a_format_error(tmp_path_factory: pyte
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("# c\na,b\n1,2\n3\n", "line 4: 1 fields, but the header has 2"),
-        ("a,a\n1,2\n", "line 1: the header leaves a column without a name of its own"),
-        ("# only a comment\n", "line 2: the header leaves"),
+        ("a,a\n1,2\n", "line 1: in the header a column has no name"),
+        ("# only a comment\n", "line 2: in the header"),
         ('a,b\n"1,2\n', "line 2: not CSV"),
         (f"a\n{'x' * (csv.field_size_limit() + 1)}\n", "not CSV: field larger than field limit"),
     ],
 )
-def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "broken.csv"
     path.write_text(text)
     with pytest.raises(FormatError) as caught:
         read_points_csv(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("columns", "said"),
+    ("columns", "message"),
     [
         ({}, "all of the same length"),
         ({"a": [1.0], "b": [1.0, 2.0]}, "all of the same length"),
@@ -125,7 +125,7 @@ def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, text: str, said:
         ({"a": ["\ud800"]}, "broken characters"),
     ],
 )
-def test_what_the_file_cannot_say_is_not_written(tmp_path: Path, columns: dict[str, list[float]], said: str) -> None:
-    with pytest.raises(FormatError, match=said):
+def test_columns_that_a_csv_cannot_represent_are_refused(tmp_path: Path, columns: dict[str, list[float]], message: str) -> None:
+    with pytest.raises(FormatError, match=message):
         write_points_csv(tmp_path / "out.csv", [], columns)
     assert list(tmp_path.iterdir()) == []

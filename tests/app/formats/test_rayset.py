@@ -1,4 +1,4 @@
-"""Rayset files: nothing is lost, other HDF5 programs can read them, and damage is noticed before HDF5 sees it."""
+"""Rayset files: written without loss, readable by other HDF5 programs, and checked for damage before HDF5 opens them."""
 
 import hashlib
 import math
@@ -49,7 +49,7 @@ def same(first: Rayset, second: Rayset) -> bool:
 
 @given(raysets())
 @settings(deadline=None)
-def test_what_was_written_is_read(rayset: Rayset) -> None:
+def test_reading_returns_the_written_rayset(rayset: Rayset) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "beam.h5"
         write_rayset(path, rayset)
@@ -64,7 +64,7 @@ def beam(tmp_path: Path) -> Path:
     return path
 
 
-def test_any_hdf5_program_finds_columns_units_and_that_it_is_simulated(beam: Path) -> None:
+def test_other_hdf5_programs_find_columns_units_and_the_simulated_mark(beam: Path) -> None:
     with h5py.File(beam) as file:
         assert bool(file.attrs["simulated"]) is True
         assert file.attrs["format"] == "goniotwin rayset"
@@ -89,15 +89,15 @@ def test_the_same_rayset_gives_the_same_bytes(beam: Path) -> None:
 def refusal(path: Path) -> str:
     with pytest.raises(FormatError) as caught:
         read_rayset(path)
-    message = str(caught.value)
-    assert message.isprintable(), "one line"
-    assert message.startswith(str(path))
-    return message.removeprefix(str(path))
+    text = str(caught.value)
+    assert text.isprintable(), "one line"
+    assert text.startswith(str(path))
+    return text.removeprefix(str(path))
 
 
 @given(st.data())
 @settings(deadline=None)
-def test_any_damage_is_noticed(data: st.DataObject) -> None:
+def test_any_damage_is_detected(data: st.DataObject) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "beam.h5"
         write_rayset(path, record(UNIT, 5, seed=1))
@@ -108,16 +108,16 @@ def test_any_damage_is_noticed(data: st.DataObject) -> None:
         else:
             del content[place:]
         path.write_bytes(content)
-        assert "is damaged" in (message := refusal(path)) or "is no rayset" in message
+        assert "is damaged" in (message := refusal(path)) or "is not a rayset" in message
 
 
-def test_what_is_no_rayset_is_refused(tmp_path: Path) -> None:
+def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
     assert "there is no such file" in refusal(tmp_path / "absent.h5")
     assert "is a folder" in refusal(tmp_path)
     text = tmp_path / "note.h5"
     for content in (b"", b"hello", b"\x89HDF\r\n\x1a\n" + bytes(900)):
         text.write_bytes(content)
-        assert "is no rayset" in refusal(text)
+        assert "is not a rayset" in refusal(text)
     with pytest.raises(FormatError, match="cannot be written"):
         write_rayset(tmp_path / "absent" / "beam.h5", record(UNIT, 2, seed=0))
 
@@ -161,8 +161,8 @@ def column(name: str, value: object, unit: str) -> Callable[[h5py.File], None]:
         (without("flux"), "the column flux is missing"),
         (without("simulated"), "the attribute simulated is missing"),
         (without("geometry"), "the attribute geometry is missing"),
-        (attribute("simulated", False), "does not say that it is simulated"),
-        (attribute("simulated", "no"), "the attribute simulated is 'no', no bool"),
+        (attribute("simulated", False), "is not marked as simulated"),
+        (attribute("simulated", "no"), "the attribute simulated is 'no', not of type bool"),
         (attribute("version", 2), "is a rayset of version 2, not 1"),
         (attribute("format", "other"), "its format is 'other'"),
         (attribute("flux_unit", "lm"), "the column flux is in 'W', not lm"),
@@ -175,9 +175,9 @@ def column(name: str, value: object, unit: str) -> Callable[[h5py.File], None]:
         (column("wavelength", np.full(50, 5.55e-7), "m"), "the column wavelength is in 'm', not nm"),
     ],
 )
-def test_a_file_that_is_whole_but_wrong_is_refused(beam: Path, change: Callable[[h5py.File], None], wrong: str) -> None:
+def test_an_undamaged_file_with_a_wrong_field_is_refused(beam: Path, change: Callable[[h5py.File], None], wrong: str) -> None:
     assert wrong in refusal(changed(beam, change))
 
 
-def test_a_file_that_was_changed_and_is_right_is_read(beam: Path) -> None:
+def test_a_file_changed_without_error_is_read(beam: Path) -> None:
     assert same(read_rayset(changed(beam, lambda _file: None)), replace(record(UNIT, 50, seed=1)))

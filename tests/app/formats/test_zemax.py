@@ -1,4 +1,4 @@
-"""Zemax .bsdf files: what is read, what is refused and how, and that writing loses nothing."""
+"""Zemax .bsdf files: reading, refusals with their lines, and writing without loss."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import FormatError, ZemaxBsdf, read_zemax, write_zemax
 
-# One rotation, two incidences, azimuths 0 and 180, radials 0, 10, 90: the least that has every list.
+# One rotation, two incidences, azimuths 0 and 180, radials 0, 10, 90: the smallest file with every list.
 GOOD = """\
 # black paint
 #    second line
@@ -50,13 +50,13 @@ def good(tmp_path: Path, text: str = GOOD) -> Path:
 def refusal(path: Path) -> str:
     with pytest.raises(FormatError) as caught:
         read_zemax(path)
-    message = str(caught.value)
-    assert message.isprintable(), "one line"
-    assert message.startswith(str(path))
-    return message.removeprefix(str(path))
+    text = str(caught.value)
+    assert text.isprintable(), "one line"
+    assert text.startswith(str(path))
+    return text.removeprefix(str(path))
 
 
-def test_every_part_of_a_file_is_read(tmp_path: Path) -> None:
+def test_all_fields_of_a_file_are_read(tmp_path: Path) -> None:
     table = read_zemax(good(tmp_path))
     assert (table.source, table.symmetry, table.scatter_type) == ("Measured", "PlaneSymmetrical", "BRDF")
     assert table.sample_rotation_deg.tolist() == [0]
@@ -75,7 +75,7 @@ def test_every_part_of_a_file_is_read(tmp_path: Path) -> None:
         lambda text: text.replace("\n", "\r"),
         lambda text: text.replace("\t", "   "),
         lambda text: text.replace("\n", "\n\n"),
-        lambda text: "".join(line + " # said so\n" for line in text.splitlines()),
+        lambda text: "".join(line + " # a comment\n" for line in text.splitlines()),
         lambda text: text.upper(),
         lambda text: text.lower(),
         lambda text: text.replace("\n0.3", " 0.3").replace("10\t30", "10\n30"),
@@ -85,7 +85,7 @@ def test_every_part_of_a_file_is_read(tmp_path: Path) -> None:
     ],
     ids=["CRLF", "CR", "spaces", "blank lines", "comments", "upper", "lower", "wrapped", "BOM", "UTF-8", "no line end"],
 )
-def test_the_way_of_writing_does_not_matter(tmp_path: Path, change: object) -> None:
+def test_white_space_case_and_encoding_do_not_matter(tmp_path: Path, change: object) -> None:
     assert callable(change)
     table = read_zemax(good(tmp_path, change(GOOD)))
     assert table.values.tolist() == VALUES
@@ -117,7 +117,7 @@ def test_sample_rotations_are_the_first_dimension(tmp_path: Path, word: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("ScatterRadial\t3\n0\t10\t90\n", "", "ScatterRadial is missing"),
         ("Source\tMeasured\n", "", "Source is missing"),
@@ -125,10 +125,10 @@ def test_sample_rotations_are_the_first_dimension(tmp_path: Path, word: str) -> 
         (
             "ScatterRadial",
             "ScaterRadial",
-            "line 13: 'ScaterRadial' is no keyword of a .bsdf file; is it ScatterRadial?",
+            "line 13: 'ScaterRadial' is not a keyword of a .bsdf file; did you mean ScatterRadial?",
         ),
-        ("AngleOfIncidence\t2", "AngleOfIncidence\t3", "line 9: AngleOfIncidence says 3 angles but has 2"),
-        ("AngleOfIncidence\t2", "AngleOfIncidence\t1", "line 9: AngleOfIncidence says 1 angles but has more"),
+        ("AngleOfIncidence\t2", "AngleOfIncidence\t3", "line 9: AngleOfIncidence: the count is 3, but the list has 2 angles"),
+        ("AngleOfIncidence\t2", "AngleOfIncidence\t1", "line 9: AngleOfIncidence: the count is 1, but the list is longer"),
         ("AngleOfIncidence\t2", "AngleOfIncidence\ttwo", "line 9: 'two' is not a possible number of AngleOfIncidence"),
         ("AngleOfIncidence\t2", "AngleOfIncidence\t0", "line 9: '0' is not a possible number"),
         ("10\t30", "30\t10", "line 10: AngleOfIncidence 10 follows 30: the list does not ascend"),
@@ -150,35 +150,35 @@ def test_sample_rotations_are_the_first_dimension(tmp_path: Path, word: str) -> 
             "0.3\t0,25\t0.1",
             "line 20: BSDF at rotation 0, incidence 10 deg: '0,25' has a decimal comma",
         ),
-        ("0.3\t0.25\t0.1", "0.3\tNaN\t0.1", "line 20: BSDF at rotation 0, incidence 10 deg: 'NaN' is no value"),
-        ("0.3\t0.25\t0.1", "0.3\t-inf\t0.1", "'-inf' is no value"),
+        ("0.3\t0.25\t0.1", "0.3\tNaN\t0.1", "line 20: BSDF at rotation 0, incidence 10 deg: 'NaN' is not finite"),
+        ("0.3\t0.25\t0.1", "0.3\t-inf\t0.1", "'-inf' is not finite"),
         ("0.3\t0.25\t0.1", "0.3\t1e999\t0.1", "'1e999' is larger than a 64-bit float"),
         ("0.3\t0.25\t0.1", "0.3\t1_0\t0.1", "'1_0' is not a number"),
         ("0.3\t0.25\t0.1", "0.3\t٣\t0.1", "is not a number"),
         ("TIS\t0.03", "", "line 22: BSDF at rotation 0, incidence 10 deg has too many numbers"),
         ("TIS\t0.03\n1.5e-3\t0.2\t0\n1.5e-3\t0.25\t-1e-6\n", "", "line 21: 1 blocks of data, but SampleRotation and"),
         ("DataEnd", "TIS 1\n1 1 1\n1 1 1\nDataEnd", "line 24: more blocks of data than the 2"),
-        ("DataEnd\n", "", "line 23: the file ends where DataEnd should follow"),
-        ("DataEnd", "DataEnd\nDataBegin", "line 25: 'DataBegin' stands after DataEnd"),
-        ("Monochrome\nDataBegin", "TristimulusX\nDataBegin", "tristimulus data are not read"),
+        ("DataEnd\n", "", "line 23: the file ends before DataEnd"),
+        ("DataEnd", "DataEnd\nDataBegin", "line 25: 'DataBegin' follows DataEnd"),
+        ("Monochrome\nDataBegin", "TristimulusX\nDataBegin", "tristimulus data are not supported"),
         (
             "SpectralContent\tMonochrome",
             "SpectralContent\tXYZ",
-            "line 5: SpectralContent XYZ (tristimulus) is not read",
+            "line 5: SpectralContent XYZ (tristimulus) is not supported",
         ),
-        ("Monochrome\nDataBegin", "DataBegin", "line 16: 'DataBegin' stands where Monochrome should be"),
+        ("Monochrome\nDataBegin", "DataBegin", "line 16: expected Monochrome, found 'DataBegin'"),
         ("PlaneSymmetrical", "Round", "line 4: Symmetry 'Round' is not known"),
         ("BRDF", "BSSRDF", "line 6: ScatterType 'BSSRDF' is not known; write BRDF or BTDF"),
         ("BRDF", "BRDF\nScatterType BRDF", "line 7: ScatterType is given twice"),
-        ("# black", "\x00 black", "line 1: holds binary data"),
+        ("# black", "\x00 black", "line 1: contains binary data"),
     ],
 )
-def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in GOOD
-    assert said in refusal(good(tmp_path, GOOD.replace(old, new, 1)))
+    assert message in refusal(good(tmp_path, GOOD.replace(old, new, 1)))
 
 
-def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_missing_or_unreadable_file_is_refused(tmp_path: Path) -> None:
     assert "there is no such file" in refusal(tmp_path / "absent.bsdf")
     assert "is a folder" in refusal(tmp_path)
     assert "is empty" in refusal(good(tmp_path, " \n"))
@@ -265,7 +265,7 @@ def tables(draw: st.DrawFn) -> ZemaxBsdf:
 
 @settings(deadline=None)
 @given(table=tables())
-def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: ZemaxBsdf) -> None:
+def test_reading_returns_the_written_table_to_nine_digits(folder: Path, table: ZemaxBsdf) -> None:
     path = folder / "round.bsdf"
     write_zemax(path, table)
     again = read_zemax(path)
@@ -277,11 +277,11 @@ def test_what_is_written_is_read_again_to_the_ninth_digit(folder: Path, table: Z
     np.testing.assert_allclose(again.tis, table.tis, rtol=5e-9, atol=5e-324)
     first = path.read_bytes()
     write_zemax(path, again)
-    assert path.read_bytes() == first, "what was read is written the same"
+    assert path.read_bytes() == first, "writing the table read gives the same bytes"
     assert first.isascii()
 
 
-def test_a_table_that_does_not_fit_together_is_not_made(tmp_path: Path) -> None:
+def test_an_inconsistent_table_is_refused(tmp_path: Path) -> None:
     table = read_zemax(good(tmp_path))
     with pytest.raises(ValueError, match="shape"):
         replace(table, values=np.zeros((1, 2, 2, 4)))
@@ -293,7 +293,7 @@ def test_a_table_that_does_not_fit_together_is_not_made(tmp_path: Path) -> None:
         replace(table, symmetry="Round")
 
 
-def test_a_table_that_the_format_cannot_say_is_not_written(tmp_path: Path) -> None:
+def test_a_table_that_the_format_cannot_represent_is_not_written(tmp_path: Path) -> None:
     table = read_zemax(good(tmp_path))
     path = tmp_path / "out.bsdf"
     with pytest.raises(FormatError, match="two angles that are both written 10"):

@@ -1,4 +1,4 @@
-"""The twin that a real rig's file describes."""
+"""The virtual rig that a real rig's file describes."""
 
 from pathlib import Path
 
@@ -7,14 +7,14 @@ import tomlkit
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, axis_settings, open_rig, parse_rig
-from goniotwin.app.rig.described_twin import Described, described_twin
+from goniotwin.app.rig.described_twin import DescribedTwin, described_twin
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import TwinModel
 from tests.conftest import RIG, Change, changed
 
 
 def real_rig(*changes: Change) -> RigDescription:
-    """The example rig's file as that of a real rig, with changes."""
+    """The example rig's file, changed into the file of a real rig, with further changes."""
     document = tomlkit.parse(changed(RIG.read_text(encoding="utf-8"), changes))
     document.remove("twin")
     document.remove("simulated")
@@ -24,26 +24,26 @@ def real_rig(*changes: Change) -> RigDescription:
     return parse_rig(text.replace("twin://virtual/monitor", "1313:8078:P0012345"), Path(), "real.toml")
 
 
-def described(*changes: Change, **models: str) -> Described:
+def described(*changes: Change, **models: str) -> DescribedTwin:
     return described_twin(real_rig(*changes), "etalon", ["paper"], models)
 
 
-def model(found: Described) -> TwinModel:
+def model(found: DescribedTwin) -> TwinModel:
     made = found.rig.model()
     assert made is not None
     return made
 
 
-def test_its_mechanics_are_what_the_operator_believes() -> None:
-    believed = "[axes.sigma]\nsense = -1\nzero_offset_deg = 12.5\nbacklash_deg = 0.05\nencoder_counts = 40000"
-    found = model(described(("[axes.sigma]", believed)))
+def test_its_mechanics_are_the_operators_nominal_ones() -> None:
+    nominal = "[axes.sigma]\nsense = -1\nzero_offset_deg = 12.5\nbacklash_deg = 0.05\nencoder_counts = 40000"
+    found = model(described(("[axes.sigma]", nominal)))
     sigma = found.axes["sigma"]
     assert (sigma.motor, sigma.gear, sigma.sense, sigma.zero_deg) == (4, 36.0, -1, 12.5)
     assert (sigma.backlash_deg, sigma.encoder_counts, sigma.encoder) == (0.05, 40_000, True)
     assert found.axes["shift"].encoder is False
 
 
-def test_its_photodiodes_speeds_and_geometry_are_what_the_operator_believes() -> None:
+def test_its_photodiodes_times_and_geometry_are_the_operators_nominal_ones() -> None:
     found = model(
         described(
             ("upper_deg = [0, 5,", "upper_deg = [1, 5,"),
@@ -60,8 +60,8 @@ def test_its_photodiodes_speeds_and_geometry_are_what_the_operator_believes() ->
 
 
 @pytest.mark.parametrize("change", [[], [("[axes.sigma]", "[axes.sigma]\nsense = -1"), ("gear = 36.0 ", "gear = 35.0 ")]])
-def test_whatever_the_operator_believes_an_axis_goes_where_it_is_sent(change: list[Change]) -> None:
-    """So a wrong sense or gear cannot be found by it: the docstring says so."""
+def test_an_axis_reaches_its_target_also_with_a_wrong_sense_or_gear(change: list[Change]) -> None:
+    """A wrong sense or gear cancels, and cannot be found with the described twin."""
     found = described(*change)
     with open_rig(found.rig, VirtualClock()) as opened:
         opened.connect()
@@ -73,54 +73,54 @@ def test_whatever_the_operator_believes_an_axis_goes_where_it_is_sent(change: li
         assert opened.virtual.plant.angle_deg("sigma", opened.rig.clock.now()) == pytest.approx(30.0, abs=0.001)
 
 
-def test_what_the_file_does_not_say_is_told() -> None:
+def test_properties_that_the_file_does_not_have_are_listed_as_assumptions() -> None:
     found = described()
-    assert [each.partition(" ")[0] for each in found.assumed] == ["lamp,", "etalon", "paper"]
-    assert "Gaussian of 5 deg" in found.assumed[2]
-    assert "--sample paper=MODEL" in found.assumed[2]
-    assert "ideal diffuser on both sides with a reflectance of 0.99" in found.assumed[1]
+    assert [each.partition(" ")[0] for each in found.assumptions] == ["lamp,", "etalon", "paper"]
+    assert "Gaussian of 5 deg" in found.assumptions[2]
+    assert "--sample paper=MODEL" in found.assumptions[2]
+    assert "ideal diffuser on both sides with a reflectance of 0.99" in found.assumptions[1]
 
 
-def test_what_somebody_has_said_of_a_sample_is_not_assumed() -> None:
+def test_a_sample_with_a_given_model_is_not_an_assumption() -> None:
     found = described(paper="lambertian:reflectance=0.5+gaussian:width_deg=3,reflectance=0.3")
-    assert not any("paper" in each for each in found.assumed)
+    assert not any("paper" in each for each in found.assumptions)
     assert model(found).samples["paper"].name == "lambertian 0.5 + gaussian 3 deg one_over_e luminance"
 
 
-@pytest.mark.parametrize("words", ["plaster", "gaussian:width=3", "table:"])
-def test_a_model_that_is_none_is_refused(words: str) -> None:
+@pytest.mark.parametrize("text", ["plaster", "gaussian:width=3", "table:"])
+def test_an_invalid_model_is_refused(text: str) -> None:
     with pytest.raises(UserError, match="--sample"):
-        described(paper=words)
+        described(paper=text)
 
 
-def test_its_file_is_a_whole_rig_file() -> None:
-    """A rehearsal's journal has it, and can be reduced by whoever gets it."""
+def test_its_text_is_a_complete_rig_file() -> None:
+    """The journal of a rehearsal contains it, and can be reduced without any other file."""
     found = described(paper="gaussian:width_deg=2,form=half_width")
     again = parse_rig(found.rig.text, found.rig.folder, "again")
     assert again.simulated
     assert again.model_hash() == found.rig.model_hash()
     assert all(address.startswith("twin://") for address in again.file.addresses)
-    believed = axis_settings(real_rig().file)
-    assert {name: axis_settings(again.file)[name] for name in AXES} == believed
+    nominal = axis_settings(real_rig().file)
+    assert {name: axis_settings(again.file)[name] for name in AXES} == nominal
 
 
-def test_a_virtual_rig_stays_what_it_is() -> None:
+def test_a_virtual_rig_is_not_changed() -> None:
     virtual = parse_rig(RIG.read_text(encoding="utf-8"), RIG.parent, str(RIG))
-    assert described_twin(virtual, "etalon", ["gaussian-5"], {}) == Described(virtual, ())
+    assert described_twin(virtual, "etalon", ["gaussian-5"], {}) == DescribedTwin(virtual, ())
     other = described_twin(virtual, "etalon", ["gaussian-5"], {"gaussian-5": "gaussian:width_deg=7"})
-    assert other.assumed == ()
+    assert other.assumptions == ()
     assert other.rig.file.twin is not None
     assert virtual.file.twin is not None
     assert other.rig.file.twin.axes == virtual.file.twin.axes
     assert other.rig.file.twin.samples["etalon"] == virtual.file.twin.samples["etalon"]
 
 
-def test_limit_switches_stand_beyond_the_soft_limits_and_stop_nothing() -> None:
+def test_limit_switches_are_beyond_the_soft_limits() -> None:
     switches = "[axes.beta]\nswitches = true\nright_polarity = 1\nleft_polarity = 1"
     found = described(("[axes.beta]", switches))
     beta = model(found).axes["beta"]
     assert (beta.lower_switch_deg, beta.upper_switch_deg) == (-6.0, 361.0)
-    assert sum("beta's limit switches" in each for each in found.assumed) == 2
+    assert sum("beta's limit switches" in each for each in found.assumptions) == 2
     with open_rig(found.rig, VirtualClock()) as opened:
         opened.connect()
         switched = opened.rig.axes["beta"].switches()
@@ -128,14 +128,14 @@ def test_limit_switches_stand_beyond_the_soft_limits_and_stop_nothing() -> None:
         assert not switched.left
 
 
-def test_what_the_twin_has_in_one_kind_only_is_of_that_kind_and_told() -> None:
+def test_devices_of_other_kinds_become_the_twins_and_are_listed_as_assumptions() -> None:
     found = described(
         ("baudrate = 9600", "baudrate = 19200"),
         ("range_a = 500e-9", 'range_a = 50e-9\ndialect = "b2980"'),
         ("gain_uncertainty = 0.001", "conversions_per_s = 60.0"),
     )
-    told = " ".join(found.assumed)
-    assert all(each in told for each in ("9600 Bd", "PM100D", "2.8e-07 A", "100 conversions"))
+    assumptions = " ".join(found.assumptions)
+    assert all(each in assumptions for each in ("9600 Bd", "PM100D", "2.8e-07 A", "100 conversions"))
     with open_rig(found.rig, VirtualClock()) as opened:
         opened.connect()
 
@@ -151,7 +151,7 @@ def test_modules_of_one_motor_each_share_a_bus() -> None:
         opened.connect()
 
 
-def test_converters_on_a_serial_line_are_such() -> None:
+def test_converters_on_a_serial_line_stay_on_a_serial_line() -> None:
     units = ", ".join(f'"twin://virtual/adc-{k}"' for k in range(5))
     lines = ", ".join(f'"rtu:/dev/ttyUSB1?unit={k + 1}&baudrate=19200"' for k in range(5))
     found = described(

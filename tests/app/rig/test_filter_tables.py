@@ -5,7 +5,7 @@ import re
 import pytest
 import tomlkit
 
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
@@ -15,11 +15,11 @@ from goniotwin.app.rig.served_file import served_rig
 from goniotwin.drivers import OrderFilter
 from goniotwin.mocks.served import Endpoint
 from goniotwin.twin.plant import OrderSorting, WheelFilter
-from tests.app.campaign.filter_bench import BELIEVED, FILTERS, THERE, second_order
+from tests.app.campaign.filter_rig import FILTERS, RIG_FILTERS, TWIN_FILTERS, second_order
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 
-def test_without_the_table_there_are_none(write_rig: Writer) -> None:
+def test_without_the_table_there_are_no_filters(write_rig: Writer) -> None:
     rig = read_rig(write_rig())
     assert monochromator_settings(rig.file).wheel.filters == ()
     model = rig.model()
@@ -27,7 +27,7 @@ def test_without_the_table_there_are_none(write_rig: Writer) -> None:
     assert model.order_sorting == OrderSorting()
 
 
-def test_the_operators_filters_are_put_in_by_wavelength_in_whatever_order_they_are_written(write_rig: Writer) -> None:
+def test_the_operators_filters_are_sorted_by_wavelength(write_rig: Writer) -> None:
     first, *others = FILTERS.strip().split("\n\n")
     upside_down = "\n\n".join([*others[::-1], first])
     for text in (FILTERS, upside_down):
@@ -37,28 +37,28 @@ def test_the_operators_filters_are_put_in_by_wavelength_in_whatever_order_they_a
         )  # fmt: skip
         model = rig.model()
         assert model is not None
-        assert model.order_sorting == OrderSorting()  # of the twin it says nothing
+        assert model.order_sorting == OrderSorting()  # the filters of the twin are another table
 
 
 def test_the_twins_filters_are_its_own(write_rig: Writer) -> None:
-    model = read_rig(write_rig(THERE, second_order(0.1))).model()
+    model = read_rig(write_rig(TWIN_FILTERS, second_order(0.1))).model()
     assert model is not None
     assert model.order_sorting == OrderSorting(0.1, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
     assert model.order_sorting.filters[0].transmittance == 0.9
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
-        (("to_nm = 550\n", "to_nm = 540\n"), r"monochromator: filters: from 540 to 550 nm there is none; widen a band with"),
-        (("from_nm = 380", "from_nm = 400"), r"monochromator: filters: from 380 to 400 nm there is none; .* lowest_nm"),
-        (("to_nm = 780", "to_nm = 700"), r"monochromator: filters: from 700 to 780 nm there is none; .* highest_nm"),
-        (("to_nm = 650", "to_nm = 651"), r"filters: the bands of 'GG495' \(550 to 651 nm\) and 'RG610' .* overlap; let"),
-        (("position = 4", "position = 2"), r"monochromator: filters: position 2 is given 2 times; .* leave one"),
+        (("to_nm = 550\n", "to_nm = 540\n"), r"monochromator: filters: there is no filter for 540 to 550 nm; widen a band"),
+        (("from_nm = 380", "from_nm = 400"), r"monochromator: filters: there is no filter for 380 to 400 nm; .* lowest_nm"),
+        (("to_nm = 780", "to_nm = 700"), r"monochromator: filters: there is no filter for 700 to 780 nm; .* highest_nm"),
+        (("to_nm = 650", "to_nm = 651"), r"filters: the bands of 'GG495' \(550 to 651 nm\) and 'RG610' .* overlap; make"),
+        (("position = 4", "position = 2"), r"monochromator: filters: position 2 is given 2 times; keep one"),
         (("position = 4", "position = 7"), r"monochromator\.filters\.1\.position: .*less than or equal to 6, not 7"),
         (("position = 4", "position = 0"), r"monochromator\.filters\.1\.position: .*greater than or equal to 1, not 0"),
         (("to_nm = 650", "to_nm = 540"), r"monochromator\.filters\.1: from_nm 550 is not below to_nm 540; exchange them"),
-        (("cut_on_nm = 610", "cut_on_nm = 660"), r"monochromator\.filters\.2: cut_on_nm 660 is above from_nm 650, so it would"),
+        (("cut_on_nm = 610", "cut_on_nm = 660"), r"monochromator\.filters\.2: cut_on_nm 660 is above from_nm 650, so the"),
         (("cut_on_nm = 610", "cut_on = 610"), r"monochromator\.filters\.2\.cut_on: there is no such key.*'cut_on_nm'"),
         (('name = "GG495"\n', ""), r"monochromator\.filters\.1\.name: is missing; add it"),
         (('name = "GG495"', 'name = ""'), r"monochromator\.filters\.1\.name: .*at least 1 character"),
@@ -67,14 +67,14 @@ def test_the_twins_filters_are_its_own(write_rig: Writer) -> None:
         (("position = 4", 'position = "4"'), r"monochromator\.filters\.1\.position: .*integer"),
     ],
 )  # fmt: skip
-def test_a_table_that_cannot_be_is_refused_in_one_line(write_rig: Writer, change: Change, says: str) -> None:
-    with pytest.raises(UserError, match=says) as caught:
+def test_an_impossible_filter_table_is_refused_in_one_line(write_rig: Writer, change: Change, message: str) -> None:
+    with pytest.raises(UserError, match=message) as caught:
         read_rig(write_rig(("[photodiodes]\n", f"{changed(FILTERS, (change,))}[photodiodes]\n")))
     assert "\n" not in str(caught.value)
     assert "rig.toml: " in str(caught.value)
 
 
-def test_bands_may_reach_beyond_what_is_used_of_the_monochromator(write_rig: Writer) -> None:
+def test_bands_may_extend_beyond_the_range_of_the_monochromator(write_rig: Writer) -> None:
     wider = changed(FILTERS, (("from_nm = 380", "from_nm = 200"), ("to_nm = 780", "to_nm = 1100")))
     rig = read_rig(write_rig(("[photodiodes]\n", f"{wider}[photodiodes]\n")))
     narrow = changed(FILTERS, (("to_nm = 780", "to_nm = 700"),))
@@ -88,31 +88,31 @@ def test_bands_may_reach_beyond_what_is_used_of_the_monochromator(write_rig: Wri
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("position = 2\ncut_on_nm = 500\n[[twin.filters]]\nposition = 2\ncut_on_nm = 600", r"filters: position 2 is given"),
-        ("position = 5\ncut_on_nm = 500\n[twin.monochromator]\nfilters = 4", r"twin: filters: there is no position 5 in a"),
+        ("position = 5\ncut_on_nm = 500\n[twin.monochromator]\nfilters = 4", r"twin: filters: a wheel of 4 positions has no"),
         ("position = 2\ncut_on_nm = 500\ntransmittance = 1.1", r"twin\.filters\.0\.transmittance: .*less than or equal to 1"),
         ("position = 2", r"twin\.filters\.0\.cut_on_nm: is missing"),
         ("position = 2\ncut_on_nm = 500\n[twin.monochromator]\nsecond_order = 1.0", r"second_order: .*less than 1"),
     ],
 )  # fmt: skip
-def test_a_wheel_of_the_twin_that_cannot_be_is_refused(write_rig: Writer, text: str, says: str) -> None:
-    with pytest.raises(UserError, match=says) as caught:
+def test_an_impossible_filter_wheel_of_the_twin_is_refused(write_rig: Writer, text: str, message: str) -> None:
+    with pytest.raises(UserError, match=message) as caught:
         read_rig(write_rig(("[twin.light]\n", f"[[twin.filters]]\n{text}\n\n[twin.light]\n")))
     assert "\n" not in str(caught.value)
 
 
-def test_the_fingerprint_covers_the_twins_and_stays_what_it_was_without(write_rig: Writer) -> None:
-    """Journals that were begun before there were filters can be gone on with."""
-    assert read_rig(RIG).model_hash() == read_rig(write_rig(BELIEVED)).model_hash()
-    cut = (THERE, ("cut_on_nm = 610", "cut_on_nm = 600"))
-    several = [(), (THERE,), (second_order(0.1),), (THERE, second_order(0.1)), cut]
+def test_the_model_hash_covers_the_twins_filters_and_is_unchanged_without(write_rig: Writer) -> None:
+    """Journals from versions without filters can be resumed."""
+    assert read_rig(RIG).model_hash() == read_rig(write_rig(RIG_FILTERS)).model_hash()
+    cut = (TWIN_FILTERS, ("cut_on_nm = 610", "cut_on_nm = 600"))
+    several = [(), (TWIN_FILTERS,), (second_order(0.1),), (TWIN_FILTERS, second_order(0.1)), cut]
     assert len({read_rig(write_rig(*changes)).model_hash() for changes in several}) == len(several)
 
 
-def test_the_twin_of_a_real_rigs_file_has_the_filters_that_the_file_says_something_of() -> None:
-    text = changed(RIG.read_text(encoding="utf-8"), (BELIEVED, ("baudrate = 9600", "baudrate = 19200")))
+def test_the_described_twin_has_the_filters_of_the_real_rigs_file() -> None:
+    text = changed(RIG.read_text(encoding="utf-8"), (RIG_FILTERS, ("baudrate = 9600", "baudrate = 19200")))
     text = text.partition("# ---- what the virtual rig is")[0].replace("[simulated]\nseed = 1\n", "")
     for name in ("axes", "mono"):
         text = text.replace(f"twin://virtual/{name}", f"/dev/{name}")
@@ -123,11 +123,11 @@ def test_the_twin_of_a_real_rigs_file_has_the_filters_that_the_file_says_somethi
     assert model.order_sorting == OrderSorting(0.0, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
     assert [each.position for each in monochromator_settings(found.rig.file).wheel.filters] == [1, 4, 2]
     assert found.rig.file.monochromator.baudrate == 9600
-    assert any("filters that have a cut_on_nm let 0.9 of the light through" in each for each in found.assumed)
+    assert any("filters with a cut_on_nm transmit 0.9 of the light" in each for each in found.assumptions)
 
 
-def test_a_served_rigs_file_keeps_what_the_operator_believes_of_the_wheel() -> None:
-    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (BELIEVED, THERE)), RIG.parent, "x")
+def test_a_served_rigs_file_keeps_the_operators_filters() -> None:
+    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (RIG_FILTERS, TWIN_FILTERS)), RIG.parent, "x")
     ends = [Endpoint(f"adc-{k}", "adam-6017", host="127.0.0.1", port=5020 + k) for k in range(5)]
     ends += [Endpoint(name, name, path=f"/dev/pts/{name}") for name in ("axes", "mono", "monitor")]
     text = served_rig(rig, ends, 1.0)
@@ -145,6 +145,6 @@ def test_the_example_is_the_virtual_rig_with_filters_and_nothing_else() -> None:
     assert example["twin"].pop("monochromator") == {"second_order": 0.1}
     assert {**example, "name": plain["name"]} == plain
     schedule = parse_schedule(SMALL.replace("[550]", "{ start = 380, stop = 780, step = 10 }"), "x")
-    result = checked_plan(make_plan(schedule, read_rig(RIG.with_name("filters.toml"))))
+    result = check_plan(make_plan(schedule, read_rig(RIG.with_name("filters.toml"))))
     assert not [each for each in result["warnings"] if "half the wavelength" in each]
     assert result["filter_changes"] > 0

@@ -1,4 +1,4 @@
-"""One controller a rig."""
+"""One controlling program per rig."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ sys.stdin.read()
 """
 
 
-def test_the_second_is_told_who_has_it_until_the_first_lets_go(tmp_path: Path) -> None:
+def test_a_second_program_is_refused_with_the_holder_until_the_lock_is_released(tmp_path: Path) -> None:
     first = RigLock(["/dev/axes", "adam:502"], "measuring paint", tmp_path)
     with pytest.raises(UserError, match=rf"adam:502: is in use by process {os.getpid()} of .*: measuring paint"):
         RigLock(["adam:502"], "something else", tmp_path)
@@ -31,7 +31,7 @@ def test_the_second_is_told_who_has_it_until_the_first_lets_go(tmp_path: Path) -
     RigLock(["/dev/axes"], "something else", tmp_path).release()
 
 
-def test_what_cannot_be_had_whole_is_not_held_in_part(tmp_path: Path) -> None:
+def test_if_one_address_is_in_use_no_other_is_locked(tmp_path: Path) -> None:
     first = RigLock(["b"], "one", tmp_path)
     with pytest.raises(UserError, match="b: is in use"):
         RigLock(["a", "b"], "two", tmp_path)
@@ -39,7 +39,7 @@ def test_what_cannot_be_had_whole_is_not_held_in_part(tmp_path: Path) -> None:
     first.release()
 
 
-def test_the_lock_dies_with_its_process(tmp_path: Path) -> None:
+def test_the_lock_ends_with_its_process(tmp_path: Path) -> None:
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -55,7 +55,7 @@ def test_the_lock_dies_with_its_process(tmp_path: Path) -> None:
     RigLock(["/dev/axes"], "mine", tmp_path).release()
 
 
-def test_who_only_looks_keeps_nobody_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    looker = RigLock(["COM4"], "looking who has it", tmp_path)
-    monkeypatch.setattr(RealClock, "sleep_until", lambda *_: looker.release())
+def test_a_check_of_the_lock_does_not_keep_another_program_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    probe = RigLock(["COM4"], "checking the lock", tmp_path)
+    monkeypatch.setattr(RealClock, "sleep_until", lambda *_: probe.release())
     RigLock(["COM4"], "first", tmp_path).release()

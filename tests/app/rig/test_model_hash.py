@@ -1,4 +1,4 @@
-"""The hash of a virtual rig's model: without names of classes, of every field; and its first version, as it was."""
+"""The hash of a virtual rig's model: of every field, without names of classes; and version 1, which does not change."""
 
 import re
 from collections.abc import Iterator
@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.rig import parse_rig, read_rig
-from goniotwin.app.rig.model_hash import canonical_text, model_hash, model_hashes
-from goniotwin.app.rig.old_model_hash import old_model_hash
+from goniotwin.app.rig.model_hash import canonical_text, model_hash, model_hashes, old_model_hash
 from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import spectral_table
@@ -47,7 +46,7 @@ FORMER: dict[str, tuple[str, tuple[Change, ...], str]] = {
     "samples": ("virtual", (("[twin.samples.etalon]", SUM + "[twin.samples.etalon]"),), "e72907c310bf3629"),
     "electronics": ("virtual", ((LIGHT, ELECTRONICS + LIGHT),), "3eed4352e4bc670e"),
 }
-"""Rigs of the examples with changes, and their hashes as the last version computed them that knew the first version alone."""
+"""Rigs of the examples with changes, and their hashes by the last release that had only version 1."""
 
 
 def model_of(rig: str, *changes: Change) -> TwinModel:
@@ -58,27 +57,27 @@ def model_of(rig: str, *changes: Change) -> TwinModel:
 
 
 def full_model() -> TwinModel:
-    """One that has something in nearly every place."""
+    """A model with a value in nearly every field."""
     model = model_of("filters", (LIGHT, DEVIATIONS + LIGHT), ("[twin.samples.etalon]", SUM + "[twin.samples.etalon]"))
     table = spectral_table([450.0, 650.0], [0.0, 60.0], [0.0, 180.0], [0.0, 90.0], np.full((2, 2, 2, 2), 0.1), "coloured")
     return replace(model, samples={**model.samples, "coloured": table})
 
 
 @pytest.mark.parametrize(("rig", "changes", "former"), FORMER.values(), ids=FORMER)
-def test_the_first_version_is_what_it_was(rig: str, changes: tuple[Change, ...], former: str) -> None:
+def test_version_1_does_not_change(rig: str, changes: tuple[Change, ...], former: str) -> None:
     model = model_of(rig, *changes)
     assert old_model_hash(model) == former
     assert model_hashes(model) == (model_hash(model), former)
 
 
-def test_both_versions_differ_where_the_rigs_do_and_the_new_one_has_its_mark() -> None:
+def test_both_versions_differ_for_different_rigs_and_the_new_one_has_its_prefix() -> None:
     found = [model_hashes(model_of(rig, *changes)) for rig, changes, _ in FORMER.values()]
     assert len({each for hashes in found for each in hashes}) == 2 * len(FORMER)
     assert all(re.fullmatch(r"2:[0-9a-f]{16}", hashes[0]) for hashes in found)
 
 
 def renamed(value: Any) -> Any:
-    """The same with every dataclass of another class, with another name, whose fields are in another order."""
+    """The same value with every dataclass replaced by one of another name, with its fields in another order."""
     if is_dataclass(value) and not isinstance(value, type):
         content = {entry.name: renamed(getattr(value, entry.name)) for entry in reversed(fields(value))}
         return make_dataclass(f"Other{type(value).__name__[::-1]}", list(content), frozen=True, eq=False)(**content)
@@ -93,12 +92,12 @@ def renamed(value: Any) -> Any:
 def test_names_of_classes_and_the_order_of_fields_do_not_matter(rig: str, changes: tuple[Change, ...], former: str) -> None:
     model = model_of(rig, *changes)
     other = renamed(model)
-    assert repr(other.light).startswith("OtherthgiL(")
+    assert repr(other.light).startswith(f"Other{type(model.light).__name__[::-1]}(")
     assert model_hashes(other) == (model_hash(model), former)
 
 
 def variants(value: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """A value with each number, text, truth and entry in it changed, one at a time; and where."""
+    """Copies of a value with one number, text, flag or entry changed each, and the place of the change."""
     if is_dataclass(value) and not isinstance(value, type):
         for entry in fields(value):
             for where, other in variants(getattr(value, entry.name), f"{place}.{entry.name}"):
@@ -125,7 +124,7 @@ def variants(value: Any, place: str) -> Iterator[tuple[str, Any]]:
 
 
 def _with(value: Any, name: str, other: Any) -> Any:
-    """A copy of a frozen dataclass with one field replaced, whatever it checks when it is made."""
+    """A copy of a frozen dataclass with one field replaced, without the checks of its constructor."""
     copy = object.__new__(type(value))
     for entry in fields(value):
         object.__setattr__(copy, entry.name, other if entry.name == name else getattr(value, entry.name))
@@ -157,7 +156,7 @@ def test_a_change_of_any_field_changes_both_versions(model: TwinModel) -> None:
             continue
         assert found not in seen, f"{place} and {seen[found]} give the same hash"
         seen[found] = place
-        if not place.endswith("reshaped"):  # the first version has the shape of a lobe's values alone
+        if not place.endswith("reshaped"):  # version 1 covers only the shape of a lobe's values
             assert old_model_hash(other) != old, place
     assert unchanged == [".seed other", *names]
     assert len(seen) > 150
@@ -178,7 +177,7 @@ class Some:
     table: np.ndarray = field(default_factory=lambda: np.array([[1.0, np.nan]]))
 
 
-def test_the_canonical_text_is_of_values_alone() -> None:
+def test_the_canonical_text_depends_only_on_values() -> None:
     text = canonical_text(Some())
     assert text.startswith('{"more": [null, 2.0], "number": 1.0, "table": array (1, 2) <f8 ')
     assert canonical_text(Some(table=np.array([[1.0, np.nan]], dtype=">f8"))) == text
@@ -191,12 +190,12 @@ def test_the_canonical_text_is_of_values_alone() -> None:
 
 
 @pytest.mark.parametrize("value", [len, object(), Some, np.array([object()]), {"a": {1.0, 2.0}}])
-def test_what_cannot_be_compared_has_no_canonical_text(value: object) -> None:
+def test_a_value_that_cannot_be_compared_has_no_canonical_text(value: object) -> None:
     with pytest.raises(TypeError, match="has no canonical text"):
         canonical_text(value)
 
 
-def test_a_model_that_the_first_version_could_not_say_has_no_hash_of_it() -> None:
+def test_a_model_that_version_1_cannot_represent_has_no_old_hash() -> None:
     model = model_of("virtual")
     light = make_dataclass("Light", [("later", float, field(default=0.0))], bases=(type(model.light),), frozen=True)
     assert old_model_hash(replace(model, light=light())) == old_model_hash(replace(model, light=type(model.light)()))
@@ -204,7 +203,7 @@ def test_a_model_that_the_first_version_could_not_say_has_no_hash_of_it() -> Non
     assert len(model_hashes(replace(model, light=light(later=0.5)))) == 1
 
 
-def test_a_rig_file_states_its_own_hashes() -> None:
+def test_the_hashes_of_a_rig_file_are_those_of_its_model() -> None:
     description = read_rig(RIG)
     model = description.model()
     assert model is not None

@@ -1,4 +1,4 @@
-"""The samples of a virtual rig's file: models, sums of them, measured tables; and the fingerprint that covers them all."""
+"""Samples of a rig file: models, sums of them, measured tables; and the model hash, which covers them."""
 
 import math
 from pathlib import Path
@@ -32,7 +32,7 @@ def sample_of(write_rig: Writer, text: str) -> Scatterer:
     return model(write_rig, text).samples["it"]
 
 
-def shares(sample: Scatterer) -> list[float]:
+def albedos(sample: Scatterer) -> list[float]:
     """Reflected and transmitted, of light from the front and from the back."""
     return [round(albedo(sample, sigma, through), 6) for sigma in (0.0, 180.0) for through in (False, True)]
 
@@ -47,8 +47,8 @@ def shares(sample: Scatterer) -> list[float]:
         ('model = "regular"\nreflectance = [0.04, 1.0]\nsigma_deg = [0.0, 90.0]\nside = "both"', [0.04, 0.0, 0.04, 0.0]),
     ],
 )
-def test_a_sample_has_the_sides_that_its_file_gives_it(write_rig: Writer, text: str, expected: list[float]) -> None:
-    assert shares(sample_of(write_rig, text)) == pytest.approx(expected, abs=1e-5)
+def test_a_sample_acts_on_the_sides_given_in_its_file(write_rig: Writer, text: str, expected: list[float]) -> None:
+    assert albedos(sample_of(write_rig, text)) == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_sample_may_be_a_sum_of_models(write_rig: Writer) -> None:
@@ -60,7 +60,7 @@ def test_a_sample_may_be_a_sum_of_models(write_rig: Writer) -> None:
     ]"""
     sample = sample_of(write_rig, text)
     assert len(sample.lobes) == 3
-    assert shares(sample) == pytest.approx([0.5, 0.1, 0.0, 0.0], abs=1e-5)
+    assert albedos(sample) == pytest.approx([0.5, 0.1, 0.0, 0.0], abs=1e-5)
 
 
 def zemax(folder: Path, scatter_type: str) -> None:
@@ -73,7 +73,7 @@ def zemax(folder: Path, scatter_type: str) -> None:
 
 
 @pytest.mark.parametrize(("scatter_type", "expected"), [("BRDF", [0.2, 0.0]), ("BTDF", [0.0, 0.2])])
-def test_a_measured_table_reflects_or_transmits_as_its_file_says(
+def test_a_measured_table_reflects_or_transmits_by_its_scatter_type(
     write_rig: Writer, tmp_path: Path, scatter_type: str, expected: list[float]
 ) -> None:
     zemax(tmp_path, scatter_type)
@@ -83,7 +83,7 @@ def test_a_measured_table_reflects_or_transmits_as_its_file_says(
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ('model = "lambertian"\nreflectance = 1.2', "twin.samples.it: reflectance is 1.2"),
         ('model = "lambertian"\nreflectance = 0.7\ntransmittance = 0.6', "add up to more than 1"),
@@ -96,16 +96,16 @@ def test_a_measured_table_reflects_or_transmits_as_its_file_says(
         ('model = "mirror"', "twin.samples.it"),
     ],
 )
-def test_a_sample_that_cannot_be_is_refused_with_its_place(write_rig: Writer, text: str, says: str) -> None:
-    with pytest.raises(UserError, match=says):
+def test_an_impossible_sample_is_refused_with_its_key(write_rig: Writer, text: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         model(write_rig, text)
 
 
-def test_the_fingerprint_covers_all_that_a_sample_has(write_rig: Writer) -> None:
-    def found(text: str) -> str:
-        told = read_rig(write_rig((GAUSSIAN, f"[twin.samples.it]\n{text}\n"))).model_hash()
-        assert told is not None
-        return told
+def test_the_model_hash_covers_every_property_of_a_sample(write_rig: Writer) -> None:
+    def model_hash(text: str) -> str:
+        digest = read_rig(write_rig((GAUSSIAN, f"[twin.samples.it]\n{text}\n"))).model_hash()
+        assert digest is not None
+        return digest
 
     lobes = '{model = "lambertian", reflectance = 0.3}', '{model = "gaussian", width_deg = 8.0, reflectance = 0.2}'
     texts = [
@@ -121,10 +121,10 @@ def test_the_fingerprint_covers_all_that_a_sample_has(write_rig: Writer) -> None
         'model = "regular"\nreflectance = [0.1, 0.5]\nsigma_deg = [0.0, 81.0]',
         'model = "regular"\nreflectance = [0.1, 0.6]\nsigma_deg = [0.0, 80.0]',
     ]
-    assert len({found(text) for text in texts}) == len(texts)
-    assert found(texts[6]) == found(texts[6])
+    assert len({model_hash(text) for text in texts}) == len(texts)
+    assert model_hash(texts[6]) == model_hash(texts[6])
 
 
-def test_the_diffuser_of_a_file_is_the_ideal_one(write_rig: Writer) -> None:
+def test_the_default_diffuser_is_the_ideal_one(write_rig: Writer) -> None:
     sample = sample_of(write_rig, 'model = "lambertian"')
     assert evaluate(sample, light_direction(20.0), light_direction(-60.0)) == pytest.approx(1.0 / math.pi)

@@ -8,32 +8,38 @@ import pytest
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_points_csv, read_rayset, write_rayset
 from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation.estimate import Effort
+from goniotwin.app.simulation.estimate import EstimatorSettings
 from goniotwin.app.simulation.files import assumptions
 from goniotwin.app.simulation.files import summary as simulated_summary
-from goniotwin.app.simulation.illumination import Illuminated, check_names, illuminated, summary, write_illumination
+from goniotwin.app.simulation.illumination import (
+    IlluminationResult,
+    check_file_names,
+    simulate_illumination,
+    summary,
+    write_illumination,
+)
 from goniotwin.app.simulation.simulate import Task, simulate
-from goniotwin.app.simulation.source import read_source, unit_for
+from goniotwin.app.simulation.source import illumination_unit, read_source
 from goniotwin.twin.optics import IlluminationUnit, Instrument
 from tests.twin.optics.agreement import agree
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
-UNIT = unit_for(WIDE, 555.0, 0.0, 5.0)
+UNIT = illumination_unit(WIDE, 555.0, 0.0, 5.0)
 
 
 @pytest.fixture(scope="module")
-def light() -> Illuminated:
-    return illuminated(UNIT, error_percent=2.0, seed=1, rays=50_000)
+def light() -> IlluminationResult:
+    return simulate_illumination(UNIT, error_percent=2.0, seed=1, rays=50_000)
 
 
 @pytest.fixture
-def rays(light: Illuminated, tmp_path: Path) -> Path:
+def rays(light: IlluminationResult, tmp_path: Path) -> Path:
     assert light.rayset is not None
     write_rayset(tmp_path / "beam.h5", light.rayset)
     return tmp_path / "beam.h5"
 
 
-def test_both_estimators_of_the_flux_stand_side_by_side_with_their_errors(light: Illuminated) -> None:
+def test_both_estimators_of_the_flux_stand_side_by_side_with_their_errors(light: IlluminationResult) -> None:
     result = summary(light)
     forward, adjoint = result["forward"], result["adjoint"]
     assert 0.0 < forward["standard_error"] <= 0.02 * forward["flux"]
@@ -45,14 +51,14 @@ def test_both_estimators_of_the_flux_stand_side_by_side_with_their_errors(light:
 
 
 def test_a_wider_passband_brings_more_light() -> None:
-    wide = illuminated(unit_for(WIDE, 555.0, 20.0, 5.0), 10.0, 1, None)
-    narrow = illuminated(UNIT, 10.0, 1, None)
+    wide = simulate_illumination(illumination_unit(WIDE, 555.0, 20.0, 5.0), 10.0, 1, None)
+    narrow = simulate_illumination(UNIT, 10.0, 1, None)
     # A trapezoid of 20 nm with edges of 5 nm over a triangle of 5 nm, of a lamp that changes little.
     assert wide.adjoint.flux / narrow.adjoint.flux == pytest.approx(25.0 / 5.0, rel=0.02)
     assert summary(wide)["rayset"] is None
 
 
-def test_the_csv_has_map_and_profile_with_errors_and_units(light: Illuminated, tmp_path: Path) -> None:
+def test_the_csv_has_map_and_profile_with_errors_and_units(light: IlluminationResult, tmp_path: Path) -> None:
     path = tmp_path / "light.csv"
     write_illumination(light, path)
     points = read_points_csv(path)
@@ -69,7 +75,7 @@ def test_the_csv_has_map_and_profile_with_errors_and_units(light: Illuminated, t
     assert np.isnan(columns["angle_deg"][cells]).all()
 
 
-def test_the_picture_is_a_png(light: Illuminated, tmp_path: Path) -> None:
+def test_the_picture_is_a_png(light: IlluminationResult, tmp_path: Path) -> None:
     path = tmp_path / "light.png"
     write_illumination(light, path)
     assert path.read_bytes().startswith(b"\x89PNG")
@@ -85,7 +91,7 @@ def test_a_rayset_replayed_is_the_light_of_the_uniform_pupil_but_for_its_unevenn
             parse_sample("gaussian:width_deg=15,reflectance=0.5+lambertian:reflectance=0.3"),
             np.array([30.0]),
             instrument=WIDE,
-            effort=Effort("forward", paths=1_500_000),
+            estimator=EstimatorSettings("forward", paths=1_500_000),
             source=read_source(rays, UNIT, WIDE) if source else None,
             polar_deg=np.arange(10.0, 80.0, 12.0),
             azimuth_deg=np.array([40.0, 75.0, 110.0, 145.0, 180.0]),
@@ -120,7 +126,7 @@ def test_rays_of_another_geometry_and_files_that_are_none_are_one_line(rays: Pat
         assert message.isprintable()
         return message
 
-    others = unit_for(WIDE, 556.0, 0.0, 5.0), unit_for(Instrument(pupil_radius_mm=4.0), 555.0, 0.0, 5.0)
+    others = illumination_unit(WIDE, 556.0, 0.0, 5.0), illumination_unit(Instrument(pupil_radius_mm=4.0), 555.0, 0.0, 5.0)
     for other in others:
         assert f"another geometry: recorded for {UNIT.fingerprint}" in refusal(rays, other)
     damaged = tmp_path / "damaged.h5"
@@ -139,7 +145,7 @@ def test_rays_of_another_geometry_and_files_that_are_none_are_one_line(rays: Pat
 )  # fmt: skip
 def test_what_cannot_be_computed_is_refused(error: float, seed: int, count: int | None, named: str) -> None:
     with pytest.raises(UserError, match=named):
-        illuminated(UNIT, error, seed, count)
+        simulate_illumination(UNIT, error, seed, count)
 
 
 def test_what_no_monochromator_or_name_can_be_is_refused(tmp_path: Path) -> None:
@@ -148,9 +154,9 @@ def test_what_no_monochromator_or_name_can_be_is_refused(tmp_path: Path) -> None
         (3.0, 0.0, 5.0, "--wavelength"),
     ):  # fmt: skip
         with pytest.raises(UserError, match=f"^{named} "):
-            unit_for(WIDE, wavelength, interval, bandwidth)
+            illumination_unit(WIDE, wavelength, interval, bandwidth)
     with pytest.raises(UserError, match=r"^--wavelength: no light of the lamp passes at 9000 nm"):
-        illuminated(unit_for(WIDE, 9000.0, 0.0, 5.0), 1.0, 1, None)
+        simulate_illumination(illumination_unit(WIDE, 9000.0, 0.0, 5.0), 1.0, 1, None)
     for out, rayset in (("a.txt", None), ("absent/a.png", None), ("a.png", "b.txt"), ("a.png", "absent/b.h5")):
         with pytest.raises(UserError):
-            check_names(tmp_path / out, None if rayset is None else tmp_path / rayset)
+            check_file_names(tmp_path / out, None if rayset is None else tmp_path / rayset)

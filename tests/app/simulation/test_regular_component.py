@@ -8,7 +8,7 @@ import pytest
 
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.files import assumptions, summary
-from goniotwin.app.simulation.simulate import Simulation, Task, seen_within_deg, simulate
+from goniotwin.app.simulation.simulate import Simulation, Task, regular_half_angle_deg, simulate
 from goniotwin.twin.optics import Instrument, lambertian, regular, specular_direction, throughput
 
 OPEN = Instrument(obstruction=False)
@@ -30,7 +30,7 @@ def test_alone_it_is_what_a_detector_in_the_mirror_direction_gets_over_the_etalo
     assert expected[0] > 1000.0  # all of the light within 1 deg
     at = mirror.at[0]
     theta = np.degrees(np.arccos(np.clip(at.directions @ specular_direction(30.0), -1.0, 1.0)))
-    assert np.all(at.ratio.factor[0, theta > seen_within_deg(OPEN)] == 0.0)
+    assert np.all(at.ratio.factor[0, theta > regular_half_angle_deg(OPEN)] == 0.0)
     assert np.all(at.ratio.factor[0, theta < 0.5] > 0.0)
 
 

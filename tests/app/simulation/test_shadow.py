@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.simulation.shadow import shadows, write_shadows
+from goniotwin.app.simulation.shadow import shadow_maps, write_shadows
 from goniotwin.twin.optics import Instrument
 
 
 def test_every_direction_of_both_arcs_is_in_the_csv_and_it_says_that_it_is_simulated(tmp_path: Path) -> None:
     path = tmp_path / "shadow.csv"
-    write_shadows(shadows(Instrument(), [0.0, 30.0], 15.0), path)
+    write_shadows(shadow_maps(Instrument(), [0.0, 30.0], 15.0), path)
     lines = path.read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("# SIMULATED")
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
@@ -23,19 +23,19 @@ def test_every_direction_of_both_arcs_is_in_the_csv_and_it_says_that_it_is_simul
 
 def test_switched_off_it_says_so(tmp_path: Path) -> None:
     path = tmp_path / "shadow.csv"
-    write_shadows(shadows(Instrument(obstruction=False), [0.0], 30.0), path)
+    write_shadows(shadow_maps(Instrument(obstruction=False), [0.0], 30.0), path)
     assert "switched off" in path.read_text(encoding="utf-8")
 
 
 def test_a_picture(tmp_path: Path) -> None:
-    write_shadows(shadows(Instrument(), [0.0], 10.0), tmp_path / "shadow.png")
+    write_shadows(shadow_maps(Instrument(), [0.0], 10.0), tmp_path / "shadow.png")
     assert (tmp_path / "shadow.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_other_names_and_steps_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"\.csv or \.png"):
-        write_shadows(shadows(Instrument(), [0.0], 30.0), tmp_path / "shadow.txt")
+        write_shadows(shadow_maps(Instrument(), [0.0], 30.0), tmp_path / "shadow.txt")
     with pytest.raises(UserError, match=r"cannot be written|no folder"):
-        write_shadows(shadows(Instrument(), [0.0], 30.0), tmp_path / "nowhere" / "shadow.png")
+        write_shadows(shadow_maps(Instrument(), [0.0], 30.0), tmp_path / "nowhere" / "shadow.png")
     with pytest.raises(UserError, match="step"):
-        shadows(Instrument(), [0.0], 0.7)
+        shadow_maps(Instrument(), [0.0], 0.7)

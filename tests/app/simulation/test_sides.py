@@ -9,8 +9,8 @@ import pytest
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
 from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation.estimate import Effort
-from goniotwin.app.simulation.files import summary, write
+from goniotwin.app.simulation.estimate import EstimatorSettings
+from goniotwin.app.simulation.files import summary, write_simulation
 from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument, arc_direction, evaluate, light_direction
 from tests.twin.optics.agreement import agree
@@ -60,8 +60,8 @@ def test_front_and_back_agree_for_a_symmetric_sheet(transmitted: bool, sigmas: t
     np.testing.assert_allclose(back.table, front.table, rtol=1e-6)
     assert np.array_equal(back.known, front.known)
     for here, there in zip(front.at, back.at, strict=True):
-        assert np.array_equal(here.hidden, there.hidden)
-        assert here.hidden.any() == (not transmitted)  # mirror 3 stands on the side of the light
+        assert np.array_equal(here.obstructed, there.obstructed)
+        assert here.obstructed.any() == (not transmitted)  # mirror 3 stands on the side of the light
 
 
 @SIGMAS
@@ -79,7 +79,7 @@ def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(
     sheet = f"table:{path},side={'back' if back else 'front'}"
     out = tmp_path / "a.csv"
     grid = {"polar_deg": np.arange(5.0, 80.0, 15.0), "azimuth_deg": np.arange(0.0, 361.0, 45.0)}
-    write(found(sheet, back, transmitted, sigmas, **grid), out)
+    write_simulation(found(sheet, back, transmitted, sigmas, **grid), out)
     columns = read_points_csv(out).columns
     directions = arc_direction(columns["polar_deg"], columns["azimuth_deg"], back != transmitted)
     for sigma in sigmas:
@@ -104,7 +104,8 @@ def test_the_forward_estimator_meets_the_same_back(back: bool, transmitted: bool
         "polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE,
     }  # fmt: skip
     fast = found(SHEET, back, transmitted, **grid).at[0].ratio
-    forward = found(SHEET, back, transmitted, **grid, effort=Effort("forward", paths=1_500_000, seed=3)).at[0].ratio
+    settings = EstimatorSettings("forward", paths=1_500_000, seed=3)
+    forward = found(SHEET, back, transmitted, **grid, estimator=settings).at[0].ratio
     many = (forward.standard_error < 0.15 * forward.factor)[0] & np.isfinite(fast.factor[0])
     assert np.count_nonzero(many) >= 10
     agree(forward.factor[0, many], forward.standard_error[0, many], fast.factor[0, many], 0.0)
@@ -114,7 +115,7 @@ def test_files_and_summary_say_which_side(tmp_path: Path) -> None:
     for back, transmitted in WAYS:
         sheet = found(SHEET, back, transmitted)
         path = tmp_path / f"{back}.{'ddt' if transmitted else 'ddr'}"
-        write(sheet, path)
+        write_simulation(sheet, path)
         text = "\n".join(read_ddr(path).comments)
         assert f"side: light on the {'back' if back else 'front'}" in text
         assert f"luminance factor of {'transmitted' if transmitted else 'reflected'} light" in text

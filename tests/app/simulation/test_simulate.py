@@ -10,8 +10,8 @@ import pytest
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
 from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation.estimate import Effort
-from goniotwin.app.simulation.files import check_names, ddr_table, summary, write
+from goniotwin.app.simulation.estimate import EstimatorSettings
+from goniotwin.app.simulation.files import check_file_names, ddr_table, summary, write_simulation
 from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
 from tests.twin.optics.agreement import agree
@@ -65,7 +65,7 @@ def test_hidden_directions_have_no_value_and_are_told(some: Simulation, grid: di
     assert result["hidden_directions"]["0"] > 200  # mirror 3 stands in the specular direction
     assert result["obstruction"] is True
     at = some.at[0]
-    assert np.all(np.isnan(at.ratio.factor[0, at.hidden]))
+    assert np.all(np.isnan(at.ratio.factor[0, at.obstructed]))
     assert not some.known[0, 0, :, 0].any()
     assert some.known[0, 1, :, 0].all()
     text = "\n".join(ddr_table(some).comments)
@@ -82,7 +82,7 @@ def test_hidden_directions_have_no_value_and_are_told(some: Simulation, grid: di
 @pytest.mark.parametrize("grid", [pytest.param(NEAR, id="detectors near the lobe"), ALL_LONG])
 def test_a_ddr_can_be_read_back_and_holds_the_values(some: Simulation, grid: dict[str, Any], tmp_path: Path) -> None:
     path = tmp_path / "a.ddr"
-    write(some, path)
+    write_simulation(some, path)
     table = read_ddr(path)
     assert table.source == "Generated"
     assert table.symmetry == "PlaneSymmetrical"
@@ -99,11 +99,11 @@ def test_a_ddr_can_be_read_back_and_holds_the_values(some: Simulation, grid: dic
 
 def test_the_csv_has_every_detector_with_its_error(some: Simulation, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    write(some, path)
+    write_simulation(some, path)
     points = read_points_csv(path)
     columns = points.columns
     assert any("SIMULATED" in line for line in points.comments)
-    assert columns["sigma_deg"].size == sum(at.hidden.size for at in some.at)
+    assert columns["sigma_deg"].size == sum(at.obstructed.size for at in some.at)
     seen = np.isfinite(columns["luminance_factor"])
     assert seen.sum() == summary(some, [path])["values"]
     ratio = columns["sample_m2sr"][seen] / columns["etalon_m2sr"][seen]
@@ -117,7 +117,7 @@ def test_the_csv_has_every_detector_with_its_error(some: Simulation, tmp_path: P
 def test_all_wavelengths_come_from_one_set_of_rays(grid: dict[str, Any], tmp_path: Path) -> None:
     found = simulate(task("lambertian:reflectance=0.5", wavelengths_nm=np.array([450.0, 650.0]), **grid))
     np.testing.assert_allclose(found.table[:, 0][:, found.known[0, 0]], 0.5, rtol=1e-9)
-    write(found, tmp_path / "colour.ddr")
+    write_simulation(found, tmp_path / "colour.ddr")
     assert read_ddr(tmp_path / "colour.ddr").channels == (450.0, 650.0)
     # A sample with a spectrum brings its own list.
     spectral = simulate(task(f"table:{tmp_path / 'colour.ddr'}", **grid))
@@ -129,7 +129,7 @@ def test_forward_goes_wavelength_by_wavelength_where_the_sample_does(tmp_path: P
     values = np.array([0.25, 0.5])[:, None, None, None, None] * np.ones((1, 2, 2, 2))
     ends = np.array([0.0, 90.0]), np.array([0.0, 180.0]), np.array([0.0, 180.0])
     write_ddr(tmp_path / "a.ddr", DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), *ends, (450.0, 650.0), values))
-    found = simulate(small(f"table:{tmp_path / 'a.ddr'}", effort=Effort("forward", paths=1_500_000))).at[0]
+    found = simulate(small(f"table:{tmp_path / 'a.ddr'}", estimator=EstimatorSettings("forward", paths=1_500_000))).at[0]
     many = found.ratio.standard_error[0] < 0.15 * found.ratio.factor[0]
     assert np.count_nonzero(many) >= 15
     for row, expected in enumerate((0.25, 0.5)):
@@ -144,7 +144,7 @@ def test_transmitted_light_has_a_table_of_its_own(grid: dict[str, Any], tmp_path
     mirrored = simulate(task("gaussian:width_deg=5", (0.0, 30.0), instrument=OPEN, **grid))
     near = found.theta_deg <= 10.0
     np.testing.assert_allclose(found.table[..., near], mirrored.table[..., near], rtol=1e-6)
-    write(found, tmp_path / "a.ddt")
+    write_simulation(found, tmp_path / "a.ddt")
     assert read_ddr(tmp_path / "a.ddt").values.max() == pytest.approx(found.table.max())
 
 
@@ -153,8 +153,9 @@ def test_transmitted_light_has_a_table_of_its_own(grid: dict[str, Any], tmp_path
 @pytest.mark.parametrize("sigma_deg", [0.0, 50.0])
 def test_both_estimators_agree_within_their_errors(sample: str, sigma_deg: float) -> None:
     fast = simulate(small(sample, sigmas=(sigma_deg,))).at[0]
-    forward = simulate(small(sample, sigmas=(sigma_deg,), effort=Effort("forward", paths=1_500_000, seed=3))).at[0]
-    assert np.array_equal(fast.hidden, forward.hidden)
+    settings = EstimatorSettings("forward", paths=1_500_000, seed=3)
+    forward = simulate(small(sample, sigmas=(sigma_deg,), estimator=settings)).at[0]
+    assert np.array_equal(fast.obstructed, forward.obstructed)
     # Few hits make an error that is hardly known.
     many = (forward.ratio.standard_error < 0.15 * forward.ratio.factor)[0]
     # Nor is it where a lobe is nearly nothing, all of which a few paths make.
@@ -165,7 +166,7 @@ def test_both_estimators_agree_within_their_errors(sample: str, sigma_deg: float
 
 def test_the_same_seed_gives_the_same_bits() -> None:
     def numbers(seed: int) -> bytes:
-        found = simulate(small("lambertian", effort=Effort("forward", paths=20_000, seed=seed)))
+        found = simulate(small("lambertian", estimator=EstimatorSettings("forward", paths=20_000, seed=seed)))
         return found.table.tobytes() + found.at[0].ratio.standard_error.tobytes()
 
     assert numbers(1) == numbers(1)
@@ -175,25 +176,25 @@ def test_the_same_seed_gives_the_same_bits() -> None:
 
 
 def test_either_estimator_can_be_asked_for_an_error() -> None:
-    coarse = simulate(small("lambertian", effort=Effort("forward", error_percent=8.0)))
+    coarse = simulate(small("lambertian", estimator=EstimatorSettings("forward", error_percent=8.0)))
     assert coarse.at[0].ratio.median_percent <= 8.0
     result = summary(coarse, [Path("a.ddr")])
     assert result["paths"] >= 2 << 20
     assert result["median_relative_standard_error_percent"] <= 8.0 <= 100.0
-    fine = simulate(small("gaussian:width_deg=25", effort=Effort(error_percent=8e-4)))
+    fine = simulate(small("gaussian:width_deg=25", estimator=EstimatorSettings(error_percent=8e-4)))
     assert fine.at[0].ratio.median_percent <= 8e-4
     assert summary(fine, [Path("a.ddr")])["rays"] > 7
     with pytest.raises(UserError, match=r"--error"):
-        simulate(small("gaussian:width_deg=25", effort=Effort(error_percent=1e-9)))
+        simulate(small("gaussian:width_deg=25", estimator=EstimatorSettings(error_percent=1e-9)))
 
 
 def test_what_no_path_met_is_told_and_is_no_number() -> None:
-    found = simulate(task(sigmas=(60.0,), instrument=OPEN, effort=Effort("forward", paths=20_000)))
+    found = simulate(task(sigmas=(60.0,), instrument=OPEN, estimator=EstimatorSettings("forward", paths=20_000)))
     at = found.at[0]
-    assert at.unmet.sum() > 100
-    assert not at.hidden.any()
-    assert summary(found, [Path("a.ddr")])["directions_without_hits"]["60"] == at.unmet.sum()
-    assert np.all(np.isnan(at.ratio.standard_error[0, at.unmet]))
+    assert at.missed.sum() > 100
+    assert not at.obstructed.any()
+    assert summary(found, [Path("a.ddr")])["directions_without_hits"]["60"] == at.missed.sum()
+    assert np.all(np.isnan(at.ratio.standard_error[0, at.missed]))
 
 
 def test_progress_is_told_from_nothing_to_all() -> None:
@@ -227,16 +228,16 @@ def test_what_cannot_be_simulated_is_refused(change: dict[str, Any], named: str)
 )  # fmt: skip
 def test_what_an_estimator_does_not_have_is_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=r"^--"):
-        Effort(**settings)
+        EstimatorSettings(**settings)
 
 
 def test_names_that_will_not_do_are_refused(tmp_path: Path) -> None:
     own = tmp_path / "a.ddr"
     for names in (["a.txt"], ["absent/a.ddr"], ["a.ddr", "a.ddr"], ["a.ddr", "a.ddt"], ["a.ddr"]):
         with pytest.raises(UserError):
-            check_names([tmp_path / name for name in names], [own], False)
-    assert check_names([tmp_path / "b.csv"], [own], False) is False
-    assert check_names([tmp_path / "b.ddt"], [own], False) is True
+            check_file_names([tmp_path / name for name in names], [own], False)
+    assert check_file_names([tmp_path / "b.csv"], [own], False) is False
+    assert check_file_names([tmp_path / "b.ddt"], [own], False) is True
 
 
 def test_a_broad_sample_reads_as_its_own_bsdf() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation import estimate
-from goniotwin.app.simulation.estimate import Effort
+from goniotwin.app.simulation.estimate import EstimatorSettings
 from goniotwin.app.simulation.files import assumptions, summary
 from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument, SampleFrames
@@ -17,7 +17,7 @@ from tests.twin.optics.agreement import agree
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 FRAMES = SampleFrames(reflectance=0.5)
 BLACK = "lambertian:reflectance=0.05"
-FORWARD = Effort("forward", paths=2_000_000, seed=3)
+FORWARD = EstimatorSettings("forward", paths=2_000_000, seed=3)
 
 
 def found(stray: bool, **settings: Any) -> Simulation:
@@ -36,8 +36,8 @@ def quick_maps(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_both_estimators_agree_within_their_errors(stray: bool, back: bool) -> None:
     settings = {"sample": parse_sample(f"{BLACK},side=both"), "back": back}
     fast, forward = (
-        simulate(Task(**{**vars(found(stray).task), **settings, "effort": effort})).at[0].ratio
-        for effort in (Effort(), FORWARD)
+        simulate(Task(**{**vars(found(stray).task), **settings, "estimator": estimator})).at[0].ratio
+        for estimator in (EstimatorSettings(), FORWARD)
     )
     seen = (forward.standard_error < 0.15 * forward.factor)[0] & np.isfinite(fast.factor[0])
     assert np.count_nonzero(seen) >= 15
@@ -61,9 +61,9 @@ def test_a_lit_frame_makes_a_black_sample_brighter_by_what_it_scatters() -> None
 
 
 def test_files_and_summary_say_whether_it_is_in() -> None:
-    for effort in (Effort(), Effort("forward", paths=20_000)):
+    for estimator in (EstimatorSettings(), EstimatorSettings("forward", paths=20_000)):
         for stray in (False, True):
-            each = found(stray, effort=effort)
+            each = found(stray, estimator=estimator)
             assert summary(each, [Path("a.ddr")])["stray"] is stray
             (told,) = (words for words in assumptions(each) if words.startswith("stray light: "))
             assert ("in: that of frames" in told) == stray
@@ -74,7 +74,7 @@ def test_files_and_summary_say_whether_it_is_in() -> None:
 def test_its_error_is_that_of_its_paths_and_its_seed_gives_the_same_bits() -> None:
     first, again = (found(True).at[0].ratio for _ in range(2))
     assert first.factor.tobytes() == again.factor.tobytes()
-    other = found(True, effort=Effort(seed=2)).at[0].ratio
+    other = found(True, estimator=EstimatorSettings(seed=2)).at[0].ratio
     seen = np.isfinite(first.factor[0])
     assert not np.array_equal(first.factor[0, seen], other.factor[0, seen])
     apart = np.abs(first.factor - other.factor)[0, seen]

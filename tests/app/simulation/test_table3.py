@@ -17,12 +17,12 @@ from goniotwin.app.simulation.paper.explanation import (
     exponents,
     interpolation_error,
     rms_table,
-    tilted,
+    with_tilt,
 )
-from goniotwin.app.simulation.paper.gaussian_cut import cuts, in_plane_theta, relative_rms_percent, theory
+from goniotwin.app.simulation.paper.gaussian_cut import gaussian_cuts, gaussian_theory, in_plane_theta, relative_rms_percent
 from goniotwin.app.simulation.paper.table3 import STEPS, Table3, table3
-from goniotwin.app.simulation.paper.table3_report import as_dict, assumptions, figures, show
-from goniotwin.app.simulation.paper.worst_corner import Component, deviating, tilts, worst_corner
+from goniotwin.app.simulation.paper.table3_report import as_dict, assumptions, print_table3, write_figures
+from goniotwin.app.simulation.paper.worst_corner import Component, tilts, with_deviations, worst_corner
 from goniotwin.twin.optics import Instrument
 from tests.sizes import parted
 
@@ -60,11 +60,11 @@ def test_the_range_of_i_is_as_stated() -> None:
 
 
 def test_theory_falls_to_what_its_form_says() -> None:
-    assert theory(np.array([5.0]), 5.0, "one_over_e")[0] == pytest.approx(math.exp(-1.0))
-    assert theory(np.array([5.0]), 5.0, "half_width")[0] == pytest.approx(0.5)
+    assert gaussian_theory(np.array([5.0]), 5.0, "one_over_e")[0] == pytest.approx(math.exp(-1.0))
+    assert gaussian_theory(np.array([5.0]), 5.0, "half_width")[0] == pytest.approx(0.5)
     # A prototype's noise-free numbers at width 5, by the range of theta.
     for widths, percent in ((1.0, 0.36), (2.0, 0.66), (3.0, 1.7), (4.0, 3.3)):
-        (cut,) = cuts(OPEN, [0.0], 5.0, widths=widths)
+        (cut,) = gaussian_cuts(OPEN, [0.0], 5.0, widths=widths)
         assert cut.relative_rms_percent == pytest.approx(percent, abs=0.1)
 
 
@@ -104,7 +104,7 @@ def test_half_way_between_detectors_a_line_is_off_as_the_second_derivative_says(
 
 def test_a_tilted_sample_alone_is_the_papers_limit() -> None:
     # An independent prototype found 4.75 % at sigma 30, width 5.
-    assert rms_table(tilted(OPEN, 0.05))[1, 1] == pytest.approx(4.75, abs=0.1)
+    assert rms_table(with_tilt(OPEN, 0.05))[1, 1] == pytest.approx(4.75, abs=0.1)
 
 
 @parted(64)
@@ -112,7 +112,7 @@ def test_the_worst_corner_is_the_worst_of_all_4096(found: Table3, part: int) -> 
     components = tilts(OPEN)
     corner = found.corner(30.0, 5.0)
     every = [
-        cuts(deviating(OPEN, components, signs), [30.0], 5.0)[0].relative_rms_percent
+        gaussian_cuts(with_deviations(OPEN, components, signs), [30.0], 5.0)[0].relative_rms_percent
         for signs in (corner.signs, *itertools.islice(itertools.product((-1, 1), repeat=12), 0, None, part))
     ]
     assert corner.relative_rms_percent == max(every)
@@ -130,7 +130,7 @@ def test_with_a_collimated_beam_it_is_that_of_an_independent_prototype(found: Ta
 def test_a_corner_of_one_component_is_its_worse_side() -> None:
     one = (Component("sample", "ry_deg", 0.05, "sample ry"),)
     corner = worst_corner(OPEN, 30.0, 5.0, one)
-    sides = [cuts(deviating(OPEN, one, [sign]), [30.0], 5.0)[0].relative_rms_percent for sign in (-1, 1)]
+    sides = [gaussian_cuts(with_deviations(OPEN, one, [sign]), [30.0], 5.0)[0].relative_rms_percent for sign in (-1, 1)]
     assert corner.relative_rms_percent == max(sides)
     assert corner.in_words() == ("-sample ry" if sides[0] > sides[1] else "+sample ry")
 
@@ -151,7 +151,7 @@ def test_each_column_states_its_assumptions(found: Table3) -> None:
 
 def test_the_document_has_what_the_command_prints(found: Table3) -> None:
     printed = io.StringIO()
-    show(Console(width=100, file=printed, highlight=False, color_system=None), found)
+    print_table3(Console(width=100, file=printed, highlight=False, color_system=None), found)
     document = DOCUMENT.read_text(encoding="utf-8")
     assert "goniotwin simulate table3" in document
     for line in printed.getvalue().splitlines():
@@ -159,7 +159,7 @@ def test_the_document_has_what_the_command_prints(found: Table3) -> None:
 
 
 def test_the_figures_are_written_whole(found: Table3, tmp_path: Path) -> None:
-    written = figures(found, tmp_path / "new")
+    written = write_figures(found, tmp_path / "new")
     assert set(written) == {"figure12", "figure13"}
     for path in written.values():
         assert path.read_bytes().startswith(b"\x89PNG")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
-from goniotwin.twin.devices import Adam4117, Adam6017, AdamModule, RtuStation, TcpStation
+from goniotwin.twin.devices import Adam4117, Adam6017, ConverterModule, RtuStation, TcpStation
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.plant import Plant, TwinModel
 
@@ -21,7 +21,7 @@ def rtu(body: str) -> bytes:
 
 
 def line() -> RtuStation:
-    devices: list[AdamModule] = [Adam4117(PLANT, 0, 1), Adam4117(PLANT, 1, 2)]
+    devices: list[ConverterModule] = [Adam4117(PLANT, 0, 1), Adam4117(PLANT, 1, 2)]
     return RtuStation(devices)
 
 

@@ -4,7 +4,7 @@ import pytest
 import usb.core
 import usbtmc
 
-from goniotwin.mocks.usb_endpoints import installed
+from goniotwin.mocks.usb_endpoints import install_backend
 from goniotwin.protocols.clock import RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import MsgId, message, request_in
 from goniotwin.twin import VirtualRig
@@ -127,7 +127,7 @@ def test_python_usbtmc_unmodified_talks_to_the_twin(opened: RigOpener) -> None:
     """An independent client, found through pyusb as if the instrument were on the bus."""
     rig = opened(clock=RealClock(speed=100.0)).virtual
     assert rig is not None
-    with installed(TwinUsbBackend(rig)):
+    with install_backend(TwinUsbBackend(rig)):
         client = usbtmc.Instrument("USB::0x1313::0x8078::TWIN0001::INSTR")
         assert client.ask("*IDN?") == "Thorlabs,PM100D,TWIN0001,2.8.0"
         client.write("SENSE:AVERAGE:COUNT 10")

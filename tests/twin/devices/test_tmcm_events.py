@@ -2,50 +2,51 @@
 
 import pytest
 
-from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame, ReplyStatus
+from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.twin.devices.tmcl_bench import Bench
 
 
 def test_arrival_is_told_to_who_has_asked_for_it() -> None:
     bench = Bench()
-    request = Request(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4)
-    first, second = (Reply.decode(data) for data in bench.frames(request, 0.5))
-    assert (first.status, second.status) == (Status.OK, Status.TARGET_REACHED)  # it is at its target
+    request = CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4)
+    first, second = (ReplyFrame.decode(data) for data in bench.frames(request, 0.5))
+    assert (first.status, second.status) == (ReplyStatus.OK, ReplyStatus.TARGET_REACHED)  # it is at its target
     bench.line.receive(request.encode(), 1.0)
     bench.line.receive(bytes.fromhex("01 04 00 04 00 00 4e 20 77"), 1.0)  # MVP ABS 20000: three seconds
-    assert Reply.decode(bench.line.outbox.popleft()[1]).command == Command.REQUEST_TARGET_REACHED
+    assert ReplyFrame.decode(bench.line.outbox.popleft()[1]).command == Command.REQUEST_TARGET_REACHED
     (_, reply), (when, event) = bench.line.outbox
-    assert Reply.decode(reply) == Reply(2, 1, Status.OK, Command.MVP, 20_000)
+    assert ReplyFrame.decode(reply) == ReplyFrame(2, 1, ReplyStatus.OK, Command.MVP, 20_000)
     assert when == pytest.approx(4.0)
-    assert Reply.decode(event) == Reply(2, 1, Status.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, 1 << 4)
+    assert ReplyFrame.decode(event) == ReplyFrame(2, 1, ReplyStatus.TARGET_REACHED, Command.REQUEST_TARGET_REACHED, 1 << 4)
     bench.line.receive(bytes.fromhex("01 03 00 04 00 00 00 00 08"), 2.0)  # stopped, it will not arrive
-    assert [Reply.decode(data).command for _, data in bench.line.outbox] == [Command.MVP, Command.MST]
+    assert [ReplyFrame.decode(data).command for _, data in bench.line.outbox] == [Command.MVP, Command.MST]
 
 
 def test_arrival_is_told_once() -> None:
     """One request, one frame: neither questions nor another target bring a second one."""
     bench = Bench()
-    bench.line.receive(Request(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 0.5)
+    bench.line.receive(CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 0.5)
     bench.line.outbox.clear()
-    assert bench.get(Axis.POSITION_REACHED, 1.0) == 1
+    assert bench.get(AxisParameter.POSITION_REACHED, 1.0) == 1
     assert bench.go(20_000, 1.1) == 20_000
-    assert bench.get(Axis.POSITION_REACHED, 9.0) == 1
+    assert bench.get(AxisParameter.POSITION_REACHED, 9.0) == 1
 
 
 def test_before_arrival_questions_do_not_use_the_request_up() -> None:
     bench = Bench()
     bench.go(20_000, 0.9)
-    bench.line.receive(Request(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 1.0)
+    bench.line.receive(CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 1.0)
     for k in range(3):
-        bench.line.receive(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4, 0).encode(), 1.5 + 0.1 * k)
-    told = [when for when, data in bench.line.outbox if Reply.decode(data).status == Status.TARGET_REACHED]
+        bench.line.receive(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4, 0).encode(), 1.5 + 0.1 * k)
+    told = [when for when, data in bench.line.outbox if ReplyFrame.decode(data).status == ReplyStatus.TARGET_REACHED]
     assert told == [pytest.approx(3.9)]
 
 
 def test_questions_without_a_pause_do_not_put_it_off() -> None:
     bench = Bench()
-    bench.line.receive(Request(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 0.5)
+    bench.line.receive(CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 0.5)
     for k in range(20):
-        bench.line.receive(Request(1, Command.GAP, Axis.ACTUAL_POSITION, 4, 0).encode(), 0.501 + 1e-3 * k)
-    told = [when for when, data in bench.line.outbox if Reply.decode(data).status == Status.TARGET_REACHED]
+        bench.line.receive(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4, 0).encode(), 0.501 + 1e-3 * k)
+    told = [when for when, data in bench.line.outbox if ReplyFrame.decode(data).status == ReplyStatus.TARGET_REACHED]
     assert told == [pytest.approx(0.502)]

@@ -3,7 +3,7 @@
 import pytest
 
 from goniotwin.protocols.clock import VirtualClock
-from goniotwin.protocols.usbtmc import Header, MsgId, Request, Status, message, request_in, trigger
+from goniotwin.protocols.usbtmc import ClassRequest, Header, MsgId, RequestStatus, message, request_in, trigger
 from goniotwin.twin.devices import Pm100d, UsbTmcDevice
 from goniotwin.twin.devices.usb_standard import configuration_descriptor
 from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, INTERRUPT_IN, Overflow, Stall
@@ -111,28 +111,28 @@ def test_an_aborted_answer_ends_with_a_short_packet(device: UsbTmcDevice, keeps:
     device.keeps_fifo = keeps
     device.bulk_out(message(OUT, 1, b"*IDN?\n"), 10.0)
     device.bulk_out(request_in(2, 100), 10.1)
-    assert device.control_in(Request.INITIATE_ABORT_BULK_IN, 9, 11.0) == bytes((Status.TRANSFER_NOT_IN_PROGRESS, 2))
-    assert device.control_in(Request.INITIATE_ABORT_BULK_IN, 2, 11.0) == bytes((Status.SUCCESS, 2))
+    assert device.control_in(ClassRequest.INITIATE_ABORT_BULK_IN, 9, 11.0) == bytes((RequestStatus.TRANSFER_NOT_IN_PROGRESS, 2))
+    assert device.control_in(ClassRequest.INITIATE_ABORT_BULK_IN, 2, 11.0) == bytes((RequestStatus.SUCCESS, 2))
     if keeps:
-        assert device.control_in(Request.CHECK_ABORT_BULK_IN_STATUS, 0, 11.0)[:2] == bytes((Status.PENDING, 1))
+        assert device.control_in(ClassRequest.CHECK_ABORT_BULK_IN_STATUS, 0, 11.0)[:2] == bytes((RequestStatus.PENDING, 1))
     assert device.bulk_in() == b""
-    assert device.control_in(Request.CHECK_ABORT_BULK_IN_STATUS, 0, 11.0)[:2] == bytes((Status.SUCCESS, 0))
-    assert device.control_in(Request.INITIATE_ABORT_BULK_IN, 2, 11.0) == bytes((Status.FAILED, 2))
+    assert device.control_in(ClassRequest.CHECK_ABORT_BULK_IN_STATUS, 0, 11.0)[:2] == bytes((RequestStatus.SUCCESS, 0))
+    assert device.control_in(ClassRequest.INITIATE_ABORT_BULK_IN, 2, 11.0) == bytes((RequestStatus.FAILED, 2))
     assert device.bulk_in_ready() is None
 
 
 def test_a_host_that_checks_without_reading_finds_no_short_packet_later(device: UsbTmcDevice) -> None:
     device.bulk_out(message(OUT, 1, b"*IDN?\n"), 10.0)
     device.bulk_out(request_in(2, 100), 10.1)
-    device.control_in(Request.INITIATE_ABORT_BULK_IN, 2, 11.0)
-    assert device.control_in(Request.CHECK_ABORT_BULK_IN_STATUS, 0, 11.0)[0] == Status.SUCCESS
+    device.control_in(ClassRequest.INITIATE_ABORT_BULK_IN, 2, 11.0)
+    assert device.control_in(ClassRequest.CHECK_ABORT_BULK_IN_STATUS, 0, 11.0)[0] == RequestStatus.SUCCESS
     assert device.bulk_in_ready() is None
 
 
 def test_a_half_written_command_is_aborted(device: UsbTmcDevice) -> None:
     device.bulk_out(message(OUT, 1, b"NONSENSE " * 10, end=False)[:64], 10.0)
-    assert device.control_in(Request.INITIATE_ABORT_BULK_OUT, 1, 10.0) == bytes((Status.SUCCESS, 1))
-    received = device.control_in(Request.CHECK_ABORT_BULK_OUT_STATUS, 0, 10.0)
+    assert device.control_in(ClassRequest.INITIATE_ABORT_BULK_OUT, 1, 10.0) == bytes((RequestStatus.SUCCESS, 1))
+    received = device.control_in(ClassRequest.CHECK_ABORT_BULK_OUT_STATUS, 0, 10.0)
     assert int.from_bytes(received[4:], "little") == 52
     with pytest.raises(Stall):  # until the host clears the halt
         device.bulk_out(message(OUT, 2, b"*CLS\n"), 10.0)
@@ -145,9 +145,9 @@ def test_a_device_clear_takes_its_time_and_drops_what_was_under_way(device: UsbT
     device.clear_s = 0.5
     device.bulk_out(message(OUT, 1, b"SENS:AVER:COUN 300;:READ?\n"), 10.0)
     device.bulk_out(request_in(2, 100), 10.0)
-    assert device.control_in(Request.INITIATE_CLEAR, 0, 10.01) == b"\x01"
-    assert device.control_in(Request.CHECK_CLEAR_STATUS, 0, 10.2) == bytes((Status.PENDING, 0))
-    assert device.control_in(Request.CHECK_CLEAR_STATUS, 0, 10.6) == bytes((Status.SUCCESS, 0))
+    assert device.control_in(ClassRequest.INITIATE_CLEAR, 0, 10.01) == b"\x01"
+    assert device.control_in(ClassRequest.CHECK_CLEAR_STATUS, 0, 10.2) == bytes((RequestStatus.PENDING, 0))
+    assert device.control_in(ClassRequest.CHECK_CLEAR_STATUS, 0, 10.6) == bytes((RequestStatus.SUCCESS, 0))
     device.clear_halt(BULK_OUT)
     device.bulk_out(message(OUT, 3, b"SENS:AVER:COUN?\n"), 10.7)
     device.bulk_out(request_in(4, 100), 10.7)
@@ -155,13 +155,13 @@ def test_a_device_clear_takes_its_time_and_drops_what_was_under_way(device: UsbT
 
 
 def test_a_status_byte_comes_over_the_interrupt_endpoint(device: UsbTmcDevice) -> None:
-    assert device.control_in(Request.READ_STATUS_BYTE, 5, 10.0) == bytes((Status.SUCCESS, 5, 0))
-    assert device.control_in(Request.READ_STATUS_BYTE, 6, 10.0)[0] == Status.INTERRUPT_IN_BUSY
+    assert device.control_in(ClassRequest.READ_STATUS_BYTE, 5, 10.0) == bytes((RequestStatus.SUCCESS, 5, 0))
+    assert device.control_in(ClassRequest.READ_STATUS_BYTE, 6, 10.0)[0] == RequestStatus.INTERRUPT_IN_BUSY
     assert device.interrupt_in(10.0) == b"\x85\x00"
     device.bulk_out(message(OUT, 1, b"*IDN?\n"), 10.0)
-    device.control_in(Request.READ_STATUS_BYTE, 7, 10.1)
+    device.control_in(ClassRequest.READ_STATUS_BYTE, 7, 10.1)
     assert device.interrupt_in(10.1) == b"\x87\x10"  # MAV
-    assert device.control_in(Request.READ_STATUS_BYTE, 1, 10.0)[0] == Status.FAILED  # 2 to 127 are tags
+    assert device.control_in(ClassRequest.READ_STATUS_BYTE, 1, 10.0)[0] == RequestStatus.FAILED  # 2 to 127 are tags
 
 
 def test_a_service_request_says_why_once(device: UsbTmcDevice) -> None:
@@ -174,19 +174,19 @@ def test_a_service_request_says_why_once(device: UsbTmcDevice) -> None:
 
 
 def test_pulse_remote_and_lockout(device: UsbTmcDevice) -> None:
-    assert device.control_in(Request.INDICATOR_PULSE, 0, 10.0) == b"\x01"
+    assert device.control_in(ClassRequest.INDICATOR_PULSE, 0, 10.0) == b"\x01"
     assert device.pulses == 1
-    device.control_in(Request.REN_CONTROL, 1, 10.0)
-    device.control_in(Request.LOCAL_LOCKOUT, 0, 10.0)
+    device.control_in(ClassRequest.REN_CONTROL, 1, 10.0)
+    device.control_in(ClassRequest.LOCAL_LOCKOUT, 0, 10.0)
     assert (device.remote, device.locked_out) == (True, True)
-    device.control_in(Request.GO_TO_LOCAL, 0, 10.0)
+    device.control_in(ClassRequest.GO_TO_LOCAL, 0, 10.0)
     assert (device.remote, device.locked_out) == (False, False)
 
 
 @pytest.mark.parametrize(
     ("kind", "request_number", "index"),
-    [(0xA1, 99, 0), (0xA1, Request.INITIATE_ABORT_BULK_IN, BULK_IN), (0xA2, Request.INITIATE_CLEAR, 0), (0xA1, 7, 3),
-     (0xA2, Request.INITIATE_ABORT_BULK_OUT, BULK_IN), (0x80, 99, 0)],
+    [(0xA1, 99, 0), (0xA1, ClassRequest.INITIATE_ABORT_BULK_IN, BULK_IN), (0xA2, ClassRequest.INITIATE_CLEAR, 0), (0xA1, 7, 3),
+     (0xA2, ClassRequest.INITIATE_ABORT_BULK_OUT, BULK_IN), (0x80, 99, 0)],
 )  # fmt: skip
 def test_other_requests_stall_endpoint_0(device: UsbTmcDevice, kind: int, request_number: int, index: int) -> None:
     with pytest.raises(Stall):

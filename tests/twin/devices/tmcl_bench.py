@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from goniotwin.protocols.tmcl import Axis, Command, Reply, Request, Status
-from goniotwin.protocols.tmcl_parameters import Global, Search
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame, ReplyStatus
+from goniotwin.protocols.tmcl_parameters import AxisParameter, GlobalParameter, SearchCommand
 from goniotwin.twin.devices import TmclLine
 from goniotwin.twin.plant import AxisController, Mechanics, Plant, TwinModel
 
@@ -22,31 +22,31 @@ class Bench:
         self.shaft = self.plant.shafts["sigma"]
         self.module = sigma.module
         self.motor = sigma.motor
-        self.set(Axis.UNIT_MODE, 1, t=0.0)
-        for parameter in (Axis.MAX_VELOCITY, Axis.MAX_ACCELERATION, Axis.MAX_DECELERATION):
+        self.set(AxisParameter.UNIT_MODE, 1, t=0.0)
+        for parameter in (AxisParameter.MAX_VELOCITY, AxisParameter.MAX_ACCELERATION, AxisParameter.MAX_DECELERATION):
             self.set(parameter, 10_000, t=0.0)
 
-    def frames(self, request: Request, t: float) -> list[bytes]:
+    def frames(self, request: CommandFrame, t: float) -> list[bytes]:
         """What comes back, without its times."""
         self.line.receive(request.encode(), t)
         found = [data for ready, data in self.line.outbox if ready <= t + 1.0]
         self.line.outbox.clear()
         return found
 
-    def reply(self, request: Request, t: float) -> Reply:
+    def reply(self, request: CommandFrame, t: float) -> ReplyFrame:
         """The one answer."""
         (frame,) = self.frames(request, t)
-        return Reply.decode(frame)
+        return ReplyFrame.decode(frame)
 
     def ask(self, command: int, kind: int, value: int = 0, t: float = 1.0, bank: int | None = None) -> int:
         """The value of an answer that is OK."""
-        reply = self.reply(Request(self.module, command, kind, self.motor if bank is None else bank, value), t)
-        assert reply.status == Status.OK, reply
+        reply = self.reply(CommandFrame(self.module, command, kind, self.motor if bank is None else bank, value), t)
+        assert reply.status == ReplyStatus.OK, reply
         return reply.value
 
     def refused(self, command: int, kind: int, value: int = 0, t: float = 1.0, bank: int | None = None) -> int:
         """The status of one that is not."""
-        return self.reply(Request(self.module, command, kind, self.motor if bank is None else bank, value), t).status
+        return self.reply(CommandFrame(self.module, command, kind, self.motor if bank is None else bank, value), t).status
 
     def get(self, parameter: int, t: float) -> int:
         """GAP."""
@@ -60,13 +60,13 @@ class Bench:
         """MVP ABS."""
         return self.ask(Command.MVP, 0, target, t)
 
-    def search(self, kind: Search, t: float) -> int:
+    def search(self, kind: SearchCommand, t: float) -> int:
         """RFS."""
         return self.ask(Command.RFS, kind, t=t)
 
     def heartbeat(self, ms: int, t: float) -> int:
         """SGP 68."""
-        return self.ask(Command.SGP, Global.HEARTBEAT, ms, t, bank=0)
+        return self.ask(Command.SGP, GlobalParameter.HEARTBEAT, ms, t, bank=0)
 
     def angle(self, t: float) -> float:
         """Of the axis, deg."""

@@ -5,10 +5,10 @@ import serial
 
 import goniotwin.twin.doors  # noqa: F401  (registers the handler)
 from goniotwin.protocols.clock import VirtualClock
-from goniotwin.protocols.tmcl import Command, Request
+from goniotwin.protocols.tmcl import Command, CommandFrame
 from tests.conftest import RigOpener
 
-FRAME = Request(1, Command.FIRMWARE_VERSION, 1, 0).encode()
+FRAME = CommandFrame(1, Command.FIRMWARE_VERSION, 1, 0).encode()
 
 
 @pytest.fixture

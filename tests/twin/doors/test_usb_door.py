@@ -5,7 +5,7 @@ import usb.core
 import usb.util
 import usbtmc
 
-from goniotwin.mocks.usb_endpoints import installed
+from goniotwin.mocks.usb_endpoints import install_backend
 from goniotwin.protocols.clock import RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import MsgId, message, request_in
 from goniotwin.twin.doors import TwinUsbBackend
@@ -88,7 +88,7 @@ def test_unplugging_ends_a_read_that_waits(rig: VirtualRig) -> None:
 
 
 def test_python_usbtmc_opens_it_in_all_its_forms(fast: VirtualRig) -> None:
-    with installed(TwinUsbBackend(fast)):
+    with install_backend(TwinUsbBackend(fast)):
         (found,) = usbtmc.list_devices()
         for client in (
             usbtmc.Instrument(RESOURCE),
@@ -104,7 +104,7 @@ def test_python_usbtmc_opens_it_in_all_its_forms(fast: VirtualRig) -> None:
 
 
 def test_python_usbtmc_reads_status_pulses_and_triggers(fast: VirtualRig, capsys: pytest.CaptureFixture[str]) -> None:
-    with installed(TwinUsbBackend(fast)):
+    with install_backend(TwinUsbBackend(fast)):
         client = usbtmc.Instrument(RESOURCE)
         assert client.read_stb() == 0
         client.write("NONSENSE")
@@ -121,7 +121,7 @@ def test_python_usbtmc_reads_status_pulses_and_triggers(fast: VirtualRig, capsys
 
 
 def test_python_usbtmc_gets_large_answers_whole_and_in_pieces(fast: VirtualRig) -> None:
-    with installed(TwinUsbBackend(fast)):
+    with install_backend(TwinUsbBackend(fast)):
         client = usbtmc.Instrument(RESOURCE)
         question = ";".join(["*IDN?"] * 300)
         assert client.ask(question) == ";".join([IDENTITY] * 300)
@@ -133,7 +133,7 @@ def test_python_usbtmc_gets_large_answers_whole_and_in_pieces(fast: VirtualRig) 
 
 
 def test_python_usbtmc_goes_on_after_a_timeout(fast: VirtualRig) -> None:
-    with installed(TwinUsbBackend(fast)):
+    with install_backend(TwinUsbBackend(fast)):
         client = usbtmc.Instrument(RESOURCE)
         client.timeout = 1.0
         client.write("SENS:AVER:COUN 9000")

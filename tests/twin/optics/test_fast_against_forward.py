@@ -191,9 +191,9 @@ def measured() -> Scatterer:
     """The black paint's table, from either side alike, which is no part of this repository."""
     if not MEASURED.is_file():
         pytest.skip(f"the measured paint is not there: {MEASURED}")
-    from goniotwin.app.rig.samples import MeasuredTable, scatterer
+    from goniotwin.app.rig.samples import MeasuredTable, sample_scatterer
 
-    return scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
+    return sample_scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
 
 
 @parted(16)

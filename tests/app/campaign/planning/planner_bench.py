@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
 from goniotwin.app.rig import RigDescription
@@ -49,6 +49,6 @@ def checking(rig: RigDescription, schedules: dict[str, str]) -> list[dict[str, A
         schedule = parse_schedule(HEAD + text, name)
         begun = clock.now()
         plan = make_plan(schedule, rig)
-        checked_plan(plan)
+        check_plan(plan)
         found.append({"schedule": name, "rows": len(plan.rows), "check_s": clock.now() - begun})
     return found

@@ -8,15 +8,20 @@ import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
-from goniotwin.app.campaign.schedule.certificate import CertificateTable, constant, parse_certificate, refuse_expired
+from goniotwin.app.campaign.schedule.certificate import (
+    CertificateTable,
+    constant_certificate,
+    parse_certificate,
+    refuse_expired,
+)
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import calendar_stamp
-from tests.app.campaign.measuring_bench import QUIET
+from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import RIG, SMALL, Change, Writer
 
 GRID = """# Spectralon, by its maker
@@ -43,7 +48,9 @@ TABLE = '\n[certificate]\nfile = "etalon.csv"\nexpires = {expires}\n'
 
 
 def at(text: str, wavelength: float, incidence: float, zenith: float, azimuth: float) -> tuple[float, float]:
-    factor, relative = parse_certificate(text, "c.csv").at(wavelength, incidence, np.array([zenith]), np.array([azimuth]))
+    factor, relative = parse_certificate(text, "c.csv").interpolate(
+        wavelength, incidence, np.array([zenith]), np.array([azimuth])
+    )
     return float(factor[0]), float(relative[0])
 
 
@@ -67,7 +74,7 @@ def test_beyond_its_lines_it_says_nothing(asked: tuple[float, float, float, floa
 def test_what_it_has_no_column_for_it_holds_for_at_all_values() -> None:
     assert at(BY_ZENITH, 300, 77, 30, 123) == pytest.approx((0.95, 0.004))
     assert np.isnan(at(BY_ZENITH, 300, 77, 61, 0)).all()
-    factor, relative = constant(0.99, 0.002).at(550, 30, np.arange(0.0, 90.0), np.zeros(90))
+    factor, relative = constant_certificate(0.99, 0.002).interpolate(550, 30, np.arange(0.0, 90.0), np.zeros(90))
     assert np.all(factor == 0.99)
     assert np.all(relative == 0.002)
 
@@ -125,7 +132,7 @@ def test_what_it_says_nothing_of_is_told_before_anything_is_measured(write_sched
     rig = read_rig(RIG)
 
     def told(text: str, *changes: Change) -> list[str]:
-        warnings = checked_plan(make_plan(certified(write_schedule, text, *changes), rig))["warnings"]
+        warnings = check_plan(make_plan(certified(write_schedule, text, *changes), rig))["warnings"]
         return [each for each in warnings if "etalon.csv" in each]
 
     (found,) = told(BY_ZENITH)

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.geometry.arcs import directions_seen
-from goniotwin.app.campaign.geometry.shadow import certainly_clear, shadowed
-from goniotwin.app.campaign.planning.check import checked_plan, in_words
+from goniotwin.app.campaign.geometry.arcs import observed_directions
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors, clear_of_mirrors
+from goniotwin.app.campaign.planning.check import check_plan, describe_check
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
-from goniotwin.app.rig import believed_instrument, read_rig
+from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.twin.optics import arc_direction, visible_fraction
 from tests.app.campaign.planning.planner_bench import GREAT, HEAD, checking
 from tests.conftest import RIG, SCHEDULE
@@ -26,7 +26,7 @@ def planned(text: str) -> Plan:
 
 def test_it_answers_with_rows_duration_order_shadows_and_warnings() -> None:
     plan = make_plan(read_schedule(SCHEDULE), VIRTUAL)
-    result = json.loads(json.dumps(checked_plan(plan)))
+    result = json.loads(json.dumps(check_plan(plan)))
     assert result["rows"] == 130
     assert result["duration_s"] == pytest.approx(plan.seconds)
     assert result["least_s"] <= result["duration_s"] <= 1.05 * result["least_s"]
@@ -38,66 +38,68 @@ def test_it_answers_with_rows_duration_order_shadows_and_warnings() -> None:
     assert sum(len(each["zenith_azimuth"]) for each in result["shadowed_deg"]) == 45
     assert [each["sigma"] for each in result["shadowed_deg"] if each["specular"]] == [0.0]
     assert "at sigma 0 deg the mirror unit hides the specular direction" in result["warnings"][0]
-    words = in_words(plan, result)
+    words = describe_check(plan, result)
     assert "from the inside: shift, sigma, beta" in words
     assert "15 at sigma 0 with the specular one" in words
 
 
 def test_photodiodes_that_share_a_direction_are_counted_and_missed() -> None:
-    alone = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 1]\n"))
+    alone = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 1]\n"))
     assert alone["overlaps"] == 0
     assert any("[overlap] points = 1 adds poses at shift 5 deg" in warning for warning in alone["warnings"])
     # At each beta 17 of the 18 photodiodes come to where the next one was.
-    shared = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 5]\n"))
+    shared = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 5]\n"))
     assert shared["overlaps"] == 2 * 17
     assert not any("overlap" in warning for warning in shared["warnings"])
 
 
 def test_poses_that_the_symmetry_leaves_out_are_counted() -> None:
     plan = planned("sigma_deg = [30]\nbeta_deg = [0, 90, 180, 270]\n")
-    assert checked_plan(plan)["left_out"] == 1
-    assert "left out    1 poses that see the same as others do by the symmetry: isotropic" in in_words(plan, checked_plan(plan))
+    assert check_plan(plan)["left_out"] == 1
+    assert "left out    1 poses that see the same as others do by the symmetry: isotropic" in describe_check(
+        plan, check_plan(plan)
+    )
 
 
 def test_of_transmitted_light_is_hidden_what_the_etalon_hides_that_is_lit_from_the_other_side() -> None:
     """The sample's own light is all free: the mirror unit is on the other side of it."""
     plan = planned('light = "transmitted"\nsigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n')
-    result = checked_plan(plan)
-    reflected = checked_plan(planned("sigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n"))
+    result = check_plan(plan)
+    reflected = check_plan(planned("sigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n"))
     assert result["shadowed"] == result["shadowed_only_for_etalon"] == reflected["shadowed"] > 0
     assert reflected["shadowed_only_for_etalon"] == 0
-    assert "of transmission, by the mirror unit, 2 of them only for the etalon" in in_words(plan, result)
+    assert "of transmission, by the mirror unit, 2 of them only for the etalon" in describe_check(plan, result)
     assert any("hides the direction straight through" in each for each in result["warnings"])
     assert not any("specular" in each for each in result["warnings"])
 
 
 def test_a_guess_is_told_to_be_one() -> None:
-    result = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n[averaging]\nrelative_uncertainty = 0.01\n"))
+    result = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n[averaging]\nrelative_uncertainty = 0.01\n"))
     least, most = result["duration_range_s"]
     assert least < result["duration_s"] < most
     assert any("the duration is a guess" in warning for warning in result["warnings"])
-    sure = checked_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n"))
+    sure = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n"))
     assert sure["duration_range_s"] == [sure["duration_s"], sure["duration_s"]]
 
 
 def test_what_to_look_at_again() -> None:
     grids = "sigma_deg = [30]\nbeta_deg = [0, 90]\n"
-    assert any("open beam" in each for each in checked_plan(planned(f"open_beam = true\n{grids}"))["warnings"])
-    slow = checked_plan(planned(f"readings = 100\ndark_every_s = 5\n{grids}"))
+    assert any("open beam" in each for each in check_plan(planned(f"open_beam = true\n{grids}"))["warnings"])
+    slow = check_plan(planned(f"readings = 100\ndark_every_s = 5\n{grids}"))
     assert any("a dark gets" in each for each in slow["warnings"])
     red = make_plan(parse_schedule(f"{HEAD}gains_v_per_a = [1e8]\nwavelength_nm = [700, 720]\n{grids}", "x"), VIRTUAL)
-    assert any("above 710 nm (1 wavelengths)" in each for each in checked_plan(red)["warnings"])
+    assert any("above 710 nm (1 wavelengths)" in each for each in check_plan(red)["warnings"])
 
 
 def test_the_back_is_as_hidden_as_the_front() -> None:
     counts = [
-        [(each.directions, len(each.hidden_deg), each.hides_specular) for each in seen]
+        [(each.directions, len(each.blocked_deg), each.specular_blocked) for each in seen]
         for seen in (
-            directions_seen(plan.schedule.file, VIRTUAL.file, plan.made.mountings[1][0].poses.angles)
+            observed_directions(plan.schedule.file, VIRTUAL.file, plan.details.mountings[1][0].poses.angles)
             for plan in (
                 planned(f'side = "{side}"\nsigma_deg = [0, 20, 40]\nbeta_deg = [0, 90, 180]\n') for side in ("front", "back")
             )
-            if plan.made is not None
+            if plan.details is not None
         )
     ]
     assert counts[0] == counts[1][::-1]
@@ -113,14 +115,14 @@ def test_the_back_is_as_hidden_as_the_front() -> None:
 def test_what_is_called_clear_at_a_glance_no_ray_finds_hidden(
     sigma: float, gamma: float, angles: list[tuple[float, float]], near: float
 ) -> None:
-    instrument = believed_instrument(VIRTUAL.file)
+    instrument = nominal_instrument(VIRTUAL.file)
     zenith, azimuth = np.array([*angles, (abs(sigma + near), 0.0), (abs(sigma - near), near)]).T
     directions = arc_direction(zenith, azimuth)
-    clear = certainly_clear(instrument, VIRTUAL.file.geometry.shadow_margin_deg, sigma, directions)
+    clear = clear_of_mirrors(instrument, VIRTUAL.file.geometry.shadow_margin_deg, sigma, directions)
     visible = visible_fraction(instrument, sigma, directions, gamma_deg=gamma)
     assert np.all(visible[clear] > 1.0 - 1e-9)
-    assert not shadowed(VIRTUAL.file, sigma, zenith, azimuth, gamma)[clear].any()
-    assert shadowed(VIRTUAL.file, sigma, zenith, azimuth, gamma)[visible < 1.0 - 1e-9].all()
+    assert not blocked_by_mirrors(VIRTUAL.file, sigma, zenith, azimuth, gamma)[clear].any()
+    assert blocked_by_mirrors(VIRTUAL.file, sigma, zenith, azimuth, gamma)[visible < 1.0 - 1e-9].all()
 
 
 def test_a_hundred_thousand_rows_are_checked_within_seconds() -> None:
@@ -132,6 +134,6 @@ def test_a_hundred_thousand_rows_are_checked_within_seconds() -> None:
 def test_the_duration_is_within_its_own_range() -> None:
     """Even where the time is up before the target is reached, in lots that nobody counts beforehand."""
     averaging = "readings = 1\nsignature = true\n[averaging]\nrelative_uncertainty = 0.0005\nlongest_s = 0.5\n"
-    result = checked_plan(planned(f"sigma_deg = [30]\nbeta_deg = [0, 90]\n{averaging}"))
+    result = check_plan(planned(f"sigma_deg = [30]\nbeta_deg = [0, 90]\n{averaging}"))
     least, most = result["duration_range_s"]
     assert least <= result["duration_s"] <= most

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.geometry.collision import swept
-from goniotwin.app.campaign.planning.check import checked_plan
-from goniotwin.app.campaign.planning.plan import Plan, first_sweep, make_plan
+from goniotwin.app.campaign.geometry.collision import crosses_beam
+from goniotwin.app.campaign.planning.check import check_plan
+from goniotwin.app.campaign.planning.plan import Plan, first_collision, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import arc_clearance, read_rig
@@ -35,9 +35,9 @@ def refused(text: str) -> str:
 @pytest.mark.parametrize("checks", ["[overlap]\npoints = 2\n", "[overlap]\npoints = 1\n[symmetry_check]\npoints = 3\n"])
 def test_cross_checks_and_drift_checks_go_together(every_s: float, checks: str) -> None:
     plan = planned(PLANE + checks + DRIFT.format(every_s, 180))
-    assert first_sweep(plan.rows, CLEARANCE) is None
-    assert plan.made is not None
-    assert plan.made.without == ()
+    assert first_collision(plan.rows, CLEARANCE) is None
+    assert plan.details is not None
+    assert plan.details.omitted == ()
     assert any(row.pose is not None and row.pose[3] == 5.0 for row in plan.rows)
     assert ("symmetry_check" in checks) == any(row.identity.endswith("/mirrored") for row in plan.rows)
 
@@ -45,10 +45,10 @@ def test_cross_checks_and_drift_checks_go_together(every_s: float, checks: str) 
 def test_cross_checks_that_cannot_be_reached_are_left_out_and_it_is_said() -> None:
     """At beta 270 the shift must be low: an overlap at shift 5 there would stand in the beam itself."""
     plan = planned("sigma_deg = [30]\nbeta_deg = [270]\n[overlap]\npoints = 1\n")
-    assert plan.made is not None
-    assert plan.made.without == ("overlap",)
+    assert plan.details is not None
+    assert plan.details.omitted == ("overlap",)
     assert {row.pose[3] for row in plan.rows if row.pose is not None} == {0.0}
-    assert any("[overlap] points = 1 is left out: the arc would meet" in each for each in checked_plan(plan)["warnings"])
+    assert any("[overlap] points = 1 is left out: the arc would meet" in each for each in check_plan(plan)["warnings"])
 
 
 @pytest.mark.parametrize(
@@ -91,4 +91,4 @@ def test_a_symmetry_that_cannot_be_checked_says_why() -> None:
 def test_no_plan_sweeps_through_the_beam_between_its_passes() -> None:
     plan = planned(PLANE + "signature = true\nopen_beam = true\n[overlap]\npoints = 2\n")
     poses = [(*row.pose, 0.0) for row in plan.rows if row.pose is not None]
-    assert not swept(CLEARANCE, np.array(poses)).any()
+    assert not crosses_beam(CLEARANCE, np.array(poses)).any()

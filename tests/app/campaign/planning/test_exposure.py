@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigDescription, parse_rig, read_rig
@@ -48,7 +48,7 @@ def test_what_the_schedule_alone_decides_is_foretold(text: str, tmp_path: Path) 
 def test_what_the_light_decides_is_foretold_from_the_twins_light(text: str, tmp_path: Path) -> None:
     plan = planned(text)
     assert run_campaign(plan, tmp_path / "run.journal").seconds == pytest.approx(plan.seconds, rel=WITHIN)
-    checked = checked_plan(plan)
+    checked = check_plan(plan)
     least, most = checked["duration_range_s"]
     assert checked["least_s"] <= plan.seconds
     assert least <= plan.seconds <= most
@@ -68,9 +68,9 @@ def test_a_real_rigs_rows_are_foreseen_with_the_twin_that_its_file_describes() -
         text = text.replace(f"twin://virtual/{name}", f"/dev/{name}" if name in ("axes", "mono") else f"{name}:502")
     text = text.replace("twin://virtual/monitor", "1313:8078:P0012345")
     plan = planned(LIGHT_DECIDES["automatic gains"], parse_rig(text, RIG.parent, "real"))
-    assert plan.made is not None
-    assert set(plan.made.foreseen) == {"etalon", "gaussian-5"}
-    assert any("its samples assumed" in each for each in checked_plan(plan)["warnings"])
+    assert plan.details is not None
+    assert set(plan.details.expected_reading_s) == {"etalon", "gaussian-5"}
+    assert any("its samples assumed" in each for each in check_plan(plan)["warnings"])
 
 
 def test_the_lights_say_is_the_same_each_time_and_takes_no_long_look() -> None:

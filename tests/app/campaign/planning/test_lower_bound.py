@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.planning.check import checked_plan
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
@@ -120,7 +120,7 @@ def ages(plan: Plan) -> dict[str, float]:
 
 
 def warned(plan: Plan) -> bool:
-    return any("a dark gets" in each for each in checked_plan(plan)["warnings"])
+    return any("a dark gets" in each for each in check_plan(plan)["warnings"])
 
 
 def test_before_the_first_dark_none_gets_old() -> None:

@@ -84,8 +84,8 @@ def test_the_rows_are_the_same_in_whatever_order(order: str | list[str], both: b
 )  # fmt: skip
 def test_a_rows_duration_is_the_timings(text: str) -> None:
     plan, timing = planned(text), Timing(VIRTUAL.file)
-    assert plan.made is not None
-    timing.foreseen.update(plan.made.foreseen)
+    assert plan.details is not None
+    timing.expected_reading_s.update(plan.details.expected_reading_s)
     for row in plan.rows:
         assert row.seconds == pytest.approx(timing.row_seconds(row), abs=1e-9), row.identity
     assert plan.seconds == pytest.approx(sum(row.seconds for row in plan.rows))
@@ -131,8 +131,8 @@ def test_an_isotropic_sample_needs_one_gamma_and_half_the_betas() -> None:
     assert {pose[::2] for pose in poses(plan)} == {(0.0, 0.0), (0.0, 90.0), (0.0, 180.0), (0.0, 225.0), (0.0, 315.0)}
     twice = planned(grids=ROUND.replace("[0, 90, 180, 225, 315]", "[0, 135, 225, 180]"))
     assert {pose[2] for pose in poses(twice)} == {0.0, 135.0, 180.0}
-    assert twice.made is not None
-    assert twice.made.mountings[1][0].poses.left_out == 4 * 4 - 3
+    assert twice.details is not None
+    assert twice.details.mountings[1][0].poses.left_out == 4 * 4 - 3
 
 
 def test_a_plane_symmetric_sample_needs_one_of_each_pair_of_mirror_images() -> None:

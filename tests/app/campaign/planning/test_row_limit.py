@@ -6,7 +6,7 @@ import pytest
 
 from goniotwin.app.campaign.planning.durations import Timing
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.planning.validation import fewest_rows
+from goniotwin.app.campaign.planning.validation import min_rows
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
@@ -54,6 +54,6 @@ def test_darks_and_drift_checks_count() -> None:
 @pytest.mark.parametrize("text", ["", "dark_every_s = 0.1\n", "dark_every_s = 20\nreadings = 100\n" + DRIFT.format(30)])
 def test_the_fewest_rows_are_no_more_than_there_are(text: str) -> None:
     plan = make_plan(parse_schedule(HEAD + SMALL + text, "x.toml"), VIRTUAL)
-    assert plan.made is not None
-    for kind, count in fewest_rows(plan.made.mountings, plan.made.measuring, Timing(VIRTUAL.file)).items():
+    assert plan.details is not None
+    for kind, count in min_rows(plan.details.mountings, plan.details.templates, Timing(VIRTUAL.file)).items():
         assert count <= sum(row.kind == kind for row in plan.rows), kind

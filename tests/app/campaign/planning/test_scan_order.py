@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.geometry.collision import swept
+from goniotwin.app.campaign.geometry.collision import crosses_beam
 from goniotwin.app.campaign.planning.durations import Moves
-from goniotwin.app.campaign.planning.loop_order import Nest, moving_seconds, visited
-from goniotwin.app.campaign.planning.lower_bound import least_moving_seconds
-from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, Lattice
-from goniotwin.app.campaign.planning.scan_order import fastest_order
+from goniotwin.app.campaign.planning.loop_order import LoopOrder, loop_sequence, moving_seconds
+from goniotwin.app.campaign.planning.lower_bound import moving_lower_bound_s
+from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, ScanGrid
+from goniotwin.app.campaign.planning.scan_order import fastest_scan_order
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import AXES, RigFile, arc_clearance, axis_settings, parse_rig
 from goniotwin.arrays import Floats
@@ -52,130 +52,130 @@ def schedule(**keys: object) -> ScheduleFile:
     )  # fmt: skip
 
 
-def grid(*axes: list[float]) -> Floats:
+def pose_product(*axes: list[float]) -> Floats:
     return np.array(list(itertools.product(*axes)))
 
 
 @st.composite
-def lattices(draw: st.DrawFn, most: int = 40) -> Lattice:
+def scan_grids(draw: st.DrawFn, most: int = 40) -> ScanGrid:
     """Some poses of a small grid, at one to three wavelengths."""
 
     def values(highest: float, count: int) -> st.SearchStrategy[list[float]]:
         return st.lists(st.integers(0, round(10 * highest)).map(lambda k: k / 10), min_size=1, max_size=count, unique=True)
 
-    poses = grid(*(draw(values(highest, count)) for highest, count in ((90.0, 2), (85.0, 3), (180.0, 4), (5.0, 4))))
+    poses = pose_product(*(draw(values(highest, count)) for highest, count in ((90.0, 2), (85.0, 3), (180.0, 4), (5.0, 4))))
     chosen = draw(st.lists(st.integers(0, len(poses) - 1), min_size=1, max_size=most, unique=True))
     wavelengths = draw(st.lists(st.sampled_from([400.0, 410.0, 550.0, 700.0]), min_size=1, max_size=3, unique=True))
-    return Lattice(poses[chosen], np.array(wavelengths))
+    return ScanGrid(poses[chosen], np.array(wavelengths))
 
 
-def with_filters(lattice: Lattice, moves: Moves) -> Lattice:
+def with_filters(grid: ScanGrid, moves: Moves) -> ScanGrid:
     """The same on a rig."""
-    return Lattice(lattice.poses, lattice.wavelengths_nm, moves.filter_numbers(lattice.wavelengths_nm))
+    return ScanGrid(grid.poses, grid.wavelengths_nm, moves.filter_numbers(grid.wavelengths_nm))
 
 
 @st.composite
-def nests(draw: st.DrawFn, lattice: Lattice) -> Nest:
-    columns = tuple(draw(st.permutations((*lattice.active, FILTER) if lattice.grouped else lattice.active)))
-    return Nest(columns, tuple(draw(st.booleans()) for _ in columns))
+def nests(draw: st.DrawFn, grid: ScanGrid) -> LoopOrder:
+    columns = tuple(draw(st.permutations((*grid.varying_columns, FILTER) if grid.has_filter_groups else grid.varying_columns)))
+    return LoopOrder(columns, tuple(draw(st.booleans()) for _ in columns))
 
 
 rigs = st.sampled_from([PLAIN, PLAY, COLOURED])
 
 
 @settings(deadline=None)
-@given(data=st.data(), lattice=lattices(), rig=rigs)
-def test_every_nest_visits_every_point_once_and_none_beats_the_bound(
-    data: st.DataObject, lattice: Lattice, rig: RigFile
-) -> None:
+@given(data=st.data(), grid=scan_grids(), rig=rigs)
+def test_every_nest_visits_every_point_once_and_none_beats_the_bound(data: st.DataObject, grid: ScanGrid, rig: RigFile) -> None:
     moves = Moves(rig)
-    lattice = with_filters(lattice, moves)
-    order = visited(lattice, data.draw(nests(lattice)), moves)
-    assert sorted(order.tolist()) == list(range(len(lattice)))
-    least = least_moving_seconds(lattice, moves)
-    assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[order]) + 1e-9
-    anyhow = data.draw(st.permutations(range(len(lattice))))
-    assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[list(anyhow)]) + 1e-9
+    grid = with_filters(grid, moves)
+    order = loop_sequence(grid, data.draw(nests(grid)), moves)
+    assert sorted(order.tolist()) == list(range(len(grid)))
+    least = moving_lower_bound_s(grid, moves)
+    assert least <= moving_seconds(moves, arc_clearance(rig), grid.points[order]) + 1e-9
+    anyhow = data.draw(st.permutations(range(len(grid))))
+    assert least <= moving_seconds(moves, arc_clearance(rig), grid.points[list(anyhow)]) + 1e-9
 
 
 @settings(deadline=None)
-@given(lattice=lattices(most=6), rig=rigs)
-def test_no_order_at_all_beats_the_bound(lattice: Lattice, rig: RigFile) -> None:
-    if len(lattice) > 6:
+@given(grid=scan_grids(most=6), rig=rigs)
+def test_no_order_at_all_beats_the_bound(grid: ScanGrid, rig: RigFile) -> None:
+    if len(grid) > 6:
         return
     moves = Moves(rig)
-    lattice = with_filters(lattice, moves)
-    least = least_moving_seconds(lattice, moves)
-    for order in itertools.permutations(range(len(lattice))):
-        assert least <= moving_seconds(moves, arc_clearance(rig), lattice.points[list(order)]) + 1e-9
+    grid = with_filters(grid, moves)
+    least = moving_lower_bound_s(grid, moves)
+    for order in itertools.permutations(range(len(grid))):
+        assert least <= moving_seconds(moves, arc_clearance(rig), grid.points[list(order)]) + 1e-9
 
 
 @settings(deadline=None)
-@given(lattice=lattices(), rig=rigs)
-def test_no_order_that_was_tried_is_faster_than_the_one_taken(lattice: Lattice, rig: RigFile) -> None:
+@given(grid=scan_grids(), rig=rigs)
+def test_no_order_that_was_tried_is_faster_than_the_one_taken(grid: ScanGrid, rig: RigFile) -> None:
     moves = Moves(rig)
-    lattice = with_filters(lattice, moves)
-    order = fastest_order(lattice, schedule(), moves, arc_clearance(rig))
-    assert sorted(order.sequence.tolist()) == list(range(len(lattice)))
-    assert order.seconds <= min(order.tried.values())
+    grid = with_filters(grid, moves)
+    order = fastest_scan_order(grid, schedule(), moves, arc_clearance(rig))
+    assert sorted(order.sequence.tolist()) == list(range(len(grid)))
+    assert order.seconds <= min(order.candidates.values())
     assert all(order.seconds <= other.seconds for other in order.choices)
-    stated = fastest_order(lattice, schedule(back_and_forth=False), moves, arc_clearance(rig))
-    assert stated.seconds == min(stated.tried.values()), "a nest"
-    assert order.seconds == pytest.approx(moving_seconds(moves, arc_clearance(rig), lattice.points[order.sequence]))
+    stated = fastest_scan_order(grid, schedule(back_and_forth=False), moves, arc_clearance(rig))
+    assert stated.seconds == min(stated.candidates.values()), "a nest"
+    assert order.seconds == pytest.approx(moving_seconds(moves, arc_clearance(rig), grid.points[order.sequence]))
 
 
 def test_an_even_grid_is_measured_as_fast_as_can_be() -> None:
-    lattice = Lattice(grid([0.0], [0.0, 30.0, 60.0], [0.0, 5.0, 10.0, 15.0], [0.0, 0.5, 1.0]), np.arange(400.0, 500.0, 10.0))
+    grid = ScanGrid(
+        pose_product([0.0], [0.0, 30.0, 60.0], [0.0, 5.0, 10.0, 15.0], [0.0, 0.5, 1.0]), np.arange(400.0, 500.0, 10.0)
+    )
     moves = Moves(PLAIN)
-    order = fastest_order(lattice, schedule(), moves, arc_clearance(PLAIN))
-    assert order.nest == Nest((1, 2, 3, 4), (True,) * 4)
-    assert order.seconds == pytest.approx(least_moving_seconds(lattice, moves))
+    order = fastest_scan_order(grid, schedule(), moves, arc_clearance(PLAIN))
+    assert order.loop_order == LoopOrder((1, 2, 3, 4), (True,) * 4)
+    assert order.seconds == pytest.approx(moving_lower_bound_s(grid, moves))
 
 
 def test_uneven_steps_are_measured_nearly_as_fast_as_can_be() -> None:
     """The best nest takes 109.9 s, for it takes the long way from beta 0 to 170 as often as the short steps beyond."""
     betas = [0.0, 90.0, 170.0, 175.0, 178.0, 180.0]
-    lattice = Lattice(grid([0.0], [20.0, 40.0, 60.0], betas, [0.0, 2.0]), np.array([450.0, 460.0, 650.0]))
+    grid = ScanGrid(pose_product([0.0], [20.0, 40.0, 60.0], betas, [0.0, 2.0]), np.array([450.0, 460.0, 650.0]))
     moves = Moves(PLAIN)
-    order = fastest_order(lattice, schedule(), moves, arc_clearance(PLAIN))
-    assert order.rearranged
-    assert order.seconds <= 1.001 * least_moving_seconds(lattice, moves) < 0.9 * order.tried[order.nest]
+    order = fastest_scan_order(grid, schedule(), moves, arc_clearance(PLAIN))
+    assert order.improved
+    assert order.seconds <= 1.001 * moving_lower_bound_s(grid, moves) < 0.9 * order.candidates[order.loop_order]
 
 
 def test_poses_beside_the_grid_are_measured_where_they_cost_least() -> None:
     """Five extra poses at another gamma or shift: the best nest takes 51.2 s; a search among all exchanges found 45.8 s."""
-    grids = grid([0.0], [20.0, 40.0], [0.0, 60.0, 120.0, 180.0], [0.0])
+    full = pose_product([0.0], [20.0, 40.0], [0.0, 60.0, 120.0, 180.0], [0.0])
     beside = np.array([[0.0, 20.0, 0.0, 5.0], [0.0, 40.0, 0.0, 5.0]])
     mirrored = np.array([[90.0, 20.0, 0.0, 0.0], [90.0, 20.0, 180.0, 0.0], [90.0, 40.0, 300.0, 0.0]])
-    lattice = Lattice(np.concatenate([grids, beside, mirrored]), np.array([450.0, 550.0]))
+    grid = ScanGrid(np.concatenate([full, beside, mirrored]), np.array([450.0, 550.0]))
     moves = Moves(PLAIN)
-    order = fastest_order(lattice, schedule(), moves, arc_clearance(PLAIN))
-    assert order.seconds <= 1.03 * least_moving_seconds(lattice, moves)
-    assert order.sequence.tolist() == fastest_order(lattice, schedule(), moves, arc_clearance(PLAIN)).sequence.tolist()
+    order = fastest_scan_order(grid, schedule(), moves, arc_clearance(PLAIN))
+    assert order.seconds <= 1.03 * moving_lower_bound_s(grid, moves)
+    assert order.sequence.tolist() == fastest_scan_order(grid, schedule(), moves, arc_clearance(PLAIN)).sequence.tolist()
 
 
 def test_an_order_is_found_that_keeps_clear_where_no_nest_does() -> None:
     """Shift 5 at beta 0 and 300, either side of the beam, which is crossed at shift 0 only: [overlap] has such poses."""
     betas = [0.0, 60.0, 120.0, 180.0, 240.0, 300.0]
     poses = np.concatenate(
-        [grid([0.0, 90.0], [20.0, 60.0], betas, [0.0]), grid([0.0, 90.0], [20.0, 60.0], [0.0, 300.0], [5.0])]
+        [pose_product([0.0, 90.0], [20.0, 60.0], betas, [0.0]), pose_product([0.0, 90.0], [20.0, 60.0], [0.0, 300.0], [5.0])]
     )
-    lattice = Lattice(poses, np.array([550.0]))
+    grid = ScanGrid(poses, np.array([550.0]))
     drift = {"every_s": 60.0, "sigma_deg": 60.0, "beta_deg": 180.0, "wavelength_nm": 450.0}
-    order = fastest_order(lattice, schedule(drift=drift), Moves(PLAIN), arc_clearance(PLAIN))
+    order = fastest_scan_order(grid, schedule(drift=drift), Moves(PLAIN), arc_clearance(PLAIN))
     assert order.seconds < float("inf")
-    assert not swept(arc_clearance(PLAIN), lattice.points[order.sequence]).any()
+    assert not crosses_beam(arc_clearance(PLAIN), grid.points[order.sequence]).any()
     check = np.array([[0.0, 60.0, 180.0, 0.0, 450.0]])
-    ends = np.concatenate([check, lattice.points[order.sequence][[0, -1]], check])
-    assert not swept(arc_clearance(PLAIN), ends)[[0, 2]].any(), "reached from the drift check, and left for it"
+    ends = np.concatenate([check, grid.points[order.sequence][[0, -1]], check])
+    assert not crosses_beam(arc_clearance(PLAIN), ends)[[0, 2]].any(), "reached from the drift check, and left for it"
 
 
 def test_with_backlash_a_long_loop_always_goes_the_same_way() -> None:
     moves = Moves(PLAY)
-    lattice = Lattice(grid([0.0], [30.0], [0.0, 5.0], np.arange(0.0, 5.0, 0.5).tolist()), np.array([550.0]))
-    order = fastest_order(lattice, schedule(), moves, arc_clearance(PLAY))
-    shift = lattice.points[order.sequence][:10, 3]
-    assert order.nest == Nest((2, 3), (True, False))
+    grid = ScanGrid(pose_product([0.0], [30.0], [0.0, 5.0], np.arange(0.0, 5.0, 0.5).tolist()), np.array([550.0]))
+    order = fastest_scan_order(grid, schedule(), moves, arc_clearance(PLAY))
+    shift = grid.points[order.sequence][:10, 3]
+    assert order.loop_order == LoopOrder((2, 3), (True, False))
     assert np.all(np.diff(shift) < 0.0), "this axis has to arrive from above"
 
 
@@ -184,11 +184,10 @@ def test_a_change_of_filter_counts_as_much_as_the_cheapest_that_leads_over_the_g
     fast as the one that goes by way of 550 nm.
     """
     moves = Moves(COLOURED)
-    lattice = with_filters(Lattice(grid([0.0], [30.0], [0.0], [0.0]), np.array([400.0, 410.0, 550.0])), moves)
-    least = least_moving_seconds(lattice, moves)
+    grid = with_filters(ScanGrid(pose_product([0.0], [30.0], [0.0], [0.0]), np.array([400.0, 410.0, 550.0])), moves)
+    least = moving_lower_bound_s(grid, moves)
     fastest = min(
-        moving_seconds(moves, arc_clearance(COLOURED), lattice.points[list(order)])
-        for order in itertools.permutations(range(3))
+        moving_seconds(moves, arc_clearance(COLOURED), grid.points[list(order)]) for order in itertools.permutations(range(3))
     )
     assert 1.0 + 3.0 < fastest < 3.0 + 4.0
     assert least <= fastest
@@ -198,32 +197,34 @@ def test_a_change_of_filter_counts_as_much_as_the_cheapest_that_leads_over_the_g
 def test_where_that_is_quicker_one_filter_is_done_after_the_other() -> None:
     moves = Moves(COLOURED)
     shifts = np.arange(0.0, 5.0, 0.5).tolist()
-    lattice = with_filters(Lattice(grid([0.0], [30.0], [0.0], shifts), np.array([510.0, 550.0, 590.0, 610.0, 650.0])), moves)
-    order = fastest_order(lattice, schedule(), moves, arc_clearance(COLOURED))
-    assert order.nest.columns == (FILTER, 3, WAVELENGTH)
-    wavelengths = lattice.points[order.sequence][:, WAVELENGTH]
+    grid = with_filters(
+        ScanGrid(pose_product([0.0], [30.0], [0.0], shifts), np.array([510.0, 550.0, 590.0, 610.0, 650.0])), moves
+    )
+    order = fastest_scan_order(grid, schedule(), moves, arc_clearance(COLOURED))
+    assert order.loop_order.columns == (FILTER, 3, WAVELENGTH)
+    wavelengths = grid.points[order.sequence][:, WAVELENGTH]
     assert (np.diff(moves.filter_numbers(wavelengths)) != 0).sum() == 1
-    assert order.seconds <= 1.02 * least_moving_seconds(lattice, moves)
-    plain = fastest_order(Lattice(lattice.poses, lattice.wavelengths_nm), schedule(), moves, arc_clearance(COLOURED))
-    assert min(order.tried.values()) < 0.9 * min(plain.tried.values())
+    assert order.seconds <= 1.02 * moving_lower_bound_s(grid, moves)
+    plain = fastest_scan_order(ScanGrid(grid.poses, grid.wavelengths_nm), schedule(), moves, arc_clearance(COLOURED))
+    assert min(order.candidates.values()) < 0.9 * min(plain.candidates.values())
     stated = schedule(order=["wavelength", "shift", "beta", "gamma", "sigma"])
-    assert fastest_order(lattice, stated, moves, arc_clearance(COLOURED)).nest.columns == (3, WAVELENGTH)
+    assert fastest_scan_order(grid, stated, moves, arc_clearance(COLOURED)).loop_order.columns == (3, WAVELENGTH)
 
 
 def test_an_order_that_the_schedule_states_is_kept() -> None:
-    lattice = Lattice(grid([0.0], [0.0, 30.0], [0.0, 5.0], [0.0, 1.0]), np.array([500.0, 600.0]))
+    grid = ScanGrid(pose_product([0.0], [0.0, 30.0], [0.0, 5.0], [0.0, 1.0]), np.array([500.0, 600.0]))
     stated = schedule(order=["shift", "beta", "gamma", "sigma", "wavelength"], back_and_forth=False)
-    points = lattice.points[fastest_order(lattice, stated, Moves(PLAIN), arc_clearance(PLAIN)).sequence]
-    assert points[:, [4, 1, 2, 3]].tolist() == grid([500.0, 600.0], [0.0, 30.0], [0.0, 5.0], [0.0, 1.0]).tolist()
+    points = grid.points[fastest_scan_order(grid, stated, Moves(PLAIN), arc_clearance(PLAIN)).sequence]
+    assert points[:, [4, 1, 2, 3]].tolist() == pose_product([500.0, 600.0], [0.0, 30.0], [0.0, 5.0], [0.0, 1.0]).tolist()
 
 
 def test_an_order_that_would_sweep_through_the_beam_is_not_taken() -> None:
     """From beta 250 to 290 only with the shift at 0: there the loop over the shift has to end, so it begins at 4."""
-    lattice = Lattice(grid([0.0], [30.0], [250.0, 290.0], [0.0, 4.0]), np.array([550.0]))
-    points = lattice.points[fastest_order(lattice, schedule(), Moves(PLAIN), arc_clearance(PLAIN)).sequence]
+    grid = ScanGrid(pose_product([0.0], [30.0], [250.0, 290.0], [0.0, 4.0]), np.array([550.0]))
+    points = grid.points[fastest_scan_order(grid, schedule(), Moves(PLAIN), arc_clearance(PLAIN)).sequence]
     assert points[:, [2, 3]].tolist() == [[250.0, 4.0], [250.0, 0.0], [290.0, 0.0], [290.0, 4.0]]
-    never_low = Lattice(grid([0.0], [30.0], [250.0, 290.0], [3.0, 4.0]), np.array([550.0]))
-    assert fastest_order(never_low, schedule(), Moves(PLAIN), arc_clearance(PLAIN)).seconds == float("inf")
+    never_low = ScanGrid(pose_product([0.0], [30.0], [250.0, 290.0], [3.0, 4.0]), np.array([550.0]))
+    assert fastest_scan_order(never_low, schedule(), Moves(PLAIN), arc_clearance(PLAIN)).seconds == float("inf")
 
 
 @settings(deadline=None)
@@ -235,7 +236,7 @@ def test_an_order_that_would_sweep_through_the_beam_is_not_taken() -> None:
 def test_sweeps_are_what_the_interlock_forbids(points: Floats) -> None:
     clearance = arc_clearance(PLAIN)
     forbidden = [clearance.collision((a[2], b[2]), (a[3], b[3])) is not None for a, b in itertools.pairwise(points)]
-    assert swept(clearance, points).tolist() == forbidden
+    assert crosses_beam(clearance, points).tolist() == forbidden
 
 
 @settings(deadline=None)

@@ -1,0 +1,112 @@
+"""Files: reading, atomic writing, and the error of this package."""
+
+import contextlib
+import os
+import tempfile
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+
+StrPath = str | os.PathLike[str]
+LONGEST_WORD = 40
+
+
+class FormatError(ValueError):
+    """A file that cannot be read or written.
+
+    The message is one printable line: the file, the line in it where known, what is wrong and what to do.
+    """
+
+    def __init__(self, path: StrPath, wrong: str, remedy: str, line: int | None = None) -> None:
+        super().__init__(path, wrong, remedy, line)
+        self.path = os.fspath(path)
+        self.wrong = wrong
+        self.remedy = remedy
+        self.line = line
+
+    def __str__(self) -> str:
+        where = self.path if self.line is None else f"{self.path}, line {self.line}"
+        message = f"{where}: {self.wrong}; {self.remedy}"
+        return "".join(letter if letter.isprintable() else "?" for letter in message)
+
+
+def quote_word(word: str) -> str:
+    """A word of a file, quoted for a message: at most `LONGEST_WORD` characters, in ASCII, without terminal control codes."""
+    return ascii(word if len(word) <= LONGEST_WORD else word[:LONGEST_WORD] + "...")
+
+
+def read_file(path: StrPath) -> bytes:
+    """The bytes of a file. Raises FormatError if it is absent, not a regular file, or unreadable."""
+    try:
+        file = Path(path)
+        if not file.exists():
+            raise FormatError(path, "there is no such file", "check the name and the folder")
+        if not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+        return file.read_bytes()
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
+
+
+def check_writable(path: StrPath) -> None:
+    """Check that `write_file` can write to `path`, so that a long computation does not end without its result.
+
+    Raises FormatError if the name, the folder or its permissions do not permit it. The file is not touched.
+    """
+    try:
+        file = Path(os.path.realpath(path))
+        if file.exists() and not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+        if not file.parent.is_dir():
+            raise FormatError(path, f"there is no folder {file.parent}", "make it first")
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
+    except OSError as error:
+        wrong = f"the folder {file.parent} cannot be written to ({error.strerror})"
+        raise FormatError(path, wrong, "check its permissions and the free space of the disk") from error
+    except ValueError as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(path, "is not a possible file name", "check the name") from error
+
+
+def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
+    """Write a file atomically: under another name in the same folder, synced to the disk, then renamed to `path`.
+
+    A large content may be an iterable of parts; an error raised by the iterable is passed on, and no file is left. Raises
+    FormatError if the file cannot be written; an earlier file at `path` is then unchanged.
+    """
+    spare = None
+    try:
+        file = Path(os.path.realpath(path))  # a link stays a link
+        if file.exists() and not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+        spare = file.parent / f".{os.getpid()}-{threading.get_ident()}.tmp"
+        with spare.open("wb") as out:
+            for part in [content] if isinstance(content, bytes) else content:
+                out.write(part)
+            out.flush()
+            os.fsync(out.fileno())
+        spare.replace(file)
+        _sync_folder(file.parent)
+    except OSError as error:
+        wrong = f"cannot be written ({error.strerror})"
+        raise FormatError(path, wrong, "check the folder, its permissions and the free space of the disk") from error
+    except ValueError as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(path, "is not a possible file name", "check the name") from error
+    finally:
+        if spare is not None:
+            with contextlib.suppress(OSError):  # after the renaming there is nothing left to remove
+                spare.unlink(missing_ok=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    # Windows cannot open a folder, and some network disks cannot sync one; the file itself is on the disk by now.
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,70 @@
+"""The journal: refusals, its entries about the campaign, and damaged files."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.errors import UserError
+
+
+def test_a_journal_is_not_overwritten(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    path.write_bytes(b"precious")
+    with pytest.raises(UserError, match="exists already"):
+        run_campaign(plan, path)
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("content", [b"", b"not a database at all", b"SQLite format 3\0"])
+def test_a_file_that_is_not_a_journal_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.journal"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=r"a\.journal"):
+        Journal.open(path)
+
+
+def test_a_journal_has_schedule_rig_and_model(plan: Plan, tmp_path: Path) -> None:
+    run_campaign(plan, tmp_path / "a.journal")
+    with Journal.open(tmp_path / "a.journal") as journal:
+        assert journal.simulated
+        assert journal.value("rig") == plan.rig.text
+        assert journal.value("schedule") == plan.schedule.text
+        assert journal.value("model") == f'"{plan.rig.model_hash()}"'
+        with pytest.raises(UserError, match="has no entry 'nonsense'"):
+            journal.value("nonsense")
+
+
+def test_a_journal_that_cannot_be_created_leaves_no_file(plan: Plan, tmp_path: Path) -> None:
+    twice = Plan(plan.schedule, plan.rig, (plan.rows[0], plan.rows[0]))
+    with pytest.raises(UserError, match="cannot be written"):
+        Journal.create(tmp_path / "a.journal", twice, {})
+    assert list(tmp_path.glob("a.journal*")) == []
+
+
+DAMAGES = [
+    "DROP TABLE reading",
+    "UPDATE reading SET counts = substr(counts, 1, 7)",
+    "UPDATE reading SET readings = channels, channels = readings + 1",
+    "UPDATE attempt SET positions = '{'",
+    "UPDATE reading SET gain_v_per_a = 12345.0 WHERE gain_v_per_a = 1e8",
+    "DELETE FROM campaign",
+    "DROP TABLE campaign",
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_journal_gives_one_line(plan: Plan, tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "a.journal"
+    run_campaign(plan, path)
+    database = sqlite3.connect(path)
+    database.execute(damage)
+    database.commit()
+    database.close()
+    with pytest.raises(UserError, match=r"a\.journal") as caught, Journal.open(path) as journal:
+        reduce_journal(journal)
+    assert "\n" not in str(caught.value)

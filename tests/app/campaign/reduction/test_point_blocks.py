@@ -1,0 +1,123 @@
+"""A journal reduced in blocks: the values are bit-identical for any size of a block, and the memory is bounded."""
+
+import gc
+import tracemalloc
+from collections import Counter
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.rehearsal.forecast import forecast
+from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.rig import parse_rig, read_rig
+from tests.conftest import RIG, SMALL, Writer, changed
+
+WHITE = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')
+GLASS = '[twin.samples.glass]\nmodel = "lambertian"\nreflectance = 0.4\ntransmittance = 0.3\nside = "both"\n\n'
+FEW = (
+    ('["gaussian-5"]', '["glass", "gaussian-5"]'), ("beta_deg = [180]", "beta_deg = [0, 45, 180]"),
+)  # fmt: skip
+MANY = (*FEW, ("[30]", "[30, 45]"), ("[550]", "[500, 550]"))
+JOURNALS = pytest.mark.parametrize(
+    ("journal", "sizes"),
+    [
+        pytest.param(FEW, (7, 10**9), id="few rows, two sizes"),
+        pytest.param(MANY, (1, 7, 40, 10**9), id="many rows", marks=pytest.mark.long),
+    ],
+    indirect=["journal"],
+    scope="module",
+)
+EVERYTHING = (
+    SMALL + 'side = "both"\nlight = "both"\nsignature = true\nrepeats = 2\n'
+    "[drift]\nevery_s = 60\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
+    "[symmetry_check]\npoints = 2\n[overlap]\npoints = 2\ncalibrate = true\n"
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def journal(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two samples, lit on both sides, in both lights, with every table that the reduction evaluates. Tests only read it."""
+    folder = tmp_path_factory.mktemp("blocks")
+    sheets = (WHITE, ("[twin.samples.etalon]", f"{GLASS}[twin.samples.etalon]"))
+    rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), sheets), RIG.parent, "rig.toml")
+    schedule = parse_schedule(changed(EVERYTHING, request.param), "schedule.toml")
+    run_campaign(make_plan(schedule, rig), folder / "a.journal")
+    return folder / "a.journal"
+
+
+def plan_rows(journal: Journal, sample: str) -> list[Row]:
+    return [row for row in journal.planned_rows() if row.sample == sample and row.kind == "measure"]
+
+
+def bits(points: BsdfPoints) -> list[bytes]:
+    return [getattr(points, field.name).tobytes() for field in fields(points)]
+
+
+@JOURNALS
+def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
+    with Journal.open(journal) as opened:
+        reduction, whole = Reduction(opened), reduce_journal(opened)
+        for sample in ("glass", "gaussian-5"):
+            results = {}
+            for size in sizes:
+                blocks = list(reduction.blocks(sample, size))
+                overlaps = reduction.overlaps(sample, size)
+                points = join_points([reduction.finish(block.points, overlaps) for block in blocks])
+                results[size] = bits(points)
+                ranks = np.concatenate([block.rank for block in blocks])
+                assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
+                listed = [(row.wavelength_nm, row.pose[:2]) for row in plan_rows(opened, sample) if row.pose is not None]
+                assert max(np.unique(block.rank).size for block in blocks) < size + max(Counter(listed).values())
+            assert all(each == results[sizes[0]] for each in results.values())
+    assert whole.samples["glass"].transmitted.any()
+    assert whole.samples["glass"].back.any()
+
+
+@JOURNALS
+def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
+    forecasts = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
+    assert all(each.spread == forecasts[0].spread for each in forecasts)
+    assert all(each.check_results.as_dict() == forecasts[0].check_results.as_dict() for each in forecasts)
+    assert len({(tmp_path / f"{size}.csv").read_bytes() for size in sizes}) == 1
+    with Journal.open(journal) as opened:
+        whole = reduce_journal(opened)
+    for name, points in whole.samples.items():
+        assert forecasts[0].spread[name]["directions"] == points.bsdf.size
+        positive = points.good & (points.bsdf > 0.0)
+        median = float(np.percentile((points.u_bsdf / np.where(positive, points.bsdf, np.nan))[positive], 50))
+        assert forecasts[0].spread[name]["p50"] == median
+        assert forecasts[0].check_results.symmetry[name] == whole.symmetry[name]
+        assert forecasts[0].check_results.overlaps[name] == whole.overlaps[name]
+    assert whole.symmetry["glass"].pairs > 0
+    assert whole.overlaps["glass"].pairs > 0
+
+
+@pytest.mark.parametrize("steps", [(10.0, 2.5), pytest.param((4.0, 1.0), marks=pytest.mark.long)], ids=["few", "many"])
+def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
+) -> None:
+    rig, memory, rows = read_rig(write_rig()), [], []
+    for step in steps:
+        many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")
+        plan, _ = plan_rehearsal(
+            read_schedule(write_schedule(many, ("[1e8, 1e10]", "[1e8]"), ("[180]", "[0, 90, 180]"))), rig, {}
+        )
+        path = tmp_path / f"{step}.journal"
+        rehearse(plan, out=path)
+        gc.collect()
+        tracemalloc.start()
+        forecast(path, tmp_path / "a.csv", rows_at_once=16)
+        memory.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        rows.append(len(plan.rows))
+    # All points at once, as text, would take 20 kB per row.
+    assert (memory[1] - memory[0]) / (rows[1] - rows[0]) < 600.0
