@@ -1,4 +1,4 @@
-"""How many paths the forward estimator traces in a second: `python -m benchmarks.forward`."""
+"""Number of paths that the forward estimator traces per second: `python -m benchmarks.forward`."""
 
 import json
 import math
@@ -42,7 +42,9 @@ def _setting(scatterer: Scatterer, directions: Floats, frames: SampleFrames) -> 
 
 
 def geometry_rate(scatterer: Scatterer) -> float:
-    """Paths a second on one core: pupil, three mirrors, hole, direction and weight, without detectors; the fastest of five."""
+    """Paths per second on one core: pupil, three mirrors, hole, direction and weight, without detectors; the
+    fastest of five.
+    """
     setting = _setting(scatterer, np.zeros((0, 3)), SampleFrames(lit=1.0))
     arguments = U64(1), setting.beam, setting.strata, setting.lobes
     trace_geometry(1, *arguments)
@@ -55,34 +57,35 @@ def geometry_rate(scatterer: Scatterer) -> float:
 
 
 def scored_rate(scatterer: Scatterer, threads: int = 1) -> float:
-    """The same with detectors, mirrors that hide them, frames and stray light. Of one core the time is its own, of more it
-    is the clock's; the fastest of five.
+    """Paths per second with detectors, obstruction, frames and stray light; the fastest of five.
+
+    On one core the time is the process time, on more cores the elapsed time.
     """
     setting = _setting(scatterer, detector_grid(), SampleFrames())
 
-    def part(first: int) -> None:
+    def trace_blocks(first: int) -> None:
         trace(
-            first, first + SCORED_BLOCKS, U64(1), setting.beam, setting.strata, setting.lobes, setting.stage, setting.targets,
-            setting.spread, setting.longest, setting.detectors,
+            first, first + SCORED_BLOCKS, U64(1), setting.beam, setting.strata, setting.lobes, setting.surfaces,
+            setting.targets, setting.spread, setting.longest, setting.detectors,
         )  # fmt: skip
 
-    part(0)
+    trace_blocks(0)
     seconds = []
     for _ in range(REPEATS):
-        start, begun = time.process_time(), time.perf_counter()
+        start, elapsed_start = time.process_time(), time.perf_counter()
         if threads == 1:
-            part(0)
+            trace_blocks(0)
             seconds.append(time.process_time() - start)
         else:
             with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(part, range(0, threads * SCORED_BLOCKS, SCORED_BLOCKS)))
-            seconds.append(time.perf_counter() - begun)
+                list(pool.map(trace_blocks, range(0, threads * SCORED_BLOCKS, SCORED_BLOCKS)))
+            seconds.append(time.perf_counter() - elapsed_start)
     return threads * SCORED_BLOCKS * BLOCK / min(seconds)
 
 
 def measure() -> dict[str, float]:
-    """Millions of paths a second, warm: the slower of a Lambertian sample and a Gaussian of 5 deg, and each of them."""
-    found: dict[str, float] = {"forward_detectors": float(len(detector_grid()))}
+    """Millions of paths per second, warm: the slower of a Lambertian sample and a Gaussian of 5 deg, and each of them."""
+    figures: dict[str, float] = {"forward_detectors": float(len(detector_grid()))}
     for kind, rate in (
         ("geometry", geometry_rate),
         ("scored", scored_rate),
@@ -90,9 +93,9 @@ def measure() -> dict[str, float]:
     ):
         rates = {name: 1e-6 * rate(sample) for name, sample in SAMPLES.items()}
         key = "forward_scored_{}mpaths_per_s_all_threads" if kind == "scored_threads" else f"forward_{kind}_{{}}mpaths_per_s"
-        found[key.format("")] = min(rates.values())
-        found |= {key.format(f"{name}_"): each for name, each in rates.items()}
-    return found
+        figures[key.format("")] = min(rates.values())
+        figures |= {key.format(f"{name}_"): each for name, each in rates.items()}
+    return figures
 
 
 if __name__ == "__main__":

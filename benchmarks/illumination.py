@@ -1,4 +1,4 @@
-"""How long the illumination of the sample takes: `python -m benchmarks.illumination`."""
+"""Duration of the illumination estimators: `python -m benchmarks.illumination`."""
 
 import json
 import statistics
@@ -18,7 +18,7 @@ REPEATS = 101
 
 
 def _seconds(run: Callable[[], object], repeats: int) -> float:
-    """Median, after one run that compiles."""
+    """Median duration, after one run that compiles."""
     run()
     times = []
     for _ in range(repeats):
@@ -29,8 +29,9 @@ def _seconds(run: Callable[[], object], repeats: int) -> float:
 
 
 def measure() -> dict[str, float]:
-    """Times to 1 % in the flux on the 5 x 5 mm, warm, on one core: the adjoint in ms, the same for a unit made anew each time
-    (as tolerances need it), the forward one in ms, and how many times the adjoint is faster.
+    """Durations to 1 % in the flux on the 5 x 5 mm, warm, on one core.
+
+    The adjoint estimator in ms; the same for a new unit each time (as tolerances need it); the forward one in ms; their ratio.
     """
     unit = IlluminationUnit()
     awry = {"unit": Deviation(rx_deg=0.05), "arc": Deviation(x_mm=0.025)}

@@ -1,10 +1,10 @@
-"""What the optical twin costs, and how far off it is: `python -m benchmarks.optics [--json]`.
+"""Times and errors of the optical twin: `python -m benchmarks.optics [--json]`.
 
 A full grey BSDF is 19 angles of incidence (0 to 85 deg in steps of 5, and 87) with a grid of detectors about the specular
-direction: 0.5 deg apart out to 12 deg, then wider, to 5 deg; sample and etalon, the grid and its look-ups built anew each
-time. Its error is the relative difference of the luminance factor from that of 16,384 rays a detector, over a sample of
-all readings whose zenith angle is below 85 deg and within four widths of the specular direction (beyond, a Gaussian is below
-1e-7 of its peak). Times are the least of several, warm, on all cores; paths are counted on one core.
+direction: 0.5 deg apart out to 12 deg, then wider, to 5 deg; sample and etalon, with the grid and its look-ups built anew each
+time. Its error is the relative difference of the luminance factor from that of 16,384 rays per detector, over a sample of all
+readings whose zenith angle is below 85 deg and within four widths of the specular direction (beyond, a Gaussian is below 1e-7
+of its peak). Times are the minimum of several runs, warm, on all cores; paths are counted on one core.
 """
 
 import argparse
@@ -31,7 +31,7 @@ OPEN = Instrument(obstruction=False)
 ROUNDS = 9
 PLACES, ARC_POSES = 5, 19
 CHECKED = 4000
-"""Readings that are held against many rays."""
+"""Number of readings that are compared with many rays."""
 
 
 def detector_grid() -> tuple[Floats, Floats]:
@@ -50,27 +50,27 @@ def detector_grid() -> tuple[Floats, Floats]:
 def poses() -> list[Pose]:
     """The grid about each specular direction, as far as it is above the horizon."""
     about_the_normal = from_specular(0.0, *detector_grid())
-    found = []
+    grids = []
     for sigma in SIGMA_DEG:
         cos, sin = math.cos(math.radians(sigma)), math.sin(math.radians(sigma))
         turned = about_the_normal @ np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-        found.append(Pose(float(sigma), turned[turned[:, 2] > math.cos(math.radians(89.0))]))
-    return found
+        grids.append(Pose(float(sigma), turned[turned[:, 2] > math.cos(math.radians(89.0))]))
+    return grids
 
 
 def least_ms(action: Callable[[], object], rounds: int = ROUNDS) -> float:
-    """Of several rounds, warm."""
+    """Minimum time of several rounds, warm, ms."""
     action()
     times = []
     for _ in range(rounds):
-        begun = time.perf_counter()
+        start = time.perf_counter()
         action()
-        times.append(time.perf_counter() - begun)
+        times.append(time.perf_counter() - start)
     return 1000.0 * min(times)
 
 
 def percentile_95_error(width_deg: float) -> float:
-    """Percent, of a sample of the readings."""
+    """95th percentile of the relative error of the luminance factor, percent, over a sample of the readings."""
     sample, random = gaussian(width_deg), np.random.Generator(np.random.Philox(1))
     few, many = [], []
     for pose, factors in zip(poses(), luminance_factors(OPEN, poses(), sample), strict=True):
@@ -87,7 +87,7 @@ def percentile_95_error(width_deg: float) -> float:
 
 
 def photodiodes_at_poses() -> None:
-    """All 36 of them as a plant is asked for them: the arc goes round at each place of the mirror unit."""
+    """All 36 photodiodes as in a plant: the arc turns at each position of the mirror unit."""
     polar_deg, sample, instrument = np.arange(0.0, 86.0, 5.0), gaussian(5.0), Instrument()
     for sigma_deg in np.linspace(5.0, 80.0, PLACES):
         for beta_deg in np.linspace(0.0, 180.0, ARC_POSES):
@@ -99,27 +99,27 @@ FIRST_CALLS = """
 import time
 from goniotwin.twin.optics import Instrument, forward, gaussian, luminance_factor
 for name, call in (("fast", luminance_factor), ("forward", lambda *where: forward(*where, paths=2))):
-    begun = time.perf_counter()
+    start = time.perf_counter()
     call(Instrument(), 30.0, [[0.0, 0.0, 1.0]], gaussian(5.0))
-    print(f"compilation_{name}_s", time.perf_counter() - begun)
+    print(f"compilation_{name}_s", time.perf_counter() - start)
 """
 
 
 def compilation() -> dict[str, float]:
-    """What the first calls of both estimators take where no kernel has been compiled yet, s: in a process of their own."""
+    """Times of the first calls of both estimators without any compiled kernel, s, in a process of their own."""
     with tempfile.TemporaryDirectory() as folder:
-        told = subprocess.run(
+        output = subprocess.run(
             [sys.executable, "-c", FIRST_CALLS],
             env=os.environ | {"NUMBA_CACHE_DIR": folder},
             capture_output=True,
             text=True,
             check=True,
         ).stdout
-    return {name: float(seconds) for name, seconds in (line.split() for line in told.splitlines())}
+    return {name: float(seconds) for name, seconds in (line.split() for line in output.splitlines())}
 
 
 def measure() -> dict[str, Any]:
-    """Everything, as the JSON has it."""
+    """All figures, as in the JSON."""
     return {
         "detector_readings": sum(len(np.asarray(pose.directions)) for pose in poses()),
         "full_bsdf_alpha5_ms": least_ms(lambda: luminance_factors(OPEN, poses(), gaussian(5.0))),
@@ -134,7 +134,7 @@ def measure() -> dict[str, Any]:
 
 
 def main() -> None:
-    """Prints a line for each figure, or with --json one object."""
+    """Print a line for each figure, or with --json one object."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     chosen = parser.parse_args()

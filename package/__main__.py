@@ -4,7 +4,7 @@ import sys
 
 
 def main() -> None:
-    """Run the command line; the version alone is printed without loading anything else."""
+    """Run the command line. `--version` alone does not load it."""
     if sys.argv[1:] == ["--version"]:
         import goniotwin
 

@@ -8,3 +8,9 @@ Flags = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.uint16]
 """Raw counts of a converter."""
+Singles = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.int32]
+Words = npt.NDArray[np.uint32]
+"""Keys of 32-bit random numbers."""
+Keys = npt.NDArray[np.uint64]
+"""Keys of 64-bit random numbers."""

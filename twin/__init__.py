@@ -1,4 +1,6 @@
-"""The virtual prototype: optics, the plant at a given time, devices that answer their protocols, doors to the buses."""
+"""The virtual prototype: optics, the plant (state of the instrument over time), devices with their protocols, doors to the
+buses.
+"""
 
 from goniotwin.twin.plant import Plant, TwinModel
 from goniotwin.twin.rig import VirtualRig

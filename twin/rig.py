@@ -1,4 +1,4 @@
-"""A virtual rig: one plant, the devices that share it, the clock they live by, and the addresses they are found at."""
+"""Virtual rig: one plant, the devices that share it, their clock and their addresses."""
 
 import threading
 from collections.abc import Callable
@@ -25,7 +25,7 @@ CONVERTER_LINE = "adcs"
 
 @dataclass
 class VirtualRig:
-    """Devices by their addresses, the second part of `twin://NAME/ADDRESS`, sorted by bus."""
+    """Devices by bus and address. The address is the second part of `twin://NAME/ADDRESS`."""
 
     plant: Plant
     clock: Clock
@@ -33,15 +33,16 @@ class VirtualRig:
     modbus: dict[str, ConverterModule] = field(default_factory=dict)
     usb: dict[str, UsbTmcDevice] = field(default_factory=dict)
     lock: threading.RLock = field(default_factory=threading.RLock)
-    """Held by whoever brings bytes to a device: all of them share one plant."""
+    """Held while bytes are brought to a device: all devices share one plant."""
     modbus_wires: dict[str, Callable[[SerialDevice], SerialDevice]] = field(default_factory=dict)
-    """By a Modbus TCP device's name: what is put between its end of each new connection and the in-process door."""
+    """By name of a Modbus TCP device: wrapper of the device's end of each new connection, before the in-process door."""
 
     @classmethod
     def build(cls, model: TwinModel, clock: Clock) -> "VirtualRig":
-        """The rig of a model: `axes`, `mono`, `adc-0` and so on, `monitor`; with an RTU line of converters also `adcs`.
+        """Build the rig of a model.
 
-        On a real clock its first answers are as fast as all others: what has to be compiled is compiled here.
+        Addresses are `axes`, `mono`, `adc-0` and so on, and `monitor`; with an RTU line of converters also `adcs`. On a real
+        clock the kernels are compiled here, so that the first answers are as fast as all others.
         """
         plant = Plant(model)
         if isinstance(clock, RealClock):
@@ -60,5 +61,5 @@ class VirtualRig:
         return rig
 
     def mount(self, sample: str | None) -> None:
-        """The back door of the sample unit, now. Raises KeyError for a sample that the model does not have."""
+        """Mount a sample now (simulation control). Raises KeyError for a sample that is not in the model."""
         self.plant.mount(sample, self.clock.now())

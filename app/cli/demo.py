@@ -91,7 +91,7 @@ def _print_result(console: Console, result: dict[str, Any], measured: list[Compa
     for column in ("sigma", "measured", "noise-free", "directions", "blocked by the mirror unit"):
         table.add_column(column, justify="right" if column != "blocked by the mirror unit" else "left")
     for noisy, ideal in zip(measured, noise_free, strict=True):
-        blocked = f"theta {noisy.hidden_deg[0]:g} to {noisy.hidden_deg[-1]:g} deg: no value" if noisy.hidden_deg else ""
+        blocked = f"theta {noisy.hidden_deg[0]:g} to {noisy.hidden_deg[-1]:g} deg" if noisy.hidden_deg else ""
         table.add_row(
             f"{noisy.sigma_deg:g} deg",
             f"{noisy.relative_rms_percent:.2f} %",
@@ -105,8 +105,8 @@ def _print_result(console: Console, result: dict[str, Any], measured: list[Compa
         "Plane of incidence, steps of 0.5 deg, theta <= 2 widths, zenith <= 85 deg; both sides of the specular direction.",
     )
     console.print(
-        f"SIMULATED (seed {result['seed']}): {result['rows']} rows, {result['duration_s']:.0f} s of simulated time "
-        f"(estimated {result['foretold_s']:.0f} s), in {result['wall_s']:.1f} s."
+        f"SIMULATED (seed {result['seed']}): {result['rows']} rows, {result['duration_s']:.0f} s simulated "
+        f"(estimated {result['foretold_s']:.0f} s), {result['wall_s']:.1f} s elapsed."
     )
     for name, file in result["files"].items():
         console.print(f"  {name:8}{file}", markup=False, soft_wrap=True)

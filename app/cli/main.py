@@ -81,8 +81,13 @@ def start(
 
 @app.command()
 def desktop(
-    rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.")] = examples.RIG,
-    schedule: Annotated[Path, typer.Option("--schedule", metavar="SCHEDULE.toml", help="Schedule file.")] = examples.SCHEDULE,
+    rig: Annotated[
+        Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default="virtual.toml of the examples")
+    ] = examples.RIG,
+    schedule: Annotated[
+        Path,
+        typer.Option("--schedule", metavar="SCHEDULE.toml", help="Schedule file.", show_default="quick.toml of the examples"),
+    ] = examples.SCHEDULE,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for data files (journals).", show_default=False)
     ] = None,

@@ -13,10 +13,13 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     ProgressColumn,
+    Task,
     TaskProgressColumn,
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
+from rich.text import Text
 
 if TYPE_CHECKING:  # the events load numpy, which a command's help does not need
     from goniotwin.app.campaign.running.events import Event
@@ -50,16 +53,25 @@ def print_error(text: object) -> None:
     errors.print(f"goniotwin: {text}", style="red", markup=False)
 
 
+class CurrentStepColumn(ProgressColumn):
+    """The current step. In a narrow terminal this column is cut off, and not the numbers before it."""
+
+    def render(self, task: Task) -> Text:
+        """The text of a task (Rich calls it)."""
+        return Text(task.fields["now"], style="dim", no_wrap=True, overflow="ellipsis")
+
+
 class ProgressBar:
     """A progress bar with the time left. It appears with the first progress: a command that is refused shows none."""
 
     def __init__(self, console: Console, title: str, total: float | None, *columns: ProgressColumn) -> None:
         self._bar = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=32),
+            BarColumn(bar_width=24),
             *columns,
-            TimeRemainingColumn(compact=True),
-            TextColumn("left  [dim]{task.fields[now]}"),
+            TimeRemainingColumn(compact=True, table_column=Column(no_wrap=True)),
+            TextColumn("left "),
+            CurrentStepColumn(),
             console=console,
         )
         self._task = self._bar.add_task(title, total=total, now="")
@@ -80,7 +92,7 @@ class RowProgress(ProgressBar):
     """Progress of a campaign in rows; a listener of the engine. If `rows` is None, the first committed row gives the number."""
 
     def __init__(self, console: Console, title: str, rows: int | None) -> None:
-        super().__init__(console, title, rows, MofNCompleteColumn(), TextColumn("rows,"))
+        super().__init__(console, title, rows, MofNCompleteColumn(table_column=Column(no_wrap=True)), TextColumn("rows,"))
 
     def __call__(self, event: "Event") -> None:
         """Show an event of the engine."""
@@ -90,7 +102,7 @@ class RowProgress(ProgressBar):
         if isinstance(event, RowStarted):
             self._update(event.row.identity)
         elif isinstance(event, RowCommitted):
-            self._update(f"instrument time left {event.seconds_left:.0f} s", event.done, event.total)
+            self._update(f"instrument: {event.seconds_left:.0f} s left", event.done, event.total)
 
 
 class ShareProgress(ProgressBar):

@@ -1,4 +1,4 @@
-"""Saying where the axes are, from the command line."""
+"""Referencing of the axes: `goniotwin home` and `goniotwin here`."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,72 +18,72 @@ HOMES: tuple[Change, ...] = (
 )
 
 
-def test_home_homes_what_can_and_says_each(write_rig: Writer, capsys: pytest.CaptureFixture[str]) -> None:
+def test_home_homes_the_axes_with_a_homing_table(write_rig: Writer, capsys: pytest.CaptureFixture[str]) -> None:
     home_axes(write_rig(*HOMES), [], print)
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith("sigma: homed, at ")
 
 
 @pytest.mark.parametrize(
-    ("names", "changes", "told"),
+    ("names", "changes", "message"),
     [
         (["shift"], HOMES, r"axes.shift: has no \[axes.shift.homing\] table; .*goniotwin here --rig .* shift DEG"),
         ([], (), "no axis has a .homing. table"),
         (["omega"], HOMES, "'omega' is not an axis; the axes are gamma, sigma, beta, shift"),
     ],
 )
-def test_what_cannot_be_homed_is_refused_in_words(
-    write_rig: Writer, names: list[str], changes: tuple[Change, ...], told: str
+def test_an_axis_that_cannot_be_homed_is_refused(
+    write_rig: Writer, names: list[str], changes: tuple[Change, ...], message: str
 ) -> None:
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         home_axes(write_rig(*changes), names, print)
 
 
-def test_a_search_that_finds_nothing_is_a_fault(write_rig: Writer) -> None:
+def test_homing_that_finds_no_reference_is_a_fault(write_rig: Writer) -> None:
     rig = write_rig(HOMES[0], ("angle_deg = -4.0", "angle_deg = -4.0\nlongest_s = 5.0"))
     with pytest.raises(DeviceError, match="no reference within 5 s"):
         home_axes(rig, ["sigma"], print)
 
 
 def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+    stopped: list[str] = []
     stop = TmclModule.stop
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    def heard(module: TmclModule, targets: Sequence[tuple[str, CommandFrame]], then: Callable[[], None]) -> list[DeviceError]:
-        told.extend(name for name, _ in targets)
+    def record(module: TmclModule, targets: Sequence[tuple[str, CommandFrame]], then: Callable[[], None]) -> list[DeviceError]:
+        stopped.extend(name for name, _ in targets)
         return stop(module, targets, then)
 
     monkeypatch.setattr("goniotwin.drivers.wait", interrupt)
-    monkeypatch.setattr(TmclModule, "stop", heard)
+    monkeypatch.setattr(TmclModule, "stop", record)
     with pytest.raises(KeyboardInterrupt):
         home_axes(write_rig(*HOMES), [], print)
-    assert set(told) == {"gamma", "sigma", "beta", "shift"}
+    assert set(stopped) == {"gamma", "sigma", "beta", "shift"}
 
 
-def test_here_is_what_somebody_says(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    stated: list[float | None] = []
-    assume = Axis.set_position
+def test_here_sets_the_position(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    angles: list[float | None] = []
+    set_position = Axis.set_position
 
-    def assumed(axis: Axis, angle_deg: float | None = None) -> None:
-        stated.append(angle_deg)
-        assume(axis, angle_deg)
+    def record(axis: Axis, angle_deg: float | None = None) -> None:
+        angles.append(angle_deg)
+        set_position(axis, angle_deg)
 
-    monkeypatch.setattr(Axis, "set_position", assumed)
-    set_axis_position(write_rig(), "sigma", 12.5, said.append)
-    assert (said, stated) == (["sigma: position set to 12.500 deg"], [12.5])
+    monkeypatch.setattr(Axis, "set_position", record)
+    set_axis_position(write_rig(), "sigma", 12.5, lines.append)
+    assert (lines, angles) == (["sigma: position set to 12.500 deg"], [12.5])
 
 
-def test_here_outside_the_limits_or_no_angle_is_refused(write_rig: Writer) -> None:
+def test_here_refuses_an_angle_outside_the_limits_or_nan(write_rig: Writer) -> None:
     for angle in (-10.0, float("nan")):
         with pytest.raises(UserError, match="soft limits of 0 to 180 deg"):
             set_axis_position(write_rig(), "sigma", angle, print)
 
 
-def test_two_ways_to_the_reference_contradict_each_other(write_rig: Writer) -> None:
+def test_a_rig_file_with_two_kinds_of_reference_is_refused(write_rig: Writer) -> None:
     rig: Path = write_rig(
         ("power_up_at_reference = true\nencoder = false", "power_up_at_reference = true\nhoming_required = true")
     )

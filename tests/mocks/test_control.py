@@ -1,4 +1,4 @@
-"""The back door's orders."""
+"""Orders over the simulation control port."""
 
 import contextlib
 import json
@@ -21,13 +21,13 @@ from tests.conftest import RIG, RigOpener
 QUIET = ("noise = true", "noise = false")
 
 
-def test_a_jammed_axis_does_not_turn_and_the_encoder_tells(opened: RigOpener) -> None:
+def test_a_jammed_axis_does_not_turn_and_the_encoder_shows_it(opened: RigOpener) -> None:
     rig = opened(QUIET)
     assert rig.virtual is not None
     door = ControlPort(rig.virtual)
     assert door.obey(b'{"do": "jam", "axis": "beta"}') == {"ok": True}
     before = rig.virtual.plant.angle_deg("beta", rig.rig.clock.now())
-    with contextlib.suppress(DeviceError):  # an axis that watches its encoder says so
+    with contextlib.suppress(DeviceError):  # an axis that monitors its encoder raises a fault
         wait(rig.rig.clock, [rig.rig.start("beta", 20.0)])
     assert rig.rig.axes["beta"].encoder_deg() == pytest.approx(before, abs=0.1)
     assert rig.virtual.plant.angle_deg("beta", rig.rig.clock.now()) == pytest.approx(before, abs=0.1)
@@ -45,7 +45,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("line", BAD, ids=lambda line: repr(line[:40]))
-def test_a_bad_order_is_answered_in_words(opened: RigOpener, line: bytes) -> None:
+def test_an_invalid_order_returns_an_error_message(opened: RigOpener, line: bytes) -> None:
     rig = opened(QUIET)
     assert rig.virtual is not None
     answer: dict[str, Any] = ControlPort(rig.virtual).obey(line)
@@ -54,7 +54,7 @@ def test_a_bad_order_is_answered_in_words(opened: RigOpener, line: bytes) -> Non
     assert json.dumps(answer)
 
 
-def test_only_null_takes_the_sample_out(opened: RigOpener) -> None:
+def test_only_null_removes_the_sample(opened: RigOpener) -> None:
     rig = opened(QUIET)
     assert rig.virtual is not None
     door = ControlPort(rig.virtual)
@@ -99,7 +99,7 @@ def door() -> ControlPort:
 
 
 @given(line=st.binary(max_size=200) | (JSON | ORDERS).map(lambda value: json.dumps(value).encode()))
-def test_whatever_is_said_is_answered(door: ControlPort, line: bytes) -> None:
+def test_any_line_is_answered(door: ControlPort, line: bytes) -> None:
     answer = door.obey(line)
     assert isinstance(answer["ok"], bool)
     assert answer["ok"] or answer["error"]
@@ -107,7 +107,7 @@ def test_whatever_is_said_is_answered(door: ControlPort, line: bytes) -> None:
 
 
 @pytest.mark.endpoint
-def test_a_line_without_end_is_answered_once_and_the_next_one_is_heard(door: ControlPort) -> None:
+def test_a_line_without_end_is_answered_once_and_the_next_line_is_processed(door: ControlPort) -> None:
     server = ControlServer(door)
     server.start()
     try:

@@ -1,4 +1,4 @@
-"""Wires of a served rig that break on order, as the drivers at their other ends see it."""
+"""Injected faults on the wires of a served rig, seen by the connected drivers."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.endpoint
 
 @pytest.fixture
 def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, ControlClient]]:
-    """A rig that is served: the file with which others reach it, and its back door."""
+    """A served rig: its connection file and its simulation control port."""
     description = read_rig(write_rig(("noise = true", "noise = false")))
     model = description.model()
     assert model is not None
@@ -33,7 +33,7 @@ def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, ControlClie
 
 @pytest.fixture
 def served(server: tuple[str, ControlClient], tmp_path: Path) -> Iterator[tuple[OpenRig, ControlClient]]:
-    """The drivers of a rig, connected over its endpoints, and its back door."""
+    """The drivers of a rig, connected over its endpoints, and its simulation control port."""
     with open_rig(parse_rig(server[0], tmp_path, "served.toml"), RealClock()) as opened:
         opened.connect()
         yield opened, server[1]
@@ -61,7 +61,7 @@ USES = {"axes": angle, "mono": wavelength, "adc-2": read, "monitor": mean}
 OF = {"axes": "axes|sigma", "mono": "monochromator", "adc-2": "photodiodes", "monitor": "monitor"}
 
 
-def test_a_fault_that_was_ordered_happens_once_and_is_told(served: tuple[OpenRig, ControlClient]) -> None:
+def test_an_injected_fault_happens_once_and_is_reported(served: tuple[OpenRig, ControlClient]) -> None:
     opened, control = served
     control.do("faults", device="axes", script=["lost"])
     angle(opened)  # asked again
@@ -72,10 +72,8 @@ def test_a_fault_that_was_ordered_happens_once_and_is_told(served: tuple[OpenRig
 
 
 @pytest.mark.parametrize("device", USES)
-def test_a_plug_that_is_pulled_ends_in_an_error_that_names_the_device(
-    served: tuple[OpenRig, ControlClient], device: str
-) -> None:
-    """Meanwhile the others work; plugged in again, so does it, without a restart."""
+def test_a_pulled_plug_raises_an_error_that_names_the_device(served: tuple[OpenRig, ControlClient], device: str) -> None:
+    """The other devices keep working. The unplugged device works again after it is plugged in, without a restart."""
     opened, control = served
     control.do("unplug", device=device)
     with pytest.raises(DeviceError, match=OF[device]):
@@ -89,7 +87,7 @@ def test_a_plug_that_is_pulled_ends_in_an_error_that_names_the_device(
 
 
 @pytest.mark.parametrize(
-    ("order", "said"),
+    ("order", "message"),
     [
         ({"device": "lamp"}, "device is one of: axes, mono, adc-0"),
         ({"device": "mono", "kinds": ["foreign"]}, "faults of this wire are corrupted"),
@@ -98,8 +96,8 @@ def test_a_plug_that_is_pulled_ends_in_an_error_that_names_the_device(
         ({"device": "axes", "share": 2}, "0 to 1"),
     ],
 )
-def test_faults_that_cannot_be_are_refused_in_words(
-    server: tuple[str, ControlClient], order: dict[str, object], said: str
+def test_impossible_faults_are_refused_with_a_message(
+    server: tuple[str, ControlClient], order: dict[str, object], message: str
 ) -> None:
-    with pytest.raises(OrderRefused, match=said):
+    with pytest.raises(OrderRefused, match=message):
         server[1].do("faults", **order)

@@ -1,4 +1,4 @@
-"""Converter modules on real endpoints: pymodbus's own clients, our drivers, and clients that go without a word."""
+"""Converter modules on real endpoints: pymodbus clients, the product's drivers, and clients that disconnect without notice."""
 
 import os
 import select
@@ -28,7 +28,7 @@ PUMPED = 4096
 
 
 class NullModem:
-    """Two pseudo-terminals whose other ends are joined: what goes into one comes out of the other."""
+    """Two joined pseudo-terminals: bytes written to one are read from the other."""
 
     def __init__(self) -> None:
         import tty
@@ -101,7 +101,7 @@ def test_an_unmodified_tcp_client(tcp: ModbusEndpoints, caplog: pytest.LogCaptur
     assert "Traceback" not in caplog.text
 
 
-def test_the_endpoint_and_the_door_say_the_same(rig: OpenRig, tcp: ModbusEndpoints) -> None:
+def test_the_endpoint_and_the_door_give_the_same_answers(rig: OpenRig, tcp: ModbusEndpoints) -> None:
     assert rig.virtual is not None
     device = rig.virtual.modbus["adc-0"]
     with ModbusTcpClient("127.0.0.1", port=tcp.ports["adc-0"], retries=0) as client:
@@ -110,7 +110,7 @@ def test_the_endpoint_and_the_door_say_the_same(rig: OpenRig, tcp: ModbusEndpoin
             assert over_the_wire == device.registers(address, count, rig.virtual.clock.now())
 
 
-def test_pipelined_and_split_requests_are_answered_each(tcp: ModbusEndpoints) -> None:
+def test_pipelined_and_split_requests_are_all_answered(tcp: ModbusEndpoints) -> None:
     requests = b"".join(struct.pack(">HHHBBHH", k, 0, 6, 1, 3, adam.MODULE_NAME, 1) for k in range(1, 40))
     with socket.create_connection(("127.0.0.1", tcp.ports["adc-0"]), timeout=5.0) as connection:
         connection.sendall(requests[:7])
@@ -121,20 +121,20 @@ def test_pipelined_and_split_requests_are_answered_each(tcp: ModbusEndpoints) ->
     assert [int.from_bytes(answers[at : at + 2], "big") for at in range(0, len(answers), 11)] == list(range(1, 40))
 
 
-def test_a_client_that_floods_and_does_not_read_holds_up_nobody(tcp: ModbusEndpoints) -> None:
+def test_a_client_that_floods_and_does_not_read_does_not_block_other_clients(tcp: ModbusEndpoints) -> None:
     request = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 8)
     with socket.create_connection(("127.0.0.1", tcp.ports["adc-0"])) as lazy:
         lazy.setblocking(False)
         sent = 0
         while select.select([], [lazy], [], 0.5)[1] and sent < 8_000_000:
             sent += lazy.send(request * 5000)
-        assert sent < 8_000_000  # it is told to wait
+        assert sent < 8_000_000  # the server stops reading: flow control
         with socket.create_connection(("127.0.0.1", tcp.ports["adc-1"]), timeout=2.0) as other:
             other.sendall(request)
             assert other.recv(PUMPED)
 
 
-def test_one_who_has_gone_is_answered_no_more(tcp: ModbusEndpoints, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_disconnected_client_gets_no_more_answers(tcp: ModbusEndpoints, caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_connection(("127.0.0.1", tcp.ports["adc-0"])) as connection:
         connection.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, adam.MODULE_NAME, 1) * 3000)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -144,7 +144,7 @@ def test_one_who_has_gone_is_answered_no_more(tcp: ModbusEndpoints, caplog: pyte
 
 
 def drive(rig: OpenRig, settings: PhotodiodeSettings, addresses: list[str], gain: int) -> np.ndarray:
-    """Dark counts over real wires with our driver, and that they are those of the same rig in process."""
+    """Read dark counts over real wires with the product's driver; assert that they equal those of the same rig in process."""
     units = ModbusUnits(None)
     clock = rig.rig.clock
     array = PhotodiodeArray([units.unit(address) for address in addresses], settings, clock)
@@ -189,7 +189,7 @@ def test_an_unmodified_rtu_client(line: tuple[OpenRig, NullModem, ModbusEndpoint
     assert "Traceback" not in caplog.text
 
 
-def test_a_client_that_is_killed_leaves_it_well(tcp: ModbusEndpoints) -> None:
+def test_a_killed_client_does_not_disturb_the_server(tcp: ModbusEndpoints) -> None:
     port = tcp.ports["adc-0"]
     before = open_descriptors()
     for _ in range(20):
@@ -203,7 +203,7 @@ def test_a_client_that_is_killed_leaves_it_well(tcp: ModbusEndpoints) -> None:
     assert open_descriptors() <= before + 1
 
 
-def test_ports_threads_and_descriptors_are_free_after_it(opened: RigOpener) -> None:
+def test_ports_threads_and_descriptors_are_released_at_the_end(opened: RigOpener) -> None:
     rig = opened(QUIET, clock=RealClock())
     assert rig.virtual is not None
     before, threads = open_descriptors(), threading.active_count()
@@ -218,7 +218,7 @@ def test_ports_threads_and_descriptors_are_free_after_it(opened: RigOpener) -> N
     assert (open_descriptors(), threading.active_count()) == (before, threads)
 
 
-def test_a_port_that_is_taken_is_told(rig: OpenRig, tcp: ModbusEndpoints) -> None:
+def test_a_port_in_use_is_reported(rig: OpenRig, tcp: ModbusEndpoints) -> None:
     assert rig.virtual is not None
     second = ModbusEndpoints(rig.virtual)
     second.add_tcp("adc-0", tcp.ports["adc-0"])
@@ -228,7 +228,7 @@ def test_a_port_that_is_taken_is_told(rig: OpenRig, tcp: ModbusEndpoints) -> Non
         second.add_tcp("adc-9")
 
 
-def test_a_plug_that_was_pulled_is_plugged_in_again(tcp: ModbusEndpoints) -> None:
+def test_a_device_works_again_after_it_is_plugged_in_again(tcp: ModbusEndpoints) -> None:
     for _ in range(2):
         with ModbusTcpClient("127.0.0.1", port=tcp.ports["adc-0"], timeout=0.5, retries=0) as client:
             assert not client.read_holding_registers(0, count=8).isError()

@@ -1,4 +1,4 @@
-"""Names of pseudo-terminals: whose they are, and who may take them away."""
+"""Names of pseudo-terminals: their owner, and the conditions for their removal."""
 
 import os
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ def terminal() -> Iterator[str]:
         os.close(descriptor)
 
 
-def test_a_folder_is_one_servers(tmp_path: Path, terminal: str) -> None:
+def test_a_folder_belongs_to_one_server(tmp_path: Path, terminal: str) -> None:
     first, second = PtyNames(), PtyNames()
     first.put(tmp_path / "axes", terminal)
     with pytest.raises(OSError, match="another server has its names there; end it"):
@@ -33,7 +33,7 @@ def test_a_folder_is_one_servers(tmp_path: Path, terminal: str) -> None:
     second.close()
 
 
-def test_what_a_killed_server_has_left_is_replaced(tmp_path: Path, terminal: str) -> None:
+def test_names_left_by_a_killed_server_are_replaced(tmp_path: Path, terminal: str) -> None:
     (tmp_path / "axes").symlink_to(terminal + "0")
     names = PtyNames()
     names.put(tmp_path / "axes", terminal)
@@ -41,7 +41,7 @@ def test_what_a_killed_server_has_left_is_replaced(tmp_path: Path, terminal: str
     names.close()
 
 
-def test_what_has_taken_the_place_of_a_name_is_left_alone(tmp_path: Path, terminal: str) -> None:
+def test_a_file_in_the_place_of_a_name_is_not_removed(tmp_path: Path, terminal: str) -> None:
     names = PtyNames()
     names.put(tmp_path / "axes", terminal)
     names.put(tmp_path / "mono", terminal)

@@ -1,4 +1,4 @@
-"""Transcripts of serial lines, replayed: against twin devices, and in their place against drivers."""
+"""Replay of serial transcripts: to twin devices, and to drivers in place of the devices."""
 
 from collections import deque
 from pathlib import Path
@@ -24,20 +24,20 @@ from tests.mocks.replay_bench import rig_of as rig_of
 
 @pytest.fixture
 def recorded(opened: RigOpener, tmp_path: Path) -> Path:
-    """The axes' wire of a rig that was connected and asked."""
+    """The transcript of the axes' wire of a rig that was connected and queried."""
     rig = opened(QUIET, transcript=tmp_path / "wires")
     rig.rig.axes["sigma"].position_deg()
     rig.close()
     return tmp_path / "wires" / "axes.txt"
 
 
-def test_the_same_device_says_the_same_again(opened: RigOpener, recorded: Path) -> None:
+def test_the_same_device_gives_the_same_answers_again(opened: RigOpener, recorded: Path) -> None:
     rig = opened(QUIET).virtual
     assert rig is not None
     assert replay_to_device(TmclLine(rig.plant), read_transcript(recorded)) == []
 
 
-def test_another_device_is_found_out_byte_by_byte(opened: RigOpener, recorded: Path) -> None:
+def test_another_device_is_detected_byte_by_byte(opened: RigOpener, recorded: Path) -> None:
     rig = opened(QUIET).virtual
     assert rig is not None
     transcript = read_transcript(recorded)
@@ -59,14 +59,14 @@ class Port(protocol_twin.Serial):
         self.connect_to(device, clock)
 
 
-def test_drivers_that_say_the_same_get_the_same(recorded: Path) -> None:
+def test_drivers_that_send_the_same_requests_get_the_same_answers(recorded: Path) -> None:
     transcript = read_transcript(recorded)
     device = RecordedDevice(transcript, 115200)
     clock = VirtualClock()
     module = TmclModule(lambda baud, timeout: _port(device, clock), clock)
     requests = [CommandFrame.decode(each.data) for each in transcript if each.direction == ">"]
     assert module.connect() == 6214
-    for request in requests[5:]:  # connecting has asked who it is, and has set heartbeat and canary
+    for request in requests[5:]:  # connect() has read the identity and set heartbeat and canary
         if request.type == AxisParameter.ACTUAL_POSITION:
             clock.sleep_until(clock.now() + 0.05)  # as long after the last question as to need no other between
         module.exchange(request)
@@ -74,7 +74,7 @@ def test_drivers_that_say_the_same_get_the_same(recorded: Path) -> None:
     assert 0.0 < clock.now() < transcript[-1].t - transcript[0].t  # as fast as it was, without the pauses
 
 
-def test_drivers_that_say_something_else_are_found_out(recorded: Path) -> None:
+def test_drivers_that_send_other_requests_are_detected(recorded: Path) -> None:
     device = RecordedDevice(read_transcript(recorded), 115200)
     clock = VirtualClock()
     module = TmclModule(lambda baud, timeout: _port(device, clock), clock)
@@ -100,16 +100,16 @@ def _port(device: RecordedDevice, clock: VirtualClock) -> serial.Serial:
 
 
 def passed(*exchanges: tuple[bytes, bytes]) -> list[Transfer]:
-    """Told and recorded, a second each."""
+    """Requests and recorded answers, one second apart."""
     found = []
-    for k, (told, answer) in enumerate(exchanges):
-        found.append(Transfer(float(k), ">", told, 2 * k + 1))
+    for k, (request, answer) in enumerate(exchanges):
+        found.append(Transfer(float(k), ">", request, 2 * k + 1))
         found += [Transfer(k + 0.5, "<", answer, 2 * k + 2)] if answer else []
     return found
 
 
-class Says:
-    """A device that answers what it is asked with what is listed, at once."""
+class ScriptedDevice:
+    """A device that answers each request at once with the next listed answer."""
 
     baudrate = 0
 
@@ -124,45 +124,45 @@ class Says:
         pass
 
 
-def told(transcript: list[Transfer], *answers: bytes) -> list[tuple[int, bytes, bytes]]:
-    """Lines of the differences, what was recorded, what is said now."""
-    differences = replay_to_device(Says(*answers), transcript)
+def find_differences(transcript: list[Transfer], *answers: bytes) -> list[tuple[int, bytes, bytes]]:
+    """Differences: line, recorded bytes, replayed bytes."""
+    differences = replay_to_device(ScriptedDevice(*answers), transcript)
     return [(each.line, each.recorded, each.replayed) for each in differences]
 
 
-def test_what_was_read_one_exchange_later_is_no_difference() -> None:
+def test_bytes_read_one_exchange_later_are_no_difference() -> None:
     late = passed((b"move", b"move"), (b"where?", b"00where?12"), (b"again?", b"again?12"))
-    assert told(late, b"move00", b"where?12", b"again?12") == []
+    assert find_differences(late, b"move00", b"where?12", b"again?12") == []
     early = passed((b"move", b"move00"), (b"where?", b"where?12"))
-    assert told(early, b"move", b"00where?12") == []
+    assert find_differences(early, b"move", b"00where?12") == []
 
 
-def test_a_wrong_byte_does_not_make_what_follows_wrong() -> None:
+def test_a_wrong_byte_does_not_make_the_next_bytes_wrong() -> None:
     late = passed((b"a?", b"a?550"), (b"b?", b"00b?12"), (b"c?", b"00c?34"))
-    assert told(late, b"a?55100", b"b?1300", b"c?34") == [(2, b"a?550", b"a?551"), (4, b"00b?12", b"00b?13")]
+    assert find_differences(late, b"a?55100", b"b?1300", b"c?34") == [(2, b"a?550", b"a?551"), (4, b"00b?12", b"00b?13")]
 
 
 def test_an_answer_of_another_length_is_one_difference() -> None:
     recorded = passed((b"a?", b"550.0"), (b"b?", b"12"))
-    assert told(recorded, b"550.000", b"12") == [(1, b"", b"00")]
-    assert told(recorded, b"55", b"12") == [(2, b"0.0", b"")]
+    assert find_differences(recorded, b"550.000", b"12") == [(1, b"", b"00")]
+    assert find_differences(recorded, b"55", b"12") == [(2, b"0.0", b"")]
 
 
 def test_an_answer_that_is_missing_or_new_is_a_difference_of_its_own_line() -> None:
     recorded = passed((b"a?", b"1"), (b"b?", b""), (b"c?", b"3"), (b"d?", b"4"))
-    assert told(recorded, b"", b"", b"3", b"4") == [(2, b"1", b"")]
-    assert told(recorded, b"1", b"2", b"3", b"4") == [(3, b"", b"2")]
-    assert told(recorded, b"", b"", b"", b"") == [(2, b"1", b""), (6, b"3", b""), (8, b"4", b"")]
+    assert find_differences(recorded, b"", b"", b"3", b"4") == [(2, b"1", b"")]
+    assert find_differences(recorded, b"1", b"2", b"3", b"4") == [(3, b"", b"2")]
+    assert find_differences(recorded, b"", b"", b"", b"") == [(2, b"1", b""), (6, b"3", b""), (8, b"4", b"")]
 
 
-def test_what_comes_after_the_recording_has_ended_is_no_difference() -> None:
-    assert told(passed((b"a?", b"1")), b"12") == []
+def test_bytes_after_the_end_of_the_recording_are_no_difference() -> None:
+    assert find_differences(passed((b"a?", b"1")), b"12") == []
 
 
 @given(st.lists(st.tuples(st.binary(min_size=1, max_size=4), st.binary(max_size=6)), max_size=8))
-def test_a_device_that_says_the_same_never_differs(exchanges: list[tuple[bytes, bytes]]) -> None:
+def test_a_device_with_the_same_answers_never_differs(exchanges: list[tuple[bytes, bytes]]) -> None:
     transcript = passed(*exchanges)
-    assert told(transcript, *(answer for _, answer in exchanges)) == []
+    assert find_differences(transcript, *(answer for _, answer in exchanges)) == []
 
 
 @given(
@@ -174,8 +174,8 @@ def test_one_changed_byte_is_one_difference(exchanges: list[tuple[bytes, bytes]]
     at = data.draw(st.integers(0, len(answers[number]) - 1))
     changed = bytearray(answers[number])
     changed[at] ^= data.draw(st.integers(1, 255))
-    said = [*answers[:number], bytes(changed), *answers[number + 1 :]]
-    (difference,) = replay_to_device(Says(*said), passed(*exchanges))
+    replayed = [*answers[:number], bytes(changed), *answers[number + 1 :]]
+    (difference,) = replay_to_device(ScriptedDevice(*replayed), passed(*exchanges))
     assert difference.places == [(at, answers[number][at], changed[at])]
     assert (difference.line, difference.asked) == (2 * number + 2, exchanges[number][0])
 
@@ -184,10 +184,10 @@ def test_one_changed_byte_is_one_difference(exchanges: list[tuple[bytes, bytes]]
     st.lists(st.tuples(st.binary(min_size=1, max_size=4), st.binary(max_size=6)), max_size=8),
     st.lists(st.binary(max_size=6), min_size=8, max_size=8),
 )
-def test_whatever_is_said_no_recorded_byte_is_told_of_twice(exchanges: list[tuple[bytes, bytes]], said: list[bytes]) -> None:
+def test_no_recorded_byte_is_reported_twice(exchanges: list[tuple[bytes, bytes]], replayed: list[bytes]) -> None:
     transcript = passed(*exchanges)
-    differences = replay_to_device(Says(*said), transcript)
+    differences = replay_to_device(ScriptedDevice(*replayed), transcript)
     recorded = b"".join(each.data for each in transcript if each.direction == "<")
     assert sum(len(each.recorded) for each in differences) <= len(recorded)
-    assert sum(len(each.replayed) for each in differences) <= sum(map(len, said))
+    assert sum(len(each.replayed) for each in differences) <= sum(map(len, replayed))
     assert all(each.places for each in differences)

@@ -1,4 +1,4 @@
-"""Transcripts as files: what is written is read back, whatever it is; and a disk that is full stops no measurement."""
+"""Transcript files: any content is read back as written; a full disk does not stop the measurement."""
 
 import contextlib
 import errno
@@ -28,7 +28,7 @@ EXPLAINS = (as_text, tmcl.explain, usbtmc.explain, explain, explain_rtu)
 
 
 class Times(VirtualClock):
-    """Says what it is told to say."""
+    """A clock that returns the time set in `t`."""
 
     t = 0.0
 
@@ -37,7 +37,7 @@ class Times(VirtualClock):
 
 
 @given(pieces=PIECES, meaning=st.text(max_size=20))
-def test_what_was_written_is_read_back(
+def test_written_transcripts_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, pieces: list[tuple[float, str, bytes]], meaning: str
 ) -> None:
     folder, clock = tmp_path_factory.mktemp("t"), Times()
@@ -55,7 +55,7 @@ def test_what_was_written_is_read_back(
 
 
 @given(st.sampled_from(EXPLAINS), st.sampled_from("<>"), st.binary(max_size=40))
-def test_any_bytes_have_words_of_one_line(words: Explain, direction: str, data: bytes) -> None:
+def test_any_bytes_have_an_explanation_of_one_line(words: Explain, direction: str, data: bytes) -> None:
     assert len(words(direction, data).splitlines()) <= 1
 
 
@@ -106,7 +106,7 @@ def test_any_other_bytes_are_a_transcript_error(tmp_path_factory: pytest.TempPat
         (" nan > 01  | never\n", "line 1: is no line"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, text: str, why: str) -> None:
+def test_an_error_names_its_line(tmp_path: Path, text: str, why: str) -> None:
     path = tmp_path / "axes.txt"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(TranscriptError, match=why):
@@ -115,7 +115,7 @@ def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, text: str, why: str
 
 def test_files_of_other_systems_are_read(tmp_path: Path) -> None:
     path = tmp_path / "axes.txt"
-    path.write_bytes(b"\xef\xbb\xbf# time\r\n 1.5 > 01 02 | told\r\n 1.6 < 03 | whole, though its line has no end")
+    path.write_bytes(b"\xef\xbb\xbf# time\r\n 1.5 > 01 02 | sent\r\n 1.6 < 03 | whole, though its line has no end")
     assert read_transcript(path) == [Transfer(1.5, ">", b"\1\2", 2, "axes.txt"), Transfer(1.6, "<", b"\3", 3, "axes.txt")]
 
 
@@ -151,7 +151,7 @@ def full(monkeypatch: pytest.MonkeyPatch) -> dict[str, FullDisk]:
     return files
 
 
-def test_a_full_disk_ends_the_transcripts_and_says_so_once(
+def test_a_full_disk_ends_the_transcripts_with_one_message(
     full: dict[str, FullDisk], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     transcript = Transcript(tmp_path, VirtualClock())
@@ -161,15 +161,15 @@ def test_a_full_disk_ends_the_transcripts_and_says_so_once(
             for _ in range(20):
                 tap(">", b"hello")
         transcript.close()
-    (said,) = caplog.messages
-    assert said == transcript.failure
-    assert said.startswith(f"{tmp_path / 'axes.txt'}: the transcript cannot be written: No space left on device; ")
-    assert "the measurement continues" in said
+    (message,) = caplog.messages
+    assert message == transcript.failure
+    assert message.startswith(f"{tmp_path / 'axes.txt'}: the transcript cannot be written: No space left on device; ")
+    assert "the measurement continues" in message
     transcript.tap("photodiodes-0", as_text)(">", b"hello")
     assert "photodiodes-0.txt" not in full
 
 
-def test_a_measurement_goes_on_without_its_transcript(
+def test_a_measurement_continues_without_its_transcript(
     opened: RigOpener, full: dict[str, FullDisk], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     undisturbed = opened(QUIET)
@@ -181,7 +181,7 @@ def test_a_measurement_goes_on_without_its_transcript(
     assert {name for name, file in full.items() if file.room < 0} == {"axes.txt"}
 
 
-def test_a_file_that_cannot_be_opened_is_told_in_the_same_way(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_file_that_cannot_be_opened_is_reported_in_the_same_way(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "axes.txt").mkdir()
     transcript = Transcript(tmp_path, VirtualClock())
     transcript.tap("axes", as_text)(">", b"hello")
@@ -191,7 +191,7 @@ def test_a_file_that_cannot_be_opened_is_told_in_the_same_way(tmp_path: Path, ca
     assert f"{tmp_path / 'axes.txt'}: the transcript cannot be written" in caplog.messages[0]
 
 
-def test_a_folder_in_which_nothing_can_be_written_is_refused_at_the_start(tmp_path: Path) -> None:
+def test_a_read_only_folder_is_refused_at_the_start(tmp_path: Path) -> None:
     (tmp_path / "wires").write_text("a file", encoding="utf-8")
     with pytest.raises(OSError, match="wires"):
         Transcript(tmp_path / "wires", VirtualClock())

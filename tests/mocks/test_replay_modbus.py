@@ -1,4 +1,4 @@
-"""Modbus wires, replayed: to the twin's modules, and in their place to our driver. RTU: a file for each unit."""
+"""Replay of Modbus transcripts: to the twin's modules, and to the driver in their place. RTU: one file per unit."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from tests.mocks.replay_bench import rig_of as rig_of
 
 
 def record(rig_of: RigMaker, folder: Path, *changes: Change) -> tuple[list[list[Transfer]], list[list[int]]]:
-    """What passed when the photodiodes were connected and read; a transcript for each unit, and the counts."""
+    """Record the connection and readings of the photodiodes; return one transcript per unit, and the counts."""
     rig = rig_of(*changes, transcript=folder)
     rig.rig.photodiodes.connect()
     counts = read_photodiodes(rig.rig)
@@ -58,7 +58,7 @@ def put_in_place(rig: VirtualRig, recorded: list[list[Transfer]]) -> list[Record
 
 
 @BOTH
-def test_the_same_modules_say_the_same_again(rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]) -> None:
+def test_the_same_modules_give_the_same_answers_again(rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]) -> None:
     recorded, _ = record(rig_of, tmp_path, *changes)
     rig = virtual(rig_of(*changes))
     for index, transcript in enumerate(recorded):
@@ -66,7 +66,7 @@ def test_the_same_modules_say_the_same_again(rig_of: RigMaker, tmp_path: Path, c
         assert replay_to_device(device, transcript, way_s) == []
 
 
-def test_noise_is_the_same_again_where_the_times_are(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_noise_is_the_same_at_the_same_times(rig_of: RigMaker, tmp_path: Path) -> None:
     recorded, counts = record(rig_of, tmp_path)
     assert len({tuple(row) for row in counts}) > 1
     device, way_s = end(virtual(rig_of()), 0)
@@ -74,7 +74,7 @@ def test_noise_is_the_same_again_where_the_times_are(rig_of: RigMaker, tmp_path:
 
 
 @BOTH
-def test_a_module_with_other_settings_is_found_out_byte_by_byte(
+def test_a_module_with_other_settings_is_detected_byte_by_byte(
     rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]
 ) -> None:
     recorded, _ = record(rig_of, tmp_path, *changes)
@@ -91,7 +91,7 @@ def test_a_module_with_other_settings_is_found_out_byte_by_byte(
     assert rest == {0: [], 1: [], 3: [], 4: []}
 
 
-def test_a_module_that_is_not_there_says_nothing(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_a_missing_module_is_silent(rig_of: RigMaker, tmp_path: Path) -> None:
     recorded, _ = record(rig_of, tmp_path, *RTU)
     rig = virtual(rig_of(*RTU))
     rig.modbus["adc-1"].silent = True
@@ -103,12 +103,12 @@ def test_a_module_that_is_not_there_says_nothing(rig_of: RigMaker, tmp_path: Pat
     assert "byte 0: 02 recorded, nothing now" in str(differences[0])
 
 
-def test_the_files_of_one_line_are_told_as_the_line_saw_them(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_the_files_of_one_line_are_merged_in_the_order_on_the_line(rig_of: RigMaker, tmp_path: Path) -> None:
     recorded, _ = record(rig_of, tmp_path, *RTU)
     line = merge_transcripts(recorded)
-    assert [each.direction for each in line] == [">", "<"] * (len(line) // 2)  # one talks at a time
+    assert [each.direction for each in line] == [">", "<"] * (len(line) // 2)  # request and answer alternate
     assert sorted(line, key=lambda each: each.t) == line
-    assert all(told.data[0] == answer.data[0] for told, answer in zip(line[::2], line[1::2], strict=True))
+    assert all(request.data[0] == answer.data[0] for request, answer in zip(line[::2], line[1::2], strict=True))
     rig = virtual(rig_of(*RTU))
     assert replay_to_device(rig.serial["adcs"], line) == []
     rig = virtual(rig_of(*RTU))
@@ -131,7 +131,7 @@ def test_the_driver_gets_the_same_from_recorded_modules(rig_of: RigMaker, tmp_pa
 
 
 @BOTH
-def test_a_driver_that_says_something_else_is_found_out(rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]) -> None:
+def test_a_driver_that_sends_other_requests_is_detected(rig_of: RigMaker, tmp_path: Path, changes: tuple[Change, ...]) -> None:
     recorded, _ = record(rig_of, tmp_path, *changes)
     other = rig_of(*changes, NARROW)  # it writes another range
     devices = put_in_place(virtual(other), recorded)
@@ -144,7 +144,7 @@ def test_a_driver_that_says_something_else_is_found_out(rig_of: RigMaker, tmp_pa
     assert not devices[0].finished
 
 
-def test_wires_of_one_rig_are_told_in_the_order_of_their_times(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_wires_of_one_rig_are_replayed_in_the_order_of_their_times(rig_of: RigMaker, tmp_path: Path) -> None:
     rig = rig_of(*TCP, transcript=tmp_path)
     virtual(rig).mount("gaussian-5")
     rig.rig.connect()

@@ -1,4 +1,4 @@
-"""All wires of a rig at once: what was recorded on one rig, told to another, and to the drivers of another."""
+"""All wires of a rig at once: the recording of one rig, replayed to another rig and to the drivers of another."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def wires(rig: VirtualRig, recorded: dict[str, list[list[Transfer]]]) -> list[Re
     ]
 
 
-def test_the_twin_of_the_same_seed_says_the_same_again_noise_and_all(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_a_twin_with_the_same_seed_gives_the_same_answers_with_noise(rig_of: RigMaker, tmp_path: Path) -> None:
     replays = wires(virtual(rig_of()), record(rig_of, tmp_path))
     replay_all(replays)
     assert [each.differences() for each in replays] == [[]] * len(replays)
@@ -80,7 +80,7 @@ ANYTHING = st.lists(
 
 @settings(deadline=None)
 @given(ANYTHING)
-def test_any_transcript_can_be_told_to_any_device(transcript: list[Transfer]) -> None:
+def test_any_transcript_can_be_replayed_to_any_device(transcript: list[Transfer]) -> None:
     assert MODEL is not None
     rig = VirtualRig.build(MODEL, VirtualClock())
     anywhere = {"axes": [transcript], "monochromator": [transcript], "monitor": [transcript], "photodiodes": [transcript] * 5}

@@ -1,4 +1,4 @@
-"""The monitor's USB wire, replayed: to the twin's instrument, and in its place to our driver."""
+"""Replay of the monitor's USB transcript: to the twin's instrument, and to the driver in its place."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def twin(rig_of: RigMaker, *, hoards: bool = False) -> UsbTmcDevice:
 
 
 def record(rig_of: RigMaker, folder: Path, *, hoards: bool = False) -> tuple[list[Transfer], float]:
-    """What passed when it was connected, read, asked for its status, aborted and cleared; and what it read."""
+    """Record connection, reading, status query, abort and clear; return the transcript and the readings."""
     rig = rig_of(QUIET, transcript=folder)
     device = virtual(rig).usb["monitor"]
     device.keeps_fifo, device.clear_s = hoards, SLOW if hoards else 0.0
@@ -35,23 +35,23 @@ def record(rig_of: RigMaker, folder: Path, *, hoards: bool = False) -> tuple[lis
 
 
 @pytest.mark.parametrize("hoards", [False, True], ids=["quick", "hoarding"])
-def test_the_same_instrument_says_the_same_again(rig_of: RigMaker, tmp_path: Path, hoards: bool) -> None:
+def test_the_same_instrument_gives_the_same_answers_again(rig_of: RigMaker, tmp_path: Path, hoards: bool) -> None:
     transcript, _ = record(rig_of, tmp_path, hoards=hoards)
     assert replay_to_usb(twin(rig_of, hoards=hoards), transcript) == []
 
 
 def test_a_session_has_all_kinds_of_transfers(rig_of: RigMaker, tmp_path: Path) -> None:
     transcript, _ = record(rig_of, tmp_path)
-    told = [each.data for each in transcript if each.direction == ">"]
-    said = [each.data for each in transcript if each.direction == "<"]
-    assert any(len(data) > 12 for data in told)
-    assert any(len(data) > 12 for data in said)
-    assert bytes((0x02, 1, 0, 0, BULK_OUT, 0, 0, 0)) in told
-    assert any(data[:2] == bytes((0xA1, ClassRequest.READ_STATUS_BYTE)) for data in told)
-    assert any(len(data) == 2 and data[0] & 0x80 for data in said)
+    sent = [each.data for each in transcript if each.direction == ">"]
+    received = [each.data for each in transcript if each.direction == "<"]
+    assert any(len(data) > 12 for data in sent)
+    assert any(len(data) > 12 for data in received)
+    assert bytes((0x02, 1, 0, 0, BULK_OUT, 0, 0, 0)) in sent
+    assert any(data[:2] == bytes((0xA1, ClassRequest.READ_STATUS_BYTE)) for data in sent)
+    assert any(len(data) == 2 and data[0] & 0x80 for data in received)
 
 
-def test_another_reading_is_found_out_byte_by_byte(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_another_reading_is_detected_byte_by_byte(rig_of: RigMaker, tmp_path: Path) -> None:
     transcript, current = record(rig_of, tmp_path)
     fresh = virtual(rig_of(QUIET))
     fresh.plant.shutter_open.set(0.0, True)
@@ -63,7 +63,7 @@ def test_another_reading_is_found_out_byte_by_byte(rig_of: RigMaker, tmp_path: P
     assert difference.asked[0] == 2  # a request for an answer
 
 
-def test_another_status_is_found_out_in_its_notice(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_another_status_is_detected_in_its_notice(rig_of: RigMaker, tmp_path: Path) -> None:
     transcript, _ = record(rig_of, tmp_path)
     asked = next(k for k, each in enumerate(transcript) if each.data[:2] == bytes((0xA1, ClassRequest.READ_STATUS_BYTE)))
     device = twin(rig_of)
@@ -79,7 +79,7 @@ def test_another_status_is_found_out_in_its_notice(rig_of: RigMaker, tmp_path: P
     )
 
 
-def test_an_instrument_that_stalls_says_nothing(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_a_stalled_instrument_sends_nothing(rig_of: RigMaker, tmp_path: Path) -> None:
     transcript, _ = record(rig_of, tmp_path)
     connected = next(k for k, each in enumerate(transcript) if b"*CLS" in each.data)
     rest = transcript[connected:]
@@ -112,7 +112,7 @@ def test_the_driver_gets_the_same_from_a_recorded_instrument(rig_of: RigMaker, t
     assert same(transcript, heard, 0.0)
 
 
-def test_a_driver_that_says_something_else_is_found_out(rig_of: RigMaker, tmp_path: Path) -> None:
+def test_a_driver_that_sends_other_requests_is_detected(rig_of: RigMaker, tmp_path: Path) -> None:
     transcript, _ = record(rig_of, tmp_path)
     other = rig_of(QUIET, ("range_a = 500e-9", "range_a = 50e-9"))
     recorded = virtual(other).usb["monitor"] = RecordedUsb(virtual(other).usb["monitor"], transcript)

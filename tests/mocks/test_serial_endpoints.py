@@ -91,7 +91,7 @@ def test_a_move_over_one_end_is_seen_at_the_other(served: Served) -> None:
     assert served.rig.plant.angle_deg("sigma", clock.now()) == pytest.approx(5000 / 5120, abs=1e-6)
 
 
-def test_a_killed_client_leaves_it_well(served: Served) -> None:
+def test_a_killed_client_does_not_disturb_the_server(served: Served) -> None:
     for _ in range(20):
         client = socket.create_connection(("127.0.0.1", served.port))
         client.send(ASK[:5])  # half a frame, and gone
@@ -103,7 +103,7 @@ def test_a_killed_client_leaves_it_well(served: Served) -> None:
     port.close()
 
 
-def test_a_client_that_does_not_read_holds_up_nobody(served: Served) -> None:
+def test_a_client_that_does_not_read_does_not_block_other_clients(served: Served) -> None:
     lazy = socket.create_connection(("127.0.0.1", served.port))
     for _ in range(2000):
         lazy.send(ASK * 50)
@@ -115,7 +115,7 @@ def test_a_client_that_does_not_read_holds_up_nobody(served: Served) -> None:
 
 
 @pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
-def test_whoever_opens_a_pty_is_not_told_what_was_said_to_others_before(served: Served) -> None:
+def test_a_new_client_of_a_pty_gets_no_earlier_answers(served: Served) -> None:
     other = serial.serial_for_url(f"socket://127.0.0.1:{served.port}", timeout=5.0)
     for _ in range(1000):  # 9 kB, more than the system keeps for a reader
         other.write(ASK)
@@ -146,7 +146,7 @@ def test_after_the_end_ports_and_names_are_free(opened: RigOpener, tmp_path: Pat
         assert not link.is_symlink()
 
 
-def test_a_client_that_floods_leaves_the_device_with_little_to_say(served: Served) -> None:
+def test_a_client_that_floods_gets_a_bounded_number_of_answers(served: Served) -> None:
     device = served.rig.serial["mono"]
     client = socket.create_connection(("127.0.0.1", served.mono_port))
     client.sendall(b"GOWAVE 900\n" + b"INFO?\n" * 3000)  # it moves first, and answers afterwards
@@ -159,7 +159,7 @@ def test_a_client_that_floods_leaves_the_device_with_little_to_say(served: Serve
     client.close()
 
 
-def test_what_was_asked_by_one_who_has_gone_is_not_told_to_the_next(served: Served) -> None:
+def test_answers_for_a_disconnected_client_do_not_reach_the_next(served: Served) -> None:
     client = socket.create_connection(("127.0.0.1", served.mono_port))
     client.sendall(b"GOWAVE 900\n" + b"INFO?\n" * 20)
     _until(lambda: bool(served.rig.serial["mono"].outbox))
@@ -171,7 +171,7 @@ def test_what_was_asked_by_one_who_has_gone_is_not_told_to_the_next(served: Serv
 
 
 @pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
-def test_whoever_hangs_up_takes_nothing_from_one_who_waits_at_the_pty(served: Served) -> None:
+def test_a_disconnection_does_not_affect_a_client_that_waits_at_the_pty(served: Served) -> None:
     port = serial.Serial(str(served.mono_pty), served.rig.serial["mono"].baudrate, timeout=5.0)
     port.write(b"GOWAVE 900\nINFO?\n")
     _until(lambda: bool(served.rig.serial["mono"].outbox))

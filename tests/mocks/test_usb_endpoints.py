@@ -59,7 +59,7 @@ def test_python_usbtmc_works_unmodified(served: UsbEndpoints) -> None:
     monitor.close()
 
 
-def test_the_driver_measures_over_it_and_says_when_it_is_gone(served: UsbEndpoints) -> None:
+def test_the_driver_measures_over_usbip_and_reports_a_lost_connection(served: UsbEndpoints) -> None:
     monitor = Monitor(lambda: find_usbip(HOST, served.port, "1-1"), MonitorSettings(), RealClock())
     monitor.connect()
     mean = monitor.start_mean(0.05)
@@ -73,7 +73,7 @@ def test_the_driver_measures_over_it_and_says_when_it_is_gone(served: UsbEndpoin
     monitor.close()
 
 
-def test_one_client_has_it_and_another_is_told(served: UsbEndpoints) -> None:
+def test_a_second_client_is_refused(served: UsbEndpoints) -> None:
     first = instrument(served)
     assert first.ask("*IDN?")
     with pytest.raises(usb.core.USBError, match="busy"):
@@ -129,7 +129,7 @@ def test_a_transfer_that_waits_is_taken_back_in_bytes(served: UsbEndpoints) -> N
 
 
 @pytest.mark.parametrize("data", [b"GET / HTTP/1.1\r\n\r\n", bytes(64), bytes.fromhex("0111 8003 00000000") + b"\xff" * 32])
-def test_who_speaks_something_else_is_hung_up_on(served: UsbEndpoints, data: bytes) -> None:
+def test_a_client_of_another_protocol_is_disconnected(served: UsbEndpoints, data: bytes) -> None:
     with socket.create_connection((HOST, served.port), timeout=5.0) as connection:
         connection.sendall(data)
         connection.shutdown(socket.SHUT_WR)

@@ -74,7 +74,7 @@ def test_other_bytes_are_neither_gratings_nor_known_statuses(data: bytes) -> Non
 
 
 @pytest.mark.parametrize("line", [b"nan", b"inf", b"1_0", b"1e999", b"", b"0x10", b"5 5"])
-def test_what_python_takes_for_a_number_and_the_unit_never_says_is_none(line: bytes) -> None:
+def test_number_formats_of_python_that_the_unit_never_sends_are_none(line: bytes) -> None:
     with pytest.raises(cs.StatementError):
         cs.decode_number(line)
 

@@ -90,7 +90,7 @@ def test_other_bytes_are_header_errors_or_not_whole(data: bytes, from_host: bool
     assert len(rest) < len(data) or message is None
 
 
-def test_a_size_that_nobody_means_is_refused_before_anything_is_kept() -> None:
+def test_an_excessive_size_is_refused_before_data_are_stored() -> None:
     header = usbtmc.Header(usbtmc.MsgId.DEV_DEP_MSG_OUT, 1, 0xFFFF_FFFF).encode()
     with pytest.raises(usbtmc.HeaderError, match="4294967295 bytes"):
         usbtmc.take_message(header, from_host=True)

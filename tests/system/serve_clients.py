@@ -1,8 +1,8 @@
-"""Clients of a served rig, each a process of its own: `python -m tests.system.serve_clients KIND SECONDS PLACE ...`.
+"""Clients of a served rig, each a process of its own: `python -m tests.system.serve_clients KIND SECONDS ADDRESS ...`.
 
-They connect, ask, check the answers, leave (every other time without a word, in the midst of a question), and begin again.
-They print a word once they have been answered, and in the end as JSON how often. They are none of our drivers: plain
-bytes, on pyserial and sockets.
+A client connects, sends requests, checks the answers, disconnects (every other time in the middle of a request), and starts
+again. It prints TALKING after its first exchange, and at the end its counts as JSON. The clients do not use the drivers of
+the program: they send plain bytes with pyserial and sockets.
 """
 
 import contextlib
@@ -27,20 +27,20 @@ LINGER_NOT = struct.pack("ii", 1, 0)
 Line = AbstractContextManager[serial.Serial]
 
 
-class Wrong(Exception):
-    """An answer that is none, or none at all."""
+class WrongAnswer(Exception):
+    """A wrong answer, or no answer."""
 
 
-def opened(place: str, baudrate: int) -> Line:
-    """`HOST:PORT` over TCP, anything else is a port's name."""
-    host, separator, port = place.rpartition(":")
-    url = f"socket://{host}:{port}" if separator and port.isdigit() else place
+def open_line(address: str, baudrate: int) -> Line:
+    """Open `HOST:PORT` over TCP, or the serial port of another name."""
+    host, separator, port = address.rpartition(":")
+    url = f"socket://{host}:{port}" if separator and port.isdigit() else address
     return contextlib.closing(serial.serial_for_url(url, baudrate=baudrate, timeout=TIMEOUT_S))
 
 
-def tmcl(place: str, rude: bool) -> Iterator[None]:
-    """Sends the arc about and asks where it is."""
-    with opened(place, 115200) as port:
+def tmcl(address: str, abrupt: bool) -> Iterator[None]:
+    """Move the arc and read its position."""
+    with open_line(address, 115200) as port:
         port.reset_input_buffer()
         for number in range(QUESTIONS):
             moved = CommandFrame(1, Command.MVP, 0, 5, 100 * number)
@@ -53,36 +53,36 @@ def tmcl(place: str, rude: bool) -> Iterator[None]:
             answer = port.read(9)
             try:
                 if ReplyFrame.decode(answer).command != asked.command:
-                    raise Wrong(f"{asked}: {answer.hex(' ')}")
+                    raise WrongAnswer(f"{asked}: {answer.hex(' ')}")
             except FrameError as error:
-                raise Wrong(f"{asked}: {answer.hex(' ')}: {error}") from None
+                raise WrongAnswer(f"{asked}: {answer.hex(' ')}: {error}") from None
             yield
-        if rude:
+        if abrupt:
             port.write(asked.encode()[:4])
 
 
-def cornerstone(place: str, rude: bool) -> Iterator[None]:
-    """Asks for the wavelength; the line echoes."""
-    with opened(place, 9600) as port:
-        port.write(b"\n")  # ends what somebody else has left unfinished
+def cornerstone(address: str, abrupt: bool) -> Iterator[None]:
+    """Read the wavelength; the line echoes."""
+    with open_line(address, 9600) as port:
+        port.write(b"\n")  # ends an unfinished command of an earlier client
         port.reset_input_buffer()
         for _ in range(QUESTIONS):
             port.write(b"WAVE?\n")
             lines = [port.read_until(b"\n") for _ in range(2)]
-            while lines[0] != b"WAVE?\r\n":  # what the unit had to say to the unfinished line
+            while lines[0] != b"WAVE?\r\n":  # the answer to the unfinished command
                 lines = [lines[1], port.read_until(b"\n")]
                 if not lines[1]:
-                    raise Wrong(f"WAVE?: {lines}")
+                    raise WrongAnswer(f"WAVE?: {lines}")
             if not 0.0 < float(lines[1]) < 1000.0:
-                raise Wrong(f"WAVE?: {lines}")
+                raise WrongAnswer(f"WAVE?: {lines}")
             yield
-        if rude:
+        if abrupt:
             port.write(b"WAV")
 
 
-def modbus(place: str, rude: bool) -> Iterator[None]:
-    """Reads eight channels."""
-    host, _, port = place.rpartition(":")
+def modbus(address: str, abrupt: bool) -> Iterator[None]:
+    """Read eight channels."""
+    host, _, port = address.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=TIMEOUT_S) as connection:
         for number in range(QUESTIONS):
             connection.sendall(struct.pack(">HHHBBHH", number, 0, 6, 1, 3, 0, 8))
@@ -90,26 +90,26 @@ def modbus(place: str, rude: bool) -> Iterator[None]:
             while len(answer) < 25:
                 piece = connection.recv(64)
                 if not piece:
-                    raise Wrong(f"closed after {answer.hex(' ')}")
+                    raise WrongAnswer(f"closed after {answer.hex(' ')}")
                 answer += piece
             if answer[:9] != struct.pack(">HHHBBB", number, 0, 19, 1, 3, 16):
-                raise Wrong(answer.hex(" "))
+                raise WrongAnswer(answer.hex(" "))
             yield
-        if rude:
+        if abrupt:
             connection.sendall(b"\0\1\0\0\0\6\1\3")
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGER_NOT)
 
 
-def control(place: str, rude: bool) -> Iterator[None]:
-    """Asks the back door for the state, and mounts."""
-    host, _, port = place.rpartition(":")
+def control(address: str, abrupt: bool) -> Iterator[None]:
+    """Read the state from the simulation control port, and mount a sample."""
+    host, _, port = address.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=TIMEOUT_S) as connection, connection.makefile("rb") as answers:
         for number in range(QUESTIONS):
             connection.sendall(b'{"do": "state"}\n' if number % 2 else b'{"do": "mount", "sample": "etalon"}\n')
             if json.loads(answers.readline()).get("ok") is not True:
-                raise Wrong("refused")
+                raise WrongAnswer("refused")
             yield
-        if rude:
+        if abrupt:
             connection.sendall(b'{"do": "sta')
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGER_NOT)
 
@@ -119,24 +119,24 @@ KINDS: dict[str, Callable[[str, bool], Iterator[None]]] = {
 }  # fmt: skip
 
 
-def talk(kind: str, seconds: float, places: list[str]) -> dict[str, int]:
-    """Visits the places in turns; what others have disturbed (they are killed on the same line) is counted, and gone over."""
+def talk(kind: str, seconds: float, addresses: list[str]) -> dict[str, int]:
+    """Visit the addresses in turn; count exchanges, connections, and failures caused by killed clients on the same line."""
     clock, done = RealClock(), Counter[str](exchanges=0, connections=0, disturbed=0)
     while clock.now() < seconds:
         number = done["connections"]
         done["connections"] += 1
-        rude = bool(number // len(places) % 2)
+        abrupt = bool(number // len(addresses) % 2)
         try:
-            for _ in KINDS[kind](places[number % len(places)], rude):
+            for _ in KINDS[kind](addresses[number % len(addresses)], abrupt):
                 if not done["exchanges"]:
                     print(TALKING, flush=True)
                 done["exchanges"] += 1
-        except (Wrong, OSError, ValueError) as error:
+        except (WrongAnswer, OSError, ValueError) as error:
             done["disturbed"] += 1
-            print(f"{kind} at {places[number % len(places)]}: {error}", file=sys.stderr)
-            rude = True
-        if rude:
-            clock.sleep_until(clock.now() + 0.1)  # longer than half a frame lives
+            print(f"{kind} at {addresses[number % len(addresses)]}: {error}", file=sys.stderr)
+            abrupt = True
+        if abrupt:
+            clock.sleep_until(clock.now() + 0.1)  # longer than an incomplete frame is kept
     return dict(done)
 
 

@@ -1,4 +1,4 @@
-"""`goniotwin rehearse`, as people and programs call it, and a campaign in real time against its rehearsal."""
+"""`goniotwin rehearse`: its options and output, and a campaign in real time against its rehearsal."""
 
 from pathlib import Path
 
@@ -12,15 +12,15 @@ from tests.system.conftest import Serve
 @pytest.mark.parametrize("call", CALLS)
 def test_a_rehearsal_is_one_json_object_and_its_points_are_a_csv(write_schedule: Writer, tmp_path: Path, call: Call) -> None:
     schedule, kept, points = write_schedule(), tmp_path / "kept.journal", tmp_path / "points.csv"
-    found = json_result(call("rehearse", schedule, "--rig", RIG, "--out", kept, "--points", points, "--json"))
-    assert found["simulated"] is True
-    assert found["rows"] == found["planned"]
-    assert kept.stat().st_size == found["journal_bytes"]
+    result = json_result(call("rehearse", schedule, "--rig", RIG, "--out", kept, "--points", points, "--json"))
+    assert result["simulated"] is True
+    assert result["rows"] == result["planned"]
+    assert kept.stat().st_size == result["journal_bytes"]
     assert points.read_text(encoding="utf-8").startswith("# SIMULATED")
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_it_tells_a_person_the_same_and_that_it_is_simulated(write_schedule: Writer, call: Call) -> None:
+def test_the_text_output_has_every_section_and_the_mark_simulated(write_schedule: Writer, call: Call) -> None:
     done = call("rehearse", write_schedule(), "--rig", RIG)
     assert done.returncode == 0
     assert done.stdout.startswith("SIMULATED: small rehearsed on virtual goniophotometer")
@@ -30,7 +30,7 @@ def test_it_tells_a_person_the_same_and_that_it_is_simulated(write_schedule: Wri
 
 @pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("options", "message"),
     [
         (["--sample", "paper=lambertian"], "has no such sample"),
         (["--sample", "gaussian-5"], "write NAME=MODEL"),
@@ -38,16 +38,16 @@ def test_it_tells_a_person_the_same_and_that_it_is_simulated(write_schedule: Wri
         (["--sample", "etalon=lambertian", "--sample", "etalon=lambertian"], "is given twice"),
     ],
 )
-def test_samples_that_are_none_are_refused(write_schedule: Writer, given: list[str], told: str, call: Call) -> None:
-    done = call("rehearse", write_schedule(), "--rig", RIG, *given)
+def test_wrong_samples_are_refused(write_schedule: Writer, options: list[str], message: str, call: Call) -> None:
+    done = call("rehearse", write_schedule(), "--rig", RIG, *options)
     assert done.returncode == 2
-    assert told in " ".join(done.stderr.split())
+    assert message in " ".join(done.stderr.split())
     assert done.stdout == ""
 
 
 @pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("options", "message"),
     [
         (["--points", "absent/x.csv"], "--points absent/x.csv: there is no folder"),
         (["--points", "."], "--points .: is a folder"),
@@ -61,16 +61,16 @@ def test_files_that_cannot_be_written_are_refused_before_the_first_row(
     write_schedule: Writer,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    given: list[str],
-    told: str,
+    options: list[str],
+    message: str,
     call: Call,
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
     before = sorted(tmp_path.iterdir())
     monkeypatch.chdir(tmp_path)
-    done = call("rehearse", schedule, "--rig", rig, *given)
+    done = call("rehearse", schedule, "--rig", rig, *options)
     assert done.returncode == 2
-    assert told in " ".join(done.stderr.split())
+    assert message in " ".join(done.stderr.split())
     assert "rows" not in done.stderr
     assert sorted(tmp_path.iterdir()) == before
 
@@ -98,5 +98,6 @@ def test_a_campaign_in_real_time_takes_as_long_as_its_rehearsal(
     done = json_result(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "real.journal", "--json"))
     assert done["state"] == "done"
     assert done["duration_s"] == pytest.approx(rehearsed["duration_s"], rel=0.02)
-    again = json_result(goniotwin("rehearse", schedule, "--rig", rig, "--json"))  # by what the served rig's file describes
+    # With the twin that is built from the file of the served rig.
+    again = json_result(goniotwin("rehearse", schedule, "--rig", rig, "--json"))
     assert again["duration_s"] == pytest.approx(done["duration_s"], rel=0.02)

@@ -1,4 +1,4 @@
-"""`goniotwin replay`: an integrator has recorded a rig, and asks where the twin answers otherwise."""
+"""`goniotwin replay`: transcripts of a rig, and where the answers of the twin differ."""
 
 import json
 import re
@@ -48,8 +48,8 @@ def test_a_twin_of_the_same_rig_has_no_difference(recorded: Path, write_rig: Wri
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, write_rig: Writer, call: Call) -> None:
-    done = call("replay", recorded / "monitor.txt", "--rig", write_rig(*TCP))  # it has seen light, and now it is dark
+def test_each_difference_is_listed_byte_by_byte_with_status_1(recorded: Path, write_rig: Writer, call: Call) -> None:
+    done = call("replay", recorded / "monitor.txt", "--rig", write_rig(*TCP))  # recorded with light, replayed without
     assert (done.returncode, done.stderr) == (1, "")
     first, request, was, now, last = done.stdout.splitlines()
     byte = r"byte \d+: [0-9a-f]{2} recorded, [0-9a-f]{2} now"
@@ -61,26 +61,26 @@ def test_each_difference_is_told_byte_by_byte_with_status_1(recorded: Path, writ
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_programs_get_one_object(recorded: Path, write_rig: Writer, call: Call) -> None:
-    elsewhere = recorded.parent / "what the device said.txt"
-    shutil.copy(recorded / "axes.txt", elsewhere)
-    done = call("replay", elsewhere, "--device", "axes", "--rig", write_rig(*TCP), "--json")
+def test_json_output_is_one_object(recorded: Path, write_rig: Writer, call: Call) -> None:
+    renamed = recorded.parent / "answers of the axes.txt"
+    shutil.copy(recorded / "axes.txt", renamed)
+    done = call("replay", renamed, "--device", "axes", "--rig", write_rig(*TCP), "--json")
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
-    assert result["transcripts"] == {"what the device said.txt": "axes"}
+    assert result["transcripts"] == {"answers of the axes.txt": "axes"}
     assert result["told"] > 50
     assert result["differences"] == []
 
 
-def test_bytes_that_differ_are_numbered_for_programs(recorded: Path, write_rig: Writer) -> None:
+def test_json_output_has_the_numbers_of_the_bytes_that_differ(recorded: Path, write_rig: Writer) -> None:
     result = replayed(write_rig, recorded, *TCP, stem="photodiodes-0").as_dict()
-    first = result["differences"][0]  # a reading, in the dark: the shutter's transcript is not there
+    first = result["differences"][0]  # a reading without light: the transcript of the shutter is missing
     assert first["file"] == "photodiodes-0.txt"
     was, now = (bytes.fromhex(first[key]) for key in ("recorded", "now"))
     assert first["bytes"] == [{"at": at, "recorded": was[at], "now": now[at]} for at in range(len(was)) if was[at] != now[at]]
 
 
-def test_wires_that_are_told_together_see_each_other(recorded: Path, write_rig: Writer) -> None:
+def test_transcripts_that_are_replayed_together_share_one_plant(recorded: Path, write_rig: Writer) -> None:
     assert not replayed(write_rig, recorded, *TCP).differences
     assert replayed(write_rig, recorded, *TCP, stem="photodiodes-0").differences
     assert replayed(write_rig, recorded, *TCP, mount=None).differences
@@ -99,7 +99,7 @@ def test_units_of_a_real_line_are_found_by_their_numbers(rig_of: RigMaker, write
 
 
 def readdress(path: Path, more: int) -> None:
-    """Rewrites a transcript of RTU frames for units with numbers so much higher."""
+    """Add a number to the unit number of every RTU frame of a transcript."""
     lines = []
     for each in read_transcript(path):
         body = bytes((each.data[0] + more,)) + each.data[1:-2]
@@ -109,7 +109,7 @@ def readdress(path: Path, more: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "device", "why"),
+    ("name", "text", "device", "message"),
     [
         ("axes.txt", "no transcript", None, "axes.txt, line 1: "),
         ("axes.txt", "# nothing\n", None, "axes.txt: has no bytes"),
@@ -123,16 +123,16 @@ def readdress(path: Path, more: int) -> None:
         ("axes.txt", " 1.0 > 01  | \n", "arm", "has no device 'arm'; it has axes, "),
     ],
 )
-def test_what_cannot_be_replayed_is_told(
-    write_rig: Writer, tmp_path: Path, name: str, text: str, device: str | None, why: str
+def test_a_file_or_device_that_cannot_be_replayed_is_refused(
+    write_rig: Writer, tmp_path: Path, name: str, text: str, device: str | None, message: str
 ) -> None:
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(UserError, match=why):
+    with pytest.raises(UserError, match=message):
         replay_transcripts([path], read_rig(write_rig()), device, None)
 
 
-def test_other_bad_input_is_told(recorded: Path, write_rig: Writer) -> None:
+def test_wrong_combinations_of_options_are_refused(recorded: Path, write_rig: Writer) -> None:
     rig, axes = read_rig(write_rig()), recorded / "axes.txt"
     with pytest.raises(UserError, match="no sample 'gold'; it has: etalon, gaussian-5"):
         replay_transcripts([axes], rig, None, "gold")

@@ -1,4 +1,4 @@
-"""`goniotwin serve`, `usb` and `devices`, as other programs meet them."""
+"""`goniotwin serve`, `usb` and `devices`, as other programs use them."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def test_all_devices_share_one_plant(served: Served) -> None:
     modbus.write_coils(16, [True, True])
     axes = serial.serial_for_url(f"socket://127.0.0.1:{at(lines, 'axes', 'port')['port']}", timeout=5.0)
 
-    def seen(angle_deg: float) -> int:
+    def counts_at(angle_deg: float) -> int:
         axes.write(CommandFrame(1, Command.SAP, AxisParameter.UNIT_MODE, 4, 1).encode())
         axes.read(9)
         axes.write(CommandFrame(1, Command.SAP, AxisParameter.MAX_ACCELERATION, 4, 500_000).encode())
@@ -48,13 +48,13 @@ def test_all_devices_share_one_plant(served: Served) -> None:
         until(lambda: bool(control.do("state")["t_s"] >= start + 1.0))  # the amplifiers have settled
         return int(modbus.read_holding_registers(1, count=1).registers[0])
 
-    assert seen(30.0) > 1.2 * (seen(75.0) - 32768) + 32768
+    assert counts_at(30.0) > 1.2 * (counts_at(75.0) - 32768) + 32768
     axes.close()
     modbus.close()  # type: ignore[no-untyped-call]
     control.close()
 
 
-def test_the_back_door_refuses_in_words(served: Served) -> None:
+def test_the_control_port_refuses_wrong_commands_with_a_message(served: Served) -> None:
     _, lines = served
     control = ControlClient(at(lines, "control", "port")["port"])
     with pytest.raises(OrderRefused, match="no sample 'satin'"):
@@ -67,7 +67,7 @@ def test_the_back_door_refuses_in_words(served: Served) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
-def test_it_ends_cleanly_and_frees_ports_and_names(served: Served, number: int) -> None:
+def test_it_ends_with_status_0_and_releases_ports_and_names(served: Served, number: int) -> None:
     process, lines = served
     os.kill(process.pid, number)
     process.communicate(timeout=30.0)
@@ -89,7 +89,7 @@ def test_an_unmodified_pyusb_program_finds_the_monitor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_devices_of_a_rig_say_who_they_are(call: Call) -> None:
+def test_devices_of_a_rig_are_listed_with_their_identity(call: Call) -> None:
     done = call("devices", "--rig", RIG, "--json")
     assert done.returncode == 0, done.stderr
     answers = {each["address"]: each["answers"] for each in json.loads(done.stdout)["devices"]}

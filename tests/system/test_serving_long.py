@@ -1,4 +1,4 @@
-"""`goniotwin serve` with several clients at once, that come, go and are killed: nothing grows, and it ends as it should."""
+"""`goniotwin serve` with several clients that connect, disconnect and are killed: memory does not grow, the end is orderly."""
 
 import json
 import os
@@ -22,39 +22,39 @@ from tests.system.serve_clients import KINDS, TALKING, talk
 
 SECONDS = float(os.environ.get("GONIOTWIN_SERVE_S", "600"))
 WARM_UP, TAIL = 0.2, 0.8
-"""Parts of the time: before the first the pool of objects fills, numba's code is loaded; the last is compared with it."""
+"""Shares of the time. In the warm-up object pools fill and numba code is loaded; then memory is compared with the tail."""
 KILL_EVERY_S = 3.0
 MOST_GROWTH_KB = 2048
-"""What allocators need to breathe. In ten minutes there are some 10,000 connections and 300,000 exchanges between the two
-times, so that 0.2 kB left behind by a connection, or 7 bytes by an exchange, would show."""
+"""Fluctuation of the allocators. In ten minutes there are some 10,000 connections and 300,000 exchanges between the two times:
+a leak of 0.2 kB in a connection, or of 7 bytes in an exchange, would be larger."""
 SETTLED_S = 10.0
 needs_proc = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="memory and descriptors are counted in /proc")
 
 
 class Process:
-    """What a process holds."""
+    """The resources of a process."""
 
     def __init__(self, pid: int) -> None:
         self._folder = Path(f"/proc/{pid}")
 
     @property
     def memory_kb(self) -> int:
-        """Resident."""
+        """Resident memory, kB."""
         lines = (self._folder / "status").read_text(encoding="utf-8").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
 
     @property
     def descriptors(self) -> int:
-        """Open ones."""
+        """The number of open file descriptors."""
         return len(list((self._folder / "fd").iterdir()))
 
     @property
     def threads(self) -> int:
-        """Of its own and of its libraries."""
+        """The number of threads."""
         return len(list((self._folder / "task").iterdir()))
 
     def settled(self, control: ControlClient, descriptors: int, threads: int) -> tuple[int, int]:
-        """Descriptors and threads, once they are down to these or have had time for it."""
+        """Descriptors and threads, when they are down to these, or after SETTLED_S."""
         clock = RealClock()
         while clock.now() < SETTLED_S and (self.descriptors > descriptors or self.threads > threads):
             control.do("state")
@@ -62,8 +62,8 @@ class Process:
         return self.descriptors, self.threads
 
 
-def places(lines: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Where each kind of client finds what it talks to."""
+def addresses_of(lines: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """The addresses for each kind of client."""
 
     def of(device: str) -> list[str]:
         found = [line for line in lines if line["device"] == device]
@@ -73,15 +73,15 @@ def places(lines: list[dict[str, Any]]) -> dict[str, list[str]]:
     return {
         "tmcl": of("axes"),
         "cornerstone": of("mono"),
-        "modbus": [place for name in converters for place in of(name)],
+        "modbus": [address for name in converters for address in of(name)],
         "control": of("control"),
     }
 
 
-def client(kind: str, seconds: float, where: list[str]) -> subprocess.Popen[str]:
-    """In a process of its own, and talking."""
+def start_client(kind: str, seconds: float, addresses: list[str]) -> subprocess.Popen[str]:
+    """Start a client in a process of its own; return when its first exchange is done."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.system.serve_clients", kind, str(seconds), *where],
+        [sys.executable, "-m", "tests.system.serve_clients", kind, str(seconds), *addresses],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=REPOSITORY,
     )  # fmt: skip
     assert process.stdout is not None
@@ -89,13 +89,13 @@ def client(kind: str, seconds: float, where: list[str]) -> subprocess.Popen[str]
     return process
 
 
-def killed_in_turns(where: dict[str, list[str]], seconds: float) -> Iterator[str]:
-    """Clients that die in the midst of an exchange, one after the other; yields after each."""
+def kill_clients(addresses: dict[str, list[str]], seconds: float) -> Iterator[str]:
+    """Start clients one after the other and kill each during an exchange; yield after each."""
     clock = RealClock()
     number = 0
     while clock.now() < seconds:
         kind = list(KINDS)[number % len(KINDS)]
-        victim = client(kind, seconds, where[kind][number // len(KINDS) % len(where[kind]) :])
+        victim = start_client(kind, seconds, addresses[kind][number // len(KINDS) % len(addresses[kind]) :])
         clock.sleep_until(clock.now() + 0.01 * (number % 7))
         victim.kill()
         victim.communicate()
@@ -105,16 +105,16 @@ def killed_in_turns(where: dict[str, list[str]], seconds: float) -> Iterator[str
 
 
 @needs_proc
-def test_clients_that_come_and_go_leave_nothing_behind(serve: Serve) -> None:
+def test_clients_that_disconnect_leave_no_descriptors_and_threads(serve: Serve) -> None:
     process, lines = serve(RIG)
-    where = places(lines)
+    addresses = addresses_of(lines)
     served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
     control.do("state")
     before = served.descriptors, served.threads
     with ThreadPoolExecutor() as threads:
-        done = dict(zip(KINDS, threads.map(lambda kind: talk(kind, 2.0, where[kind]), KINDS), strict=True))
+        done = dict(zip(KINDS, threads.map(lambda kind: talk(kind, 2.0, addresses[kind]), KINDS), strict=True))
     for kind, each in done.items():
-        assert each["connections"] > 2 * len(where[kind])
+        assert each["connections"] > 2 * len(addresses[kind])
         assert each["disturbed"] == 0
     assert served.settled(control, *before) == before
     control.close()
@@ -122,18 +122,18 @@ def test_clients_that_come_and_go_leave_nothing_behind(serve: Serve) -> None:
 
 @needs_proc
 @pytest.mark.long
-def test_under_three_clients_for_ten_minutes_nothing_grows(serve: Serve, capsys: pytest.CaptureFixture[str]) -> None:
+def test_memory_does_not_grow_in_ten_minutes_with_clients(serve: Serve, capsys: pytest.CaptureFixture[str]) -> None:
     """Ten minutes, or GONIOTWIN_SERVE_S seconds."""
     process, lines = serve(RIG)
-    where = places(lines)
+    addresses = addresses_of(lines)
     served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
     control.do("state")
     before = served.descriptors, served.threads
     clock = RealClock()
-    clients = {kind: client(kind, SECONDS, where[kind]) for kind in KINDS}
+    clients = {kind: start_client(kind, SECONDS, addresses[kind]) for kind in KINDS}
     samples: list[tuple[float, int]] = []
     kills = 0
-    for _ in killed_in_turns(where, SECONDS):
+    for _ in kill_clients(addresses, SECONDS):
         kills += 1
         samples.append((clock.now() / SECONDS, served.memory_kb))
         assert process.poll() is None
@@ -150,29 +150,29 @@ def test_under_three_clients_for_ten_minutes_nothing_grows(serve: Serve, capsys:
         )
     assert after == before
     assert late - early < MOST_GROWTH_KB
-    for kind in KINDS:  # whoever comes now is served as if nothing had been
-        assert talk(kind, 1.0, where[kind])["disturbed"] == 0
+    for kind in KINDS:  # new clients are served as before
+        assert talk(kind, 1.0, addresses[kind])["disturbed"] == 0
     control.close()
-    ends_cleanly(process, lines, signal.SIGTERM)
+    check_orderly_end(process, lines, signal.SIGTERM)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
-def test_it_ends_cleanly_in_the_midst_of_what_its_clients_say(serve: Serve, number: signal.Signals) -> None:
+def test_the_end_is_orderly_during_exchanges_of_clients(serve: Serve, number: signal.Signals) -> None:
     process, lines = serve(RIG)
-    where = places(lines)
-    clients = [client(kind, 60.0, where[kind]) for kind in KINDS]
-    ends_cleanly(process, lines, number)
+    addresses = addresses_of(lines)
+    clients = [start_client(kind, 60.0, addresses[kind]) for kind in KINDS]
+    check_orderly_end(process, lines, number)
     for each in clients:
         each.kill()
         each.communicate()
 
 
-def ends_cleanly(process: subprocess.Popen[str], lines: list[dict[str, Any]], number: signal.Signals) -> None:
-    """Status 0, nothing said but that it is over, ports and names free."""
+def check_orderly_end(process: subprocess.Popen[str], lines: list[dict[str, Any]], number: signal.Signals) -> None:
+    """Check status 0, no traceback, and that ports and names are released."""
     process.send_signal(number)
-    _, said = process.communicate(timeout=30.0)
+    _, errors = process.communicate(timeout=30.0)
     assert process.returncode == 0
-    assert "Traceback" not in said
+    assert "Traceback" not in errors
     for line in lines:
         if "port" in line:
             with socket.create_server((line["host"], line["port"])):

@@ -1,4 +1,4 @@
-"""`goniotwin serve` takes no name that is somebody else's, and removes none."""
+"""`goniotwin serve` never replaces or removes a file that is not its own link."""
 
 from pathlib import Path
 
@@ -12,8 +12,8 @@ from tests.system.conftest import Serve, at
 pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
 
 
-def refused(call: Call, *options: object) -> str:
-    """What it says, in one line."""
+def refusal(call: Call, *options: object) -> str:
+    """The message of a refused `goniotwin serve`, in one line."""
     done = call("serve", "--rig", RIG, *options)
     assert (done.returncode, done.stdout) == (2, "")
     assert "Traceback" not in done.stderr
@@ -21,44 +21,44 @@ def refused(call: Call, *options: object) -> str:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_file_with_a_devices_name_is_left_alone(tmp_path: Path, call: Call) -> None:
-    (tmp_path / "mono").write_text("mine", encoding="utf-8")
-    assert "not this server's; remove it" in refused(call, "--ptys", tmp_path)
+def test_a_file_with_the_name_of_a_device_is_not_changed(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "mono").write_text("other", encoding="utf-8")
+    assert "not this server's; remove it" in refusal(call, "--ptys", tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["mono"]
-    assert (tmp_path / "mono").read_text(encoding="utf-8") == "mine"
+    assert (tmp_path / "mono").read_text(encoding="utf-8") == "other"
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_folder_with_a_devices_name_is_left_alone(tmp_path: Path, call: Call) -> None:
+def test_a_folder_with_the_name_of_a_device_is_not_changed(tmp_path: Path, call: Call) -> None:
     (tmp_path / "axes").mkdir()
-    assert "not this server's; remove it" in refused(call, "--ptys", tmp_path)
+    assert "not this server's; remove it" in refusal(call, "--ptys", tmp_path)
     assert (tmp_path / "axes").is_dir()
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_file_is_no_folder_for_names(tmp_path: Path, call: Call) -> None:
-    (tmp_path / "file").write_text("mine", encoding="utf-8")
-    assert "is not a folder" in refused(call, "--ptys", tmp_path / "file")
-    assert "is not a folder" in refused(call, "--ptys", tmp_path / "file" / "below")
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "file").write_text("other", encoding="utf-8")
+    assert "is not a folder" in refusal(call, "--ptys", tmp_path / "file")
+    assert "is not a folder" in refusal(call, "--ptys", tmp_path / "file" / "below")
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_second_server_leaves_the_first_its_names(serve: Serve, tmp_path: Path, call: Call) -> None:
+def test_a_second_server_does_not_change_the_names_of_the_first(serve: Serve, tmp_path: Path, call: Call) -> None:
     _, lines = serve(RIG)
     path = Path(at(lines, "axes", "path")["path"])
     before = path.readlink()
-    (tmp_path / "mine.toml").write_text("mine", encoding="utf-8")
-    assert "another server has its names there" in refused(call, "--ptys", path.parent)
-    assert "was not written by goniotwin serve" in refused(call, "--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
+    (tmp_path / "mine.toml").write_text("other", encoding="utf-8")
+    assert "another server has its names there" in refusal(call, "--ptys", path.parent)
+    assert "was not written by goniotwin serve" in refusal(call, "--ptys", path.parent, "--write-rig", tmp_path / "mine.toml")
     assert path.readlink() == before
     assert path.exists()
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_rig_file_that_cannot_be_written_is_told_before_anything_opens(tmp_path: Path, call: Call) -> None:
+def test_a_rig_file_that_cannot_be_written_is_refused_before_any_port_opens(tmp_path: Path, call: Call) -> None:
     names = tmp_path / "names"
-    assert "cannot be written" in refused(call, "--ptys", names, "--write-rig", tmp_path / "nowhere" / "rig.toml")
-    assert "was not written by goniotwin serve" in refused(call, "--ptys", names, "--write-rig", tmp_path)
-    (tmp_path / "file").write_text("mine", encoding="utf-8")
-    assert "is not a folder" in refused(call, "--ptys", tmp_path / "file", "--write-rig", tmp_path / "rig.toml")
+    assert "cannot be written" in refusal(call, "--ptys", names, "--write-rig", tmp_path / "nowhere" / "rig.toml")
+    assert "was not written by goniotwin serve" in refusal(call, "--ptys", names, "--write-rig", tmp_path)
+    (tmp_path / "file").write_text("other", encoding="utf-8")
+    assert "is not a folder" in refusal(call, "--ptys", tmp_path / "file", "--write-rig", tmp_path / "rig.toml")
     assert [each.name for each in tmp_path.iterdir()] == ["file"]

@@ -1,4 +1,4 @@
-"""`goniotwin simulate`, as people and programs call it, in a process of its own."""
+"""`goniotwin simulate`: its options, output and files."""
 
 from pathlib import Path
 
@@ -10,30 +10,30 @@ from tests.system.command import CALLS, Call, goniotwin, invoke, json_result
 
 
 @pytest.mark.parametrize(
-    ("call", "given", "sigmas", "least"),
+    ("call", "options", "sigmas", "minimum"),
     [
         pytest.param(invoke, ["--sigma", "0"], [0.0], 1300, id="one sigma"),
-        pytest.param(goniotwin, [], [0.0, 30.0, 60.0], 8000, id="all of them", marks=pytest.mark.long),
+        pytest.param(goniotwin, [], [0.0, 30.0, 60.0], 8000, id="three sigmas", marks=pytest.mark.long),
     ],
 )
-def test_simulate_says_what_it_wrote_and_how_good_it_is(
-    call: Call, given: list[str], sigmas: list[float], least: int, tmp_path: Path
+def test_simulate_reports_its_file_and_the_standard_errors(
+    call: Call, options: list[str], sigmas: list[float], minimum: int, tmp_path: Path
 ) -> None:
     out = tmp_path / "a.ddr"
-    all_given = ["--sigma", ",".join(map(str, sigmas))]
-    done = call("simulate", "--sample", "gaussian:width_deg=5", *all_given, "--out", out, "--json")
+    sigma = ["--sigma", ",".join(map(str, sigmas))]
+    done = call("simulate", "--sample", "gaussian:width_deg=5", *sigma, "--out", out, "--json")
     result = json_result(done)
     assert result["file"] == str(out)
     assert result["sigma"] == sigmas
     assert (result["estimator"], result["rays"]) == ("fast", 7)
-    assert result["values"] > least
+    assert result["values"] > minimum
     assert 0.0 < result["median_relative_standard_error_percent"] <= result["largest_relative_standard_error_percent"] < 0.5
     assert result["hidden_directions"]["0"] > 0
     assert result["simulated"] is True
     assert len(result["assumptions"]) >= 8
     assert "simulating" in done.stderr  # progress
     assert read_ddr(out).values.max() > 1.0
-    again = goniotwin("simulate", "--sample", "gaussian:width_deg=5", *given, "--out", out, "--json", NUMBA_NUM_THREADS="1")
+    again = goniotwin("simulate", "--sample", "gaussian:width_deg=5", *options, "--out", out, "--json", NUMBA_NUM_THREADS="1")
     assert again.stdout == done.stdout
 
 
@@ -44,7 +44,7 @@ def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, t
     paths = ["--estimator", "forward", "--paths", 200_000, "--seed", 4]
     result = json_result(call("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json"))
     assert (result["estimator"], result["seed"]) == ("forward", 4)
-    assert 200_000 <= result["paths"] < 210_000  # whole blocks of them
+    assert 200_000 <= result["paths"] < 210_000  # whole blocks of paths
     assert result["obstruction"] is False
     assert result["hidden_directions"] == {"30": 0}
     assert result["detectors"] == {"30": 20}
@@ -54,7 +54,7 @@ def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, t
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_table3_is_the_papers_beside_ours(call: Call, tmp_path: Path) -> None:
+def test_table3_has_the_values_of_the_paper_and_of_the_simulation(call: Call, tmp_path: Path) -> None:
     result = json_result(call("simulate", "table3", "--out", tmp_path, "--json"))
     for name in ("paper", "noise_free", "tilted", "worst"):
         assert set(result[name]) == {"0", "30", "60"}
@@ -74,13 +74,13 @@ def test_table3_is_shown_to_a_person() -> None:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_the_light_is_drawn_its_rays_are_recorded_and_are_a_source(call: Call, tmp_path: Path) -> None:
+def test_the_illumination_is_plotted_and_its_rays_are_a_source(call: Call, tmp_path: Path) -> None:
     beam, monochromator = tmp_path / "beam.h5", ["--wavelength", 600, "--interval", 10, "--bandwidth", 10]
     recorded = ["--rayset", beam, "--rays", 20_000, "--error", 3]
     done = call("simulate", "illumination", "--out", tmp_path / "a.png", *monochromator, *recorded)
     assert done.stdout.startswith("SIMULATED")
-    for told in ("forward (", "adjoint (", f"rayset: {beam}, 20000 rays"):
-        assert told in done.stdout
+    for text in ("forward (", "adjoint (", f"rayset: {beam}, 20000 rays"):
+        assert text in done.stdout
     assert "illumination" in done.stderr  # progress
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--sigma", 30, "--out", tmp_path / "a.csv"]
@@ -94,7 +94,7 @@ def test_the_light_is_drawn_its_rays_are_recorded_and_are_a_source(call: Call, t
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_the_back_stray_light_and_the_regular_component_are_said(call: Call, tmp_path: Path) -> None:
+def test_the_output_has_the_lit_side_stray_light_and_the_regular_component(call: Call, tmp_path: Path) -> None:
     sample = "lambertian:reflectance=0.5,side=both+regular:reflectance=0.04,side=back"
     grid = ["--polar", "20:40:1", "--azimuth", "150:180:2", "--sigma", 30, "--out", tmp_path / "a.ddr"]
     text = call("simulate", "--sample", sample, "--side", "back", "--stray", *grid).stdout

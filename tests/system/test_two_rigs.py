@@ -13,10 +13,8 @@ from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import Writer
 
 
-def test_two_virtual_rigs_of_the_same_name_do_not_disturb_each_other(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
-) -> None:
-    """One campaign runs to its end between two rows of another: both journals are as if each had been alone."""
+def test_two_virtual_rigs_of_the_same_name_are_independent(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    """One campaign runs completely between two rows of another: both journals are those of a campaign alone."""
     plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig()))
 
     def run(name: str, between: Path | None) -> list[bytes]:

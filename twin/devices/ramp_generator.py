@@ -142,7 +142,7 @@ class RampGenerator:
     def _follow(self, wanted: Trajectory, t: float, *, switches: bool = True) -> None:
         """Begins a movement, up to what will end it; a reference search (no `switches`) checks those by itself."""
         down = self._slopes()[1]
-        drive = self.shaft.driven(t, wanted)
+        drive = self.shaft.drive_along(t, wanted)
         guards = self._guards() if switches else replace(self._guards(), right=None, left=None)
         self._wanted = self._trajectory = wanted
         self._halt = next_motion_end(drive, t, guards) if self.is_moving(t) else None
@@ -192,7 +192,7 @@ class RampGenerator:
             self.switch(Place.HOME),
             bool(values[AxisParameter.LEFT_SWITCH_DISABLED]),
             bool(values[AxisParameter.RIGHT_SWITCH_DISABLED]),
-            lambda trajectory: self.shaft.driven(t, trajectory),
+            lambda trajectory: self.shaft.drive_along(t, trajectory),
         )
 
     def _slopes(self) -> tuple[float, float]:

@@ -1,8 +1,8 @@
-"""The decorator of every compiled function: numba's `njit`, compiled once for all programs of a computer.
+"""Decorator of every compiled function: numba's `njit`, with a cache that all programs of a computer share.
 
-Compiled code is kept in files beside the sources, or, where that folder cannot be written to (an installation that belongs to
-another user), in the user's own cache folder. A user without a home (a service, a container) gets a folder among the temporary
-files; without even that each program compiles for itself. numba's own `NUMBA_CACHE_DIR` takes precedence.
+Compiled code is stored in files beside the sources. If that folder is not writable (an installation of another user), it is
+stored in the user's own cache folder. A user without a home (a service, a container) gets a folder among the temporary files.
+Without even that, each program compiles for itself. numba's own `NUMBA_CACHE_DIR` takes precedence.
 """
 
 import os
@@ -20,7 +20,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function], Function]:
-    """Compile a function at its first call. `options` are those of `numba.njit`; division by zero gives inf or nan."""
+    """Compile a function at its first call. `options` are those of `numba.njit`. Division by zero gives inf or nan."""
     settings: dict[str, Any] = {"cache": CACHED, "error_model": error_model, **options}
 
     def compiled(function: Function) -> Function:
@@ -33,7 +33,7 @@ def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function]
 
 
 def _discard_unreadable(cache: Any) -> None:
-    """Have the function compiled anew where its cache names a class that an earlier version of the program had.
+    """Recompile the function if its cache names a class of an earlier version of the program.
 
     numba unpickles an index of the cache, with the types in it, before it compares the index with the source file.
     """
@@ -45,7 +45,7 @@ def _discard_unreadable(cache: Any) -> None:
         except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
             try:
                 cache.flush()
-            except OSError:  # a folder that is for reading alone
+            except OSError:  # a read-only folder
                 cache.disable()
             return None
 
@@ -53,7 +53,7 @@ def _discard_unreadable(cache: Any) -> None:
 
 
 def find_cache(sources: Path, home: Path | None, temporary: Path) -> Path | None:
-    """The folder in which compiled code can be kept; None where there is none.
+    """Folder for compiled code; None where there is none.
 
     `sources` is a folder of kernels, `home` the user's (None without one), `temporary` the one for temporary files.
     """
@@ -63,7 +63,7 @@ def find_cache(sources: Path, home: Path | None, temporary: Path) -> Path | None
     if home is not None and _writable(home / ".cache" / "goniotwin"):
         return home / ".cache" / "goniotwin"
     own = temporary / f"goniotwin-{_user()}"
-    # Compiled code is loaded from there and run, so that it has to be out of other users' reach.
+    # Compiled code is loaded from there and run: other users must not have access to it.
     return own if _writable(own, mode=0o700) and _private(own) else None
 
 
@@ -92,8 +92,8 @@ def _home() -> Path | None:
         return None
 
 
-def _settle_cache() -> bool:
-    """Tell numba where to keep compiled code, before its first kernel; False where it cannot be kept."""
+def _set_cache_folder() -> bool:
+    """Set the folder of numba's cache before the first kernel is made; False where compiled code cannot be stored."""
     if config.CACHE_DIR:  # type: ignore[attr-defined]
         return True
     sources = Path(__file__).parent
@@ -103,4 +103,4 @@ def _settle_cache() -> bool:
     return folder is not None
 
 
-CACHED = _settle_cache()
+CACHED = _set_cache_folder()

@@ -1,11 +1,9 @@
-"""Counter-based random numbers: each is a function of a key and of which number it is, and of nothing that came before.
+"""Monte Carlo: counter-based random numbers, and estimates in chunks on any number of threads.
 
-So a path's numbers do not depend on the thread that traces it. 64-bit ones for scalar code, 32-bit ones for loops over
-a block of paths, which LLVM makes vectors of.
+A random number is a function of a key and a counter alone. So the numbers of a path do not depend on the thread that traces it.
+There are 64-bit numbers for scalar code, and 32-bit numbers for loops over a block of paths, which LLVM vectorises.
 
-Counting-based estimates in chunks: on any number of threads, and until an error is reached.
-
-Partial sums are added in the order of the chunks, so that the result does not depend on the threads.
+Partial sums are added in the order of the chunks, so that the result does not depend on the number of threads.
 """
 
 import math
@@ -25,12 +23,14 @@ F32 = np.float32
 HALF_16 = np.float32(2.0**-17)
 STEP_16 = np.float32(2.0**-16)
 STEP_24 = np.float32(2.0**-24)
+CHUNK = 65536
+Result = TypeVar("Result")
 
 
 @kernel()
 def scramble(bits: np.uint64) -> np.uint64:
-    """64 bits that look random: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
-    # Every constant is cast: with a plain integer numba goes over to floats, and the bits are wrong without a word.
+    """64 pseudo-random bits: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
+    # Every constant is cast: with a plain integer numba converts to floats, and the bits are wrong without any error.
     bits = (bits ^ (bits >> U64(30))) * U64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> U64(27))) * U64(0x94D049BB133111EB)
     return bits ^ (bits >> U64(31))
@@ -53,12 +53,12 @@ def word_key(key: np.uint64, counter: int) -> np.uint32:
 def word(key: np.uint32, i: int) -> np.uint32:
     """32 bits of path i of a block, for one of its keys: a mixer of two multiplications (Wellons 2018, "lowbias32").
 
-    The paths' numbers are spread by the golden section first: of numbers in a row the mixer makes neighbours that know of each
-    other (chi-square 4 standard deviations off among a million). For i below 2^32 no word comes twice. Blocks have independent
-    keys for each of a path's words, so that two paths whose words are all alike are as rare as among random ones.
+    The golden ratio first spreads the paths' numbers: without it the mixer makes correlated neighbours of consecutive numbers
+    (chi-square 4 standard deviations off for a million). For i below 2^32 no word repeats. Blocks have independent keys for
+    each of a path's words, so that two paths with the same words are as rare as with random numbers.
     """
     bits = U32(U32(U32(i) * U32(0x9E3779B9)) + key)
-    # numba takes 32 bits for 64 after every operation: they are cast back each time.
+    # numba makes 64 bits of 32 in every operation: cast back each time.
     bits = U32(bits ^ U32(bits >> U32(16)))
     bits = U32(bits * U32(0x7FEB352D))
     bits = U32(bits ^ U32(bits >> U32(15)))
@@ -68,42 +68,38 @@ def word(key: np.uint32, i: int) -> np.uint32:
 
 @kernel(inline="always")
 def low_16(bits: np.uint32) -> np.float32:
-    """A number within 0 and 1 from the lower half of a word: the middle of one of 65536 intervals."""
+    """Number within 0 and 1 from the lower half of a word: the middle of one of 65536 intervals."""
     return F32(F32(np.int32(bits & U32(0xFFFF))) * STEP_16 + HALF_16)
 
 
 @kernel(inline="always")
 def high_16(bits: np.uint32) -> np.float32:
-    """The same from the upper half."""
+    """Number within 0 and 1 from the upper half of a word, as `low_16`."""
     return F32(F32(np.int32(bits >> U32(16))) * STEP_16 + HALF_16)
 
 
 @kernel(inline="always")
 def upper_24(bits: np.uint32) -> np.float32:
-    """A number in [0, 1), exact in single precision, from the upper 24 bits of a word."""
+    """Number in [0, 1), exact in single precision, from the upper 24 bits of a word."""
     return F32(F32(np.int32(bits >> U32(8))) * STEP_24)
 
 
-CHUNK = 65536
-Result = TypeVar("Result")
-
-
 def check_seed(seed: int) -> None:
-    """Raises ValueError unless the kernels can take it."""
+    """Check a seed. Raises ValueError unless it fits into 64 bits without a sign."""
     if not 0 <= seed < 2**64:
         raise ValueError(f"seed is {seed}: give a whole number from 0 to 2^64 - 1")
 
 
 def sum_chunks(trace: Callable[[int, int], Floats], first: int, last: int, chunk: int = CHUNK) -> Floats:
-    """Sum of what `trace` gives for rays first..last-1. It must be a function of these alone, and hold no lock."""
+    """Sum of `trace` over the rays first..last-1. `trace` must depend on its arguments alone and hold no lock."""
     if last - first <= chunk:
         return trace(first, last)
     starts = range(first, last, chunk)
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        parts = pool.map(lambda start: trace(start, min(start + chunk, last)), starts)
-        total = next(parts)
-        for part in parts:
-            total += part
+        sums = pool.map(lambda start: trace(start, min(start + chunk, last)), starts)
+        total = next(sums)
+        for chunk_sum in sums:
+            total += chunk_sum
     return total
 
 
@@ -117,17 +113,17 @@ def run_until(
     most_rays: int,
     chunk: int = CHUNK,
 ) -> Result:
-    """What `estimate` makes of the sums over `rays` rays, or over as many as it takes for the relative error.
+    """Result of `estimate` for the sums over `rays` rays, or over as many rays as a relative error needs.
 
-    `estimate` gives a value, its standard error, and the result. Rays already traced are kept: the next ones come after
-    them. Raises ValueError unless exactly one of `rays` (at least 2) and `relative_error` (in 0..1) is given, and where
-    the error is out of reach: no light after `dark_rays`, or more than `most_rays` to come.
+    `estimate` gives a value, its standard error, and the result. Rays already traced are used again: the next ones follow them.
+    Raises ValueError unless exactly one of `rays` (at least 2) and `relative_error` (in 0..1) is given, and if the error is out
+    of reach: no light after `dark_rays`, or more than `most_rays` needed.
     """
     if (rays is None) == (relative_error is None):
         raise ValueError("give either rays or relative_error")
     if rays is not None:
         if rays < 2:
-            raise ValueError(f"rays is {rays}: give at least 2, for an error needs two")
+            raise ValueError(f"rays is {rays}: give at least 2; a standard error needs two")
         return estimate(sum_chunks(trace, 0, rays, chunk), rays)[2]
     assert relative_error is not None
     if not 0.0 < relative_error < 1.0:
@@ -148,7 +144,7 @@ def run_until(
             needed = 1.1 * (error / (relative_error * value)) ** 2 * done
         if needed > most_rays:
             raise ValueError(f"relative_error {relative_error:g} takes {needed:.1e} rays, more than {most_rays:.1e}")
-        # Few rays have a poor idea of their error: no more than sixteen times as many at once.
+        # The error of few rays is itself uncertain: at most sixteen times as many at once.
         more = math.ceil(min(16.0 * done, max(1.25 * done, needed)) / first_rays) * first_rays
         sums = sums + sum_chunks(trace, done, more, chunk)
         done = more

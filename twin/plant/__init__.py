@@ -1,4 +1,4 @@
-"""The instrument at a given time: mechanics, light, electronics; lazy, without threads and without ticks."""
+"""State of the instrument at a given time: mechanics, light, electronics; without threads and without ticks."""
 
 from goniotwin.twin.plant.model import (
     AxisController,

@@ -1,11 +1,10 @@
-"""From photocurrents to counts: transimpedance amplifier, its settling after a change of gain, noise, quantisation."""
+"""From photocurrents to counts: transimpedance amplifier, settling after a change of gain, noise, quantisation."""
 
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Floats, Ints, Keys
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.plant.lamp import lamp_level
 from goniotwin.twin.plant.noise import normal, wandering
@@ -13,23 +12,25 @@ from goniotwin.twin.plant.noise import normal, wandering
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
 SETTLED = 12.0
-"""Time constants after which an amplifier is at rest: its tail, a fifth of a count at full scale, ends there, so that what
-is read afterwards does not depend on when."""
-Keys = npt.NDArray[np.uint64]
+"""Time constants after which an amplifier is at rest. Its exponential tail is then a fifth of a count at full scale and is cut
+off there, so that later readings do not depend on the time.
+"""
 
 
 @kernel()
 def conversions(t: float, period: float, channels: int) -> tuple[Ints, float, float]:
-    """Of a module's channels, converted one after the other within each `period` s: the last conversion of each that is over
-    at `t`, by its number, and the times of the earliest and of the latest of these, s.
+    """Last finished conversions of a module's channels at the time `t`, s.
+
+    The channels are converted one after the other within each `period`, s. Returns the number of each channel's conversion, and
+    the start times of the earliest and of the latest of these, s.
     """
     numbers = np.empty(channels, dtype=np.int64)
     earliest, latest = np.inf, -np.inf
     for c in range(channels):
-        # A conversion takes one tick of the module and can be read when it is over.
+        # A conversion takes one tick of the module and can be read after it.
         numbers[c] = math.floor(t / period + 1e-9 - (c + 1) / channels)
-        begun = (numbers[c] + c / channels) * period
-        earliest, latest = min(earliest, begun), max(latest, begun)
+        start = (numbers[c] + c / channels) * period
+        earliest, latest = min(earliest, start), max(latest, start)
     return numbers, earliest, latest
 
 
@@ -54,13 +55,13 @@ def convert_channels(
     dark_keys: Keys,
     noise_keys: Keys,
 ) -> None:
-    """Puts the input voltages of a module's channels `begin` to `end`, before quantisation, into `volts`, V.
+    """Fill `volts` with the input voltages of a module's channels `begin` to `end`, before quantisation, V.
 
-    `numbers` are the channels' conversions as `conversions` makes them. The module's channel 0 is element `first` of what has
-    an element for each of the rig's channels: `signal_a`, the photocurrent of a lamp of level 1, `dark_a`, the dark current,
-    and the keys. `gains` in V/A, with relative `deviations` (gains, channels of the rig), are chosen by number: `gain` since
-    the time `changed`, `old_gain` before. `constants`: bandwidth Hz, temperature K, amplifier noise V, offset V, settling
-    time constant s, relative dark wander, its period s, noise on (1) or off (0).
+    `numbers` are the channels' conversions from `conversions`. Channel 0 of the module is element `first` of the arrays over
+    the rig's channels: `signal_a`, photocurrent at a lamp level of 1; `dark_a`, dark current; and the keys. `gains` in V/A,
+    with relative `deviations` (gains, channels of the rig), are chosen by index: `gain` since the time `changed`, `old_gain`
+    before. `constants`: bandwidth Hz, temperature K, amplifier noise V, offset V, settling time constant s, relative dark
+    wander, its period s, noise on (1) or off (0).
     """
     bandwidth, temperature, noise_v, offset_v, settling, dark_wander, dark_period, noisy = constants
     for c in range(begin, end):

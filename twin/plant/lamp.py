@@ -1,19 +1,18 @@
-"""The lamp: one process in time that every photodiode and the monitor see alike."""
+"""The lamp: one random process over time, the same for all photodiodes and the monitor."""
 
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Keys
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.plant.model import LightSource
 from goniotwin.twin.plant.noise import normal, process_key, wandering
 
 
 @kernel()
-def lamp_level(t: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> float:
-    """Radiance at `t` over the nominal one. `constants` and `keys` as `lamp_constants` makes them."""
+def lamp_level(t: float, constants: Floats, keys: Keys) -> float:
+    """Radiance at the time `t` relative to the nominal radiance. `constants` and `keys` are from `lamp_constants`."""
     level: float = constants[6] + constants[0] * (t - constants[5]) / 3600.0
     if constants[1] > 0.0:
         level += constants[1] * normal(keys[0], np.int64(math.floor(t / constants[2])))
@@ -23,8 +22,8 @@ def lamp_level(t: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> flo
 
 
 @kernel()
-def lamp_mean(start: float, end: float, constants: Floats, keys: npt.NDArray[np.uint64]) -> float:
-    """Mean level over [start, end), sampled once a flicker period at least."""
+def lamp_mean(start: float, end: float, constants: Floats, keys: Keys) -> float:
+    """Mean level over [start, end), sampled at least once in each flicker period."""
     count = max(1, math.ceil((end - start) / constants[2]))
     total: float = 0.0
     for k in range(count):
@@ -33,9 +32,11 @@ def lamp_mean(start: float, end: float, constants: Floats, keys: npt.NDArray[np.
     return mean
 
 
-def lamp_constants(light: LightSource, seed: int, noise: bool) -> tuple[Floats, npt.NDArray[np.uint64]]:
-    """What the kernels take: (drift an hour, flicker, its period, wander, its period, from when on the drift goes, the
-    level then) and the keys of both processes.
+def lamp_constants(light: LightSource, seed: int, noise: bool) -> tuple[Floats, Keys]:
+    """Arguments of the kernels: constants (7,) and keys (2,).
+
+    Constants: drift per hour, flicker, flicker period, wander, wander period, start time of the drift, level at that time.
+    Keys: those of the flicker and of the wander.
     """
     scale = 1.0 if noise else 0.0
     constants = np.array(

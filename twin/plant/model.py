@@ -1,8 +1,7 @@
-"""What the virtual rig is: its own mechanics, light and electronics, never derived from what the operator believes.
+"""Model of the virtual rig: its own mechanics, light and electronics.
 
-The defaults are one consistent set of assumptions; where the source says nothing, each is a setting.
-
-Which light leaves the monochromator: that of the wavelength set, and in the grating's second order that of half of it.
+The values are independent of the operator's configuration. The defaults are one consistent set of assumptions. Where the paper
+gives no value, it is a setting.
 """
 
 from dataclasses import dataclass, field
@@ -11,52 +10,17 @@ from typing import Literal
 from goniotwin.twin.optics import Instrument, SampleFrames, Scatterer
 
 SHORTEST_NM = 355.0
-"""The lamp's bulb lets nothing through up to here, so that up to 710 nm there is no second order."""
-
-
-@dataclass(frozen=True)
-class WheelFilter:
-    """A long-pass filter in a position of the wheel: `transmittance` from `cut_on_nm` on, and nothing below."""
-
-    position: int
-    cut_on_nm: float
-    transmittance: float = 0.9
-
-    def passes(self, wavelength_nm: float) -> float:
-        """The share of light of a wavelength that it lets through."""
-        return self.transmittance if wavelength_nm >= self.cut_on_nm else 0.0
-
-
-@dataclass(frozen=True)
-class OrderSorting:
-    """What sorts the orders. A position of the wheel without a filter is open.
-
-    `second_order` is the share of light of half the wavelength that passes, of what would pass were the grating set to it.
-    """
-
-    second_order: float = 0.0
-    filters: tuple[WheelFilter, ...] = ()
-
-    def passing(self, wavelength_nm: float, position: int) -> list[tuple[float, float]]:
-        """Wavelengths in nm, each with the share of its light that passes, for a wavelength set and a position of the wheel."""
-        orders = [(wavelength_nm, 1.0)]
-        half = 0.5 * wavelength_nm
-        if self.second_order > 0.0 and half > SHORTEST_NM:
-            orders.append((half, self.second_order))
-        for each in self.filters:
-            if each.position == position:
-                orders = [(nm, share * each.passes(nm)) for nm, share in orders]
-        return orders
+"""The lamp's bulb is opaque up to this wavelength, so that there is no second order up to 710 nm."""
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """An axis: motor `motor` turns it by `sense` * 360 deg / (`full_steps` * `gear`) a full step from `zero_deg` on.
+    """One axis: motor `motor` turns it by `sense` * 360 deg / (`full_steps` * `gear`) per full step, starting at `zero_deg`.
 
-    `module` is the address of the motion module whose motor it is. The axis follows with `backlash_deg` of play: driven
-    downwards it is so much higher than driven upwards. A limit switch is closed at and beyond its angle, the home switch
-    over `home_width_deg` upwards from `home_deg` in each turn; None: there is no such switch. The encoder sits on the
-    axis, has `encoder_counts` a turn of the motor, and an eccentricity of `encoder_error_deg`.
+    `module` is the address of the motion module with that motor. `backlash_deg` is the play: driven downwards, the axis is
+    higher by this angle than driven upwards. A limit switch is closed at and beyond its angle. The home switch is closed from
+    `home_deg` over `home_width_deg` upwards in each turn. None: there is no such switch. The encoder is mounted on the axis; it
+    has `encoder_counts` per turn of the motor and an eccentricity of `encoder_error_deg`.
     """
 
     motor: int
@@ -82,9 +46,9 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class LightSource:
-    """From the arc to the sample: `radiance` (W m^-2 sr^-1 nm^-1) in `band_nm`, of which `throughput` reaches the sample.
+    """Light from the arc to the sample: `radiance` (W m^-2 sr^-1 nm^-1) in `band_nm`; `throughput` of it reaches the sample.
 
-    `spectrum` has (wavelength in nm, relative radiance); drift and flicker are of the lamp, so that every detector and the
+    `spectrum` has pairs (wavelength in nm, relative radiance). Drift and flicker belong to the lamp: all detectors and the
     monitor see the same.
     """
 
@@ -107,7 +71,7 @@ class LightSource:
 
 @dataclass(frozen=True)
 class Photodiodes:
-    """The arc: polar angles of the photodiodes at shift 0, upper arc first, then the lower one; and their currents."""
+    """Photodiodes on the arc: polar angles at shift 0, upper arc first, then the lower one; responsivity and dark currents."""
 
     upper_deg: tuple[float, ...] = tuple(5.0 * k for k in range(18))
     lower_deg: tuple[float, ...] = tuple(5.0 * k for k in range(18))
@@ -125,16 +89,16 @@ class Photodiodes:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of photodiodes."""
         return len(self.upper_deg) + len(self.lower_deg)
 
 
 @dataclass(frozen=True)
 class Electronics:
-    """Transimpedance amplifiers and the converters behind them; a module has eight channels and one gain.
+    """Transimpedance amplifiers and the converters behind them. A module has eight channels and one gain.
 
-    `module` is the kind of converter; one with a serial line (`adam-4117`, at `baudrate`) has no outputs, so the gain stays
-    the first. `conversions_per_s` of all channels of a module: 10 or 100.
+    `module` is the kind of converter. One with a serial line (`adam-4117`, at `baudrate`) has no outputs, so its gain is always
+    the first. `conversions_per_s` counts those of all channels of a module: 10 or 100.
     """
 
     gains_v_per_a: tuple[float, ...] = (1e6, 1e8, 1e10, 1e11)
@@ -151,7 +115,10 @@ class Electronics:
 
 @dataclass(frozen=True)
 class MonitorPhotodiode:
-    """The photodiode behind the beam splitter: its current for a lamp of 1 at 550 nm, and its relative noise a reading."""
+    """Photodiode behind the beam splitter: current at a lamp level of 1 and 550 nm, dark current, noise.
+
+    `noise` is relative, per reading.
+    """
 
     current_a: float = 1.4e-7
     dark_a: float = 1.0e-11
@@ -163,10 +130,10 @@ class MonitorPhotodiode:
 
 @dataclass(frozen=True)
 class MonochromatorDrive:
-    """How fast grating, shutter, filter wheel (a position) and slits are, whether the wire echoes and knows handshake mode.
+    """Speeds of grating, shutter, filter wheel (per position) and slits; echo and handshake mode of the serial line.
 
-    `nm_per_step` is that of a grating of 1200 lines a mm; `gratings` are (lines a mm, label); 0 `filters` is no wheel.
-    `already_there_is_error`: whether a filter wheel sent to where it is reports error 7 (to be confirmed on hardware).
+    `nm_per_step` is for a grating of 1200 lines per mm. `gratings` are pairs (lines per mm, label). `filters` of 0: no wheel.
+    `already_there_is_error`: a filter wheel sent to its present position reports error 7 (to be confirmed on hardware).
     """
 
     slew_nm_per_s: float = 175.0
@@ -186,11 +153,48 @@ class MonochromatorDrive:
 
 
 @dataclass(frozen=True)
-class AxisController:
-    """The motion modules' wire: how many bits a second (no matter over USB), and how long a module thinks.
+class WheelFilter:
+    """Long-pass filter in a position of the wheel: `transmittance` from `cut_on_nm` on, and zero below."""
 
-    `kind` is that of every module; there is one for each address among the axes' `module`. On `rs485` a module is silent
-    where another's address is called, over `usb` it answers any.
+    position: int
+    cut_on_nm: float
+    transmittance: float = 0.9
+
+    def passes(self, wavelength_nm: float) -> float:
+        """Share of the light of a wavelength that passes."""
+        return self.transmittance if wavelength_nm >= self.cut_on_nm else 0.0
+
+
+@dataclass(frozen=True)
+class OrderSorting:
+    """Sorting of the grating's orders: which light leaves the monochromator.
+
+    That is light of the wavelength set and, in the second order, of half that wavelength. `second_order` is the share of the
+    latter that passes, relative to what would pass with the grating set to it. A position of the wheel without a filter is
+    open.
+    """
+
+    second_order: float = 0.0
+    filters: tuple[WheelFilter, ...] = ()
+
+    def passing(self, wavelength_nm: float, position: int) -> list[tuple[float, float]]:
+        """Wavelengths in nm and, for each, the share of its light that passes, at a set wavelength and wheel position."""
+        orders = [(wavelength_nm, 1.0)]
+        half = 0.5 * wavelength_nm
+        if self.second_order > 0.0 and half > SHORTEST_NM:
+            orders.append((half, self.second_order))
+        for each in self.filters:
+            if each.position == position:
+                orders = [(nm, share * each.passes(nm)) for nm, share in orders]
+        return orders
+
+
+@dataclass(frozen=True)
+class AxisController:
+    """Line of the motion modules: bits per second (without effect over USB) and response time of a module.
+
+    `kind` applies to every module; there is one module for each address among the axes' `module`. On `rs485` a module does not
+    respond to another address; over `usb` it responds to any.
     """
 
     kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
@@ -202,11 +206,13 @@ class AxisController:
 
 @dataclass(frozen=True)
 class Estimator:
-    """What computes the photodiodes' light: the fast estimator, with its own few rays or with `rays` of them, or the forward
-    one until half of the photodiodes that get light are known to `relative_error`.
+    """Estimator of the light on the photodiodes.
 
-    `stray_map` is whether light of the frames, and light that met something between, counts: traced by the forward one, and for
-    the fast one added from a map that the forward one makes.
+    `fast`: with its seven rays per detector, or with `rays`. `forward`: until half of the photodiodes that receive light have a
+    relative error below `relative_error`.
+
+    `stray` includes light of the frames and light that met another surface. The forward estimator traces it. For the fast one a
+    map from the forward estimator is added.
     """
 
     kind: Literal["fast", "forward"] = "fast"
@@ -217,7 +223,7 @@ class Estimator:
 
 @dataclass(frozen=True)
 class TwinModel:
-    """A whole virtual rig. `samples` are what its back door can mount; `noise` switches every random process."""
+    """Complete virtual rig. `samples` can be mounted by simulation control; `noise` switches every random process on or off."""
 
     seed: int
     axes: dict[str, Mechanics]

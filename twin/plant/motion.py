@@ -1,6 +1,7 @@
-"""Ramps: where a stepper motor is, at any time, from the moment that it was told to go somewhere.
+"""Ramps: the position of a stepper motor as a function of time, after a motion command.
 
-A trajectory is a few pieces of constant acceleration, in microsteps, pps and pps/s. It is asked, never ticked.
+A trajectory is a sequence of pieces of constant acceleration, in microsteps, pps and pps/s. It is evaluated at a time; there
+are no ticks.
 """
 
 import math
@@ -10,7 +11,7 @@ from typing import NamedTuple
 
 
 class Piece(NamedTuple):
-    """From time `t` on: position, velocity and a constant acceleration."""
+    """Piece of a trajectory from the time `t` on: position, velocity and a constant acceleration."""
 
     t: float
     position: float
@@ -20,23 +21,23 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Pieces in order; the last one has no acceleration and lasts for ever."""
+    """Pieces in order of time. The last one has no acceleration and no end."""
 
     pieces: tuple[Piece, ...]
 
     @property
     def end(self) -> float:
-        """When the last piece begins, s: the axis then rests, or turns steadily."""
+        """Start of the last piece, s: from then on the axis rests or turns at constant velocity."""
         return self.pieces[-1].t
 
     def position(self, t: float) -> float:
-        """Microsteps at `t`."""
+        """Position in microsteps at the time `t`."""
         piece = self._piece(t)
         dt = max(0.0, t - piece.t)
         return piece.position + dt * (piece.velocity + 0.5 * dt * piece.acceleration)
 
     def velocity(self, t: float) -> float:
-        """pps at `t`, signed."""
+        """Velocity in pps at the time `t`, signed."""
         piece = self._piece(t)
         return piece.velocity + max(0.0, t - piece.t) * piece.acceleration
 
@@ -47,16 +48,16 @@ class Trajectory:
 
 
 def rest_at(position: float, t: float = 0.0) -> Trajectory:
-    """At rest."""
+    """Trajectory at rest."""
     return Trajectory((Piece(t, position, 0.0, 0.0),))
 
 
 def ramp_to_velocity(
     now: float, position: float, velocity: float, wanted: float, acceleration: float, deceleration: float
 ) -> Trajectory:
-    """From the present velocity to the `wanted` one (0: stop), and on with it."""
+    """Ramp from the present velocity to the `wanted` one (0: stop), then at constant velocity."""
     pieces: list[Piece] = []
-    if velocity * wanted < 0.0:  # through standstill, so first with the one slope, then with the other
+    if velocity * wanted < 0.0:  # through standstill: first decelerate, then accelerate
         now, position, velocity = _slope(pieces, now, position, velocity, 0.0, deceleration)
     faster = abs(wanted) > abs(velocity)
     now, position, velocity = _slope(pieces, now, position, velocity, wanted, acceleration if faster else deceleration)
@@ -72,7 +73,7 @@ def ramp_to_target(
     acceleration: float,
     deceleration: float,
 ) -> Trajectory:
-    """To `target` with a trapezoidal ramp, from rest or out of a movement (which may have to turn round first)."""
+    """Trapezoidal ramp to `target`, from rest or from a movement (which may have to reverse first)."""
     pieces: list[Piece] = []
     way = target - position
     braking = velocity * abs(velocity) / (2.0 * deceleration)
@@ -103,23 +104,23 @@ def ramp_to_target(
 
 
 def cut_off(trajectory: Trajectory, t: float) -> Trajectory:
-    """The same until `t`, and at rest there and then."""
-    return _then(trajectory, rest_at(trajectory.position(t), t))
+    """The trajectory until `t`, then at rest at once."""
+    return _append(trajectory, rest_at(trajectory.position(t), t))
 
 
 def brake_to_rest(trajectory: Trajectory, t: float, deceleration: float) -> Trajectory:
-    """The same until `t`, and from there to rest over a ramp."""
+    """The trajectory until `t`, then a ramp to rest."""
     position, velocity = trajectory.position(t), trajectory.velocity(t)
-    return _then(trajectory, ramp_to_velocity(t, position, velocity, 0.0, deceleration, deceleration))
+    return _append(trajectory, ramp_to_velocity(t, position, velocity, 0.0, deceleration, deceleration))
 
 
 def join(first: Trajectory, second: Trajectory) -> Trajectory:
-    """The first until the second begins."""
-    return _then(first, second)
+    """The first trajectory until the second starts."""
+    return _append(first, second)
 
 
 def turning_points(trajectory: Trajectory, start: float) -> list[float]:
-    """Times from `start` on, it first, between which the movement does not change its direction."""
+    """Times from `start` (included) on, between which the direction of movement does not change."""
     times = [start]
     for piece, after in zip(trajectory.pieces, (*trajectory.pieces[1:], None), strict=True):
         if piece.acceleration != 0.0:
@@ -131,15 +132,16 @@ def turning_points(trajectory: Trajectory, start: float) -> list[float]:
     return times
 
 
-def _then(first: Trajectory, second: Trajectory) -> Trajectory:
-    begun = second.pieces[0].t
-    return Trajectory((*(piece for piece in first.pieces if piece.t < begun), *second.pieces))
+def _append(first: Trajectory, second: Trajectory) -> Trajectory:
+    """The first trajectory until the second starts, then the second."""
+    start = second.pieces[0].t
+    return Trajectory((*(piece for piece in first.pieces if piece.t < start), *second.pieces))
 
 
 def _slope(
     pieces: list[Piece], now: float, position: float, velocity: float, wanted: float, slope: float
 ) -> tuple[float, float, float]:
-    """Adds the piece from one velocity to another; returns time, position and velocity at its end."""
+    """Append the piece from one velocity to another. Returns time, position and velocity at its end."""
     change = wanted - velocity
     if change == 0.0:
         return now, position, velocity

@@ -1,4 +1,4 @@
-"""The instrument at a time t: where each axis is, what light passes, what each photodiode gives and each converter reads."""
+"""The instrument at a time t: angles of the axes, light, photocurrents of the photodiodes, readings of the converters."""
 
 import math
 from dataclasses import replace
@@ -8,21 +8,21 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
 from goniotwin.twin.plant.converter import conversions, convert_channels
+from goniotwin.twin.plant.history import ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.shaft import Shaft
-from goniotwin.twin.plant.timeline import ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.view import Aspect, View
 
 MODULE_CHANNELS = 8
 ONE_BY_ONE = tuple((channel, channel + 1) for channel in range(MODULE_CHANNELS))
 MONITOR_PIECES = 16
-"""Into so many a mean of the monitor is cut where shutter, wavelength or filter change during it."""
+"""Number of parts of the monitor's averaging interval, if shutter, wavelength or filter change during it."""
 
 
 class Plant:
-    """One virtual instrument. Devices drive it and ask it; `mount` is its back door and not a wire."""
+    """One virtual instrument. Devices drive and read it; `mount` belongs to simulation control and has no wire."""
 
     def __init__(self, model: TwinModel) -> None:
         self.model = model
@@ -42,28 +42,27 @@ class Plant:
 
     def _make_light(self) -> None:
         light = self.model.light
-        mirrors = (
-            nominal_reflectance(self.model.instrument.mirror_reflectance) ** 3
-        )  # the optics count them, and `throughput` has them too
+        # The three mirrors are in `LightSource.throughput` and in the optics' throughput too: divide by them once.
+        mirrors = nominal_reflectance(self.model.instrument.mirror_reflectance) ** 3
         self._radiance = light.radiance * light.band_nm * light.throughput / mirrors
         self._lamp_spectrum = np.transpose(light.spectrum)
         self._responsivity = np.transpose(self.model.photodiodes.responsivity)
         light_path = (self.wavelength_nm, self.wheel, self.shutter_open, self.sample, self.tilt_deg)
-        self._deciding: tuple[ChangingQuantity, ...] = (*light_path, *self.shafts.values())
-        # The photocurrents of what has settled last. What decides on them and is no line of time (`fade`) has to forget them.
-        self._lit: tuple[tuple[object, ...], Floats] = ((), np.zeros(0))
+        self._light_path: tuple[ChangingQuantity, ...] = (*light_path, *self.shafts.values())
+        # Photocurrents of the last settled state. A change of the light without a history (`fade`) has to reset them.
+        self._settled_currents: tuple[tuple[object, ...], Floats] = ((), np.zeros(0))
 
     def _make_electronics(self) -> None:
         seed, electronics, diodes = self.model.seed, self.model.electronics, self.model.photodiodes
         channels = self.modules * MODULE_CHANNELS
         spread = process_key(seed, "dark currents")
-        wired = np.arange(channels) < diodes.count  # spare inputs have no photodiode, so no dark current either
+        wired = np.arange(channels) < diodes.count  # spare inputs have no photodiode and no dark current
         self._dark_a = np.where(
             wired,
             [diodes.dark_a * (1.0 + diodes.dark_spread * normal(spread, np.int64(c))) for c in range(channels)],
             0.0,
         )
-        self._faded = np.ones(channels)
+        self._sensitivity = np.ones(channels)
         self._gains = np.array(electronics.gains_v_per_a)
         gains = len(electronics.gains_v_per_a)
         deviates = process_key(seed, "gains")
@@ -90,14 +89,14 @@ class Plant:
         )
 
     def mount(self, sample: str | None, t: float) -> None:
-        """Puts a sample of the model into the sample unit, or takes it out (None). Raises KeyError for an unknown one."""
+        """Mount a sample of the model in the sample unit, or remove it (None). Raises KeyError for an unknown sample."""
         if sample is not None and sample not in self.model.samples:
             known = ", ".join(sorted(self.model.samples)) or "none"
             raise KeyError(f"the virtual rig has no sample {sample!r}; it has: {known}")
         self.sample.set(t, sample)
 
     def set_lamp(self, t: float, *, drift_per_hour: float | None = None, level: float | None = None) -> None:
-        """The lamp drifts otherwise from `t` on, or jumps to another level (1 is the nominal one)."""
+        """Change the lamp's drift from `t` on, or let it jump to another level (1 is the nominal one)."""
         constants, keys = self._lamp
         now = constants[6] + constants[0] * (t - constants[5]) / 3600.0
         changed = constants.copy()
@@ -107,27 +106,27 @@ class Plant:
         self._lamp = (changed, keys)
 
     def tilt_sample(self, tilt_deg: float, t: float) -> None:
-        """The sample's normal leans by so much in the plane of incidence, towards the light for positive angles."""
+        """Tilt the sample's normal in the plane of incidence, towards the light for positive angles."""
         self.tilt_deg.set(t, tilt_deg)
 
     def fade(self, photodiode: int, share: float) -> None:
-        """From now on a photodiode gives only a share of its photocurrent; with 0 it is dead, without dark current too."""
-        self._faded[photodiode] *= share
+        """Reduce a photodiode's photocurrent to a share from now on. With 0 it is dead, without dark current too."""
+        self._sensitivity[photodiode] *= share
         if share == 0.0:
             self._dark_a[photodiode] = 0.0
-        self._lit = ((), np.zeros(0))
+        self._settled_currents = ((), np.zeros(0))
 
     def angle_deg(self, axis: str, t: float) -> float:
-        """The true angle of an axis at `t`; 0 for one that this rig does not have."""
+        """True angle of an axis at `t`; 0 for an axis that this rig does not have."""
         shaft = self.shafts.get(axis)
         return shaft.angle_deg(t) if shaft is not None else 0.0
 
     def filter_position(self, t: float) -> int:
-        """The position of the filter wheel that is in the beam at `t`, the nearest one while it turns."""
+        """Position of the filter wheel in the beam at `t`; the nearest one while the wheel turns."""
         return round(self.wheel.at(t))
 
     def throughputs_m2sr(self, t: float, wavelength_nm: float | None = None) -> Floats:
-        """What each photodiode would get of the exit pupil's radiance at the pose of `t`: shape (photodiodes,).
+        """Throughput of each photodiode at the pose of `t`, m^2 sr: shape (photodiodes,).
 
         At the wavelength that is set then, or at another one.
         """
@@ -136,9 +135,9 @@ class Plant:
         return self.view.throughputs_m2sr(Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, *axes))
 
     def warm_up(self) -> None:
-        """Computes everything once, for the kernels compile when they are first used, and a device must not wait for that.
+        """Compute everything once: kernels compile at their first use, and a device must not wait for that.
 
-        Nothing is changed by it, and no number is drawn.
+        Nothing is changed, and no random number is used up.
         """
         for sample in (*self.model.samples, None):
             self.view.throughputs_m2sr(Aspect(sample, 0.0, self.wavelength_nm.at(0.0), 0.0, 0.0, 0.0, 0.0))
@@ -147,22 +146,23 @@ class Plant:
         lamp_mean(0.0, self.conversion_period_s, *self._lamp)
 
     def pupil_radiance(self, t: float) -> float:
-        """Of the exit pupil for a lamp of level 1, W m^-2 sr^-1; 0 behind the closed shutter."""
+        """Radiance of the exit pupil at a lamp level of 1, W m^-2 sr^-1; 0 with the shutter closed."""
         return self._radiance * sum(light for _, light in self._light(t)) if self.shutter_open.at(t) else 0.0
 
     def photocurrents_a(self, t: float) -> Floats:
-        """Of all channels for a lamp of level 1, without dark current, at the pose and wavelength of `t`."""
+        """Photocurrents of all channels at a lamp level of 1, without dark current, at the pose and wavelength of `t`."""
         currents = np.zeros(self.modules * MODULE_CHANNELS)
         for wavelength, light in self._light(t) if self.shutter_open.at(t) else ():
             if light > 0.0:
                 responsivity = float(np.interp(wavelength, *self._responsivity))
                 seen = self.throughputs_m2sr(t, wavelength)
                 currents[: self.model.photodiodes.count] += responsivity * (self._radiance * light) * seen
-        return currents * self._faded
+        return currents * self._sensitivity
 
     def steady_photocurrents_a(self, aspect: Aspect, filter_position: int = 1) -> Floats:
-        """Of the photodiodes, for a lamp of level 1 behind the open shutter, without dark current, in some aspect and with the
-        filter wheel at some position.
+        """Photocurrents of the photodiodes in an aspect, with the filter wheel at some position.
+
+        At a lamp level of 1, with the shutter open, without dark current.
         """
         currents = np.zeros(self.model.photodiodes.count)
         for wavelength, share in self.model.order_sorting.passing(aspect.wavelength_nm, filter_position):
@@ -173,17 +173,17 @@ class Plant:
         return currents
 
     def volts(self, module: int, t: float) -> Floats:
-        """What the last finished conversion of each channel of a module saw, V (8,): the same number until the next."""
+        """Input voltages of the last finished conversion of each channel of a module, V (8,). Constant until the next one."""
         period, gain = self.conversion_period_s, self.gain[module]
         numbers, earliest, latest = conversions(t, period, MODULE_CHANNELS)
         volts = np.empty(MODULE_CHANNELS)
         light = self._settled(earliest)
-        if light is not None and light != self._lit[0]:
-            self._lit = (light, self.photocurrents_a(latest))
+        if light is not None and light != self._settled_currents[0]:
+            self._settled_currents = (light, self.photocurrents_a(latest))
         steady = light is not None and gain.last_change <= earliest
         for begin, end in ((0, MODULE_CHANNELS),) if steady else ONE_BY_ONE:
             at = latest if steady else (numbers[begin] + begin / MODULE_CHANNELS) * period
-            signal_a = self._lit[1] if light is not None else self.photocurrents_a(at)
+            signal_a = self._settled_currents[1] if light is not None else self.photocurrents_a(at)
             before, _ = gain.before(at)
             convert_channels(
                 volts, begin, end, module * MODULE_CHANNELS, numbers, period, signal_a, self._dark_a, self._gains,
@@ -199,10 +199,10 @@ class Plant:
         changing = max(each.last_change for each in (self.wavelength_nm, self.wheel, self.shutter_open)) > start
         pieces = MONITOR_PIECES if changing else 1
         for k in range(pieces):
-            begun, ended = (start + (end - start) * each / pieces for each in (k, k + 1))
-            middle = 0.5 * (begun + ended)
+            first, last = (start + (end - start) * each / pieces for each in (k, k + 1))
+            middle = 0.5 * (first + last)
             if self.shutter_open.at(middle):
-                level = lamp_mean(begun, ended, *self._lamp)
+                level = lamp_mean(first, last, *self._lamp)
                 current += monitor.current_a * sum(light for _, light in self._light(middle)) * level / pieces
         if self.model.noise:
             key = process_key(self.model.seed, "monitor")
@@ -215,8 +215,8 @@ class Plant:
         return [(nm, share * float(np.interp(nm, *self._lamp_spectrum))) for nm, share in passing]
 
     def _settled(self, t: float) -> tuple[object, ...] | None:
-        """What decides on the photocurrents, each thing as it was set last; None where any of it has changed after `t`."""
-        for line in self._deciding:
+        """Newest state of everything that determines the photocurrents; None where any of it has changed after `t`."""
+        for line in self._light_path:
             if line.last_change > t:
                 return None
-        return tuple([line.newest for line in self._deciding])
+        return tuple([line.newest for line in self._light_path])

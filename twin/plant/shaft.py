@@ -1,31 +1,31 @@
-"""A shaft: what a motor's microsteps do to the angle of an axis. The motor knows no degrees, the axis no microsteps."""
+"""Shaft: from a motor's microsteps to the angle of an axis. The motor works in microsteps, the axis in degrees."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from goniotwin.twin.plant.history import History
 from goniotwin.twin.plant.model import Mechanics
 from goniotwin.twin.plant.motion import Trajectory, brake_to_rest, rest_at, turning_points
-from goniotwin.twin.plant.timeline import History
 
 ELECTRIC_CYCLE = 4
-"""Full steps after which a stepper motor's field is the same again: a rotor that was held back falls in at one of these."""
+"""Full steps in one period of a stepper motor's field. A rotor that was held falls back into step at a multiple of it."""
 
 
 @dataclass(slots=True)
 class Heartbeat:
-    """How long a movement may go on without news from its host: at `run_until` it brakes (the module's heartbeat)."""
+    """Time limit of a movement without a message from the host: at `until` the motor brakes (the module's heartbeat)."""
 
     until: float = math.inf
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A trajectory in microsteps from `since` on, and how its counter is tied to the shaft.
+    """Trajectory in microsteps from `since` on, and the relation of its counter to the shaft.
 
-    Full steps of the motor = origin + microsteps / per_full; `per_full` is negative where the shaft is reversed. The axis
-    was at `start_deg` then, and stays there while it is jammed.
+    Full steps of the motor = origin + microsteps / per_full. `per_full` is negative where the shaft is reversed. The axis was
+    at `start_deg` at `since`, and stays there while it is jammed.
     """
 
     mechanics: Mechanics
@@ -39,7 +39,7 @@ class Drive:
     heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
     def angle_deg(self, t: float) -> float:
-        """The axis at `t`."""
+        """Angle of the axis at `t`."""
         if self.jammed:
             return self.start_deg
         play = self.mechanics.backlash_deg
@@ -53,11 +53,11 @@ class Drive:
         return self._dragged(angle, self._driven_deg(t))
 
     def full_steps(self, t: float) -> float:
-        """The motor's place in full steps, if nothing holds it."""
+        """Position of the motor in full steps, without a jam."""
         return self.origin + self.counter(t) / self.per_full
 
     def counter(self, t: float) -> float:
-        """Microsteps."""
+        """Counter at `t`, microsteps."""
         return self._trajectory(t).position(t)
 
     def _trajectory(self, t: float) -> Trajectory:
@@ -79,7 +79,7 @@ class Drive:
 
 
 class Shaft:
-    """One axis of the plant. `jam` is its back door, of which `listener` is told."""
+    """One axis of the plant. `jam` belongs to simulation control; it notifies `listener` with the time."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self.mechanics = mechanics
@@ -88,25 +88,28 @@ class Shaft:
 
     @property
     def jammed(self) -> bool:
-        """Whether something holds it now."""
+        """Whether the axis is blocked now."""
         return self._drives.newest.jammed
 
     def drive(self, t: float) -> Drive:
-        """How it is driven at `t`."""
+        """Drive at `t`."""
         return self._drives.at(t)
 
     def angle_deg(self, t: float) -> float:
-        """The true angle at `t`."""
+        """True angle at `t`."""
         return self._drives.at(t).angle_deg(t)
 
     @property
     def newest(self) -> Drive:
-        """How it is driven now."""
+        """Newest drive."""
         return self._drives.newest
 
     @property
     def last_change(self) -> float:
-        """From when on it rests, s; infinity where it turns for ever. A heartbeat that runs out has it rest no later."""
+        """Time from which the axis is at rest, s; infinity where it turns without end.
+
+        An expired heartbeat does not make it later.
+        """
         last = self._drives.newest.trajectory.pieces[-1]
         return max(self._drives.last_change, last.t) if last.velocity == 0.0 else math.inf
 
@@ -114,10 +117,10 @@ class Shaft:
         """Whether the axis may have moved after `t`."""
         return t < self.last_change
 
-    def driven(
+    def drive_along(
         self, t: float, trajectory: Trajectory, deceleration: float = math.inf, heartbeat: Heartbeat | None = None
     ) -> Drive:
-        """What would become of it if from `t` on the motor's counter followed `trajectory`."""
+        """Drive that would result if the motor's counter followed `trajectory` from `t` on."""
         old = self._drives.at(t)
         return replace(
             old, trajectory=trajectory, since=t, start_deg=old.angle_deg(t), deceleration=deceleration,
@@ -127,20 +130,26 @@ class Shaft:
     def follow(
         self, t: float, trajectory: Trajectory, deceleration: float = math.inf, heartbeat: Heartbeat | None = None
     ) -> None:
-        """From `t` on the motor's counter follows `trajectory`, on a heartbeat that ends it with a ramp."""
-        self._drives.set(t, self.driven(t, trajectory, deceleration, heartbeat))
+        """Let the motor's counter follow `trajectory` from `t` on; an expired `heartbeat` ends it with a ramp."""
+        self._drives.set(t, self.drive_along(t, trajectory, deceleration, heartbeat))
 
     def recount(self, t: float, position: float, per_full: int) -> Trajectory:
-        """The counter is set to `position`, in microsteps of `per_full` a full step: nothing moves. Returns the rest."""
+        """Set the counter to `position`, in microsteps of `per_full` per full step. Nothing moves.
+
+        Returns the trajectory at rest.
+        """
         rest = rest_at(position, t)
         old = self._drives.at(t)
         origin = old.full_steps(t) - position / per_full
-        self._drives.set(t, replace(self.driven(t, rest), per_full=per_full, origin=origin))
+        self._drives.set(t, replace(self.drive_along(t, rest), per_full=per_full, origin=origin))
         return rest
 
     def jam(self, t: float, jammed: bool = True) -> None:
-        """From `t` on the axis stands, whatever its motor's counter does; or turns again, the rotor falling in at the
-        nearest place where the motor's field is what it is now."""
+        """Block the axis from `t` on, or release it.
+
+        A blocked axis stands still while its motor's counter changes. On release the rotor falls into step at the nearest
+        position with the present phase of the motor's field.
+        """
         old = self._drives.at(t)
         if jammed and not old.jammed:
             self._drives.set(t, replace(old, since=t, start_deg=old.angle_deg(t), jammed=True))

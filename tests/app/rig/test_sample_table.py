@@ -88,7 +88,7 @@ def test_a_measured_table_reflects_or_transmits_by_its_scatter_type(
         ('model = "lambertian"\nreflectance = 1.2', "twin.samples.it: reflectance is 1.2"),
         ('model = "lambertian"\nreflectance = 0.7\ntransmittance = 0.6', "add up to more than 1"),
         ('model = "gaussian"\nwidth_deg = -2.0', "twin.samples.it: width_deg is -2.0"),
-        ('model = "gaussian"\nwidth_deg = 2.0\nrefraction = 1.5', "only a transmitted lobe is bent"),
+        ('model = "gaussian"\nwidth_deg = 2.0\nrefraction = 1.5', "only a transmitted lobe is refracted"),
         ('model = "regular"\nreflectance = [0.1, 0.2]', "or sigma_deg for a list"),
         ('model = "sum"\nlobes = []', "twin.samples.it.lobes"),
         ('model = "sum"\nlobes = [{model = "gaussian", width_deg = 0.0}]', r"twin.samples.it.lobes.0: width_deg is 0.0"),

@@ -46,7 +46,7 @@ def test_floats_come_low_word_first_in_volts(module: Adam6017) -> None:
     assert floats == pytest.approx([scale.volts(each) for each in raw], rel=1e-6)
 
 
-def test_maximum_and_minimum_hold_a_peak_that_nobody_read_until_they_are_reset(module: Adam6017) -> None:
+def test_maximum_and_minimum_hold_an_unread_peak_until_they_are_reset(module: Adam6017) -> None:
     rest = module.registers(adam.AI_VALUE, 1, T)[0]
     module.registers(adam.MAXIMUM, 9, T)
     module.write_coils(adam.DIGITAL_OUTPUT, [False, False], T + 0.1)  # gain 0: the dark voltage vanishes for a second

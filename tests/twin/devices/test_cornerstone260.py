@@ -22,34 +22,34 @@ def device(rig: VirtualRig) -> Cornerstone260:
     return Cornerstone260(rig.plant)  # as after power-on: no handshake mode
 
 
-def say(device: Cornerstone260, line: bytes, t: float) -> list[tuple[float, bytes]]:
+def exchange(device: Cornerstone260, line: bytes, t: float) -> list[tuple[float, bytes]]:
     device.receive(line, t)
-    said = list(device.outbox)
+    answers = list(device.outbox)
     device.outbox.clear()
-    return said
+    return answers
 
 
 def test_it_echoes_and_answers(device: Cornerstone260) -> None:
-    (echo, answer) = say(device, b"WAVE?\n", 200.0)
+    (echo, answer) = exchange(device, b"WAVE?\n", 200.0)
     assert echo == (200.0, b"WAVE?\r\n")
     assert answer[1] == b"550.000\r\n"
 
 
 def test_while_it_moves_the_next_answer_waits(device: Cornerstone260) -> None:
-    assert [text for _, text in say(device, b"GOWAVE 725\n", 200.0)] == [b"GOWAVE 725\r\n"]
-    (_, answer) = say(device, b"wave?\n", 200.1)
+    assert [text for _, text in exchange(device, b"GOWAVE 725\n", 200.0)] == [b"GOWAVE 725\r\n"]
+    (_, answer) = exchange(device, b"wave?\n", 200.1)
     assert answer[1] == b"725.000\r\n"
     assert answer[0] == pytest.approx(200.0 + 175.0 / 175.0 + 0.1, abs=0.01)  # 175 nm at 175 nm/s, and 0.1 s to settle
 
 
-def test_handshake_mode_says_when_it_is_done(device: Cornerstone260) -> None:
-    assert [text for _, text in say(device, b"HANDSHAKE 1\n", 200.0)] == [b"HANDSHAKE 1\r\n", b"00\r\n"]
-    (_, done) = say(device, b"SHUTTER O\n", 201.0)
+def test_handshake_mode_reports_completion(device: Cornerstone260) -> None:
+    assert [text for _, text in exchange(device, b"HANDSHAKE 1\n", 200.0)] == [b"HANDSHAKE 1\r\n", b"00\r\n"]
+    (_, done) = exchange(device, b"SHUTTER O\n", 201.0)
     assert done[1] == b"00\r\n"
     assert done[0] == pytest.approx(201.15, abs=0.01)
-    (_, failed) = say(device, b"GOWAVE 9999\n", 202.0)
+    (_, failed) = exchange(device, b"GOWAVE 9999\n", 202.0)
     assert failed[1] == b"20\r\n"
-    assert [text for _, text in say(device, b"ERROR?\n", 203.0)][1] == b"3\r\n"
+    assert [text for _, text in exchange(device, b"ERROR?\n", 203.0)][1] == b"3\r\n"
 
 
 @pytest.mark.parametrize(
@@ -57,15 +57,15 @@ def test_handshake_mode_says_when_it_is_done(device: Cornerstone260) -> None:
     [(b"NONSENSE\n", b"1"), (b"GOWAVE x\n", b"2"), (b"GOWAVE -1\n", b"3"), (b"SHUTTER Q\n", b"2"), (b"FILTER 9\n", b"3")],
 )
 def test_errors_are_silent_until_asked_for(device: Cornerstone260, line: bytes, error: bytes) -> None:
-    assert len(say(device, line, 200.0)) == 1  # the echo
-    assert say(device, b"STB?\n", 201.0)[1][1] == b"32\r\n"
-    assert say(device, b"STB?\n", 202.0)[1][1] == b"00\r\n"
-    assert say(device, b"ERROR?\n", 203.0)[1][1] == error + b"\r\n"
-    assert say(device, b"ERROR?\n", 204.0)[1][1] == b"0\r\n"
+    assert len(exchange(device, line, 200.0)) == 1  # the echo
+    assert exchange(device, b"STB?\n", 201.0)[1][1] == b"32\r\n"
+    assert exchange(device, b"STB?\n", 202.0)[1][1] == b"00\r\n"
+    assert exchange(device, b"ERROR?\n", 203.0)[1][1] == error + b"\r\n"
+    assert exchange(device, b"ERROR?\n", 204.0)[1][1] == b"0\r\n"
 
 
 def test_the_shutter_lets_light_through_when_it_has_opened(rig: VirtualRig, device: Cornerstone260) -> None:
-    say(device, b"SHUTTER O\n", 200.0)
+    exchange(device, b"SHUTTER O\n", 200.0)
     assert rig.plant.pupil_radiance(200.1) == 0.0
     assert rig.plant.pupil_radiance(200.2) > 0.0
 
@@ -73,28 +73,28 @@ def test_the_shutter_lets_light_through_when_it_has_opened(rig: VirtualRig, devi
 def test_an_endless_line_fills_no_memory(device: Cornerstone260) -> None:
     device.receive(b"A" * 100_000, 200.0)
     device.outbox.clear()
-    (_, *_) = say(device, b"\n", 201.0)
-    assert say(device, b"ERROR?\n", 202.0)[1][1] == b"1\r\n"
+    (_, *_) = exchange(device, b"\n", 201.0)
+    assert exchange(device, b"ERROR?\n", 202.0)[1][1] == b"1\r\n"
 
 
 def lines(device: Cornerstone260, line: bytes, t: float) -> list[bytes]:
-    """What it says without the echo."""
-    return [text.rstrip() for _, text in say(device, line, t)][1:]
+    """The lines of an answer, without the echo."""
+    return [text.rstrip() for _, text in exchange(device, line, t)][1:]
 
 
-def test_while_the_grating_turns_the_wavelength_passes(rig: VirtualRig, device: Cornerstone260) -> None:
-    say(device, b"GOWAVE 725\n", 200.0)  # 175 nm at 175 nm/s
+def test_the_wavelength_changes_continuously_while_the_grating_turns(rig: VirtualRig, device: Cornerstone260) -> None:
+    exchange(device, b"GOWAVE 725\n", 200.0)  # 175 nm at 175 nm/s
     assert rig.plant.wavelength_nm.at(200.502) == pytest.approx(550.0 + 87.5, abs=1e-6)
     assert rig.plant.wavelength_nm.at(199.0) == 550.0
     assert rig.plant.wavelength_nm.at(300.0) == 725.0
 
 
-def test_abort_stops_it_in_the_middle_and_what_waited_comes_next(rig: VirtualRig, device: Cornerstone260) -> None:
+def test_abort_stops_the_grating_and_queued_commands_follow(rig: VirtualRig, device: Cornerstone260) -> None:
     device.receive(b"GOWAVE 725\n", 200.0)
     device.receive(b"SHUTTER O\nWAVE?\n", 200.1)
     device.receive(b"abort\n", 200.502)
-    said = [text.rstrip() for _, text in device.outbox]
-    assert said == [b"GOWAVE 725", b"abort", b"SHUTTER O", b"WAVE?", b"637.500"]
+    answers = [text.rstrip() for _, text in device.outbox]
+    assert answers == [b"GOWAVE 725", b"abort", b"SHUTTER O", b"WAVE?", b"637.500"]
     assert max(t for t, _ in device.outbox) < 201.0
     assert rig.plant.wavelength_nm.at(300.0) == pytest.approx(637.5)
     assert rig.plant.shutter_open.at(300.0)
@@ -135,7 +135,7 @@ def test_a_statement_byte_by_byte_is_the_same_statement(device: Cornerstone260) 
         (b"Shutter  o  ", b"shutter?", b"O"),
     ],
 )
-def test_what_is_set_is_told(device: Cornerstone260, command: bytes, query: bytes, answer: bytes) -> None:
+def test_a_query_returns_the_set_value(device: Cornerstone260, command: bytes, query: bytes, answer: bytes) -> None:
     assert lines(device, command + b"\r\n", 200.0) == []
     assert lines(device, query + b"\n", 300.0) == [answer]
     assert lines(device, b"STB?\n", 301.0) == [b"00"]
@@ -149,31 +149,31 @@ def test_what_is_set_is_told(device: Cornerstone260, command: bytes, query: byte
         (b"HANDSHAKE 2", b"2"), (b"\xff\xfe", b"1"), (b"WAVE", b"1"), (b"GOWAVE nan", b"2"), (b"IDLE?", b"1"),
     ],
 )  # fmt: skip
-def test_what_it_does_not_do_it_says_when_asked(device: Cornerstone260, line: bytes, error: bytes) -> None:
+def test_an_unsupported_command_sets_the_error_code(device: Cornerstone260, line: bytes, error: bytes) -> None:
     lines(device, line + b"\n", 200.0)
     assert lines(device, b"ERROR?\n", 201.0) == [error]
 
 
 def test_a_calibration_moves_the_numbers_and_not_the_light(rig: VirtualRig, device: Cornerstone260) -> None:
-    say(device, b"CALIBRATE 560\n", 200.0)
+    exchange(device, b"CALIBRATE 560\n", 200.0)
     assert rig.plant.wavelength_nm.at(201.0) == 550.0
-    say(device, b"GOWAVE 570\n", 202.0)
+    exchange(device, b"GOWAVE 570\n", 202.0)
     assert rig.plant.wavelength_nm.at(300.0) == pytest.approx(560.0)
 
 
 @pytest.mark.parametrize(("command", "seconds"), [(b"GRAT 2", 8.0), (b"FILTER 4", 3.0), (b"SLIT1MICRONS 700", 1.0)])
 def test_what_moves_takes_its_time(device: Cornerstone260, command: bytes, seconds: float) -> None:
-    say(device, command + b"\n", 200.0)
-    (_, answer) = say(device, b"INFO?\n", 200.1)
+    exchange(device, command + b"\n", 200.0)
+    (_, answer) = exchange(device, b"INFO?\n", 200.1)
     assert answer[0] == pytest.approx(200.0 + seconds, abs=0.01)
 
 
 def test_the_wheel_goes_from_position_to_position_and_an_abort_leaves_it_at_the_nearest(
     rig: VirtualRig, device: Cornerstone260
 ) -> None:
-    say(device, b"FILTER 5\n", 200.0)
+    exchange(device, b"FILTER 5\n", 200.0)
     assert [rig.plant.filter_position(t) for t in (199.9, 200.4, 201.6, 203.4, 203.6, 300.0)] == [1, 1, 3, 4, 5, 5]
-    say(device, b"FILTER 1\n", 210.0)  # it answers only when it is there, unless it is aborted
+    exchange(device, b"FILTER 1\n", 210.0)  # it answers only when it is there, unless it is aborted
     device.receive(b"ABORT\nFILTER?\n", 211.7)
     assert device.outbox.pop()[1] == b"3\r\n"
     assert [rig.plant.filter_position(t) for t in (211.0, 211.7, 300.0)] == [4, 3, 3]
@@ -188,7 +188,7 @@ def test_a_filter_that_waited_behind_what_is_aborted_is_put_in_after_it(rig: Vir
     assert [rig.plant.filter_position(t) for t in (200.9, 202.0, 203.0)] == [1, 2, 3]
 
 
-def test_a_unit_without_a_filter_wheel_or_handshake_says_so(rig: VirtualRig) -> None:
+def test_a_unit_without_a_filter_wheel_or_handshake_reports_an_error(rig: VirtualRig) -> None:
     rig.plant.model = replace(rig.plant.model, monochromator=replace(rig.plant.model.monochromator, filters=0, handshake=False))
     device = Cornerstone260(rig.plant)
     lines(device, b"FILTER 2\n", 200.0)
@@ -199,7 +199,7 @@ def test_a_unit_without_a_filter_wheel_or_handshake_says_so(rig: VirtualRig) -> 
 
 def test_a_reset_forgets_what_is_volatile(rig: VirtualRig, device: Cornerstone260) -> None:
     for command in (b"GRAT1LABEL red\n", b"HANDSHAKE 1\n", b"UNITS WN\n", b"SHUTTER O\n"):
-        say(device, command, 200.0)
+        exchange(device, command, 200.0)
     device.reset(210.0)
     assert lines(device, b"UNITS?\n", 211.0) == [b"NM"]
     assert lines(device, b"GRAT1LABEL?\n", 212.0) == [b"red"]
@@ -207,7 +207,7 @@ def test_a_reset_forgets_what_is_volatile(rig: VirtualRig, device: Cornerstone26
 
 
 def test_a_line_ends_with_lf_and_cr_alone_ends_none(device: Cornerstone260) -> None:
-    assert [text for _, text in say(device, b"UNITS?\r", 200.0)] == [b"UNITS?\r"]  # the echo
+    assert [text for _, text in exchange(device, b"UNITS?\r", 200.0)] == [b"UNITS?\r"]  # the echo
     assert lines(device, b"\n", 201.0) == [b"NM"]
     assert lines(device, b"UNITS?\rWAVE?\n", 202.0) == []
     assert lines(device, b"ERROR?\r\n", 203.0) == [b"1"]
@@ -218,5 +218,5 @@ def test_the_longest_line_is_the_same_in_one_piece_and_byte_by_byte(device: Corn
     line = b"GOWAVE " + b"x" * (length - 7)
     for pieces in ([line + b"\r\n"], [bytes((byte,)) for byte in line + b"\r\n"]):
         for piece in pieces:
-            say(device, piece, 200.0)
+            exchange(device, piece, 200.0)
         assert lines(device, b"ERROR?\n", 201.0) == [error]

@@ -25,7 +25,7 @@ def line() -> RtuStation:
     return RtuStation(devices)
 
 
-def said(station: RtuStation | TcpStation) -> list[bytes]:
+def take_answers(station: RtuStation | TcpStation) -> list[bytes]:
     answers = [data for _, data in station.outbox]
     station.outbox.clear()
     return answers
@@ -40,7 +40,7 @@ def test_published_frames() -> None:
     assert rtu("02 07").hex() == "02074112"
     station = line()
     station.receive(NAME, 10.0)
-    assert said(station) == [NAME_ANSWER]
+    assert take_answers(station) == [NAME_ANSWER]
 
 
 @given(st.lists(st.integers(1, 7), max_size=7))
@@ -49,7 +49,7 @@ def test_any_split_of_an_rtu_frame_is_the_same_request(cuts: list[int]) -> None:
     edges = sorted({0, *cuts, len(NAME)})
     for start, end in pairwise(edges):
         station.receive(NAME[start:end], 10.0 + end * BYTE_S)
-    assert said(station) == [NAME_ANSWER]
+    assert take_answers(station) == [NAME_ANSWER]
 
 
 @given(st.lists(st.integers(1, 23), max_size=23))
@@ -59,25 +59,28 @@ def test_any_split_of_two_tcp_requests_is_the_same_two(cuts: list[int]) -> None:
     edges = sorted({0, *cuts, len(stream)})
     for start, end in pairwise(edges):
         station.receive(stream[start:end], 10.0)
-    assert said(station) == [bytes.fromhex("0001 0000 0007 01 03 04 6017 0000"), bytes.fromhex("0002 0000 0005 01 04 02 6017")]
+    assert take_answers(station) == [
+        bytes.fromhex("0001 0000 0007 01 03 04 6017 0000"),
+        bytes.fromhex("0002 0000 0005 01 04 02 6017"),
+    ]
 
 
 def test_half_a_frame_is_forgotten_after_a_gap_and_not_before() -> None:
     station = line()
     station.receive(NAME[:5], 10.0)
     station.receive(NAME, 10.0 + 4.0 * BYTE_S + len(NAME) * BYTE_S)
-    assert said(station) == [NAME_ANSWER]
+    assert take_answers(station) == [NAME_ANSWER]
     station.receive(NAME[:5], 20.0)
     station.receive(NAME, 20.0 + 3.0 * BYTE_S + len(NAME) * BYTE_S)
-    assert said(station) == []
+    assert take_answers(station) == []
 
 
 def test_a_wrong_checksum_is_silent_until_the_next_gap() -> None:
     station = line()
     station.receive(NAME[:-1] + b"\0" + NAME, 10.0)
-    assert said(station) == []
+    assert take_answers(station) == []
     station.receive(NAME, 11.0)
-    assert said(station) == [NAME_ANSWER]
+    assert take_answers(station) == [NAME_ANSWER]
 
 
 @pytest.mark.parametrize(("request_", "answer"), [
@@ -89,16 +92,16 @@ def test_a_wrong_checksum_is_silent_until_the_next_gap() -> None:
 def test_what_a_module_does_not_do_is_an_exception(request_: str, answer: str) -> None:
     station = line()
     station.receive(rtu(request_), 10.0)
-    assert said(station) == [rtu(answer)]
+    assert take_answers(station) == [rtu(answer)]
 
 
 def test_all_units_of_a_line_hear_a_broadcast_and_none_answers() -> None:
     station = line()
     station.receive(rtu("00 06 00C8 0148"), 10.0)
-    assert said(station) == []
+    assert take_answers(station) == []
     assert [device.inputs.ranges[0] for device in station.devices] == [0x0148, 0x0148]
     station.receive(rtu("03 03 0000 0001"), 11.0)
-    assert said(station) == []
+    assert take_answers(station) == []
 
 
 def test_a_silent_module_leaves_its_neighbours_alone() -> None:
@@ -106,7 +109,7 @@ def test_a_silent_module_leaves_its_neighbours_alone() -> None:
     station.devices[0].silent = True
     station.receive(NAME, 10.0)
     station.receive(rtu("02 03 00 D2 00 01"), 11.0)
-    assert said(station) == [rtu("02 03 02 41 17")]
+    assert take_answers(station) == [rtu("02 03 02 41 17")]
 
 
 @given(st.lists(st.binary(max_size=40), max_size=12))
@@ -115,15 +118,15 @@ def test_rubbish_is_survived_and_the_next_frame_after_a_gap_is_heard(chunks: lis
     for chunk in chunks:
         t += 0.003
         station.receive(chunk, t)
-    said(station)
+    take_answers(station)
     station.reset(t)
     station.receive(NAME, t + 1.0)
-    assert said(station) == [NAME_ANSWER]
+    assert take_answers(station) == [NAME_ANSWER]
 
 
 @given(st.binary(max_size=600))
 def test_a_tcp_station_takes_any_bytes_and_keeps_few(rubbish: bytes) -> None:
     station = TcpStation(Adam6017(PLANT, 0))
     station.receive(rubbish, 10.0)
-    assert all(len(data) <= 260 for data in said(station))
+    assert all(len(data) <= 260 for data in take_answers(station))
     assert len(station._buffer) <= 260

@@ -31,7 +31,7 @@ def ask(instrument: Pm100d, program: bytes, t: float = 10.0) -> bytes:
     return answer.rstrip(b"\n")
 
 
-def test_it_says_who_it_is_and_that_it_is_a_twin(instrument: Pm100d) -> None:
+def test_the_identification_names_the_model_and_the_twin(instrument: Pm100d) -> None:
     assert ask(instrument, b"*IDN?\n") == b"Thorlabs,PM100D,TWIN0001,2.8.0"
 
 
@@ -68,7 +68,7 @@ def test_errors_queue_up_and_are_read_once(instrument: Pm100d, program: bytes, c
     assert ask(instrument, b"SYST:ERR?\n") == b'+0,"No error"'
 
 
-def test_a_full_error_queue_says_so(instrument: Pm100d) -> None:
+def test_a_full_error_queue_reports_overflow(instrument: Pm100d) -> None:
     for _ in range(20):
         instrument.execute(b"NONSENSE\n", 10.0)
     errors = [ask(instrument, b"SYST:ERR?\n") for _ in range(11)]

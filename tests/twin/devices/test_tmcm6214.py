@@ -33,12 +33,12 @@ def value(module: TmclLine, command: Command, kind: int, number: int = 0, t: flo
     return reply.value
 
 
-def test_it_says_who_it_is(module: TmclLine) -> None:
+def test_the_module_identifies_itself(module: TmclLine) -> None:
     assert ask(module, bytes.fromhex("01 88 00 00 00 00 00 00 89"), 100.0) == b"\x026214V117"
     assert value(module, Command.FIRMWARE_VERSION, 1) == 6214 << 16 | 1 << 8 | 17
 
 
-def test_a_move_takes_its_ramp_and_says_when_it_has_arrived(module: TmclLine) -> None:
+def test_a_move_follows_its_ramp_and_reports_its_arrival(module: TmclLine) -> None:
     value(module, Command.SAP, AxisParameter.UNIT_MODE, 1)
     for parameter in (AxisParameter.MAX_VELOCITY, AxisParameter.MAX_ACCELERATION, AxisParameter.MAX_DECELERATION):
         value(module, Command.SAP, parameter, 10_000)
@@ -95,7 +95,7 @@ def test_what_it_does_not_know_it_refuses(module: TmclLine, request_: CommandFra
     assert reply == ReplyFrame(2, 1, status, request_.command, 0)
 
 
-def test_a_wrong_checksum_is_said(module: TmclLine) -> None:
+def test_a_wrong_checksum_is_reported(module: TmclLine) -> None:
     reply = ReplyFrame.decode(ask(module, bytes.fromhex("01 06 08 03 00 00 00 00 13"), 100.0))
     assert reply.status == ReplyStatus.WRONG_CHECKSUM
 

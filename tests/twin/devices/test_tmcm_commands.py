@@ -50,7 +50,7 @@ def test_a_factory_reset_is_silent_for_five_seconds_and_forgets_all() -> None:
     assert bench.refused(Command.FACTORY_RESET, 0, 1233, t=26.0, bank=0) == ReplyStatus.INVALID_VALUE
 
 
-def test_a_locked_eeprom_says_so() -> None:
+def test_a_locked_eeprom_reports_its_status() -> None:
     bench = Bench()
     bench.ask(Command.SGP, GlobalParameter.EEPROM_LOCK, 1234, bank=0)
     assert bench.refused(Command.STAP, AxisParameter.RUN_CURRENT) == ReplyStatus.EEPROM_LOCKED
@@ -136,7 +136,7 @@ def bus(wire: str = "rs485") -> TmclLine:
     return TmclLine(Plant(TwinModel(1, axes, {}, controller=controller, noise=False)))
 
 
-def said(line: TmclLine, request: CommandFrame, t: float) -> list[bytes]:
+def exchange(line: TmclLine, request: CommandFrame, t: float) -> list[bytes]:
     line.receive(request.encode(), t)
     found = [data for _, data in line.outbox]
     line.outbox.clear()
@@ -145,25 +145,25 @@ def said(line: TmclLine, request: CommandFrame, t: float) -> list[bytes]:
 
 def test_modules_on_a_bus_answer_to_their_own_addresses() -> None:
     line = bus()
-    (answer,) = said(line, CommandFrame(2, Command.FIRMWARE_VERSION, 1, 0), 1.0)
+    (answer,) = exchange(line, CommandFrame(2, Command.FIRMWARE_VERSION, 1, 0), 1.0)
     assert ReplyFrame.decode(answer) == ReplyFrame(2, 2, ReplyStatus.OK, Command.FIRMWARE_VERSION, 1240 << 16 | 1 << 8 | 45)
-    assert said(line, CommandFrame(2, Command.FIRMWARE_VERSION, 0, 0), 1.5) == [b"\x021240V145"]
-    assert said(line, CommandFrame(3, Command.FIRMWARE_VERSION, 1, 0), 2.0) == []
-    (answer,) = said(line, CommandFrame(7, Command.GAP, 1, 1), 3.0)
+    assert exchange(line, CommandFrame(2, Command.FIRMWARE_VERSION, 0, 0), 1.5) == [b"\x021240V145"]
+    assert exchange(line, CommandFrame(3, Command.FIRMWARE_VERSION, 1, 0), 2.0) == []
+    (answer,) = exchange(line, CommandFrame(7, Command.GAP, 1, 1), 3.0)
     assert ReplyFrame.decode(answer).status == ReplyStatus.INVALID_VALUE  # it has one motor
 
 
-def test_when_all_are_called_nobody_can_be_understood() -> None:
-    (answer,) = said(bus(), CommandFrame(0, Command.FIRMWARE_VERSION, 1, 0), 1.0)
-    each = [said(bus(), CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0), 1.0) for address in (1, 2, 7)]
+def test_answers_to_a_broadcast_collide() -> None:
+    (answer,) = exchange(bus(), CommandFrame(0, Command.FIRMWARE_VERSION, 1, 0), 1.0)
+    each = [exchange(bus(), CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0), 1.0) for address in (1, 2, 7)]
     assert [answer] not in each
 
 
 def test_a_module_on_a_bus_can_be_given_another_address() -> None:
     line = bus()
-    said(line, CommandFrame(2, Command.SGP, GlobalParameter.ADDRESS, 0, 5), 1.0)
-    assert said(line, CommandFrame(2, Command.GAP, 1, 0), 2.0) == []
-    assert len(said(line, CommandFrame(5, Command.GAP, 1, 0), 3.0)) == 1
+    exchange(line, CommandFrame(2, Command.SGP, GlobalParameter.ADDRESS, 0, 5), 1.0)
+    assert exchange(line, CommandFrame(2, Command.GAP, 1, 0), 2.0) == []
+    assert len(exchange(line, CommandFrame(5, Command.GAP, 1, 0), 3.0)) == 1
 
 
 def test_over_usb_any_address_is_answered() -> None:
@@ -172,7 +172,7 @@ def test_over_usb_any_address_is_answered() -> None:
         assert bench.reply(CommandFrame(address, Command.GAP, 1, 4), 1.0).address == 1
 
 
-def test_a_wire_that_names_a_motor_that_is_not_there_is_refused() -> None:
+def test_a_wire_with_an_unknown_motor_is_refused() -> None:
     with pytest.raises(ValueError, match="motor 4 of module 1"):
         Bench(AxisController(kind="tmcm-1240"))
 

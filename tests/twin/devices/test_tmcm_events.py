@@ -1,4 +1,4 @@
-"""Command 138: the one frame that a module sends unasked, when the motors are where they were sent."""
+"""Command 138: the only unsolicited frame of a module, sent when the motors are at their targets."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.twin.devices.tmcl_bench import Bench
 
 
-def test_arrival_is_told_to_who_has_asked_for_it() -> None:
+def test_arrival_is_reported_on_request() -> None:
     bench = Bench()
     request = CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4)
     first, second = (ReplyFrame.decode(data) for data in bench.frames(request, 0.5))
@@ -23,8 +23,8 @@ def test_arrival_is_told_to_who_has_asked_for_it() -> None:
     assert [ReplyFrame.decode(data).command for _, data in bench.line.outbox] == [Command.MVP, Command.MST]
 
 
-def test_arrival_is_told_once() -> None:
-    """One request, one frame: neither questions nor another target bring a second one."""
+def test_arrival_is_reported_once() -> None:
+    """One request, one frame: neither queries nor another target cause a second one."""
     bench = Bench()
     bench.line.receive(CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 0.5)
     bench.line.outbox.clear()
@@ -33,20 +33,20 @@ def test_arrival_is_told_once() -> None:
     assert bench.get(AxisParameter.POSITION_REACHED, 9.0) == 1
 
 
-def test_before_arrival_questions_do_not_use_the_request_up() -> None:
+def test_queries_before_arrival_do_not_consume_the_request() -> None:
     bench = Bench()
     bench.go(20_000, 0.9)
     bench.line.receive(CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 1.0)
     for k in range(3):
         bench.line.receive(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4, 0).encode(), 1.5 + 0.1 * k)
-    told = [when for when, data in bench.line.outbox if ReplyFrame.decode(data).status == ReplyStatus.TARGET_REACHED]
-    assert told == [pytest.approx(3.9)]
+    times = [when for when, data in bench.line.outbox if ReplyFrame.decode(data).status == ReplyStatus.TARGET_REACHED]
+    assert times == [pytest.approx(3.9)]
 
 
-def test_questions_without_a_pause_do_not_put_it_off() -> None:
+def test_continuous_queries_do_not_delay_the_report() -> None:
     bench = Bench()
     bench.line.receive(CommandFrame(1, Command.REQUEST_TARGET_REACHED, 0, 0, 1 << 4).encode(), 0.5)
     for k in range(20):
         bench.line.receive(CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 4, 0).encode(), 0.501 + 1e-3 * k)
-    told = [when for when, data in bench.line.outbox if ReplyFrame.decode(data).status == ReplyStatus.TARGET_REACHED]
-    assert told == [pytest.approx(0.502)]
+    times = [when for when, data in bench.line.outbox if ReplyFrame.decode(data).status == ReplyStatus.TARGET_REACHED]
+    assert times == [pytest.approx(0.502)]

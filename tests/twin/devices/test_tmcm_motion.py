@@ -1,4 +1,4 @@
-"""What the virtual motion module's axes do: switches, searches, stalls, encoders, heartbeats."""
+"""Axes of the virtual motion module: switches, reference searches, stalls, encoders, heartbeats."""
 
 import pytest
 
@@ -128,8 +128,8 @@ def test_an_inverted_home_switch_is_found_by_its_mode() -> None:
     assert bench.angle(1000.0) == pytest.approx(1.0, abs=2.0 / PER_DEG)
 
 
-def test_the_light_sees_a_search_that_nobody_asks_about() -> None:
-    """The axis moves by itself, phase after phase, though no byte comes: other devices share the plant."""
+def test_a_search_moves_the_plant_without_queries() -> None:
+    """The axis passes through the phases of the search without any request: other devices share the plant."""
     bench = searching(SearchMode.LEFT, **ENDS)
     bench.search(SearchCommand.START, 1.0)
     assert bench.angle(1.5) < 0.0
@@ -142,7 +142,7 @@ def test_a_search_without_a_switch_goes_on_until_it_is_stopped() -> None:
     assert bench.search(SearchCommand.STATUS, 1000.0) != 0
     assert bench.get(AxisParameter.ACTUAL_VELOCITY, 1000.0) == -10_000
     bench.search(SearchCommand.STOP, 1000.0)
-    assert bench.search(SearchCommand.STATUS, 1000.01) == 15  # as real modules say for a moment
+    assert bench.search(SearchCommand.STATUS, 1000.01) == 15  # real modules return this for a moment
     assert bench.search(SearchCommand.STATUS, 1002.0) == 0
     assert bench.get(AxisParameter.ACTUAL_VELOCITY, 1002.0) == 0
 
@@ -201,7 +201,7 @@ def test_a_deviation_of_the_encoder_stops_the_motor() -> None:
     assert bench.get(AxisParameter.POSITION_REACHED, 10.0) == 0
 
 
-def test_an_eccentric_encoder_says_so() -> None:
+def test_an_eccentric_encoder_shows_its_error() -> None:
     bench = Bench(encoder_error_deg=0.1)
     bench.go(90 * PER_DEG, 1.0)
     assert bench.get(AxisParameter.ENCODER_POSITION, 1000.0) == pytest.approx(90.1 * PER_DEG, abs=1)
@@ -212,7 +212,7 @@ def test_a_coarse_encoder_counts_in_whole_counts() -> None:
     bench.set(AxisParameter.ENCODER_RESOLUTION, 4_000, 0.0)
     bench.go(100, 1.0)
     assert bench.get(AxisParameter.ENCODER_POSITION, 100.0) == round(12.8 * 8)
-    bench.set(AxisParameter.ENCODER_RESOLUTION, 8_000, 101.0)  # who believes in twice as many sees half the way
+    bench.set(AxisParameter.ENCODER_RESOLUTION, 8_000, 101.0)  # twice the true resolution halves the reading
     assert bench.get(AxisParameter.ENCODER_POSITION, 102.0) == round(12.8 * 8 / 2)
 
 
@@ -235,7 +235,7 @@ def test_silence_longer_than_the_heartbeat_stops_the_motors() -> None:
     bench.heartbeat(500, 1.0)
     bench.go(10 * TURN, 1.0)
     assert bench.get(AxisParameter.ACTUAL_VELOCITY, 1.5) == 5_000
-    rest = bench.angle(100.0)  # nobody has asked: the light sees it rest all the same
+    rest = bench.angle(100.0)  # without any query the axis still comes to rest in the plant
     # Until 2.0 s 5000 microsteps at 10000 pps/s, and as many to brake.
     assert rest == pytest.approx(10_000 / PER_DEG)
     assert bench.get(AxisParameter.ACTUAL_POSITION, 100.0) == 10_000
@@ -253,7 +253,7 @@ def test_traffic_keeps_the_motors_turning() -> None:
     assert bench.angle(9.2) == pytest.approx(10.0)
 
 
-def test_a_counter_set_in_the_middle_of_a_ramp_leads_the_axis_astray() -> None:
+def test_a_counter_set_in_the_middle_of_a_ramp_shifts_the_target() -> None:
     """As a TMCM-3214 does: stop first."""
     bench = Bench()
     bench.go(20_000, 1.0)

@@ -16,7 +16,7 @@ MOTOR = 4
 
 
 class Wire(TmclInterface):  # type: ignore[misc]
-    """PyTrinamic's connection, whose other end is a twin device; `t` is what the clock says."""
+    """PyTrinamic's connection to a twin device; `t` is the time of the clock."""
 
     def __init__(self, line: TmclLine) -> None:
         super().__init__()
@@ -47,7 +47,7 @@ def wire(bench: Bench) -> Wire:
     return Wire(bench.line)
 
 
-def test_it_says_who_it_is(wire: Wire) -> None:
+def test_the_module_identifies_itself(wire: Wire) -> None:
     assert wire.get_version_string() == "6214V117"
     with pytest.raises(GetInfoNotAvailableError):
         wire.get_info("FWModuleID")

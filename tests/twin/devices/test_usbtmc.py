@@ -36,7 +36,7 @@ def errors(device: UsbTmcDevice) -> list[bytes]:
         request_in(1, 0),
         Header(MsgId.DEV_DEP_MSG_OUT, 1, 4, end=True, term_char=10).encode() + b"*CLS",  # a bit that OUT does not have
         message(OUT, 1, b"*IDN?")[:-3],  # not filled up
-        message(OUT, 1, b"*IDN?") + bytes(4),  # more than it says
+        message(OUT, 1, b"*IDN?") + bytes(4),  # more bytes than the header states
         message(OUT, 1, b"*IDN?")[:8],
         Header(MsgId.TRIGGER, 1, 5, end=False).encode(),
         Header(MsgId.VENDOR_OUT, 1, 0, end=False).encode(),
@@ -164,7 +164,7 @@ def test_a_status_byte_comes_over_the_interrupt_endpoint(device: UsbTmcDevice) -
     assert device.control_in(ClassRequest.READ_STATUS_BYTE, 1, 10.0)[0] == RequestStatus.FAILED  # 2 to 127 are tags
 
 
-def test_a_service_request_says_why_once(device: UsbTmcDevice) -> None:
+def test_a_service_request_gives_its_reason_once(device: UsbTmcDevice) -> None:
     device.bulk_out(message(OUT, 1, b"*CLS;*ESE 32;*SRE 36\n"), 10.0)
     assert device.interrupt_in_ready() is None
     device.bulk_out(message(OUT, 2, b"NONSENSE\n"), 11.0)

@@ -27,7 +27,7 @@ def client(opened: RigOpener, clock: VirtualClock) -> TwinModbusClient:
     return TwinModbusClient("twin://virtual/adc-0")
 
 
-def test_the_module_says_who_it_is(client: TwinModbusClient) -> None:
+def test_the_module_identifies_itself(client: TwinModbusClient) -> None:
     assert client.read_holding_registers(adam.MODULE_NAME, count=2).registers == [0x6017, 0x0000]
     assert client.read_input_registers(adam.MODULE_NAME, count=1).registers == [0x6017]
 

@@ -71,7 +71,7 @@ def test_an_event_on_the_way_happens_at_its_time(port: serial.Serial, clock: Vir
     assert seen == [pytest.approx(start + 0.03)]
 
 
-@pytest.mark.parametrize("address", ["twin://virtual/nothing", "twin://nobody/axes", "twin://virtual/adc-0"])
+@pytest.mark.parametrize("address", ["twin://virtual/nothing", "twin://unknown/axes", "twin://virtual/adc-0"])
 def test_an_address_without_a_device_cannot_be_opened(opened: RigOpener, address: str) -> None:
     opened()
     with pytest.raises(serial.SerialException):

@@ -1,4 +1,4 @@
-"""Whether two estimates of the same values agree within their errors."""
+"""Agreement of two estimates of the same values within their errors."""
 
 import math
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def agree(first: Any, first_error: Any, second: Any, second_error: Any) -> None:
-    """Chi-square of difference over error within its quantiles of 0.0005 and 0.9995, the largest below 5.5."""
+    """Check chi-square of difference over error within its quantiles of 0.0005 and 0.9995, and the largest below 5.5."""
     error = np.hypot(first_error, second_error)
     known = error > 0.0
     assert np.array_equal(np.asarray(first)[~known], np.asarray(second)[~known])

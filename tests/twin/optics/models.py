@@ -1,4 +1,4 @@
-"""Samples of every kind, for the tests that hold for all of them."""
+"""Samples of every kind, for tests of common properties."""
 
 import math
 
@@ -34,7 +34,7 @@ BRUSHED = table_sample(
 
 
 def points(incidences: list[float], step_deg: float = 4.0) -> Floats:
-    """sigma, zenith, azimuth, deg (n, 3), of about evenly spread directions of the hemisphere (a spiral)."""
+    """sigma, zenith, azimuth, deg (n, 3), of evenly spread directions of the hemisphere (a spiral)."""
     count = round(2.0 * math.pi / math.radians(step_deg) ** 2)
     zenith = np.degrees(np.arccos(1.0 - (np.arange(count) + 0.5) / count))
     azimuth = (np.arange(count) * 137.50776405003785) % 360.0
@@ -61,12 +61,12 @@ COMBINED = [
 MODELS = [*SINGLE, *COMBINED]
 
 
-def named(scatterer: Scatterer) -> str:
-    """A model's name, for pytest."""
+def model_name(scatterer: Scatterer) -> str:
+    """Name of a model, for pytest."""
     return scatterer.name
 
 
-def flipped(vectors: Floats, incident: int, transmits: bool) -> Floats:
-    """Observers' directions as a lobe lit from the front that reflects would have them (optics.md, section 2)."""
+def canonical_directions(vectors: Floats, incident: int, transmits: bool) -> Floats:
+    """Observers' directions as seen by a reflecting lobe lit from the front (optics.md, section 2)."""
     turned = vectors * [1.0, incident, incident]
     return turned * [1.0, 1.0, -1.0] if transmits else turned

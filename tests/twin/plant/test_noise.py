@@ -1,15 +1,16 @@
-"""Randomness by counting."""
+"""Counter-based random numbers."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from goniotwin.arrays import Floats
 from goniotwin.twin.plant.noise import normal, process_key, wandering
 
 COUNT = 20_000
 
 
-def _numbers(seed: int, process: str) -> np.ndarray:
+def _numbers(seed: int, process: str) -> Floats:
     key = process_key(seed, process)
     return np.array([normal(key, np.int64(k)) for k in range(COUNT)])
 
@@ -24,7 +25,7 @@ def test_numbers_are_standard_normal() -> None:
     assert np.abs(numbers).max() < 6.0
 
 
-def test_neighbours_seeds_and_processes_are_independent() -> None:
+def test_consecutive_numbers_seeds_and_processes_are_uncorrelated() -> None:
     one, other_process, other_seed = _numbers(1, "lamp"), _numbers(1, "dark 0"), _numbers(2, "lamp")
     limit = 4.0 / np.sqrt(COUNT)
     assert abs(np.mean(one[1:] * one[:-1])) < limit
@@ -33,12 +34,12 @@ def test_neighbours_seeds_and_processes_are_independent() -> None:
 
 
 @given(st.integers(0, 2**31), st.integers(-(2**40), 2**40))
-def test_a_number_depends_on_seed_process_and_count_alone(seed: int, count: int) -> None:
+def test_a_number_depends_on_seed_process_and_counter_alone(seed: int, count: int) -> None:
     key = process_key(seed, "monitor")
     assert normal(key, np.int64(count)) == normal(process_key(seed, "monitor"), np.int64(count))
 
 
-def test_a_wandering_process_has_no_jumps() -> None:
+def test_a_slow_process_has_no_jumps() -> None:
     key = process_key(3, "wander")
     times = np.linspace(0.0, 100.0, 10_001)
     values = np.array([wandering(key, float(t), 10.0) for t in times])

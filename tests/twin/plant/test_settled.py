@@ -1,4 +1,4 @@
-"""What has settled is not computed again for each reading; and nothing that is changed, however, is overlooked by that."""
+"""A settled light is not computed again for each reading; every change is taken into account all the same."""
 
 from dataclasses import replace
 
@@ -10,24 +10,25 @@ from hypothesis import strategies as st
 from goniotwin.app.rig import read_rig
 from goniotwin.twin import TwinModel
 from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
+from goniotwin.twin.plant.history import History
 from goniotwin.twin.plant.motion import ramp_to_target
 from goniotwin.twin.plant.shaft import Heartbeat
-from goniotwin.twin.plant.timeline import History
 from tests.conftest import RIG
 
 STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
-"""Between two questions, s: several within a conversion, and long enough for everything to be at rest."""
+"""Time between two readings, s: several within a conversion, and long enough for everything to come to rest."""
 
 
 @pytest.fixture(scope="module")
 def model() -> TwinModel:
-    made = read_rig(RIG).model()
-    assert made is not None
-    return replace(made, order_sorting=OrderSorting(0.3, (WheelFilter(2, 520.0), WheelFilter(3, 350.0, 0.7))))
+    """The example rig with second order and filters."""
+    result = read_rig(RIG).model()
+    assert result is not None
+    return replace(result, order_sorting=OrderSorting(0.3, (WheelFilter(2, 520.0), WheelFilter(3, 350.0, 0.7))))
 
 
 def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
-    """Changes something, or nothing; now and then in the past, as a module does whose host has been silent."""
+    """Change something, or nothing; sometimes in the past, as a module does whose host has been silent."""
     match kind:
         case 0:
             plant.gain[choice % plant.modules].set(t, choice % 4)
@@ -41,10 +42,10 @@ def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
             plant.tilt_sample((0.0, 0.05)[choice % 2], t)
         case 5:
             shaft = list(plant.shafts.values())[choice % 4]
-            begun = t - (0.0, 0.4)[choice % 2]
-            here = shaft.drive(begun).counter(begun)
-            way = ramp_to_target(begun, here, 0.0, here + 40.0 * (choice - 500), 3e4, 6e4, 6e4)
-            shaft.follow(begun, way, 6e4, Heartbeat(t + (0.1, 60.0)[choice % 2]))
+            start = t - (0.0, 0.4)[choice % 2]
+            counter = shaft.drive(start).counter(start)
+            trajectory = ramp_to_target(start, counter, 0.0, counter + 40.0 * (choice - 500), 3e4, 6e4, 6e4)
+            shaft.follow(start, trajectory, 6e4, Heartbeat(t + (0.1, 60.0)[choice % 2]))
         case 6:
             plant.fade(choice % 36, 0.9)
         case 7:
@@ -55,23 +56,21 @@ def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
 @given(
     st.lists(st.tuples(st.sampled_from(STEPS), st.integers(0, 9), st.integers(0, 1000)), min_size=20, max_size=60),
 )
-def test_every_reading_is_that_of_a_plant_that_remembers_nothing(
-    model: TwinModel, history: list[tuple[float, int, int]]
-) -> None:
-    kept, fresh, t = Plant(model), Plant(model), 3.0
-    for plant in (kept, fresh):
+def test_every_reading_equals_that_of_a_plant_without_a_cache(model: TwinModel, history: list[tuple[float, int, int]]) -> None:
+    cached, fresh, t = Plant(model), Plant(model), 3.0
+    for plant in (cached, fresh):
         plant.mount("etalon", 0.0)
         plant.shutter_open.set(0.0, True)
     for step, kind, choice in history:
         t += step
-        for plant in (kept, fresh):
+        for plant in (cached, fresh):
             disturb(plant, t, kind, choice)
-        fresh._lit = ((), np.zeros(0))
-        module = choice % kept.modules
-        np.testing.assert_array_equal(kept.volts(module, t), fresh.volts(module, t))
+        fresh._settled_currents = ((), np.zeros(0))
+        module = choice % cached.modules
+        np.testing.assert_array_equal(cached.volts(module, t), fresh.volts(module, t))
 
 
-def test_a_heartbeat_that_runs_out_after_a_reading_shows_in_the_next(model: TwinModel) -> None:
+def test_a_heartbeat_that_expires_after_a_reading_changes_the_next(model: TwinModel) -> None:
     plant = Plant(replace(model, noise=False))
     plant.mount("gaussian-5", 0.0)
     plant.shutter_open.set(0.0, True)
@@ -86,7 +85,7 @@ def test_a_heartbeat_that_runs_out_after_a_reading_shows_in_the_next(model: Twin
     np.testing.assert_allclose(plant.volts(0, 30.0), before, atol=1e-6)  # the lamp drifts
 
 
-def test_since_when_a_value_holds() -> None:
+def test_a_history_has_the_start_time_of_each_value() -> None:
     line = History("a", keep=2)
     assert line.held_since(0.0) == float("-inf")
     line.set(1.0, "b")

@@ -1,9 +1,9 @@
-"""A quantity that passes from one value to another."""
+"""Quantity that changes linearly from one value to another."""
 
-from goniotwin.twin.plant.timeline import SlewHistory
+from goniotwin.twin.plant.history import SlewHistory
 
 
-def test_it_passes_linearly_and_stops_where_it_is_told_to() -> None:
+def test_a_slew_is_linear_and_can_be_stopped() -> None:
     line = SlewHistory(500.0)
     assert line.last_change == float("-inf")
     line.slew(10.0, 12.0, 600.0)

@@ -1,4 +1,4 @@
-"""A virtual rig's first light: what is compiled for it is compiled before, and nothing else is done."""
+"""Warm-up of a virtual rig: kernels are compiled before the first reading, and nothing else is changed."""
 
 import os
 import subprocess
@@ -39,26 +39,26 @@ print(stopwatch.now(), sum(map(bool, compiled)), compiled == [each.signatures fo
 
 @pytest.fixture
 def model() -> TwinModel:
-    found = read_rig(RIG).model()
-    assert found is not None
-    return found
+    result = read_rig(RIG).model()
+    assert result is not None
+    return result
 
 
-def test_on_a_real_clock_the_light_of_each_sample_has_been_computed(model: TwinModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rig_on_a_real_clock_has_computed_the_light_of_each_sample(model: TwinModel, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
-    def recorded(instrument: object, sigma: object, directions: object, scatterer: object, **how: object) -> object:
+    def record(instrument: object, sigma: object, directions: object, scatterer: object, **how: object) -> object:
         seen.append(scatterer)
         return throughput(instrument, sigma, directions, scatterer, **how)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("goniotwin.twin.plant.view.throughput", recorded)
+    monkeypatch.setattr("goniotwin.twin.plant.view.throughput", record)
     VirtualRig.build(model, VirtualClock())
     assert seen == []
     VirtualRig.build(model, RealClock())
     assert seen == [*model.samples.values(), OPEN_BEAM]
 
 
-def test_nothing_is_changed_by_it(model: TwinModel) -> None:
+def test_a_warm_up_does_not_change_any_reading(model: TwinModel) -> None:
     plants = Plant(model), Plant(model)
     plants[0].warm_up()
     for plant in plants:
@@ -71,7 +71,7 @@ def test_nothing_is_changed_by_it(model: TwinModel) -> None:
 
 
 def first_light(**environment: str) -> list[str]:
-    """How long it takes after the warm-up, how many kernels there are by then, and whether they are all that it needs."""
+    """Time of the first reading after the warm-up, number of compiled kernels, and whether these are all that it needs."""
     done = subprocess.run(
         [sys.executable, "-c", FIRST_LIGHT, str(RIG)],
         env={**os.environ, **environment},
@@ -83,10 +83,10 @@ def first_light(**environment: str) -> list[str]:
     return done.stdout.split()
 
 
-def test_the_first_light_needs_no_kernel_that_the_warm_up_has_not_compiled() -> None:
-    _, count, all_there = first_light()
+def test_the_warm_up_compiles_all_kernels_of_the_first_reading() -> None:
+    _, count, complete = first_light()
     assert int(count) > 10
-    assert all_there == "True"
+    assert complete == "True"
 
 
 @pytest.mark.long

@@ -1,7 +1,7 @@
-"""What a table's directions are drawn from: its shape in cells of theta and phi, one list for each psi and sigma.
+"""Drawing of directions from a table: cells of theta and phi, one list for each psi and sigma.
 
-A cell lies between neighbouring angles of the table's lists, and theta's first and last cell reach to 0 and 180 deg,
-for a table's ends hold outside of it. Within a cell all directions are equally likely.
+A cell lies between neighbouring angles of the table's lists. Theta's first and last cell extend to 0 and 180 deg, because a
+table's end values hold beyond its ends. Within a cell all directions are equally likely.
 """
 
 import math
@@ -13,7 +13,7 @@ from goniotwin.twin.optics.bsdf.tables import azimuth_place, find_interval, phi_
 from goniotwin.twin.optics.geometry.coordinates import from_specular
 from goniotwin.twin.optics.kernel import kernel
 
-# Points a side of a cell, for the mean of what it scatters.
+# Points per side of a cell, for the mean of its scattered light.
 FINE = 4
 
 
@@ -27,7 +27,7 @@ def theta_cells(th: Floats) -> tuple[int, int]:
 
 @kernel(forceinline=True)
 def _height(th: Floats, lead: int, edge: int) -> float:
-    """sin^2(theta / 2) at an edge of the cells: it grows as the solid angle does."""
+    """sin^2(theta / 2) at an edge of the cells: proportional to the solid angle."""
     if edge < lead:
         return 0.0
     if edge - lead >= th.size:
@@ -37,7 +37,7 @@ def _height(th: Floats, lead: int, edge: int) -> float:
 
 @kernel(forceinline=True)
 def _phi_edges(ph: Floats, j: int) -> tuple[float, float]:
-    """Both ends of cell j over phi, deg; a single phi stands for the whole turn."""
+    """Both ends of cell j over phi, deg; a single phi covers the whole turn."""
     if ph.size == 1:
         return 0.0, 360.0
     return ph[j], ph[j + 1]
@@ -53,7 +53,7 @@ def _cell_density(ph: Floats, th: Floats, shares: Floats, n: int, m: int, theta:
     k = min(k, count - 1)
     j = find_interval(ph, phi)[0]
     start, end = _phi_edges(ph, j)
-    # Of a list over 180 deg a cell lies on both sides of the plane of incidence.
+    # In a list over 180 deg a cell lies on both sides of the plane of incidence.
     sides = 2.0 if ph.size > 1 and ph[ph.size - 1] <= 180.0 else 1.0
     area = 2.0 * sides * math.radians(end - start) * (_height(th, lead, k + 1) - _height(th, lead, k))
     cell = j * count + k
@@ -66,7 +66,7 @@ def cell_density(
     params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """Density in 1/sr of what `cell_direction` draws: linear between the lists of the sigma and psi round the light's."""
+    """Density in 1/sr of `cell_direction`: linear between the lists of the neighbouring sigma and psi."""
     sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
     n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
     phi = phi_in_list(ph, sign * phi)
@@ -86,7 +86,7 @@ def cell_direction(
     params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """A direction for three uniform numbers in [0, 1): `choice` takes the list, u the cell and theta in it, v phi."""
+    """Direction from three uniform numbers in [0, 1): `choice` selects the list, u the cell and theta in it, v phi."""
     sine, ux, uy = plane_of_incidence(lx, ly)
     n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
     m, a = find_interval(sig, math.degrees(math.atan2(sine, lz)))
@@ -121,7 +121,7 @@ def cell_direction(
 def cell_shares(sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, values: Floats) -> Floats:
     """Cumulative shares (psi, sigma, cells) of the light that each cell scatters, for values (psi, sigma, phi, theta).
 
-    Cells run over theta first, then phi. A list that scatters nothing is drawn by solid angle.
+    Cells are ordered by theta first, then phi. A list that scatters nothing is drawn by solid angle.
     """
     edges = np.unique(np.concatenate([[0.0], theta_deg, [180.0]]))
     turns = phi_deg if phi_deg.size > 1 else np.array([0.0, 360.0])
@@ -144,7 +144,7 @@ def cell_shares(sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, values: F
 
 
 def _bilinear(phi_deg: Floats, theta_deg: Floats, values: Floats, phi: Floats, theta: Floats) -> Floats:
-    """Values (phi, theta) at every pair of new angles, the ends held."""
+    """Values (phi, theta) at every pair of new angles; end values hold beyond the ends."""
     over_theta = np.array([np.interp(theta, theta_deg, row) for row in values])
     if phi_deg.size == 1:
         return np.broadcast_to(over_theta, (phi.size, theta.size))

@@ -1,4 +1,4 @@
-"""A lobe: one scattering model for one pair of sides of the sample, as the kernels take it."""
+"""Lobe: one scattering model for one pair of sides of the sample, as an argument of the kernels."""
 
 import math
 from dataclasses import dataclass, field
@@ -22,14 +22,14 @@ ALBEDO_SIGMA_DEG = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
 
 
 def freeze(values: npt.ArrayLike) -> Floats:
-    """A copy that nobody can change: kernels are compiled for such arrays, and lobes share them."""
+    """Read-only copy: kernels are compiled for such arrays, and lobes share them."""
     result = np.array(values, dtype=np.float64, order="C")
     result.flags.writeable = False
     return result
 
 
 def parameters(*values: float) -> Floats:
-    """The eight parameters of a lobe, filled up with zeros."""
+    """The eight parameters of a lobe, padded with zeros."""
     return freeze([*values, *[0.0] * (8 - len(values))])
 
 
@@ -37,9 +37,9 @@ def parameters(*values: float) -> Floats:
 class Lobe:
     """One model (see twin.optics.bsdf.models for `kind` and the eight `params`) from one side of the sample to one side.
 
-    `incident` is 1 for light that comes from the front and -1 for light from the back; `transmits` says whether the
-    light goes through. A table's `values` have the shape (psi, sigma, phi, theta) in 1/sr, its axes are in degrees and
-    in canonical directions; a REGULAR lobe's have (1, sigma, 1, 1). Models without a table have one of one zero.
+    `incident` is 1 for light from the front and -1 for light from the back. `transmits`: the light passes through the sample. A
+    table's `values` have the shape (psi, sigma, phi, theta) in 1/sr; its axes are in degrees and in canonical directions. The
+    values of a REGULAR lobe have the shape (1, sigma, 1, 1). Models without a table have a table of one zero.
     """
 
     kind: int
@@ -54,7 +54,7 @@ class Lobe:
 
     @cached_property
     def kernel_arguments(self) -> KernelArguments:
-        """What `bsdf` takes: kind, params, sigma, phi, theta, psi, and the values with their slopes over sigma."""
+        """Arguments of `bsdf`: kind, params, sigma, phi, theta, psi, and the values with their slopes over sigma."""
         table = np.empty((2 * self.values.shape[0], *self.values.shape[1:]))
         for n, block in enumerate(self.values):
             table[2 * n], table[2 * n + 1] = block, slopes(self.sigma_deg, block)
@@ -62,20 +62,20 @@ class Lobe:
 
     @cached_property
     def cells(self) -> Floats:
-        """What `sample` and `density` take in place of the table: see `cell_shares`; one zero for models without one."""
+        """Argument of `sample` and `density` in place of the table: see `cell_shares`; one zero for models without a table."""
         if self.kind not in (TABLE, ANISOTROPIC):
             return freeze([[[0.0]]])
         return freeze(cell_shares(self.sigma_deg, self.phi_deg, self.theta_deg, self.values))
 
     @cached_property
     def albedos(self) -> Floats:
-        """Albedos at ALBEDO_SIGMA_DEG, the plane of incidence along x."""
+        """Albedos at ALBEDO_SIGMA_DEG, with the plane of incidence along x."""
         return freeze([self.albedo(sigma) for sigma in ALBEDO_SIGMA_DEG])
 
     def albedo(self, sigma_deg: float, azimuth_deg: float = 0.0) -> float:
         """Share of the light at canonical sigma (0 to < 90) and azimuth that the lobe scatters, by quadrature.
 
-        Gauss-Legendre over theta between the breaks of the model and up to the horizon of each phi, the mean over phi.
+        Gauss-Legendre over theta between the breaks of the model and up to the horizon of each phi; mean over phi.
         """
         light = light_direction(sigma_deg)
         if self.kind == REGULAR:
@@ -101,7 +101,7 @@ class Lobe:
         return float(total * 2.0 * math.pi / phi.size)
 
     def _breaks(self) -> Floats:
-        """Angles in rad between which the lobe is smooth enough for one panel over theta."""
+        """Angles in rad; between two of them the lobe is smooth enough for one panel over theta."""
         if self.kind == GAUSSIAN:
             return lobe_breaks(self.params[1])
         if self.kind in (TABLE, ANISOTROPIC):
@@ -119,8 +119,8 @@ def rotate_about_z(angle_deg: float, vectors: Floats) -> Floats:
 def slopes(sigma_deg: Floats, values: Floats) -> Floats:
     """Slopes over sigma, the first axis, of the monotone cubic through the values (Fritsch, Carlson 1980).
 
-    None at the held ends. A measured table has few incidences. A kink at each, averaged over the beam's divergence,
-    would be no property of the sample but a bias of the twin just where such a table is exact.
+    Zero at the ends. A measured table has few incidences. A kink at each, averaged over the beam's divergence, would not be a
+    property of the sample but a bias of the twin at the very incidences where such a table is exact.
     """
     result = np.zeros_like(values)
     if sigma_deg.size < 3:
@@ -145,7 +145,7 @@ def panels(breaks: Floats) -> tuple[Floats, Floats]:
 
 
 def lobe_breaks(exponent: float) -> Floats:
-    """Angles in rad between which a Gaussian is smooth enough for one panel, out to where it is below 1e-21."""
+    """Angles in rad, out to where the Gaussian is below 1e-21; between two of them it is smooth enough for one panel."""
     widths = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0])
     return np.append(np.minimum(widths / math.sqrt(exponent), math.pi), math.pi)
 

@@ -1,19 +1,19 @@
-"""The scattering models as kernels: the value of one lobe for one pair of directions.
+"""Scattering models as kernels: value of one lobe for one pair of directions.
 
-A lobe is a code, eight parameters and a table (arrays of one element where there is none), so that every lobe has the
-same types and each kernel is compiled once. Vectors are unit vectors from the sample: l towards the light, d towards
-the observer, z the sample's normal. The models know one pair of sides only: light in front, observer in front.
-`to_canonical` makes that of any other pair. Where a direction still is not in front (z <= 0) the value is zero.
+A lobe is a code, eight parameters and a table (arrays of one element where there is none), so that every lobe has the same
+types and each kernel is compiled once. Vectors are unit vectors from the sample: l towards the light, d towards the observer, z
+the sample's normal. The models are defined for one pair of sides: light in front, observer in front. `to_canonical` maps any
+other pair to it. Where a direction then still is not in front (z <= 0) the value is zero.
 
 - LAMBERTIAN: params[0] is the value in 1/sr.
-- GAUSSIAN: params[0] is the peak in 1/sr, params[1] the factor of theta^2 in the exponent (1/rad^2), params[2] is 1
-  where the Gaussian is the intensity, so that its value is divided by the cosine of d, params[3] the share of a lobe
-  cut at 180 deg, params[4] the ratio of refractive indices that bends the lobe's axis (1: it does not).
+- GAUSSIAN: params[0] is the peak in 1/sr, params[1] the factor of theta^2 in the exponent (1/rad^2), params[2] is 1 where the
+  Gaussian is the intensity, so that its value is divided by the cosine of d, params[3] the share of a lobe cut at 180 deg,
+  params[4] the ratio of refractive indices that bends the lobe's axis (1: none).
 - TABLE: see twin.optics.bsdf.tables.
-- ANISOTROPIC: a table with psi, the light's azimuth in the sample's own frame; params[0] is the period of psi in deg,
-  params[1] is 1 where psi is mirrored within it.
-- REGULAR: a mirror's or a clear sheet's share of the light, params[0], or over sigma table[0, sigma, 0, 0] with slopes
-  as in TABLE. It is no function of direction: its value here is zero, and `regular_share` has what it reflects.
+- ANISOTROPIC: a table with psi, the light's azimuth in the sample's own frame; params[0] is the period of psi in deg, params[1]
+  is 1 where psi is mirrored within it.
+- REGULAR: a mirror's or a clear sheet's share of the light, params[0], or over sigma table[0, sigma, 0, 0] with slopes as in
+  TABLE. It is not a function of direction: its value here is zero, and `regular_share` gives its reflectance.
 """
 
 import math
@@ -35,10 +35,11 @@ REGULAR = 4
 def to_canonical(
     incident: int, transmits: bool, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Directions in the sample's own frame as the models take them, for light from the front (1) or the back (-1).
+    """Directions of the sample's own frame in canonical form, for light from the front (1) or the back (-1).
 
-    A sample lit from the back is turned about x, so azimuths change their sign; a transmitted direction is mirrored in
-    the sample's plane, so that straight through becomes specular. Both are in front if they are where the lobe acts.
+    A sample lit from the back is turned about x, so azimuths change their sign. A transmitted direction is mirrored in the
+    sample's plane, so that straight through becomes specular. Both directions are in front if they are on the sides where the
+    lobe acts.
     """
     if incident < 0:
         ly, lz, dy, dz = -ly, -lz, -dy, -dz
@@ -49,7 +50,7 @@ def to_canonical(
 
 @kernel(forceinline=True)
 def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """The observer's direction in the sample's own frame of a canonical one: what `to_canonical` did, undone."""
+    """The observer's direction in the sample's own frame from its canonical form: the inverse of `to_canonical`."""
     if transmits:
         dz = -dz
     if incident < 0:
@@ -59,7 +60,7 @@ def from_canonical(incident: int, transmits: bool, dx: float, dy: float, dz: flo
 
 @kernel(forceinline=True)
 def refract(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float, float]:
-    """The light whose specular direction is the axis of a lobe bent by Snell's law: sin(theta_t) = sin(theta_i) / ratio.
+    """Light direction whose specular direction is the refracted axis of a lobe: sin(theta_t) = sin(theta_i) / ratio (Snell).
 
     `analytic_value` takes it in place of the light. Beyond total reflection its z is 0: there is no lobe, and the value is 0.
     """
@@ -74,10 +75,9 @@ def analytic_value(
     kind: int, peak: float, exponent: float, intensity: float,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """`bsdf` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; for a ratio other than 1, l is from `refract`.
+    """`bsdf` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one; for a ratio other than 1, l is from `refract`.
 
-    Loops call this themselves: handing arrays to a function costs numba's reference counts, ten times what the model
-    does.
+    Loops call this directly: passing arrays to a function costs numba's reference counting, ten times the time of the model.
     """
     if lz <= 0.0 or dz <= 0.0:
         return 0.0
@@ -106,7 +106,7 @@ def bsdf(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """Value in 1/sr of a lobe for canonical light l and observer d; 0 of a REGULAR one."""
+    """Value in 1/sr of a lobe for canonical light l and observer d; 0 for a REGULAR one."""
     if kind == REGULAR:
         return 0.0
     if kind == TABLE:

@@ -1,10 +1,10 @@
-"""A sample's lobes as one set of arrays, so that one compiled kernel takes any number of them, from either side."""
+"""All lobes of a sample as one set of arrays, so that one compiled kernel takes any number of them, from either side."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe
 from goniotwin.twin.optics.bsdf.models import from_canonical, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter
@@ -12,28 +12,28 @@ from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import uniform
 
 KIND, ABOVE, TRANSMITS, FIRST = range(4)
-"""Columns of `Lobes.heads`; from FIRST on the sizes of sigma, phi, theta, psi, table's first axis and cells' three."""
+"""Columns of `Lobes.heads`; from FIRST on the sizes of sigma, phi, theta, psi, the table's first axis and the cells' three."""
 SIZES = 8
 
 
 class Lobes(NamedTuple):
-    """`heads` (lobes, 12), see above; ABOVE is 1 for lobes that take light from z > 0 of the scene's frame.
+    """Packed lobes: `heads` (lobes, 12), see above; ABOVE is 1 for lobes that take light from z > 0 of the scene's frame.
 
     `params` (lobes, 8), `weights` (lobes,), `albedos` (lobes, 6) at `sines` of incidence (6,), and all arrays of all lobes,
-    `flat`, which begin at `starts` (lobes, 6).
+    `flat`; these start at `starts` (lobes, 6).
     """
 
-    heads: np.ndarray
+    heads: Ints
     params: Floats
     weights: Floats
     albedos: Floats
     sines: Floats
     flat: Floats
-    starts: np.ndarray
+    starts: Ints
 
 
 def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
-    """Lobes and their weights, for light from the side `incident` above (z > 0 of the scene's frame)."""
+    """Pack lobes and their weights, for light from the side `incident` above (z > 0 of the scene's frame)."""
     heads, starts, flat, used = [], [], [], 0
     for lobe in lobes:
         kind, _, *arrays = lobe.kernel_arguments
@@ -59,7 +59,7 @@ def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes
 def lobe_arrays(
     lobes: Lobes, k: int
 ) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
-    """What `scatter` takes of lobe k: kind, params, sigma, phi, theta, psi, table and cells."""
+    """Arguments of `scatter` for lobe k: kind, params, sigma, phi, theta, psi, table and cells."""
     size, start, flat = lobes.heads[k, FIRST:], lobes.starts[k], lobes.flat
     sig, ph = flat[start[0] : start[0] + size[0]], flat[start[1] : start[1] + size[1]]
     th, psi = flat[start[2] : start[2] + size[2]], flat[start[3] : start[3] + size[3]]
@@ -70,7 +70,7 @@ def lobe_arrays(
 
 @kernel()
 def lobe_share(lobes: Lobes, k: int, above: bool, sine: float) -> float:
-    """What lobe k is worth drawing: its weight times about its albedo, for light that comes from above or from below."""
+    """Relative probability of lobe k: its weight times its approximate albedo, for light from above or from below."""
     if (lobes.heads[k, ABOVE] == 1) != above:
         return 0.0
     here, total, last = 0.0, 0.0, lobes.sines.size - 1
@@ -91,10 +91,10 @@ def lobe_share(lobes: Lobes, k: int, above: bool, sine: float) -> float:
 def scatter_at_sample(
     lobes: Lobes, wx: float, wy: float, wz: float, key: np.uint64, counter: int
 ) -> tuple[float, float, float, float]:
-    """Where light that goes along w is scattered to, in the scene's frame, and the factor that it keeps; 0 for none of it.
+    """Scattered direction, in the scene's frame, of light along w, and the factor on its weight; 0 where nothing is scattered.
 
     One lobe is drawn, by `lobe_share`, with the numbers `counter` to `counter` + 3 of the path; the factor is divided by its
-    share.
+    probability.
     """
     above = wz < 0.0
     sine, count, total = np.sqrt(wx * wx + wy * wy), lobes.weights.size, 0.0
@@ -104,10 +104,10 @@ def scatter_at_sample(
         return 0.0, 0.0, 1.0, 0.0
     rest, which, share = uniform(key, counter) * total, -1, 0.0
     for k in range(count):
-        mine = lobe_share(lobes, k, above, sine)
-        if mine > 0.0:
-            which, share = k, mine
-        rest -= mine
+        probability = lobe_share(lobes, k, above, sine)
+        if probability > 0.0:
+            which, share = k, probability
+        rest -= probability
         if rest < 0.0:
             break
     transmits, side = lobes.heads[which, TRANSMITS] == 1, 1 if above else -1

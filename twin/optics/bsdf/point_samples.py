@@ -1,11 +1,11 @@
-"""Samples of values at scattered directions, as an adaptive measurement leaves them: made into a regular table.
+"""Samples given by values at scattered directions, as from an adaptive measurement: resampled to a regular table.
 
-The table's theta are those of the points (the quantiles of them where they are more than THETA_LIST), with steps of at
-most 5 deg between, and its phi are 5 deg apart. The value at each of these nodes is a plane through points round it: of
-each of eight sectors round the node the nearest point, within twice the stated gap, weighing as distance^-4, and the
-plane is kept within the lowest and the highest of these values. So the resampling meets a point that a node falls on,
-follows a slope, has no overshoot, and is blind to what happens between points; a node above the horizon that is farther
-than the gap from every point is a hole, and an error. Nodes below the horizon have the value of the horizon above them.
+The table's theta are those of the points (their quantiles if there are more than THETA_LIST), with steps of at most 5 deg
+between; its phi are 5 deg apart. The value at each of these nodes is that of a plane through the points around it: the nearest
+point in each of eight sectors around the node, within twice the stated gap, with the weight distance^-4. The plane's value is
+limited to the range of these points' values. So the resampling reproduces a point at a node, follows a slope, has no overshoot,
+and misses structure between points. A node above the horizon that is farther than the gap from every point is a hole, and an
+error. Nodes below the horizon have the value at the horizon above them.
 """
 
 import math
@@ -40,16 +40,16 @@ def scattered_points(
     side: Side = "front",
     transmits: bool = False,
 ) -> Scatterer:
-    """A sample given by values (n,) in 1/sr at n points, angles in deg, in any order; see the module for what is done.
+    """Sample given by values (n,) in 1/sr at n points, angles in deg, in any order; see the module for the resampling.
 
-    theta and phi are specular coordinates or, with `spherical`, the zenith angle (0 to 90) and the azimuth about the
-    normal, the light being at azimuth psi, or 0. The incidences sigma (and psi, for an anisotropic sample) are a
-    regular grid: each pair of those that occur has its own points. `mirrored` uses each point on both sides of the
-    plane of incidence. Over sigma and psi the value goes as in `table_sample`, whose `symmetry`, `side` and `transmits`
-    these are; coordinates are canonical.
+    theta and phi are specular coordinates or, with `spherical`, the zenith angle (0 to 90) and the azimuth about the normal,
+    with the light at azimuth psi, or 0. The incidences sigma (and psi, for an anisotropic sample) are a regular grid: each pair
+    of occurring values has its own points. `mirrored` uses each point on both sides of the plane of incidence. Over sigma and
+    psi the interpolation is that of `table_sample`; `symmetry`, `side` and `transmits` have the same meaning there. Coordinates
+    are canonical.
 
-    Raises ValueError, naming the argument and the place, for lists of different lengths, angles out of range, values
-    that are negative, infinite or missing, two points in one direction, an incidence without points, and a hole.
+    Raises ValueError, naming the argument and the place, for lists of different lengths, angles out of range, values that are
+    negative, infinite or missing, two points in one direction, an incidence without points, and a hole.
     """
     lists = {"sigma_deg": sigma_deg, "theta_deg": theta_deg, "phi_deg": phi_deg, "values": values}
     if psi_deg is not None:
@@ -70,22 +70,22 @@ def scattered_points(
     table = np.empty((psis.size, sigmas.size, phi.size, theta.size))
     for n, m in np.ndindex(psis.size, sigmas.size):
         place = f"sigma {sigmas[m]:g}" + (f", psi {psis[n]:g}" if psi_deg is not None else "")
-        mine = np.flatnonzero((psi == psis[n]) & (sigma == sigmas[m]))
-        if not mine.size:
-            raise ValueError(f"there is no point at {place}, but at both: measure it, or leave one of them out")
-        _no_duplicates(mine, directions[mine], place)
-        seen, value = directions[mine], points["values"][mine]
+        members = np.flatnonzero((psi == psis[n]) & (sigma == sigmas[m]))
+        if not members.size:
+            raise ValueError(f"there is no point at {place}, although both angles occur: measure it, or leave one of them out")
+        _refuse_duplicates(members, directions[members], place)
+        known, value = directions[members], points["values"][members]
         if mirrored:
-            off = np.abs(seen[:, 1]) > 1e-9
-            seen, value = np.concatenate([seen, seen[off] * [1.0, -1.0, 1.0]]), np.concatenate([value, value[off]])
+            off = np.abs(known[:, 1]) > 1e-9
+            known, value = np.concatenate([known, known[off] * [1.0, -1.0, 1.0]]), np.concatenate([value, value[off]])
         nodes = from_specular(sigmas[m], theta, phi[:, None])
-        found = _resampled(_above(nodes.reshape(-1, 3)), seen, value, math.radians(2.0 * gap_deg))
-        distance = np.where(nodes[..., 2] > 0.0, np.degrees(found[:, 1]).reshape(nodes.shape[:-1]), 0.0)
+        resampled = _resample(_raise_to_horizon(nodes.reshape(-1, 3)), known, value, math.radians(2.0 * gap_deg))
+        distance = np.where(nodes[..., 2] > 0.0, np.degrees(resampled[:, 1]).reshape(nodes.shape[:-1]), 0.0)
         if distance.max() > gap_deg:
             j, k = np.unravel_index(int(np.argmax(distance)), distance.shape)
             hole = f"values has a hole at {place}, theta {theta[k]:g}, phi {phi[j]:g}"
             raise ValueError(f"{hole}: no point within {gap_deg:g} deg of it; measure there, or allow a larger gap_deg")
-        table[n, m] = found[:, 0].reshape(nodes.shape[:-1])
+        table[n, m] = resampled[:, 0].reshape(nodes.shape[:-1])
     blocks, turns = (table[0], None) if psi_deg is None else (table, psis)
     return table_sample(sigmas, phi, theta, blocks, name, turns, symmetry, side, transmits)
 
@@ -94,7 +94,7 @@ def _points(lists: dict[str, npt.ArrayLike], last_theta_deg: float) -> dict[str,
     points = {name: np.array(values, dtype=np.float64) for name, values in lists.items()}
     shape = points["values"].shape
     if len(shape) != 1 or shape[0] == 0:
-        raise ValueError(f"values has the shape {shape}: give a list, one value a point")
+        raise ValueError(f"values has the shape {shape}: give a list, one value per point")
     limits = {
         "sigma_deg": (0.0, 90.0),
         "theta_deg": (0.0, last_theta_deg),
@@ -104,7 +104,7 @@ def _points(lists: dict[str, npt.ArrayLike], last_theta_deg: float) -> dict[str,
     }
     for name, values in points.items():
         if values.shape != shape:
-            raise ValueError(f"{name} has the shape {values.shape}, and values {shape}: give one of each a point")
+            raise ValueError(f"{name} has the shape {values.shape}, and values {shape}: give one of each per point")
         low, high = limits[name]
         wrong = np.flatnonzero(~(np.isfinite(values) & (values >= low) & (values <= high)))
         if wrong.size:
@@ -113,16 +113,16 @@ def _points(lists: dict[str, npt.ArrayLike], last_theta_deg: float) -> dict[str,
     return points
 
 
-def _no_duplicates(indices: Ints, directions: Floats, place: str) -> None:
+def _refuse_duplicates(indices: Ints, directions: Floats, place: str) -> None:
     _, first, which = np.unique(np.round(directions, 7) + 0.0, axis=0, return_index=True, return_inverse=True)
-    again = np.flatnonzero(first[which.ravel()] != np.arange(indices.size))
-    if again.size:
-        pair = f"{indices[first[which.ravel()[again[0]]]]} and {indices[again[0]]}"
+    repeated = np.flatnonzero(first[which.ravel()] != np.arange(indices.size))
+    if repeated.size:
+        pair = f"{indices[first[which.ravel()[repeated[0]]]]} and {indices[repeated[0]]}"
         raise ValueError(f"points {pair}, at {place}, have the same direction: give their mean once")
 
 
 def _theta_list(theta_deg: Floats, last_deg: float) -> Floats:
-    """Angles at which to resample: those of the points, or their quantiles, and enough between and beyond."""
+    """Angles for the resampling: those of the points, or their quantiles, and enough between and beyond."""
     own = np.unique(np.round(theta_deg, 2))
     if own.size > THETA_LIST:
         own = np.unique(np.round(np.quantile(theta_deg, np.linspace(0.0, 1.0, THETA_LIST)), 2))
@@ -131,18 +131,18 @@ def _theta_list(theta_deg: Floats, last_deg: float) -> Floats:
     return np.concatenate([*pieces, ends[-1:]])
 
 
-def _above(nodes: Floats) -> Floats:
-    """The nodes, those below the horizon moved up to it."""
+def _raise_to_horizon(nodes: Floats) -> Floats:
+    """The nodes, with those below the horizon moved up to it."""
     raised = nodes.copy()
     raised[:, 2] = np.maximum(nodes[:, 2], 0.0)
     length = np.sqrt(np.sum(raised**2, axis=1))[:, None]
-    # Straight down has no horizon above it; any place of it will do.
+    # Straight down has no horizon above it; any point of the horizon is right.
     return np.where(length > 1e-12, raised / np.maximum(length, 1e-12), [-1.0, 0.0, 0.0])
 
 
 @kernel()
 def _plane(x: Floats, y: Floats, values: Floats, count: int) -> float:
-    """Value at the origin of the weighted plane through points (x, y), within the values themselves."""
+    """Value at the origin of the weighted plane through points (x, y), limited to the range of the values."""
     w0, wx, wy, wv = 0.0, 0.0, 0.0, 0.0
     low, high = math.inf, -math.inf
     for i in range(count):
@@ -157,7 +157,7 @@ def _plane(x: Floats, y: Floats, values: Floats, count: int) -> float:
         xx, xy, yy, xv, yv = (
             xx + weight * a * a, xy + weight * a * b, yy + weight * b * b, xv + weight * a * c, yv + weight * b * c
         )  # fmt: skip
-    # Points on one line say nothing of the slope across it: then this makes it none.
+    # Points on one line do not determine the slope across it: this term makes it zero.
     trace = xx + yy
     if trace <= 0.0:
         return mv
@@ -168,13 +168,13 @@ def _plane(x: Floats, y: Floats, values: Floats, count: int) -> float:
 
 
 @kernel()
-def _resampled(nodes: Floats, points: Floats, values: Floats, reach: float) -> Floats:
-    """Of each node (m, 3) the value, and the angle in rad to the nearest of the points (n, 3)."""
+def _resample(nodes: Floats, points: Floats, values: Floats, reach: float) -> Floats:
+    """Value at each node (m, 3), and the angle in rad to the nearest of the points (n, 3)."""
     result = np.empty((nodes.shape[0], 2))
     best, x, y, v = np.empty(SECTORS), np.empty(SECTORS), np.empty(SECTORS), np.empty(SECTORS)
     for k in range(nodes.shape[0]):
         qx, qy, qz = nodes[k, 0], nodes[k, 1], nodes[k, 2]
-        # Two axes across the node's direction; the first lies in the plane that is farther from it.
+        # Two axes across the node's direction; the first lies in the coordinate plane farther from it.
         if abs(qz) < 0.9:
             ax, ay, az = -qy, qx, 0.0
         else:
@@ -188,7 +188,7 @@ def _resampled(nodes: Floats, points: Floats, values: Floats, reach: float) -> F
             a = ax * points[i, 0] + ay * points[i, 1] + az * points[i, 2]
             b = bx * points[i, 0] + by * points[i, 1] + bz * points[i, 2]
             c = qx * points[i, 0] + qy * points[i, 1] + qz * points[i, 2]
-            # Grows with the angle, and keeps its digits near the node.
+            # Increases with the angle, and keeps its digits near the node.
             farness = a * a + b * b if c > 0.0 else 2.0 - a * a - b * b
             if farness < nearest:
                 nearest, nearest_value = farness, values[i]
@@ -210,7 +210,7 @@ def _resampled(nodes: Floats, points: Floats, values: Floats, reach: float) -> F
 
 @kernel()
 def _angle(farness: float) -> float:
-    """Angle in rad from the squared sine s up to 90 deg, and from 2 - s beyond."""
+    """Angle in rad from its squared sine s up to 90 deg, and from 2 - s beyond."""
     if farness <= 1.0:
         return math.asin(math.sqrt(farness))
     return math.pi - math.asin(math.sqrt(max(0.0, 2.0 - farness)))

@@ -1,8 +1,8 @@
-"""Drawing scattered directions: sampling and its density, for one lobe and canonical light (see twin.optics.bsdf.models).
+"""Drawing of scattered directions and their density, for one lobe and canonical light (see twin.optics.bsdf.models).
 
-Each kind has a draw that follows its own shape, and the density is exactly that of the draw, so value times cosine over
-density has the albedo as its mean. A Gaussian and a table draw a share by the cosine law, so that directions far off
-the lobe get theirs too.
+Each kind has a draw after its own shape. The density is exactly that of the draw, so the mean of value times cosine over
+density is the albedo. A Gaussian and a table draw a share of the directions by the cosine law, so that directions far from the
+lobe are drawn too.
 """
 
 import math
@@ -24,7 +24,7 @@ from goniotwin.twin.optics.bsdf.models import (
 from goniotwin.twin.optics.bsdf.tables import plane_of_incidence
 from goniotwin.twin.optics.kernel import kernel
 
-# Of the samples of a Gaussian or a table, those that follow its shape.
+# Share of the draws of a Gaussian or a table that follow its shape.
 LOBE_SHARE = 0.75
 
 
@@ -32,7 +32,10 @@ LOBE_SHARE = 0.75
 def analytic_density(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
 ) -> float:
-    """`density` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `refract`, as in `analytic_value`."""
+    """`density` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one.
+
+    l is from `refract`, as in `analytic_value`.
+    """
     cosine = max(dz, 0.0) / math.pi
     if kind != GAUSSIAN or lz <= 0.0:
         return cosine
@@ -47,7 +50,10 @@ def analytic_density(
 def analytic_sample(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, u: float, v: float, choice: float
 ) -> tuple[float, float, float]:
-    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, its parameters one by one; l is from `refract`, as in `analytic_value`."""
+    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one.
+
+    l is from `refract`, as in `analytic_value`.
+    """
     turn = 2.0 * math.pi * v
     if kind != GAUSSIAN or choice >= LOBE_SHARE or lz <= 0.0:
         radius = math.sqrt(u)
@@ -64,7 +70,7 @@ def density(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """Of the canonical directions that `sample` draws, in 1/sr; 0 of a REGULAR lobe, which draws one only."""
+    """Density of the canonical directions that `sample` draws, in 1/sr; 0 for a REGULAR lobe, which has one direction only."""
     if kind == REGULAR:
         return 0.0
     if kind in (TABLE, ANISOTROPIC):
@@ -80,9 +86,9 @@ def sample(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """A canonical direction for three uniform numbers in [0, 1).
+    """Canonical direction from three uniform numbers in [0, 1).
 
-    It may point below the surface, where nothing is scattered. Of a REGULAR lobe it is the mirror direction.
+    It may point below the surface, where nothing is scattered. For a REGULAR lobe it is the specular direction.
     """
     if kind == REGULAR:
         return -lx, -ly, lz
@@ -98,9 +104,9 @@ def scatter(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """A drawn direction and its weight: value times cosine over density, or what a REGULAR lobe sends that way.
+    """Drawn direction and its weight: value times cosine over density; for a REGULAR lobe its share of the light.
 
-    The weight's mean is the lobe's albedo. It is 0 where the direction points below the surface.
+    The mean of the weight is the lobe's albedo. It is 0 where the direction points below the surface.
     """
     dx, dy, dz = sample(kind, params, sig, ph, th, psi, cells, lx, ly, lz, u, v, choice)
     if kind == REGULAR:

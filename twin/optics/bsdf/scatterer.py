@@ -1,9 +1,9 @@
-"""A sample: lobes and their weights over the wavelength, and what all of them together scatter.
+"""Sample: lobes and their spectral weights, the sum of their values, and combinations of samples.
 
-Values are BSDF in 1/sr; a luminance factor (what formula 1 of the paper calls BSDF) is pi times that. Light and
-observer are directions in the rig's frame; a sample turned by gamma sees them turned by -gamma.
+Values are BSDF in 1/sr. A luminance factor (formula 1 of the paper calls it BSDF) is pi times the BSDF. Light and observer are
+directions in the rig's frame; a sample turned by gamma sees them turned by -gamma.
 
-Samples made of samples: sums, other sides, and the same sample in colour.
+Combinations: sums, models for other sides, a grey sample with a spectrum.
 """
 
 from collections.abc import Callable
@@ -20,13 +20,13 @@ from goniotwin.twin.optics.bsdf.sampling import scatter_all
 
 @dataclass(frozen=True, eq=False)
 class SpectralWeights:
-    """Weights (lobes, w) of lobes at wavelengths (w,) in nm, ascending: linear between, the ends held."""
+    """Weights (lobes, w) of lobes at wavelengths (w,) in nm, ascending: linear between, constant beyond the ends."""
 
     wavelengths_nm: Floats
     weights: Floats
 
     def __post_init__(self) -> None:
-        """Checks and copies the arrays. Raises ValueError, naming the argument and the place."""
+        """Check and copy the arrays. Raises ValueError, naming the argument and the entry."""
         wavelengths, weights = freeze(self.wavelengths_nm), freeze(self.weights)
         if wavelengths.ndim != 1 or wavelengths.size == 0:
             raise ValueError(f"wavelengths_nm has the shape {wavelengths.shape}: give a list of at least one")
@@ -34,7 +34,7 @@ class SpectralWeights:
         if wrong.size:
             raise ValueError(f"wavelengths_nm[{wrong[0]}] is {wavelengths[wrong[0]]}: give a positive, finite number")
         if np.any(np.diff(wavelengths) <= 0.0):
-            raise ValueError("wavelengths_nm is not ascending: sort it, and give each wavelength once")
+            raise ValueError("wavelengths_nm is not ascending: sort it and give each wavelength once")
         if weights.ndim != 2 or weights.shape[1] != wavelengths.size:
             raise ValueError(f"weights has the shape {weights.shape}: give (lobes, {wavelengths.size})")
         holes = np.argwhere(~(np.isfinite(weights) & (weights >= 0.0)))
@@ -52,10 +52,10 @@ class SpectralWeights:
 
 @dataclass(frozen=True, eq=False)
 class Scatterer:
-    """A sample. Its value at a wavelength is the sum over the lobes of weight times lobe; without a spectrum all weigh 1.
+    """Sample. Its value at a wavelength is the sum over the lobes of weight times value; without a spectrum all weights are 1.
 
     Made by the functions below and by those of twin.optics.bsdf.analytic_samples, table_samples and point_samples. Raises
-    ValueError for no lobes, or a spectrum of another number of them.
+    ValueError for no lobes, or a spectrum for another number of lobes.
     """
 
     name: str
@@ -63,9 +63,9 @@ class Scatterer:
     spectrum: SpectralWeights | None = None
 
     def __post_init__(self) -> None:
-        """Checks that there are lobes, and weights for them."""
+        """Check that there are lobes, and weights for them."""
         if not self.lobes:
-            raise ValueError("lobes is empty: a sample has at least one; a black one is a table of zeros")
+            raise ValueError("lobes is empty: a sample has at least one; for a black one give a table of zeros")
         if self.spectrum is not None and self.spectrum.weights.shape[0] != len(self.lobes):
             given = self.spectrum.weights.shape[0]
             raise ValueError(f"spectrum has weights of {given} lobes, but the sample has {len(self.lobes)}")
@@ -73,11 +73,11 @@ class Scatterer:
     def weights(self, wavelength_nm: npt.ArrayLike | None = None) -> Floats:
         """Weights (lobes,) at a wavelength, or (lobes, ...) at wavelengths (...).
 
-        Raises ValueError where a sample with a spectrum is not told the wavelength, or for one that is not positive.
+        Raises ValueError for a sample with a spectrum without a wavelength, and for a wavelength that is not positive.
         """
         if wavelength_nm is None:
             if self.spectrum is not None:
-                raise ValueError(f"wavelength_nm is missing: {self.name} depends on it; say at which it is asked")
+                raise ValueError(f"wavelength_nm is missing: {self.name} depends on it; give a wavelength")
             return np.ones(len(self.lobes))
         wavelengths = np.asarray(wavelength_nm, dtype=np.float64)
         if not np.all(np.isfinite(wavelengths) & (wavelengths > 0.0)):
@@ -88,7 +88,7 @@ class Scatterer:
 
 
 def _rows(light: npt.ArrayLike, observer: npt.ArrayLike, gamma_deg: float) -> tuple[list[Floats], tuple[int, ...]]:
-    """Rows (n, 3) of light and observer in the sample's own frame, and the shape they had."""
+    """Rows (n, 3) of light and observer in the sample's own frame, and their former shape."""
     pair = np.broadcast_arrays(np.asarray(light, float), np.asarray(observer, float))
     if pair[0].ndim == 0 or pair[0].shape[-1] != 3:
         raise ValueError(f"light and observer have the shape {pair[0].shape}: give vectors along the last axis")
@@ -107,8 +107,8 @@ def evaluate(
 ) -> Floats:
     """BSDF (...) in 1/sr for unit vectors towards `light` and `observer`, (..., 3) each, broadcast.
 
-    Of the lobes, those act whose sides these are. A regular lobe has no finite value and adds 0. `gamma_deg` turns the
-    sample. Raises ValueError for a wrong shape, and for a sample with a spectrum without a wavelength.
+    Only the lobes for these sides contribute. A regular lobe has no finite value and adds 0. `gamma_deg` turns the sample.
+    Raises ValueError for a wrong shape, and for a sample with a spectrum without a wavelength.
     """
     rows, shape = _rows(light, observer, gamma_deg)
     weights = scatterer.weights(wavelength_nm)
@@ -120,7 +120,7 @@ def evaluate(
 
 
 def _incidence(sigma_deg: float) -> tuple[int, float]:
-    """Side that the light comes from, and its polar angle on that side."""
+    """Side of the light (1 front, -1 back), and its polar angle on that side."""
     if not 0.0 <= sigma_deg <= 180.0 or sigma_deg == 90.0:
         raise ValueError(f"sigma_deg is {sigma_deg!r}: give an angle of incidence of 0 to 180 deg, but not 90")
     return (1, sigma_deg) if sigma_deg < 90.0 else (-1, 180.0 - sigma_deg)
@@ -135,11 +135,11 @@ def albedo(
 ) -> float:
     """Share of the light at `sigma_deg` that is reflected, or that is transmitted; regular lobes included.
 
-    sigma is 0 to < 90 for light from the front and > 90 to 180 for light from the back. By quadrature: see
-    `Lobe.albedo`. Raises ValueError for another sigma, and for a sample with a spectrum without a wavelength.
+    sigma is 0 to < 90 for light from the front and > 90 to 180 for light from the back. By quadrature: see `Lobe.albedo`.
+    Raises ValueError for another sigma, and for a sample with a spectrum without a wavelength.
     """
     incident, polar = _incidence(sigma_deg)
-    # The light's azimuth in the sample's own frame is -gamma; the sample turned about x has it with the other sign.
+    # The light's azimuth in the sample's own frame is -gamma; for the sample turned about x its sign is opposite.
     azimuth = -gamma_deg * incident
     weights = scatterer.weights(wavelength_nm)
     shares = [
@@ -151,12 +151,12 @@ def albedo(
 
 
 def lobe_shares(scatterer: Scatterer, sigma_deg: float, wavelength_nm: float | None = None) -> Floats:
-    """Probabilities (lobes,) with which to draw from each lobe, for light at `sigma_deg` as in `albedo`.
+    """Probabilities (lobes,) for the choice of a lobe, for light at `sigma_deg` as in `albedo`.
 
-    In proportion to weight and albedo, this interpolated from a few incidences; a lobe that scatters at any of them
-    has at least a twentieth of its mean. An estimator divides by these numbers, so they decide its noise and never its
-    mean. Without a wavelength the weights are their means over the spectrum's list, for one set of rays that serves all
-    wavelengths. All are 0 where no lobe scatters light from that side.
+    Proportional to weight and albedo; the albedo is interpolated from a few incidences. A lobe that scatters at any of them has
+    at least a twentieth of its mean. An estimator divides by these numbers, so they affect its noise and never its mean.
+    Without a wavelength the weights are their means over the spectrum's list, for one set of rays that serves all wavelengths.
+    All are 0 where no lobe scatters light from that side.
     """
     incident, polar = _incidence(sigma_deg)
     if wavelength_nm is None and scatterer.spectrum is not None:
@@ -181,9 +181,9 @@ def draw_directions(
 ) -> tuple[Floats, Floats]:
     """Scattered directions (n, 3) and weights (n,) for the unit vector towards `light` (3,), from numbers (n, 4).
 
-    The numbers are uniform in [0, 1): the first chooses the lobe by `lobe_shares`, the others the direction. A weight
-    is the lobe's value times cosine over the density and over the lobe's probability, so the mean of the weights is the
-    sum of both albedos. It is 0 for a direction that the lobe does not scatter to. Raises ValueError for wrong shapes.
+    The numbers are uniform in [0, 1): the first selects the lobe by `lobe_shares`, the others the direction. A weight is the
+    lobe's value times cosine over the density and over the lobe's probability, so the mean of the weights is the sum of both
+    albedos. It is 0 for a direction without scattering. Raises ValueError for wrong shapes.
     """
     vector, numbers = np.asarray(light, float), np.asarray(uniform, float)
     if vector.shape != (3,):
@@ -196,17 +196,17 @@ def draw_directions(
     directions, scattered = np.tile([0.0, 0.0, 1.0], (numbers.shape[0], 1)), np.zeros(numbers.shape[0])
     chosen = np.searchsorted(np.cumsum(shares), numbers[:, 0] * shares.sum(), side="right")
     for i, lobe in enumerate(scatterer.lobes):
-        mine = np.flatnonzero(chosen == i) if shares[i] > 0.0 else np.empty(0, dtype=np.int64)
-        if not mine.size:
+        members = np.flatnonzero(chosen == i) if shares[i] > 0.0 else np.empty(0, dtype=np.int64)
+        if not members.size:
             continue
         x, y, z = (float(c) for c in own)
         canonical_light = to_canonical(lobe.incident, lobe.transmits, x, y, z, 0.0, 0.0, 0.0)[:3]
-        found = scatter_all(
+        drawn = scatter_all(
             *lobe.kernel_arguments, lobe.cells, lobe.incident, lobe.transmits, *canonical_light,
-            np.ascontiguousarray(numbers[mine, 1:]),
+            np.ascontiguousarray(numbers[members, 1:]),
         )  # fmt: skip
-        directions[mine] = rotate_about_z(gamma_deg, found[:, :3])
-        scattered[mine] = found[:, 3] * weights[i] / shares[i]
+        directions[members] = rotate_about_z(gamma_deg, drawn[:, :3])
+        scattered[members] = drawn[:, 3] * weights[i] / shares[i]
     return directions, scattered
 
 
@@ -216,10 +216,9 @@ def move_to_side(lobe: Lobe, incident: int, transmits: bool) -> Lobe:
 
 
 def sum_samples(*scatterers: Scatterer, name: str | None = None) -> Scatterer:
-    """The sum of samples: all their lobes, each with its own spectrum.
+    """Sum of samples: all their lobes, each with its own spectrum.
 
-    That it gives back no more light than it gets is for the caller to see to: `albedo` tells. Raises ValueError for no
-    samples.
+    The total may exceed the light received; check it with `albedo`. Raises ValueError for no samples.
     """
     if not scatterers:
         raise ValueError("scatterers is empty: give the samples to add up")
@@ -228,7 +227,7 @@ def sum_samples(*scatterers: Scatterer, name: str | None = None) -> Scatterer:
     spectra = [each.spectrum.wavelengths_nm for each in scatterers if each.spectrum is not None]
     if not spectra:
         return Scatterer(title, lobes)
-    # Linear pieces over the union of the lists are the linear pieces of each.
+    # Interpolation over the union of the lists equals the interpolation over each list.
     wavelengths = np.unique(np.concatenate(spectra))
     weights = np.concatenate([each.weights(wavelengths) for each in scatterers])
     return Scatterer(title, lobes, SpectralWeights(wavelengths, weights))
@@ -237,13 +236,15 @@ def sum_samples(*scatterers: Scatterer, name: str | None = None) -> Scatterer:
 def apply_spectrum(
     wavelengths_nm: npt.ArrayLike, factors: npt.ArrayLike, scatterer: Scatterer, name: str | None = None
 ) -> Scatterer:
-    """A grey sample in colour: `factors` (w,) times it at wavelengths (w,) in nm, linear between, the ends held.
+    """Grey sample with a spectrum: `factors` (w,) times it at wavelengths (w,) in nm, linear between, constant beyond the ends.
 
-    Raises ValueError for lists that do not fit or ascend, for a factor that is negative or missing, and for a sample
-    that depends on the wavelength already.
+    Raises ValueError for lists that do not fit or ascend, for a factor that is negative or missing, and for a sample that
+    already depends on the wavelength.
     """
     if scatterer.spectrum is not None:
-        raise ValueError(f"scatterer: {scatterer.name} depends on the wavelength already; colour its parts, then add them")
+        raise ValueError(
+            f"scatterer: {scatterer.name} depends on the wavelength already; apply spectra to its parts, then add them"
+        )
     wavelengths, factor = freeze(wavelengths_nm), freeze(factors)
     if factor.shape != wavelengths.shape:
         raise ValueError(f"factors has the shape {factor.shape}: wavelengths_nm makes it {wavelengths.shape}")
@@ -258,13 +259,13 @@ def combine_sides(
     back_transmission: Scatterer | None = None,
     name: str | None = None,
 ) -> Scatterer:
-    """A sample with its own model for each way of the light; a missing one scatters nothing.
+    """Sample with its own model for each pair of sides; a missing one scatters nothing.
 
-    "front" and "back" are where the light comes from. Each model may be as its constructor makes it by default (front,
-    reflecting: it is then moved to these sides) or be of these sides already, as a refracted lobe has to be. Raises
-    ValueError, naming the argument, for a model of other sides, and where none is given.
+    "front" and "back" are the sides of the light. A model may be as its constructor makes it by default (front, reflecting: it
+    is then moved to these sides) or be of these sides already, as a refracted lobe has to be. Raises ValueError, naming the
+    argument, for a model of other sides, and if none is given.
     """
-    ways = {
+    models = {
         "front_reflection": (front_reflection, 1, False),
         "front_transmission": (front_transmission, 1, True),
         "back_reflection": (back_reflection, -1, False),
@@ -272,20 +273,22 @@ def combine_sides(
     }
     given = [
         replace(model, lobes=tuple(map(_mover(argument, incident, transmits), model.lobes)))
-        for argument, (model, incident, transmits) in ways.items()
+        for argument, (model, incident, transmits) in models.items()
         if model is not None
     ]
     if not given:
-        raise ValueError("no model is given: give one for at least one way of the light")
+        raise ValueError("no model is given: give at least one")
     return sum_samples(*given, name=name)
 
 
 def _mover(argument: str, incident: int, transmits: bool) -> Callable[[Lobe], Lobe]:
-    def moved(lobe: Lobe) -> Lobe:
+    def move(lobe: Lobe) -> Lobe:
         right = lobe.transmits == transmits and lobe.incident in (1, incident)
         if not right and (lobe.transmits or lobe.incident != 1):
-            side, way = "front" if lobe.incident == 1 else "back", "transmits" if lobe.transmits else "reflects"
-            raise ValueError(f"{argument} has a lobe that {way} light from the {side}: give it to the argument of its own")
+            side, action = "front" if lobe.incident == 1 else "back", "transmits" if lobe.transmits else "reflects"
+            raise ValueError(
+                f"{argument} has a lobe that {action} light from the {side}: give it as the argument for these sides"
+            )
         return move_to_side(lobe, incident, transmits)
 
-    return moved
+    return move

@@ -1,7 +1,7 @@
-"""Samples of measured or computed values over a regular grid of specular coordinates: isotropic, anisotropic, spectral.
+"""Samples given by measured or computed values over a regular grid of specular coordinates: isotropic, anisotropic, spectral.
 
-Specular coordinates are canonical: for light from the back the sample is thought turned about x (phi and psi change
-sign), and a transmitted direction is thought mirrored in the sample's plane, so theta = 0 is straight through.
+Specular coordinates are canonical: for light from the back the sample is turned about x (phi and psi change sign), and a
+transmitted direction is mirrored in the sample's plane, so theta = 0 is straight through.
 """
 
 from typing import Literal
@@ -16,7 +16,7 @@ from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, TABLE
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer, SpectralWeights
 
 Symmetry = Literal["none", "half_turn", "mirror", "orthotropic"]
-# Period of psi, and whether both azimuths may change their sign.
+# Period of psi, and whether a change of sign of both azimuths is a symmetry.
 SYMMETRIES: dict[Symmetry, tuple[float, bool]] = {
     "none": (360.0, False),
     "half_turn": (180.0, False),
@@ -36,21 +36,21 @@ def table_sample(
     side: Side = "front",
     transmits: bool = False,
 ) -> Scatterer:
-    """A sample given by values (sigma, phi, theta) in 1/sr over specular coordinates in degrees.
+    """Sample given by values (sigma, phi, theta) in 1/sr over specular coordinates in degrees.
 
-    phi_deg runs from 0 to 180 (mirrored in the plane of incidence) or from 0 to 360, or is a single angle. Between the
-    angles the value is linear in phi and theta and a monotone cubic in sigma, so without a kink at an incidence;
-    outside of a list its first or last value holds, which is no extrapolation but no knowledge either.
+    phi_deg runs from 0 to 180 (mirrored in the plane of incidence) or from 0 to 360, or is a single angle. Between the angles
+    the value is linear in phi and theta and a monotone cubic in sigma, so without a kink at an incidence. Beyond the ends of a
+    list its first or last value holds: this avoids extrapolation, but it is no information about the sample.
 
-    With `psi_deg` the sample is anisotropic and values have the shape (psi, sigma, phi, theta): psi is the azimuth of
-    the light in the sample's own frame, and the value is linear in it. `symmetry` says what psi_deg has to cover:
-    "none" 360 deg; "half_turn" 180 deg, then it repeats; "mirror" 0 to 180, both ends given, and (-psi, -phi) has the
-    value of (psi, phi); "orthotropic" 0 to 90, both ends given, with both symmetries, as brushed metal. A periodic list
-    may leave out its last angle, and if it has it, the values have to be those of its first. A single psi makes an
-    isotropic sample. At normal incidence the light's azimuth is taken as 0.
+    With `psi_deg` the sample is anisotropic and values have the shape (psi, sigma, phi, theta): psi is the azimuth of the light
+    in the sample's own frame, and the value is linear in it. `symmetry` sets the range of psi_deg: "none" 360 deg; "half_turn"
+    180 deg, then it repeats; "mirror" 0 to 180, both ends given, and (-psi, -phi) has the value of (psi, phi); "orthotropic" 0
+    to 90, both ends given, with both symmetries, as brushed metal. A periodic list may omit its last angle; if it has it, the
+    values must equal those of its first. A single psi makes an isotropic sample. At normal incidence the light's azimuth is
+    taken as 0.
 
-    Raises ValueError, naming the argument, for axes that do not ascend or leave their range, for a wrong shape, and for
-    values that are negative, infinite or missing.
+    Raises ValueError, naming the argument, for axes that do not ascend or leave their range, for a wrong shape, and for values
+    that are negative, infinite or missing.
     """
     phi, psi = _phi(phi_deg), None if psi_deg is None else check_axis("psi_deg", psi_deg, 360.0)
     sigma, theta = check_axis("sigma_deg", sigma_deg, 90.0), check_axis("theta_deg", theta_deg, 180.0)
@@ -73,9 +73,9 @@ def spectral_table(
     side: Side = "front",
     transmits: bool = False,
 ) -> Scatterer:
-    """`table_sample` at each wavelength in nm, ascending; values have one more axis, the wavelength, before the others.
+    """`table_sample` at each wavelength in nm, ascending; values have the wavelength as an additional first axis.
 
-    Linear between the wavelengths, the first and last hold outside. Raises ValueError as `table_sample` does, and for
+    Linear between the wavelengths; the first and last hold beyond the ends. Raises ValueError as `table_sample` does, and for
     wavelengths that do not ascend or are not positive.
     """
     wavelengths, table = freeze(wavelengths_nm), np.asarray(values, dtype=np.float64)
@@ -85,10 +85,10 @@ def spectral_table(
     lobes: tuple[Lobe, ...] = ()
     for wavelength, block in zip(wavelengths, table, strict=True):
         try:
-            made = table_sample(sigma_deg, phi_deg, theta_deg, block, name, psi_deg, symmetry, side, transmits)
+            sample = table_sample(sigma_deg, phi_deg, theta_deg, block, name, psi_deg, symmetry, side, transmits)
         except ValueError as error:
             raise ValueError(f"at {wavelength:g} nm: {error}") from None
-        lobes += made.lobes
+        lobes += sample.lobes
     hats = np.repeat(np.eye(wavelengths.size), len(lobes) // max(wavelengths.size, 1), axis=0)
     return Scatterer(name, lobes, SpectralWeights(wavelengths, hats))
 
@@ -116,7 +116,7 @@ def _lobe(sigma: Floats, phi: Floats, theta: Floats, psi: Floats | None, blocks:
     if symmetry not in SYMMETRIES:
         raise ValueError(f"symmetry is {symmetry!r}: give one of {', '.join(SYMMETRIES)}")
     if psi is None and symmetry != "none":
-        raise ValueError(f"symmetry is {symmetry!r}, but there is no psi_deg that it could be a symmetry of")
+        raise ValueError(f"symmetry is {symmetry!r}, but psi_deg is missing; give psi_deg, or no symmetry")
     if psi is None or psi.size == 1:
         return Lobe(TABLE, parameters(), sigma, phi, theta, values=freeze(blocks))
     period, mirrored = SYMMETRIES[symmetry]
@@ -131,7 +131,7 @@ def _lobe(sigma: Floats, phi: Floats, theta: Floats, psi: Floats | None, blocks:
         worst = float(np.max(np.abs(blocks[-1] - blocks[0])))
         if worst > 1e-6 * float(blocks.max()):
             ends = f"values at psi {psi[0]:g} and {psi[-1]:g} differ by up to {worst:g} 1/sr"
-            raise ValueError(f"{ends}: the sample is the same there; leave one of them out")
+            raise ValueError(f"{ends}: these are the same orientation; leave one of them out")
     else:
         psi, blocks = freeze([*psi, psi[0] + period]), np.concatenate([blocks, blocks[:1]])
     return Lobe(ANISOTROPIC, parameters(period, float(mirrored)), sigma, phi, theta, freeze(psi), freeze(blocks))

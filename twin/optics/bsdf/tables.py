@@ -1,8 +1,8 @@
-"""Tables over specular coordinates as kernels: where a pair of directions falls in one, and the value there.
+"""Tables over specular coordinates as kernels: position of a pair of directions in a table, and the value there.
 
-A table is table[2 psi + part, sigma, phi, theta]: part 0 holds the values in 1/sr, part 1 their slopes over sigma in
-1/(sr deg); an isotropic one has a single psi. phi runs over 180 deg (mirrored in the plane of incidence) or 360 deg.
-Directions are canonical (see twin.optics.bsdf.models): light and observer in front.
+A table is table[2 psi + part, sigma, phi, theta]: part 0 holds the values in 1/sr, part 1 their slopes over sigma in 1/(sr
+deg); an isotropic one has a single psi. phi runs over 180 deg (mirrored in the plane of incidence) or 360 deg. Directions are
+canonical (see twin.optics.bsdf.models): light and observer in front.
 """
 
 import math
@@ -13,7 +13,7 @@ from goniotwin.twin.optics.kernel import kernel
 
 @kernel()
 def find_interval(axis: Floats, x: float) -> tuple[int, float]:
-    """Interval of an ascending axis that holds x, and the share of the way through it; held at both ends."""
+    """Interval of an ascending axis that contains x, and the relative position in it; limited at both ends."""
     last = axis.size - 1
     if last == 0 or x <= axis[0]:
         return 0, 0.0
@@ -33,7 +33,7 @@ def find_interval(axis: Floats, x: float) -> tuple[int, float]:
 def plane_of_incidence(lx: float, ly: float) -> tuple[float, float, float]:
     """Sine of the light's polar angle, and the unit vector (x, y) of the plane of incidence.
 
-    At normal incidence the plane of incidence is the frame's own, as for any other sigma.
+    At normal incidence the plane of incidence is that of the frame, as for any other sigma.
     """
     sine = math.sqrt(lx * lx + ly * ly)
     if sine > 0.0:
@@ -43,7 +43,7 @@ def plane_of_incidence(lx: float, ly: float) -> tuple[float, float, float]:
 
 @kernel(forceinline=True)
 def specular_angles(lx: float, ly: float, lz: float, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """Of a pair of directions sigma, theta and phi, in degrees; phi within -180 and 180."""
+    """sigma, theta and phi of a pair of directions, in degrees; phi within -180 and 180."""
     sine, ux, uy = plane_of_incidence(lx, ly)
     radial = ux * dx + uy * dy
     inward, across, along = lz * radial + sine * dz, ux * dy - uy * dx, lz * dz - sine * radial
@@ -53,7 +53,7 @@ def specular_angles(lx: float, ly: float, lz: float, dx: float, dy: float, dz: f
 
 @kernel(forceinline=True)
 def phi_in_list(ph: Floats, phi: float) -> float:
-    """phi (-180 to 180) as the list has it: mirrored where the list ends at 180 deg."""
+    """phi (-180 to 180) in the range of the list: mirrored where the list ends at 180 deg."""
     if ph[ph.size - 1] <= 180.0:
         return abs(phi)
     return phi + 360.0 if phi < 0.0 else phi
@@ -61,9 +61,9 @@ def phi_in_list(ph: Floats, phi: float) -> float:
 
 @kernel(forceinline=True)
 def azimuth_place(psi: Floats, period: float, mirrored: float, lx: float, ly: float) -> tuple[int, int, float, float]:
-    """The two blocks of psi round the light's azimuth, the share of the second, and the sign that phi takes.
+    """The two blocks of psi around the light's azimuth, the weight of the second, and the sign for phi.
 
-    The list of psi runs over one whole period, its first block repeated at the end; or, mirrored, over half a period,
+    The list of psi runs over one whole period, with its first block repeated at the end; or, if mirrored, over half a period,
     and beyond that half both azimuths change their sign.
     """
     if psi.size == 1:
@@ -79,14 +79,14 @@ def azimuth_place(psi: Floats, period: float, mirrored: float, lx: float, ly: fl
 
 @kernel(forceinline=True)
 def hermite_weights(a: float, step: float) -> tuple[float, float, float, float]:
-    """Weights of the values at both ends of an interval and of the slopes there, at the share a of the way through it."""
+    """Weights of the values at both ends of an interval and of the slopes there, at the relative position a in it."""
     rest = 1.0 - a
     return rest * rest * (1.0 + 2.0 * a), a * a * (3.0 - 2.0 * a), step * a * rest * rest, -step * a * a * rest
 
 
 @kernel()
 def look_up(sig: Floats, ph: Floats, th: Floats, table: Floats, block: int, sigma: float, theta: float, phi: float) -> float:
-    """Value of one block of psi: cubic in sigma, linear in phi and theta; ends hold outside of each list."""
+    """Value of one block of psi: cubic in sigma, linear in phi and theta; end values hold beyond each list."""
     i, a = find_interval(sig, sigma)
     j, b = find_interval(ph, phi_in_list(ph, phi))
     k, c = find_interval(th, theta)
@@ -123,7 +123,7 @@ def anisotropic_value(
         return 0.0
     sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
     n, n1, share, sign = azimuth_place(psi, period, mirrored, lx, ly)
-    here = look_up(sig, ph, th, table, n, sigma, theta, sign * phi)
+    value = look_up(sig, ph, th, table, n, sigma, theta, sign * phi)
     if share == 0.0:
-        return here
-    return (1.0 - share) * here + share * look_up(sig, ph, th, table, n1, sigma, theta, sign * phi)
+        return value
+    return (1.0 - share) * value + share * look_up(sig, ph, th, table, n1, sigma, theta, sign * phi)

@@ -1,25 +1,21 @@
-"""What a detector's aperture takes of the illuminated hole, as moments.
+"""Moments of the rays that a detector's aperture accepts from the illuminated hole.
 
-A detector counts a ray that crosses its disc within its acceptance cone. Of all the rays between hole and disc that it
-counts, each weighing alike, the moments up to the second say how much they carry together, where on the sample they
-begin on the average, how far about it, and how that goes with their direction. They change smoothly with the
-detector's place, and are exact up to the quadrature: over the cone by four nodes (exact to the third degree), over one side
-of the hole by Gauss-Legendre, over the other side in closed form. That is for cones narrower than the disc: for others
-see twin.optics.fast.aperture.
+A detector counts a ray that crosses its disc within its acceptance cone. The moments up to the second order, over all rays
+between hole and disc that it counts, with equal weights, give their total, the mean and the spread of their origin on the
+sample, and the correlation of origin and direction. The moments change smoothly with the detector's position, and are exact up
+to the quadrature: four nodes over the cone (exact to the third degree), Gauss-Legendre over one side of the hole, closed form
+over the other side. That holds for cones narrower than the disc.
+
+A cone as wide as the disc, or wider, is treated the other way round (`fill_wide_apertures`). From a point of the hole a
+detector is a disc, and its acceptance cone is another disc in the same plane: the point contributes their intersection, whose
+moments are known in closed form. The hole takes Gauss-Legendre nodes. A cone that contains the whole disc leaves nothing to
+approximate; for a narrow one the few nodes of the hole are too far apart, and `fill_apertures` integrates over the slopes
+instead.
 
 Everything is in the sample's frame: the hole's sides lie along x and y, its plane is z = 0.
 
-What a detector's aperture takes where its acceptance cone is as wide as its disc, or wider: the moments of `aperture`.
-
-From a point of the hole a detector is a disc, and its acceptance cone another one in the same plane: what the point gives is
-what the two have in common, whose moments are known in closed form. Over the hole Gauss-Legendre nodes are taken. Where the
-cone is so wide that it holds the whole disc, nothing is left to be approximated; where it is narrow the few nodes of the
-hole are too far apart, and `aperture` goes through the slopes instead.
-
-Detectors that are computed together: one buffer with a row for each number of a detector.
-
-All rows have the same length, a constant of the compiled code, so LLVM knows that they do not overlap and makes vectors of
-every loop over the detectors.
+Detectors are computed in blocks: one buffer with a row for each number of a detector. All rows have the same length, a constant
+of the compiled code, so LLVM can prove that they do not overlap, and vectorises every loop over the detectors.
 """
 
 import math
@@ -31,33 +27,37 @@ from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.kernel import kernel
 
 BLOCK = 64
-# Where a row begins in the buffer: the detector's place (mm) and view, away from the sample.
+# Start of each row in the buffer. Detector: position (mm) and viewing direction, away from the sample.
 PX, PY, PZ, DX, DY, DZ = (row * BLOCK for row in range(6))
-# Its frame, e1 away from the normal and e2 level, and its place along e1, e2 and the view.
+# Its frame, e1 away from the normal and e2 level, and its position along e1, e2 and the viewing direction.
 E1X, E1Y, E1Z, E2X, E2Y, BESIDE1, BESIDE2, AHEAD = (row * BLOCK for row in range(6, 14))
-# The moments of what its aperture takes: place in the hole (u, v), mm, and slopes to its axis (p, q).
+# Moments of the accepted rays: point in the hole (u, v), mm, and slopes to the detector's axis (p, q).
 MOMENTS = 15
 M, MU, MV, MP, MQ, MUU, MUV, MVV, MUP, MUQ, MVP, MVQ, MPP, MPQ, MQQ = (row * BLOCK for row in range(14, 29))
-# Of one slope: how the hole is seen on the disc, and the stripe of it that the disc holds; and the sums over that.
+# For one slope: map of the hole to the disc, the strip of the hole within the disc; and the sums over it.
 A0, AU, AV, B0, BU, BV, MIDDLE, HALF, INVERSE, SHARE = (row * BLOCK for row in range(29, 39))
 S, SU, SV, SUU, SUV, SVV = (row * BLOCK for row in range(39, 45))
-# Of the rays that stand for it: means, how each number goes with the offsets along and across, their covariance's root.
+# For the nodes: means, covariances of each number with the offsets along and across, square root of the covariance.
 U0, V0, P0, Q0, GU1, GU2, GV1, GV2, GP1, GP2, GQ1, GQ2 = (row * BLOCK for row in range(29, 41))
 GA1, GA2, GB1, GB2, T11, T21, T22, RADIUS = (row * BLOCK for row in range(41, 49))
-# One ray: weight, the light's direction, the observer's.
+# One ray: weight, direction of the light, direction of the observer.
 RAY = 49 * BLOCK
 WEIGHT, LX, LY, LZ, WX, WY, WZ = (row * BLOCK for row in range(49, 56))
 ROWS = 56
 
 
 CLOSER = 1.1
-"""With deviations a detector may be so much nearer to some of the hole than the arc's radius."""
+"""With deviations a detector may be closer to a part of the hole than the arc's radius, by up to this factor."""
+WIDE = 0.7
+"""Ratio of the cone's radius at the disc to the disc's radius: from here on `fill_wide_apertures` is the better one (compared
+with 400 nodes).
+"""
 
 
 def aperture_sizes(instrument: Instrument) -> Floats:
-    """For the kernels: the disc's radius and the hole's half side, mm, and the sine of half the field.
+    """Argument of the kernels: the disc's radius and the hole's half side, mm, and the sine of half the field.
 
-    A field wider than what hole and disc can see of each other is as good as one that is just so wide, and costs less.
+    A field wider than the widest angle between hole and disc is limited to that angle: the result is the same, and costs less.
     """
     radius, half = 0.5 * instrument.detector_diameter_mm, 0.5 * instrument.spot_side_mm
     most = math.atan(CLOSER * (radius + math.sqrt(2.0) * half) / instrument.arc_radius_mm)
@@ -65,7 +65,7 @@ def aperture_sizes(instrument: Instrument) -> Floats:
 
 
 def cone_nodes(rings: int = 1) -> Floats:
-    """Places on the unit disc and their shares (n, 3): four nodes, or with more rings a product rule of higher degree."""
+    """Points on the unit disc and their weights (n, 3): four nodes, or with more rings a product rule of higher degree."""
     if rings == 1:
         side = math.sqrt(0.5)
         return np.array([[side * math.cos(a), side * math.sin(a), 0.25] for a in np.pi / 4 + np.pi / 2 * np.arange(4)])
@@ -78,9 +78,9 @@ def cone_nodes(rings: int = 1) -> Floats:
 
 
 def side_nodes(count: int = 3) -> Floats:
-    """Places within -1..1 and their shares (n, 2): Gauss-Legendre, drawn to the ends as a chord of the disc wants it.
+    """Points within -1..1 and their weights (n, 2): Gauss-Legendre, stretched towards the ends to suit a chord of the disc.
 
-    Where the disc limits the hole the chord ends like a square root; the map t (3 - t^2) / 2 makes that smooth.
+    Where the disc limits the hole the chord ends as a square root; the map t (3 - t^2) / 2 makes it smooth.
     """
     t, weights = np.polynomial.legendre.leggauss(count)
     return np.stack([0.5 * t * (3.0 - t * t), 0.75 * (1.0 - t * t) * weights], axis=1)
@@ -88,7 +88,7 @@ def side_nodes(count: int = 3) -> Floats:
 
 @kernel(forceinline=True)
 def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float, float, float]:
-    """Of a detector that is seen along d: its axes e1 = (a, b, c), away from the normal, and e2 = (f, g, 0), level."""
+    """Frame of a detector with the viewing direction d: e1 = (a, b, c), away from the normal, and e2 = (f, g, 0), level."""
     sine = math.sqrt(dx * dx + dy * dy)
     cos, sin = (dx / sine, dy / sine) if sine > 0.0 else (1.0, 0.0)
     return dz * cos, dz * sin, -sine, -sin, cos
@@ -96,7 +96,7 @@ def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float
 
 @kernel(nogil=True)
 def fill_frames(w: Floats, count: int) -> None:
-    """Fills the frames of detectors whose places and views are in `w`."""
+    """Fill the frames of detectors whose positions and viewing directions are in `w`."""
     for k in range(count):
         dx, dy, dz = w[k + DX], w[k + DY], w[k + DZ]
         e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
@@ -108,7 +108,7 @@ def fill_frames(w: Floats, count: int) -> None:
 
 @kernel(nogil=True, fastmath={"contract"})
 def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats) -> None:
-    """Fills the moments of detectors whose frames are in `w`; the first is in mm^2.
+    """Fill the moments of detectors whose frames are in `w`; the first is in mm^2.
 
     `sizes`: the disc's radius, the hole's half side, mm, and the sine of half the field. See `cone_nodes`, `side_nodes`.
     """
@@ -127,9 +127,9 @@ def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Flo
             area = au * bv - av * bu
             middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
             low, high = middle - reach, middle + reach
-            # Plain comparisons, for max and min of Python keep a loop from being vectorised.
+            # Plain comparisons: Python's max and min prevent vectorisation of the loop.
             low, high = (low if low > -half else -half), (high if high < half else half)
-            # NaN, from within the sample's plane, is no ray; nor is one from the other side of the sample.
+            # NaN (a detector in the sample's plane) and rays from the other side of the sample do not count.
             seen = (high > low) & ((dz + p * w[k + E1Z]) * dz > 0.0)
             low, high = (low if seen else 0.0), (high if seen else 0.0)
             w[k + A0], w[k + AU], w[k + AV], w[k + B0], w[k + BU], w[k + BV] = a0, au, av, b0, bu, bv
@@ -176,18 +176,14 @@ def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Flo
             w[k + MQQ] += s * q * q
 
 
-WIDE = 0.7
-"""From here on, radius of the cone where the disc is over that of the disc, this is the better one (held against 400 nodes)."""
-
-
 def hole_nodes(count: int) -> Floats:
-    """Places within -1..1 and their weights (n, 2), which sum up to 2."""
+    """Points within -1..1 and their weights (n, 2), which sum to 2."""
     return np.stack(np.polynomial.legendre.leggauss(count), axis=1)
 
 
 @kernel(forceinline=True)
 def disc_segment(radius: float, cut: float) -> tuple[float, float, float, float]:
-    """Of the part x > cut of a disc round the origin: area, and the integrals of x, x x and y y."""
+    """Area of the part x > cut of a disc about the origin, and the integrals of x, x x and y y over it."""
     root = math.sqrt(max(radius * radius - cut * cut, 0.0))
     area = radius * radius * math.atan2(root, cut) - cut * root
     cube = root * root * root
@@ -197,8 +193,9 @@ def disc_segment(radius: float, cut: float) -> tuple[float, float, float, float]
 
 @kernel()
 def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float, float, float, float, float, float]:
-    """Of what a disc round the origin has in common with a disc of radius `other` round (x, y): area, and the integrals of
-    x, y, x x, x y and y y.
+    """Intersection of a disc about the origin and a disc of radius `other` about (x, y).
+
+    Returns its area, and the integrals of x, y, x x, x y and y y over it.
     """
     apart = math.sqrt(x * x + y * y)
     if apart >= radius + other:
@@ -213,7 +210,7 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
         return area, area * x, area * y, own + area * x * x, area * x * y, own + area * y * y
     cut = (apart * apart + radius * radius - other * other) / (2.0 * apart)
     a1, s1, xx1, yy1 = disc_segment(radius, cut)
-    a2, s2, xx2, yy2 = disc_segment(other, apart - cut)  # seen from its own centre, the other way round
+    a2, s2, xx2, yy2 = disc_segment(other, apart - cut)  # relative to its own centre, opposite direction
     area, first = a1 + a2, s1 + a2 * apart - s2
     along, across = xx1 + xx2 - 2.0 * apart * s2 + apart * apart * a2, yy1 + yy2
     c, s = x / apart, y / apart
@@ -223,18 +220,19 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
 
 @kernel(nogil=True)
 def fill_wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> None:
-    """Fills the moments of the detectors in `w` as `fill_apertures` does; `hole` are the nodes of a side, see `hole_nodes`.
+    """Fill the moments of the detectors in `w` as `fill_apertures` does; `hole` are the nodes of a side, see `hole_nodes`.
 
-    The cosines of a ray are taken to second order in its slopes, and what a node sees of the disc as symmetrical in them:
-    of cones of some degrees both are right to 1e-5.
+    The cosines of a ray are taken to second order in its slopes, and the part of the disc visible from a node is taken as
+    symmetrical in them: for cones of some degrees both are accurate to 1e-5.
     """
     w[M : M + MOMENTS * BLOCK] = 0.0
     for k in range(count):
-        _one(w, k, hole, sizes)
+        _fill_wide_aperture(w, k, hole, sizes)
 
 
 @kernel()
-def _one(w: Floats, k: int, hole: Floats, sizes: Floats) -> None:
+def _fill_wide_aperture(w: Floats, k: int, hole: Floats, sizes: Floats) -> None:
+    """Add up the moments of detector k."""
     radius, half, sine = sizes[0], sizes[1], sizes[2]
     tangent, seen_sr = sine / math.sqrt(1.0 - sine * sine), math.pi * sine * sine
     dx, dy, dz, ahead = w[k + DX], w[k + DY], w[k + DZ], w[k + AHEAD]
@@ -242,7 +240,7 @@ def _one(w: Floats, k: int, hole: Floats, sizes: Floats) -> None:
     beside1, beside2 = w[k + BESIDE1], w[k + BESIDE2]
     up_side = 1.0 if dz > 0.0 else -1.0
     across, tilt = up_side * dz, up_side * e1z  # the cosine on the sample of a ray of slopes (p, q) is about across + p tilt
-    # What it can see at all is an ellipse about where its axis meets the sample, stretched away from the normal.
+    # The visible part of the plane is an ellipse about the axis' point on the sample, stretched away from the normal.
     reach = radius + CLOSER * ahead * tangent
     long, foot1, foot2 = reach / across, beside1 / dz, beside2
     mid_u, wide_u = e2y * foot1 + e2x * foot2, math.sqrt((e2y * long) ** 2 + (e2x * reach) ** 2)

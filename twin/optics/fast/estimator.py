@@ -1,7 +1,7 @@
-"""The fast estimator: for a sample whose BSDF is known, from the detectors back to the exit pupil.
+"""The fast estimator: for a sample with a known BSDF, rays from the detectors back to the exit pupil.
 
-Sample and etalon have the same rays, and so have all wavelengths: what frame and mirrors cut cancels in their ratio (paper,
-formula 1).
+Sample and etalon have the same rays, and so have all wavelengths: rays that frame and mirrors block cancel in their ratio
+(paper, formula 1).
 """
 
 import math
@@ -35,16 +35,16 @@ def throughput(
 ) -> Floats:
     """Throughput (n,) in m^2 sr of detectors in `directions` (n, 3): their flux over the radiance of the exit pupil.
 
-    With the mirrors' reflectance, all cosines, the hole of the frame on the sample, the detectors' discs and acceptance
-    cones, every deviation, and, where the instrument says so, what the mirrors hide. Detectors below the sample's plane
-    see what it transmits. `gamma_deg` turns the sample unit. Light and detectors at `sigma_deg` beyond 90 deg meet the
-    sample's back.
+    Includes the mirrors' reflectance, all cosines, the hole of the frame on the sample, the detectors' discs and acceptance
+    cones, every deviation, and, with the instrument's `obstruction`, the directions hidden by the mirrors. Detectors below the
+    sample's plane receive transmitted light. `gamma_deg` turns the sample unit. Light and detectors at `sigma_deg` beyond 90
+    deg are on the sample's back.
 
-    Seven rays a detector, placed by the moments of what its aperture takes; 1024 where a mirror cuts into that. With `rays`
-    it is so many for every detector, from its disc within its cone to the hole and on to the pupil, always the same: slower,
-    and the check of the seven. Detectors do not depend on each other, so results are bit-identical whatever the number
-    of threads. Raises ValueError for a wrong shape, a vector of no length, a number of rays that is no multiple of 4, or a
-    sensor that is no simple detector, a disc with an acceptance cone: only the forward estimator traces such.
+    Seven rays per detector, placed by the moments of its accepted rays; 1024 where a mirror blocks some of them. With `rays` it
+    is that number for every detector, from its disc within its cone to the hole and on to the pupil, always the same: slower,
+    and the check of the seven. Detectors are independent of each other, so results are bit-identical for any number of threads.
+    Raises ValueError for a wrong shape, a vector of length zero, a number of rays that is not a multiple of 4, or a sensor that
+    is not a simple detector, a disc with an acceptance cone: the forward estimator alone traces such a sensor.
     """
     (sums,) = lobe_throughputs(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer.lobes, rays)
     return np.asarray(sums.mirrors(instrument, wavelength_nm) * (scatterer.weights(wavelength_nm) @ sums.lobes))
@@ -59,7 +59,7 @@ def spectral_throughput(
     rays: int | None = None,
     gamma_deg: float = 0.0,
 ) -> Floats:
-    """Throughput (w, n) in m^2 sr at wavelengths (w,), all from one set of rays: nothing here fluoresces (paper, 3.2)."""
+    """Throughput (w, n) in m^2 sr at wavelengths (w,), from one set of rays: there is no fluorescence (paper, 3.2)."""
     wavelengths = np.atleast_1d(np.asarray(wavelengths_nm, dtype=np.float64))
     (sums,) = lobe_throughputs(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer.lobes, rays)
     mirrors = np.array([sums.mirrors(instrument, float(each)) for each in wavelengths])
@@ -77,7 +77,7 @@ def luminance_factor(
 ) -> Floats:
     """Luminance factor (n,), as the instrument measures it against an ideal diffuser (paper, formula 1).
 
-    The diffuser scatters as much to either side and from either side. NaN where it gives no signal: a direction that the
+    The diffuser scatters equally to either side and from either side. NaN where it gives no signal: a direction that the
     mirrors hide has no value.
     """
     (factors,) = luminance_factors(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer, rays, wavelength_nm)

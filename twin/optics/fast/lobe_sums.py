@@ -31,17 +31,26 @@ from goniotwin.twin.optics.kernel import kernel
 
 LOG2_E = 1.0 / math.log(2.0)
 FARTHEST = -1000.0
-"""Powers of two below this are taken for it: 1e-301, and no number that is not normal."""
+"""Least exponent of a power of two: smaller ones are replaced by it (1e-301), which avoids denormal numbers."""
 BIAS, MANTISSA_BITS = np.int64(1023), np.int64(52)
 A0, A1, A2, A3, A4 = 0.999999999999943, 0.16666666671090202, 0.07499999428106169, 0.044643143181678384, 0.030374710191438888
 A5, A6, A7, A8, A9 = 0.0224765358692889, 0.0164461237675982, 0.018744129431705087, -0.0030822990518015654, 0.03214532705777029
 E0, E1, E2, E3, E4 = 0.9999999999997623, 0.6931471805465146, 0.24022650698880404, 0.05550410939341342, 0.00961812854285181
 E5, E6, E7, E8 = 0.001333345206273817, 0.00015403851761890063, 1.5309737273786115e-05, 1.3175854503915213e-06
+CHUNK = 8192
+Rule = tuple[Floats, Floats, Floats, int]
+"""Nodes over the cone; over a side of the hole; over it where the cone is wide; rays where a mirror blocks some of the view."""
+FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
+"""For fluxes: the accepted rays are exact to 0.3 %."""
+COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
+"""For ratios, in which the error cancels: exact to 3 %."""
+TABLE_KINDS = (TABLE, ANISOTROPIC)
+HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 
 
 @kernel(inline="always")
 def arcsine(x: float, square: float) -> float:
-    """asin(x) for x from 0 to a half, by its square too."""
+    """asin(x) for x from 0 to 0.5, with the square of x given too."""
     low = A0 + square * (A1 + square * (A2 + square * (A3 + square * A4)))
     high = A5 + square * (A6 + square * (A7 + square * (A8 + square * A9)))
     return x * (low + square**5 * high)
@@ -60,14 +69,14 @@ def power_of_two(y: float) -> float:
 def gaussian_values(
     peak: float, exponent: float, intensity: bool, ratio: float, transmits: bool, rays: Floats, values: Floats
 ) -> None:
-    """Fills `values` (n,) with weight times value of the first n `rays` (7, at least n), as `lobe_sums` has them."""
-    way, inverse, scale = -1.0 if transmits else 1.0, 1.0 / ratio, -exponent * LOG2_E
+    """Fill `values` (n,) with weight times value of the first n `rays` (7, at least n), as in `lobe_sums`."""
+    sign, inverse, scale = -1.0 if transmits else 1.0, 1.0 / ratio, -exponent * LOG2_E
     for i in range(values.size):
         lx, ly, lz = rays[1, i] * inverse, rays[2, i] * inverse, rays[3, i]
         lit = lz > 0.0
         if ratio != 1.0:
             lz = math.sqrt(max(0.0, 1.0 - lx * lx - ly * ly))
-        dx, dy, dz = rays[4, i], rays[5, i], way * rays[6, i]
+        dx, dy, dz = rays[4, i], rays[5, i], sign * rays[6, i]
         x, y, z = dx + lx, dy + ly, dz - lz
         half2 = 0.25 * (x * x + y * y + z * z)
         half = math.sqrt(half2)
@@ -81,23 +90,12 @@ def gaussian_values(
         values[i] = value if lit & (lz > 0.0) & (dz > 0.0) else 0.0
 
 
-CHUNK = 8192
-Rule = tuple[Floats, Floats, Floats, int]
-"""Nodes over the cone, over a side of the hole, and over it where the cone is wide; rays where a mirror cuts into the view."""
-FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
-"""For fluxes: what the aperture takes is exact to 0.3 %."""
-COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
-"""For ratios, in which it cancels: exact to 3 %."""
-TABLE_KINDS = (TABLE, ANISOTROPIC)
-HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
-
-
 @kernel(nogil=True)
 def lobe_sums(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
     transmits: bool, rays: Floats, each: int, result: Floats,
 ) -> None:  # fmt: skip
-    """Fills `result` (n,): sums of weight times value over `each` rays of n detectors.
+    """Fill `result` (n,): sums of weight times value over `each` rays of n detectors.
 
     `rays` (7, n each) has the first ray of every detector, then the second of every one, and so on.
     """
@@ -125,7 +123,7 @@ def lobe_sums(
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Detectors that are asked at one place of mirror unit and sample unit: `directions` (n, 3) in the rig's frame."""
+    """Detectors at one position of mirror unit and sample unit: `directions` (n, 3) in the rig's frame."""
 
     sigma_deg: float
     directions: npt.ArrayLike
@@ -134,13 +132,13 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class LobeSums:
-    """`lobes` (lobes, n): throughputs in m^2 sr with mirrors that reflect everything, in a scene."""
+    """`lobes` (lobes, n): throughputs in m^2 sr with perfectly reflecting mirrors, in a scene."""
 
     lobes: Floats
     scene: Scene
 
     def mirrors(self, instrument: Instrument, wavelength_nm: float | None) -> float:
-        """Share of the light that the three of them pass on."""
+        """Product of the three mirrors' reflectances."""
         if not isinstance(instrument.mirror_reflectance, Reflectance):
             return instrument.mirror_reflectance**3
         return float(instrument.mirror_reflectance.at(wavelength_nm, self.scene.mirror_angles_deg).prod())
@@ -154,10 +152,10 @@ def lobe_throughputs(
     *,
     ratios: bool = False,
 ) -> list[LobeSums]:
-    """Throughput of each lobe alone, a pose each: see `throughput`. All lobes have the same rays.
+    """Throughput of each lobe alone, for each pose: see `throughput`. All lobes have the same rays.
 
-    With `ratios` only ratios of lobes are wanted: the aperture is told by fewer points, to 3 % instead of 0.3 %, and the
-    same for all. Raises ValueError for a sensor that is no simple detector: see `Instrument.simplified`.
+    With `ratios` the results are for ratios of lobes only: fewer points represent the aperture, to 3 % instead of 0.3 %, and
+    the same for all lobes. Raises ValueError for a sensor that is not a simple detector: see `Instrument.simplified`.
     """
     instrument = instrument.simplified()
     results, tasks = [], []
@@ -177,8 +175,8 @@ def lobe_throughputs(
         result[active, piece] = score(centres, axes)
 
     if len(tasks) > 1:
-        # Plain threads, for the kernels hold no lock: numba's own would add seconds of compilation, and one of its
-        # threading layers ends the process when two threads call at once.
+        # Plain threads: the kernels hold no lock. numba's own threads would add seconds of compilation, and one of its
+        # threading layers ends the process if two threads call at the same time.
         with ThreadPoolExecutor(numba.get_num_threads()) as pool:
             list(pool.map(run, tasks))
     else:
@@ -188,7 +186,7 @@ def lobe_throughputs(
 
 
 class _Score:
-    """Scores detectors of one scene with lobes."""
+    """Throughputs of the detectors of one scene, for several lobes."""
 
     def __init__(self, instrument: Instrument, scene: Scene, lobes: Sequence[Lobe], rays: int | None, rule: Rule) -> None:
         self._scene, self._lobes, self._rays = scene, lobes, rays
@@ -205,15 +203,15 @@ class _Score:
     def __call__(self, centres: Floats, axes: Floats) -> Floats:
         """Throughputs (lobes, n), m^2 sr."""
         sides = {lobe.transmits for lobe in self._lobes}
-        if len(sides) == 1:  # detectors on the other side get nothing, and are not asked
-            there = (axes[:, 2] < 0.0) == sides.pop()
-            if not there.all():
+        if len(sides) == 1:  # detectors on the other side receive nothing: skip them
+            lit = (axes[:, 2] < 0.0) == sides.pop()
+            if not lit.all():
                 sums = np.zeros((len(self._lobes), axes.shape[0]))
-                sums[:, there] = self._scored(centres[there], axes[there])
+                sums[:, lit] = self._sum_lobes(centres[lit], axes[lit])
                 return sums
-        return self._scored(centres, axes)
+        return self._sum_lobes(centres, axes)
 
-    def _scored(self, centres: Floats, axes: Floats) -> Floats:
+    def _sum_lobes(self, centres: Floats, axes: Floats) -> Floats:
         count, scene = axes.shape[0], self._scene
         sums = np.zeros((len(self._lobes), count))
         if self._rays is None:
@@ -229,25 +227,25 @@ class _Score:
             tabulated = [k for k, lobe in enumerate(self._lobes) if lobe.kind in TABLE_KINDS]
             if tabulated:
                 taken = rays[0].reshape(NODES, count).sum(axis=0)
-                self._with_bundles(centres, axes, np.flatnonzero(status == FREE), tabulated, sums, taken)
+                self._add_bundles(centres, axes, np.flatnonzero(status == FREE), tabulated, sums, taken)
         else:
             rest = np.arange(count)
-        self._with_bundles(centres, axes, rest, range(len(self._lobes)), sums)
+        self._add_bundles(centres, axes, rest, range(len(self._lobes)), sums)
         sums *= self._scale
         for lobe, row in zip(self._lobes, sums, strict=True):
             if lobe.kind == REGULAR:
                 image_measures(centres, axes, self._sizes, scene.pupil, lobe.transmits, HOLE, LINE, row)
                 _, params, sig, *_, table = lobe.kernel_arguments
-                row *= 1e-6 * regular_share(params, sig, table, *scene.towards_light) * self._seen(centres, axes, row)
+                row *= 1e-6 * regular_share(params, sig, table, *scene.towards_light) * self._visible_shares(centres, axes, row)
         return sums
 
-    def _with_bundles(
+    def _add_bundles(
         self, centres: Floats, axes: Floats, rest: Ints, lobes: Iterable[int], sums: Floats,
         taken: Floats | None = None,
     ) -> None:  # fmt: skip
-        """Fills sums[lobes, rest] by a whole bundle each; with `taken` (n,) as means over it, times what was taken.
+        """Fill sums[lobes, rest] from a whole bundle each; with `taken` (n,) as means over the bundle, times `taken`.
 
-        Tables have kinks, of which seven rays know nothing; but sample and etalon must agree on what the aperture takes.
+        Tables have kinks, which seven rays do not resolve; but sample and etalon must have the same accepted rays.
         """
         scene, rays, one = self._scene, np.empty((7, self._bundle.shape[0])), np.empty(1)
         for k in rest:
@@ -262,10 +260,12 @@ class _Score:
                 lobe_sums(*lobe.kernel_arguments, lobe.transmits, rays, rays.shape[1], one)
                 sums[each, k] = share * one[0]
 
-    def _seen(self, centres: Floats, axes: Floats, row: Floats) -> Floats:
-        """Share of each detector's rays that no mirror cuts; only of those that get any."""
-        seen = np.ones_like(row)
+    def _visible_shares(self, centres: Floats, axes: Floats, row: Floats) -> Floats:
+        """Share of each detector's rays that no mirror blocks; only for those that receive light."""
+        shares = np.ones_like(row)
         lit = np.flatnonzero(row) if self._obstruction else np.empty(0, dtype=np.int64)
         if lit.size:
-            seen[lit] = visible_shares(centres[lit], axes[lit], self._bundle, self._sizes, self._scene.mirrors, self._blocking)
-        return seen
+            shares[lit] = visible_shares(
+                centres[lit], axes[lit], self._bundle, self._sizes, self._scene.mirrors, self._blocking
+            )
+        return shares

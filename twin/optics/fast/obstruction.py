@@ -1,9 +1,8 @@
-"""What the mirrors hide from a detector.
+"""Obstruction: directions that the mirrors hide from a detector.
 
-The mirror unit stands between sample and arc: mirror 3 hides a zone round the retro-direction, which at sigma = 0 is
-the specular direction, and mirror 2 a zone 45 deg from it. That is a fact of the instrument: campaigns plan around it.
-
-The directions that the mirror unit hides, as a map over the arc's angles: known before a campaign begins.
+The mirror unit is between sample and arc. Mirror 3 hides a zone about the retro-direction, which at sigma = 0 is the specular
+direction; mirror 2 hides a zone 45 deg from it. This is a property of the instrument: campaigns are planned around it. The
+hidden directions are known before a campaign as a map over the arc's angles.
 """
 
 import math
@@ -26,9 +25,9 @@ FREE, PARTLY, HIDDEN = 0, 1, 2
 
 @kernel()
 def may_hide(mirrors: Floats, m: int, half: float, centre: Floats, width: float) -> bool:
-    """Whether square m reaches into the tube of radius `width` round the line from the sample's centre to `centre`.
+    """Whether square m reaches into the tube of radius `width` about the line from the sample's centre to `centre`.
 
-    A sphere round the mirror stands for it: most detectors are told free of a mirror without tracing a single ray.
+    A sphere about the mirror takes its place: for most detectors no ray has to be traced.
     """
     along, square, length = 0.0, 0.0, 0.0
     for c in range(3):
@@ -45,7 +44,7 @@ def is_hidden(
     mirrors: Floats, near: Floats, half: float, reach: float,
     px: float, py: float, wx: float, wy: float, wz: float,
 ) -> bool:  # fmt: skip
-    """Whether a mirror, of those that are near, cuts the ray from (px, py) on the sample within `reach`."""
+    """Whether one of the near mirrors blocks the ray from (px, py) on the sample within `reach`."""
     for m in range(3):  # noqa: SIM110 - a generator in numba is slower
         if near[m] > 0.0 and distance_to(mirrors, m, half, px, py, 0.0, wx, wy, wz) < reach:
             return True
@@ -54,7 +53,7 @@ def is_hidden(
 
 @kernel()
 def mirrors_near(mirrors: Floats, half: float, centre: Floats, sizes: Floats, near: Floats) -> None:
-    """Sets near[m] to 1 where mirror m may hide some of the bundle of a detector at `centre`, and else to 0."""
+    """Set near[m] to 1 where mirror m may hide some of the bundle of a detector at `centre`, and else to 0."""
     width = max(sizes[0], math.sqrt(2.0) * sizes[1])
     for m in range(3):
         near[m] = 1.0 if may_hide(mirrors, m, half, centre, width) else 0.0
@@ -62,10 +61,11 @@ def mirrors_near(mirrors: Floats, half: float, centre: Floats, sizes: Floats, ne
 
 @kernel()
 def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats, sizes: Floats) -> int:
-    """FREE, HIDDEN, or PARTLY where the mirrors that are near cut some of a detector's rays, or where that is not sure.
+    """FREE, HIDDEN, or PARTLY where the near mirrors block some of a detector's rays, or where that is uncertain.
 
-    Hole and disc are convex, so what the rays cover in a mirror's plane is the hull of the lines between the hole's corners
-    and those of a square round the disc: all of them within the mirror hide it, all of them beyond one side do not.
+    Hole and disc are convex, so the section of the rays in a mirror's plane is the hull of the lines between the hole's corners
+    and those of a square about the disc. With all lines within the mirror the detector is hidden; with all of them beyond one
+    side it is free.
     """
     e1x, e1y, e1z, e2x, e2y = detector_frame(d[0], d[1], d[2])
     result = FREE
@@ -101,31 +101,31 @@ def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: F
 
 @kernel(nogil=True)
 def visible_shares(centres: Floats, directions: Floats, rays: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
-    """Share (n,) of the rays of a bundle that no mirror cuts, of detectors at `centres` that look along -`directions`."""
+    """Share (n,) of the rays of a bundle that no mirror blocks, for detectors at `centres` that look along -`directions`."""
     result = np.zeros(directions.shape[0])
     near, axes, slopes = np.zeros(3), np.zeros((4, 3)), cone_slopes(rays, sizes)
     for k in range(directions.shape[0]):
         fill_view(centres[k], directions[k], axes)
         mirrors_near(mirrors, half, centres[k], sizes, near)
-        seen, free = 0.0, 0.0
+        total, free = 0.0, 0.0
         for j in range(rays.shape[0]):
             weight, px, py, wx, wy, wz, length = detector_ray(axes, rays, slopes, j, sizes)
-            seen += weight
+            total += weight
             if weight > 0.0 and not is_hidden(mirrors, near, half, length, px, py, wx, wy, wz):
                 free += weight
-        if seen > 0.0:
-            result[k] = free / seen
+        if total > 0.0:
+            result[k] = free / total
     return result
 
 
 def visible_fraction(
     instrument: Instrument, sigma_deg: float, directions: npt.ArrayLike, rays: int = 256, gamma_deg: float = 0.0
 ) -> Floats:
-    """Share (n,) of each detector's rays from the illuminated spot that no mirror cuts, for `directions` (n, 3).
+    """Share (n,) of each detector's rays from the illuminated spot that no mirror blocks, for `directions` (n, 3).
 
-    Whether or not the instrument's `obstruction` is on. 0 for a detector in the sample's plane, which sees nothing.
-    From `rays` deterministic rays a detector; of a sensor that is no simple one, of all that could pass. Raises ValueError
-    for a wrong shape or a vector of no length.
+    Independent of the instrument's `obstruction`. 0 for a detector in the sample's plane, which receives nothing. From `rays`
+    deterministic rays per detector; for a sensor that is not a simple detector, from all rays that could pass. Raises
+    ValueError for a wrong shape or a vector of length zero.
     """
     if instrument.sensor is not None:
         instrument = replace(instrument, sensor=None, field_deg=instrument.sensor.widest_deg)
@@ -137,9 +137,9 @@ def visible_fraction(
 
 @dataclass(frozen=True, eq=False)
 class ShadowMap:
-    """Share `visible_shares` (polar, azimuth) of a detector's rays that no mirror cuts, over angles in deg.
+    """Share `visible` (polar, azimuth) of a detector's rays that no mirror blocks, over angles in deg.
 
-    `obstruction` is the instrument's: without it the shadow is there and is not felt.
+    `obstruction` is the instrument's: without it the estimators ignore the shadow.
     """
 
     sigma_deg: float
@@ -153,9 +153,10 @@ class ShadowMap:
 def shadow_map(
     instrument: Instrument, sigma_deg: float, step_deg: float = 1.0, *, lower: bool = False, gamma_deg: float = 0.0
 ) -> ShadowMap:
-    """Polar angles 0 to 90 deg and azimuths 0 to 360 in steps of `step_deg`, of the upper or the lower arc.
+    """Shadow of the mirrors, for polar angles of 0 to 90 deg and azimuths of 0 to 360 deg in steps of `step_deg`.
 
-    Raises ValueError for a step that does not divide 90 deg or is below 0.1 deg, the smallest of every axis.
+    For the upper or the lower arc. Raises ValueError for a step that does not divide 90 deg or is below 0.1 deg, the least of
+    every axis.
     """
     count = round(90.0 / step_deg) if step_deg >= 0.1 else 0
     if count == 0 or abs(count * step_deg - 90.0) > 1e-9:

@@ -1,4 +1,4 @@
-"""The rays of the fast estimator: the same for every detector and every sample, so that what they miss cancels."""
+"""Bundle of rays: the same for every detector and every sample, so that errors of the quadrature cancel in ratios."""
 
 import math
 from functools import lru_cache
@@ -10,7 +10,7 @@ from goniotwin.twin.optics.fast.aperture import detector_frame
 from goniotwin.twin.optics.geometry.mirrors import distance_to
 from goniotwin.twin.optics.kernel import kernel
 
-# Of the sequence, the best of 120 tried when rays were still thrown away at the disc's edge: any other would do.
+# Offset of the sequence: the best of 120, chosen when rays beyond the disc's edge were still dropped; any other would do.
 SHIFT = (0.42, 0.25, 0.22, 0.65, 0.05, 0.24)
 
 
@@ -25,7 +25,7 @@ def _r_sequence(count: int, shift: tuple[float, ...]) -> Floats:
 
 
 def _disc(square: Floats) -> Floats:
-    """The square from -1 to 1 (n, 2) onto the unit disc, keeping areas (concentric map, Shirley and Chiu 1997)."""
+    """Map of the square from -1 to 1 (n, 2) to the unit disc that keeps areas (concentric map, Shirley and Chiu 1997)."""
     x, y = square[:, 0], square[:, 1]
     wide = np.abs(x) > np.abs(y)
     radius = np.where(wide, x, y)
@@ -36,12 +36,11 @@ def _disc(square: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def ray_bundle(rays: int) -> Floats:
-    """Rays (rays, 6): a place in the hole (from -1 to 1), and points of unit discs: acceptance cone, exit pupil.
+    """Rays (rays, 6): a point in the hole (from -1 to 1), and points of unit discs: acceptance cone, exit pupil.
 
-    The same for every call. Every ray comes with three more: the signs of its detector's end, of its pupil's end, and
-    of both turned. In the lobe of a Gaussian the terms that are odd in a ray's offset from the axis are by far the
-    largest, and so they vanish, with the products of the two ends. Raises ValueError unless `rays` is a multiple of 4
-    and at least 4.
+    The same for every call. Every ray comes with three more: with opposite signs at the detector's end, at the pupil's end, and
+    at both. In the lobe of a Gaussian the terms that are odd in a ray's offset from the axis are by far the largest; so they
+    cancel, with the products of the two ends. Raises ValueError unless `rays` is a multiple of 4 and at least 4.
     """
     if rays < 4 or rays % 4:
         raise ValueError(f"rays is {rays}: give a multiple of 4, at least 4")
@@ -56,7 +55,7 @@ def ray_bundle(rays: int) -> Floats:
 
 @kernel()
 def cone_slopes(rays: Floats, sizes: Floats) -> Floats:
-    """Of each ray its slopes to the detector's axis, away from the normal and level, and its component along it: (rays, 3)."""
+    """Slopes of each ray to the detector's axis, away from the normal and level, and its component along it: (rays, 3)."""
     result = np.empty((rays.shape[0], 3))
     for j in range(rays.shape[0]):
         away, level = sizes[2] * rays[j, 2], sizes[2] * rays[j, 3]
@@ -67,7 +66,7 @@ def cone_slopes(rays: Floats, sizes: Floats) -> Floats:
 
 @kernel()
 def fill_view(centre: Floats, d: Floats, axes: Floats) -> None:
-    """Fills `axes` (4, 3) of a detector: away (from the normal), level, along d; and its centre along these."""
+    """Fill `axes` (4, 3) of a detector: away (from the normal), level, along d; and its centre along these."""
     e1x, e1y, e1z, e2x, e2y = detector_frame(d[0], d[1], d[2])
     axes[0, 0], axes[0, 1], axes[0, 2] = e1x, e1y, e1z
     axes[1, 0], axes[1, 1], axes[1, 2] = e2x, e2y, 0.0
@@ -80,14 +79,15 @@ def fill_view(centre: Floats, d: Floats, axes: Floats) -> None:
 def detector_ray(
     axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Ray j of the bundle of a detector whose axes are given, from where its disc, seen along the ray, meets the hole.
+    """Ray j of the bundle of a detector with the given axes, from the part of the hole that its disc covers along the ray.
 
-    Its weight (0 if they do not meet), point (x, y) on the sample, direction (x, y, z) towards the detector, length.
+    Returns its weight (0 if disc and hole do not meet), point (x, y) on the sample, direction (x, y, z) towards the detector,
+    length.
 
-    No ray is thrown away: first v is put where disc and hole can meet at all, then u on the chord that they share, and the
-    weight has the share of the hole that is. So what a detector gets changes smoothly with its direction, as it must:
-    etalon and sample are measured at poses that are not quite the same. Directions are uniform over the cone's projection on
-    the disc, so the weight holds the other cosines.
+    No ray is dropped: v is set within the range where disc and hole can meet, then u on their common chord, and the weight
+    includes their share of the hole. So the result changes smoothly with the detector's direction. This is needed because
+    etalon and sample are measured at slightly different poses. Directions are uniform over the cone's projection on the disc,
+    so the weight includes the other cosines.
     """
     radius, half, p, q = sizes[0], sizes[1], slopes[j, 0], slopes[j, 1]
     # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
@@ -111,7 +111,7 @@ def detector_ray(
     wy = along * (axes[2, 1] + p * axes[0, 1] + q * axes[1, 1])
     wz = along * (axes[2, 2] + p * axes[0, 2])
     weight = 0.0
-    # NaN, from within the sample's plane, is no ray; nor is one that comes from the detector's far side of the sample.
+    # NaN (a detector in the sample's plane) and rays from the far side of the sample do not count.
     if share_u > 0.0 and share_v > 0.0 and wz * axes[2, 2] > 0.0:
         weight = abs(area) * share_u * share_v / (4.0 * half * half)
     length = (axes[3, 2] - u * axes[2, 0] - v * axes[2, 1]) / along
@@ -124,7 +124,7 @@ def arrival(
 ) -> tuple[float, float, float, float]:
     """Direction (x, y, z) to the pupil's point (u, v) from (px, py) on the sample, and its cos(l) cos(pupil) / r^2.
 
-    The latter is 0 for light that comes from behind or would have missed one of the unfolded mirrors.
+    The latter is 0 for light from behind, or for a ray that misses one of the unfolded mirrors.
     """
     lx = pupil[0, 0] + u * pupil[1, 0] + v * pupil[2, 0] - px
     ly = pupil[0, 1] + u * pupil[1, 1] + v * pupil[2, 1] - py

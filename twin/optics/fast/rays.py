@@ -1,19 +1,20 @@
-"""The fast estimator's rays: seven for a detector, which stand for all that its aperture takes of the beam.
+"""Rays of the fast estimator: seven nodes per detector, which represent all accepted rays of the beam.
 
-What a lobe gives depends on two offsets above all: how far the observer is from the mirrored light along the great circle
-between them, and how far across it. Both are linear in six numbers: place in the hole, slopes to the detector's axis, place
-on the exit pupil. So their covariance follows from the aperture's moments, and a seven-node rule of the fifth degree
-(Stroud, Secrest 1963) takes its place; its radius is that of the fourth moments, which for discs and squares are below
-a Gaussian's. Each node is a real ray: the six numbers are those to be expected for its offsets.
+The value of a lobe depends mainly on two offsets: the angle between observer and specular direction along the great circle
+between them, and the angle across it. Both are linear in six numbers: point in the hole, slopes to the detector's axis, point
+on the exit pupil. So their covariance follows from the aperture's moments, and a seven-node rule of the fifth degree (Stroud,
+Secrest 1963) replaces the distribution. Its radius follows from the fourth moments, which for discs and squares are smaller
+than a Gaussian's. Each node is a real ray: the six numbers are the expected ones for its offsets.
 
-The rays of many detectors: seven nodes each, a whole bundle where a mirror hides some of them, none where it hides all.
+A detector that a mirror partly hides has a whole bundle of rays instead (twin.optics.fast.ray_bundle); one that is hidden
+completely has none.
 """
 
 import math
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     BLOCK,
     DX,
@@ -80,19 +81,19 @@ from goniotwin.twin.optics.kernel import kernel
 NODES = 7
 TINY = 1e-30
 FLATTEST = 1.8
-"""Fourth moment over the square of the second of a uniform distribution: no sum of discs and sides is flatter."""
+"""Fourth moment over the square of the second of a uniform distribution: no sum of discs and sides has a smaller ratio."""
 HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.pi / 3)] for k in range(6)])
 """Turned out of the plane of incidence, so that no two nodes are mirror images in it."""
 
 
 @kernel(nogil=True, fastmath={"contract"})
 def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, first: int, stride: int) -> None:
-    """Fills `rays` (7, 7 stride): weight, light's direction (3), observer's direction (3), for the `count` detectors in `w`.
+    """Fill `rays` (7, 7 stride) for the `count` detectors in `w`: weight, light's direction (3), observer's direction (3).
 
     Node j of a detector is ray j * stride + first + its number. The detectors' frames and moments are in `w`, see
-    twin.optics.fast.aperture; `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
-    Weights have the beam's solid angle in them: cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that
-    takes nothing has weights of 0.
+    twin.optics.fast.aperture. `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
+    Weights include the beam's solid angle, cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that
+    accepts no rays has weights of 0.
     """
     cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
     bx, by, bz, fx, fy, fz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
@@ -110,7 +111,7 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
         rx, ry, rz = u0 - cx, v0 - cy, cz
         inverse = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
         rx, ry, rz = rx * inverse, ry * inverse, rz * inverse
-        up_side = 1.0 if dz > 0.0 else -1.0  # what is transmitted is seen in the sample's plane as in a mirror
+        up_side = 1.0 if dz > 0.0 else -1.0  # transmitted light is mirrored in the sample's plane
         ox, oy, oz = dx + p0 * e1x + q0 * e2x, dy + p0 * e1y + q0 * e2y, up_side * (dz + p0 * e1z)
         shrink = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz)
         ox, oy, oz = ox * shrink, oy * shrink, oz * shrink
@@ -143,7 +144,7 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
         rest, least = s22 - t21 * t21, 1e-12 * s22 + 1e-30
         t22 = math.sqrt(rest if rest > least else least)
         # Fourth cumulants: of a disc -r^4/16 along each of its axes, of a side of the hole -6/5 of its variance squared.
-        # Slopes go with the place in the hole where the disc limits them; what is left of them then is the disc's own.
+        # Where the disc limits the rays the slopes are correlated with the point in the hole; the rest is due to the disc.
         j2, k2 = ja * ja + jb * jb, ka * ka + kb * kb
         ru, rv = 1.0 / (uu if uu > TINY else TINY), 1.0 / (vv if vv > TINY else TINY)
         slope2 = pp + qq - (up * up + uq * uq) * ru - (vp * vp + vq * vq) * rv
@@ -189,11 +190,12 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
 @kernel(nogil=True)
 def fill_nodes(
     centres: Floats, axes: Floats, sizes: Floats, wide: bool, cone: Floats, side: Floats, hole: Floats, hexagon: Floats,
-    pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: np.ndarray,
+    pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: Ints,
 ) -> None:  # fmt: skip
-    """Fills `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
+    """Fill `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
 
-    PARTLY says that seven nodes are not enough, since a mirror cuts into what the detector takes; they are there all the same.
+    PARTLY means that seven nodes are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all
+    the same.
     """
     count, near, w = centres.shape[0], np.zeros(3), np.empty(ROWS * BLOCK)
     for first in range(0, count, BLOCK):
@@ -223,7 +225,7 @@ def fill_rays(
     centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, mirrors: Floats, images: Floats,
     half: float, blocking: float, obstruction: bool, clipped: bool, rays: Floats,
 ) -> None:  # fmt: skip
-    """Fills `rays` (7, bundle) with a whole bundle of one detector, those that a mirror cuts weighing nothing.
+    """Fill `rays` (7, bundle) with a whole bundle of one detector; rays that a mirror blocks have no weight.
 
     `half` is a mirror's half side, mm, and `blocking` that with its mount.
     """

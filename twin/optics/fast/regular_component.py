@@ -1,10 +1,10 @@
-"""What a detector gets of light that is reflected regularly, or passes straight through: an image of the exit pupil.
+"""Measure of the rays that a detector receives from a regular reflection or transmission: an image of the exit pupil.
 
-A mirror keeps radiance. So a detector sees the pupil through the hole, mirrored in the sample's plane or as it is, and
-gets the measure of all rays that cross the hole and the disc, lie within the acceptance cone, and come from the pupil. From
-a point of the hole the last three are discs in the plane of slopes (the pupil's an ellipse), so that along one slope each
-leaves a chord, in closed form; the other slope and the hole take Gauss-Legendre nodes. The field is smooth but for kinks,
-and no ray is thrown.
+A mirror conserves radiance. So a detector sees the pupil through the hole, mirrored in the sample's plane or directly. It
+receives the measure of all rays that cross the hole and the disc, lie within the acceptance cone, and come from the pupil. From
+a point of the hole the last three are discs in the plane of slopes (the pupil is an ellipse), so that along one slope each
+gives a chord, in closed form; the other slope and the hole take Gauss-Legendre nodes. The result is smooth except for kinks,
+and no random ray is drawn.
 """
 
 import math
@@ -19,7 +19,7 @@ HOLE_NODES, SLOPE_NODES = 12, 16
 
 
 def line_nodes(count: int) -> Floats:
-    """Gauss-Legendre places within -1..1 and their shares (n, 2)."""
+    """Gauss-Legendre points within -1..1 and their weights (n, 2), which sum to 1."""
     places, weights = np.polynomial.legendre.leggauss(count)
     return np.stack([places, 0.5 * weights], axis=1)
 
@@ -28,10 +28,10 @@ def line_nodes(count: int) -> Floats:
 def conic(
     q: float, d: Floats, e1: Floats, e2: Floats, image: Floats, square_radius: float, hn: float, ha: float, hb: float
 ) -> tuple[float, float, float]:
-    """Of rays of slope q: those of slopes p come from the image with a p^2 + 2 b p + c <= 0; returns a, b, c.
+    """Condition on the slope p of rays of slope q from the image: a p^2 + 2 b p + c <= 0; returns a, b, c.
 
-    A ray h + s w, h from the image's centre to the hole, meets the image's plane at coordinates (x, y) / (w n), where
-    x = (h a)(w n) - (h n)(w a), and y alike with its other axis, are linear in w = d + q e2 + p e1.
+    A ray h + s w, with h from the image's centre to the hole, meets the image's plane at coordinates (x, y) / (w n), where x =
+    (h a)(w n) - (h n)(w a), and y alike with its other axis, are linear in w = d + q e2 + p e1.
     """
     wx, wy, wz = d[0] + q * e2[0], d[1] + q * e2[1], d[2] + q * e2[2]
     n0 = wx * image[3, 0] + wy * image[3, 1] + wz * image[3, 2]
@@ -48,7 +48,7 @@ def conic(
 def image_measures(
     centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, transmits: bool, hole: Floats, line: Floats, result: Floats
 ) -> None:
-    """Fills `result` (n,) with the measures of n detectors, mm^2 sr: 0 for those that do not see the pupil's image.
+    """Fill `result` (n,) with the measures of n detectors, mm^2 sr: 0 for those that do not see the pupil's image.
 
     `hole` and `line` (n, 2) are nodes over a side of the hole and over a slope; `pupil` (4, 3) as in `place_nodes`.
     """
@@ -69,7 +69,7 @@ def image_measures(
         for i in range(hole.shape[0]):
             for j in range(hole.shape[0]):
                 u, v = half * hole[i, 0], half * hole[j, 0]
-                # The disc's centre and radius in slopes, as seen from (u, v).
+                # The disc's centre and radius as slopes from (u, v).
                 distance = ahead - u * d[0] - v * d[1]
                 p0 = ((centre[0] - u) * e1[0] + (centre[1] - v) * e1[1] + centre[2] * e1[2]) / distance
                 q0 = ((centre[0] - u) * e2[0] + (centre[1] - v) * e2[1]) / distance
@@ -79,7 +79,7 @@ def image_measures(
                 hn = hx * image[3, 0] + hy * image[3, 1] + hz * image[3, 2]
                 ha = hx * image[1, 0] + hy * image[1, 1] + hz * image[1, 2]
                 hb = hx * image[2, 0] + hy * image[2, 1] + hz * image[2, 2]
-                # Where b^2 - a c, which is quadratic in q, is not below 0 there are rays from the image.
+                # There are rays from the image where b^2 - a c, which is quadratic in q, is not negative.
                 a, b, c = conic(0.0, d, e1, e2, image, square_radius, hn, ha, hb)
                 middle = b * b - a * c
                 a, b, c = conic(1.0, d, e1, e2, image, square_radius, hn, ha, hb)
@@ -106,7 +106,7 @@ def image_measures(
                     if right > left:
                         p = 0.5 * (left + right)
                         stretch = 1.0 + p * p + q * q
-                        # Radiance is kept: the measure is area, the cosine with the sample's normal, solid angle.
+                        # Radiance is conserved: the measure is area, the cosine with the sample's normal, solid angle.
                         inner += line[k, 1] * (right - left) * abs(d[2] + p * e1[2]) / (stretch * stretch)
                 total += hole[i, 1] * hole[j, 1] * inner * (high - low)
         result[n] = total * 4.0 * half * half

@@ -1,13 +1,14 @@
-"""A block of forward paths from the source to the detectors: its strata one after the other, each a row of plain loops.
+"""A block of forward paths from the source to the detectors: stratum by stratum, each as plain loops.
 
-A stratum is so many paths of every block that are drawn the same way: those of one lobe, or those that land on the frame.
+A stratum is a fixed number of each block's paths, all drawn in the same way: those of one lobe, or those that land on the
+frame.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints, Singles, Words
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes
 from goniotwin.twin.optics.forward.bounces import Surfaces, cosine_direction, trace_bounces
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, trace_to_sample
@@ -28,24 +29,30 @@ from goniotwin.twin.optics.montecarlo import scramble, uniform, word_key
 
 U64 = np.uint64
 COSINE, SHAPE, REST, MODEL, FRAME = range(5)
-"""Ways to draw: a Lambertian lobe; a Gaussian's shape, and by the cosine what is left of it; any other lobe; the frame."""
+"""Ways to draw: a Lambertian lobe; the shape of a Gaussian; the rest of a Gaussian, by the cosine; any other lobe;
+the frame.
+"""
 FRAMES_STREAM = 1 << 16
-"""The frame's paths have their random numbers whatever lobes the sample has: so in a difference of two samples, or of one and
-none, the noise of what the frame itself scatters cancels, as the light does."""
+"""Stream of the frame's random numbers, independent of the sample's lobes.
+
+So in a difference of two samples, or of one and none, the noise of the light scattered by the frame cancels, as the light does.
+"""
 
 
 class Strata(NamedTuple):
-    """`ways` (n, 3): how to draw, of which lobe, how many of a block's paths. `gains` (n, 2): the factor of the weights, and
-    for a Gaussian how many of its paths follow its shape. `lit` is how much wider than the hole the square of light is.
+    """Strata: `ways` (n, 3) are the way to draw, the lobe, the number of a block's paths.
+
+    `gains` (n, 2) are the factor of the weights, and for a Gaussian the share of its paths that follow its shape. `lit` is the
+    width of the lit square relative to the hole.
     """
 
-    ways: np.ndarray
+    ways: Ints
     gains: Floats
     lit: float
 
 
 @kernel(nogil=True)
-def scatter_stratum(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, keys: np.ndarray, lobes: Lobes) -> None:
+def scatter_stratum(buffer: Singles, strata: Strata, k: int, key: np.uint64, keys: Words, lobes: Lobes) -> None:
     """Directions and weights of the paths of stratum k that have arrived at the sample."""
     way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
     gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.heads[which, TRANSMITS] == 1
@@ -62,16 +69,18 @@ def scatter_stratum(buffer: np.ndarray, strata: Strata, k: int, key: np.uint64, 
 
 @kernel(nogil=True)
 def trace(
-    first: int, last: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes, stage: Surfaces, targets: Targets,
+    first: int, last: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes, surfaces: Surfaces, targets: Targets,
     spread: Spread, longest: int, detectors: int,
 ) -> Floats:  # fmt: skip
-    """Sums (detectors, 4) over blocks first..last-1: of the weights of paths that were scattered once and of their squares, and
-    the same of all others; after them those of the map's bins. `longest` is how many detectors a cell has at most.
+    """Sums (detectors, 4) over blocks first..last-1.
+
+    Columns: weights and their squares of light scattered once, then the same of all other light. With a map its bins follow as
+    further rows. `longest` is the greatest number of detectors in a cell.
     """
     sums = np.zeros((detectors + BINS if spread.wanted else detectors, 4))
-    buffer, found = np.empty(ROWS * BLOCK, np.float32), np.empty(BLOCK, np.int32)
+    buffer, path_cells = np.empty(ROWS * BLOCK, np.float32), np.empty(BLOCK, np.int32)
     most = HITS + longest + 1
-    room = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
     start, keys = scramble(U64(seed)), np.empty(4, np.uint32)
     for block in range(first, last):
         key = scramble(start + U64(block) * U64(0xD1342543DE82EF95))
@@ -88,26 +97,26 @@ def trace(
                         dx, dy, dz = cosine_direction(True, uniform(own, 0), uniform(own, 1))
                         weight = buffer[i + FLUX] * strata.gains[k, 0]
                         trace_bounces(
-                            stage, lobes, targets, spread, own, 1, False,
-                            np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), stage.gap, dx, dy, dz, weight, sums,
+                            surfaces, lobes, targets, spread, own, 1, False,
+                            np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), surfaces.gap, dx, dy, dz, weight, sums,
                         )  # fmt: skip
                 continue
             scatter_stratum(buffer, strata, k, key, keys, lobes)
             reset_stops(buffer, count)
-            if stage.obstruction:
+            if surfaces.obstruction:
                 for m in range(3):
-                    stop_at_mirror(buffer, count, stage.mirrors[m], stage.blocking_half)
-            if stage.gap > 0.0:
-                stop_at_frame(buffer, count, stage.hole_half, stage.gap)
+                    stop_at_mirror(buffer, count, surfaces.mirrors[m], surfaces.blocking_half)
+            if surfaces.gap > 0.0:
+                stop_at_frame(buffer, count, surfaces.hole_half, surfaces.gap)
             if detectors > 0:
-                find_cells(buffer, count, targets.cells, found)
-                score(buffer, count, found, targets, room, sums)
+                find_cells(buffer, count, targets.cells, path_cells)
+                score(buffer, count, path_cells, targets, hit_buffer, sums)
             for i in range(count):
                 if buffer[i + STOP] < np.inf and buffer[i + WEIGHT] > 0.0:
                     weight = np.float64(buffer[i + WEIGHT])
                     dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
                     trace_bounces(
-                        stage, lobes, targets, spread, path_key(key, k, i), 1, True,
+                        surfaces, lobes, targets, spread, path_key(key, k, i), 1, True,
                         np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), 0.0, dx, dy, dz, weight, sums,
                     )  # fmt: skip
     return sums
@@ -115,7 +124,7 @@ def trace(
 
 @kernel(nogil=True)
 def trace_geometry(blocks: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes) -> float:
-    """The same without what follows the scattering, for its speed: the sum of the last path's direction of each block."""
+    """Paths up to the scattering alone, to measure its speed: the sum of the last path's direction of each block."""
     buffer, keys, total = np.empty(ROWS * BLOCK, np.float32), np.empty(4, np.uint32), 0.0
     start = scramble(U64(seed))
     for block in range(blocks):

@@ -1,6 +1,6 @@
-"""Elementary functions in single precision, without a call or a branch, so that LLVM makes vectors of loops over them.
+"""Elementary functions in single precision, without calls or branches, so that LLVM vectorises loops over them.
 
-Polynomials fitted by least maximum error; what is stated is their error before rounding.
+Minimax polynomials; the stated errors are those before rounding.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ A4, A5 = np.float32(0.02382393855), np.float32(0.04269030159)
 E0, E1, E2, E3 = np.float32(1.000000072), np.float32(0.6931469671), np.float32(0.2402211972), np.float32(0.05550713274)
 E4, E5 = np.float32(0.009675541333), np.float32(0.001327647178)
 T1, T2, T3 = np.float32(0.3333340826), np.float32(0.1998737021), np.float32(0.1496347914)
-# Exponent and mantissa of the square root of a half.
+# Bits of the square root of 0.5, width of the mantissa, exponent's bias, and the least exponent.
 ROOT_HALF_BITS, MANTISSA_BITS, BIAS, LEAST = np.int32(0x3F3504F3), np.int32(23), np.int32(127), np.float32(-80.0)
 
 
@@ -48,7 +48,7 @@ def cosine_and_sine(share: np.float32) -> tuple[np.float32, np.float32]:
 
 @kernel(inline="always")
 def minus_log(x: np.float32) -> np.float32:
-    """-ln(x) for x above 0 and normal, to 1e-9 of it."""
+    """-ln(x) for a normal x above 0, to 1e-9 of it."""
     bits = F32(x).view(np.int32)
     exponent = I32(I32(bits - ROOT_HALF_BITS) >> MANTISSA_BITS)
     above = F32(I32(bits - I32(exponent << MANTISSA_BITS)).view(np.float32) - ONE)
@@ -59,7 +59,7 @@ def minus_log(x: np.float32) -> np.float32:
 
 @kernel(inline="always")
 def exp_minus(x: np.float32) -> np.float32:
-    """exp(-x) for x of at least 0, to 8e-8 of it; 0 below 2^-80: numbers that are not normal cost a hundred times as much."""
+    """exp(-x) for x >= 0, to 8e-8 of it; 0 below 2^-80: operations with denormal numbers are a hundred times as slow."""
     exact = F32(-x * LOG2_E)
     y = max(exact, LEAST)
     whole = I32(y - HALF)

@@ -1,9 +1,9 @@
 """The forward estimator: Monte Carlo from the source over real mirrors and the sample to all detectors at once.
 
-It traces every interaction and is the reference: it knows nothing of the unfolded path, of a detector's own rays or of moments,
-so that it can hold the fast estimator. Numbers are counter-based: a path's are a function of seed and path, and partial sums
-are added in the order of the chunks, so results are bit-identical whatever the number of threads. Geometry is in single
-precision up to the first scattering (0.1 micrometres, 1e-7 rad), sums and all that follows in double.
+It traces every interaction and is the reference for the fast estimator: it uses neither the unfolded path, nor rays from the
+detectors, nor moments. Random numbers are counter-based: those of a path are a function of seed and path. Partial sums are
+added in the order of the chunks, so results are bit-identical for any number of threads. Geometry is in single precision up to
+the first scattering (0.1 micrometres, 1e-7 rad); sums and all later steps are in double precision.
 """
 
 import math
@@ -32,10 +32,11 @@ class Estimate:
 
     Single is light that the sample scattered once after the three mirrors: this is what the fast estimator computes. Stray is
     the rest: light of the frames, and light that met another surface. `paths` is the number of traced paths. The flux on a
-    detector is its throughput times `radiance`: the exit pupil's own, or, for a rayset, that of a uniform exit pupil that
-    gives the hole as much light, in `unit` / (m^2 sr).
-    Each contribution counts for itself in the errors, and light that is drawn in several ways as if it were drawn at random:
-    what is stated is never too small but where a path meets one detector twice.
+    detector is its throughput times `radiance`: the exit pupil's own, or, for a rayset, that of a uniform exit pupil that gives
+    the hole as much light, in `unit` / (m^2 sr).
+
+    The errors take each contribution as independent, and light that is drawn in several strata as drawn at random: they are
+    never too small, except where a path meets one detector twice.
     """
 
     throughput_m2sr: Floats
@@ -63,28 +64,27 @@ def forward_throughput(
     max_interactions: int = 8,
     sample_frames: SampleFrames | None = None,
 ) -> Estimate:
-    """Throughput of detectors in `directions` (n, 3): what they get of a uniform exit pupil's radiance, or of a rayset.
+    """Throughput of detectors in `directions` (n, 3): their flux over the radiance of a uniform exit pupil, or of a rayset.
 
-    Without a `scatterer` there is no sample: the open beam. A detector counts a ray that crosses its disc within its
-    acceptance cone (or, of an instrument with a `sensor`, its lens, and reaches what is behind) before it meets something,
-    however many detectors it crosses. Give `paths`, which is rounded up to a
-    multiple of 2048, or `relative_error`: then it goes on until the median over all detectors that got any light, of standard
-    error over throughput, is below that.
+    Without a `scatterer` there is no sample: the open beam. A detector counts a ray that crosses its disc within its acceptance
+    cone (or, with the instrument's `sensor`, its lens, and reaches the detector behind it) before it meets something, however
+    many detectors it crosses. Give `paths`, which is rounded up to a multiple of 2048, or `relative_error`: paths are then
+    added until the median of standard error over throughput, over all detectors that receive light, is below it.
 
-    A `source` takes the place of the exit pupil: its rays are drawn at random, and stated errors are about its own mean, not
-    about that of all raysets like it. Without `wavelength_nm` it is the mean of the rays'. Light that misses a mirror of the
-    beam is lost. With the instrument's `obstruction` mirrors stop scattered light, and reflect it; without it there are none
-    for that light. A path ends with `max_interactions`, the first scattering included.
+    A `source` replaces the exit pupil: its rays are drawn at random, and stated errors relate to its own mean, not to that of
+    all raysets like it. Without `wavelength_nm` it is the mean of the rays' wavelengths. Light that misses a mirror of the beam
+    is lost. With the instrument's `obstruction` mirrors block and reflect scattered light; without it scattered light does not
+    meet them. A path ends after `max_interactions`, the first scattering included.
 
-    Raises ValueError for directions that are none, fewer than 2 paths, a seed that is none, both or neither of paths and
-    relative error, an error that 2^38 paths do not reach or that is wanted of no light, fewer than 1 interaction, and for a
+    Raises ValueError for vectors without a direction, fewer than 2 paths, an invalid seed, both or neither of paths and
+    relative error, an error that needs more than 2^38 paths or is requested without light, fewer than 1 interaction, and for a
     sample with a spectrum without a wavelength.
     """
     check_seed(seed)
     if (paths is None) == (relative_error is None):
         raise ValueError("give either paths or relative_error")
     if paths is not None and paths < 2:
-        raise ValueError(f"paths is {paths}: give at least 2, for an error needs two")
+        raise ValueError(f"paths is {paths}: give at least 2; a standard error needs two")
     if max_interactions < 1:
         raise ValueError(f"max_interactions is {max_interactions}: give at least 1, the first scattering")
     if source is not None and wavelength_nm is None:
@@ -101,14 +101,14 @@ def trace_paths(setting: Setting, seed: int, first: int, last: int) -> Floats:
     if not setting.strata.ways.size:
         return np.zeros((setting.rows, 4))
     sums: Floats = trace(
-        first // BLOCK, last // BLOCK, U64(seed), setting.beam, setting.strata, setting.lobes, setting.stage,
+        first // BLOCK, last // BLOCK, U64(seed), setting.beam, setting.strata, setting.lobes, setting.surfaces,
         setting.targets, setting.spread, setting.longest, setting.detectors,
     )  # fmt: skip
     return sums
 
 
 def run_sums(setting: Setting, paths: int, seed: int) -> tuple[Floats, int]:
-    """The sums over so many paths, and how many they are, rounded up."""
+    """Sums over a number of paths, and that number, rounded up."""
     rounded = BLOCK * math.ceil(paths / BLOCK)
     return sum_chunks(lambda first, last: trace_paths(setting, seed, first, last), 0, rounded), rounded
 
@@ -120,16 +120,16 @@ def _run(setting: Setting, paths: int | None, relative_error: float | None, seed
         parts = np.stack([sums[:, 0:2] + sums[:, 2:4], sums[:, 0:2], sums[:, 2:4]])
         mean, square = parts[:, :, 0] / done, parts[:, :, 1] / done
         error = np.sqrt(np.maximum(square - mean**2, 0.0) / (done - 1))
-        known, wrong = mean * scale, error * scale
-        found = Estimate(
-            known[0], wrong[0], known[1], wrong[1], known[2], wrong[2], done, setting.radiance, setting.unit
+        value, uncertainty = mean * scale, error * scale
+        result = Estimate(
+            value[0], uncertainty[0], value[1], uncertainty[1], value[2], uncertainty[2], done, setting.radiance, setting.unit
         )  # fmt: skip
         lit = mean[0] > 0.0
         if not np.any(lit):
-            return 0.0, 0.0, found
-        return 1.0, float(np.median(error[0][lit] / mean[0][lit])), found
+            return 0.0, 0.0, result
+        return 1.0, float(np.median(error[0][lit] / mean[0][lit])), result
 
-    # Chunks grow with the number of detectors, so that adding their sums remains cheap.
+    # Chunks grow with the number of detectors, so that the addition of their sums remains cheap.
     chunk = CHUNK * min(16, max(1, setting.rows // 4096))
     rounded = None if paths is None else BLOCK * math.ceil(paths / BLOCK)
     return run_until(

@@ -1,16 +1,16 @@
 """Forward paths from the source over the three real mirrors into the hole, a block at a time.
 
-A block's paths lie in one buffer of single precision, a row for each coordinate. All rows have the same length, a constant
-of the compiled code, so LLVM knows that they do not overlap and makes vectors of each pass: 5 ns a path for all of them.
-Everything is in the sample's frame (twin.optics.geometry.scene), mirrors where they stand and not unfolded. Numbers for place
-on the pupil and in the hole have 16 bits, 0.1 micrometres.
+The paths of a block are in one buffer of single precision, with a row for each coordinate. All rows have the same length, a
+constant of the compiled code, so LLVM can prove that they do not overlap, and vectorises each pass: 5 ns per path in total.
+Everything is in the sample's frame (twin.optics.geometry.scene), with mirrors at their places and not unfolded. Random numbers
+for the points on the pupil and in the hole have 16 bits: 0.1 micrometres.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Singles, Words
 from goniotwin.twin.optics.forward.elementary import cosine_and_sine
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import high_16, low_16, word
@@ -18,19 +18,21 @@ from goniotwin.twin.optics.montecarlo import high_16, low_16, word
 BLOCK = 2048
 F32 = np.float32
 ONE, TWO, ZERO = np.float32(1.0), np.float32(2.0), np.float32(0.0)
-# Where a row begins in the buffer. First the place and direction of the ray, later, of the ray that leaves the sample:
+# Start of each row in the buffer. Position and direction of the arriving ray, then those of the scattered ray.
 X, Y, Z, WX, WY, WZ = (row * BLOCK for row in range(6))
 FLUX, PX, PY, DX, DY, DZ, WEIGHT, STOP = (row * BLOCK for row in range(6, 14))
 ROWS = 14
-# Of the hole's half side, how far the aim goes beyond: the hole itself decides which ray is in it.
+# Size of the target area relative to the hole; the hole itself then decides which rays pass.
 MARGIN = 1.002
 
 
 class Beam(NamedTuple):
-    """What lights the sample, lengths in mm: `pupil` (4, 3) is centre, two axes as long as its radius, and its normal along
-    the light; `aim` (3, 3) the images, in the three mirrors, of the hole's centre and of its half sides; `mirrors` (3, 4, 3);
-    `reflectance` (3, 2) that of each for cosine c is r[0] + r[1] c; half sides of mirrors, hole and frames; the frames' gap.
-    `rays` (n, 6) and `flux` (n,) take the pupil's place, where there are any.
+    """Light on the sample, lengths in mm.
+
+    `pupil` (4, 3): centre, two axes as long as its radius, and its normal along the light. `aim` (3, 3): the images, in the
+    three mirrors, of the hole's centre and of its half sides. `mirrors` (3, 4, 3). `reflectance` (3, 2): that of each mirror
+    for cosine c is r[0] + r[1] c. Half sides of mirrors, hole and frames; the frames' gap. `rays` (n, 6) and `flux` (n,)
+    replace the pupil, if there are any.
     """
 
     pupil: Floats
@@ -46,8 +48,8 @@ class Beam(NamedTuple):
 
 
 @kernel(fastmath={"contract"})
-def aim_at_hole(buffer: np.ndarray, count: int, key: np.uint32) -> None:
-    """Fills PX, PY with points of the hole, in units of its half side, and a little beyond."""
+def aim_at_hole(buffer: Singles, count: int, key: np.uint32) -> None:
+    """Fill PX, PY with points of the hole, in units of its half side, and slightly beyond."""
     for i in range(count):
         bits = word(key, i)
         buffer[i + PX] = (TWO * low_16(bits) - ONE) * F32(MARGIN)
@@ -55,8 +57,8 @@ def aim_at_hole(buffer: np.ndarray, count: int, key: np.uint32) -> None:
 
 
 @kernel()
-def aim_beside_hole(buffer: np.ndarray, count: int, key: np.uint32, lit: float) -> None:
-    """The same, uniformly over the square `lit` times as wide, but for the hole: four equal rectangles like a windmill."""
+def aim_beside_hole(buffer: Singles, count: int, key: np.uint32, lit: float) -> None:
+    """Fill PX, PY with points of the square `lit` times as wide, without the hole: four equal rectangles like a windmill."""
     for i in range(count):
         bits = word(key, i)
         s, t = F32(-1.0) + (F32(lit) + ONE) * low_16(bits), ONE + (F32(lit) - ONE) * high_16(bits)
@@ -69,8 +71,8 @@ def aim_beside_hole(buffer: np.ndarray, count: int, key: np.uint32, lit: float) 
 
 
 @kernel(fastmath={"contract"})
-def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, aim: Floats) -> None:
-    """Rays from uniform points of the pupil to where PX, PY aim; FLUX is the cosine there over the squared length, 1/mm^2."""
+def leave_pupil(buffer: Singles, count: int, key: np.uint32, pupil: Floats, aim: Floats) -> None:
+    """Rays from uniform points of the pupil to PX, PY; FLUX is the cosine at the pupil over the squared length, 1/mm^2."""
     p00, p01, p02 = F32(pupil[0, 0]), F32(pupil[0, 1]), F32(pupil[0, 2])
     p10, p11, p12 = F32(pupil[1, 0]), F32(pupil[1, 1]), F32(pupil[1, 2])
     p20, p21, p22 = F32(pupil[2, 0]), F32(pupil[2, 1]), F32(pupil[2, 2])
@@ -93,8 +95,8 @@ def leave_pupil(buffer: np.ndarray, count: int, key: np.uint32, pupil: Floats, a
 
 
 @kernel()
-def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flux: Floats) -> None:
-    """Rays of a rayset, each drawn as likely as any other; FLUX is the ray's own."""
+def leave_rays(buffer: Singles, count: int, key: np.uint32, rays: Floats, flux: Floats) -> None:
+    """Rays of a rayset, each with the same probability; FLUX is the ray's own."""
     for i in range(count):
         k = (np.int64(word(key, i)) * np.int64(rays.shape[0])) >> 32
         buffer[i + X], buffer[i + Y], buffer[i + Z] = rays[k, 0], rays[k, 1], rays[k, 2]
@@ -103,8 +105,8 @@ def leave_rays(buffer: np.ndarray, count: int, key: np.uint32, rays: Floats, flu
 
 
 @kernel(fastmath={"contract"})
-def reflect_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
-    """Takes the rays to a mirror and reflects them there; one that misses it carries nothing any more."""
+def reflect_at_mirror(buffer: Singles, count: int, mirror: Floats, half: float, reflectance: Floats) -> None:
+    """Propagate the rays to a mirror and reflect them; one that misses it has no flux from then on."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
     nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
     ux, uy, uz = F32(mirror[2, 0]), F32(mirror[2, 1]), F32(mirror[2, 2])
@@ -125,11 +127,11 @@ def reflect_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: floa
 
 
 @kernel(fastmath={"contract"})
-def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, inside: bool, project: bool) -> None:
-    """Takes the rays to the frame's plane, and those of the hole on to the sample: their place there is PX, PY.
+def land(buffer: Singles, count: int, hole: float, frame: float, gap: float, inside: bool, project: bool) -> None:
+    """Propagate the rays to the frame's plane, and those in the hole on to the sample: PX, PY are their points there.
 
-    `inside` keeps what goes through the hole, and else what lands on the frame is kept, where it lands. With `project`
-    FLUX is multiplied by the cosine to the normal.
+    `inside` keeps the rays through the hole; without it the rays that land on the frame are kept, at their points there. With
+    `project` FLUX is multiplied by the cosine to the normal.
     """
     limit, edge, height = F32(hole), F32(frame), F32(gap)
     for i in range(count):
@@ -150,8 +152,8 @@ def land(buffer: np.ndarray, count: int, hole: float, frame: float, gap: float, 
 
 
 @kernel()
-def trace_to_sample(buffer: np.ndarray, count: int, keys: np.ndarray, beam: Beam, inside: bool, lit: float) -> None:
-    """All of it: rays in the hole or, without `inside`, on the frame round it; `keys` (2,) of the two words of a path."""
+def trace_to_sample(buffer: Singles, count: int, keys: Words, beam: Beam, inside: bool, lit: float) -> None:
+    """All steps: rays into the hole or, without `inside`, onto the frame around it; `keys` (2,) for the two words of a path."""
     uniform_pupil = beam.rays.shape[0] == 0
     if not uniform_pupil:
         leave_rays(buffer, count, keys[0], beam.rays, beam.flux)

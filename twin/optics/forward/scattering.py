@@ -1,8 +1,8 @@
-"""How forward paths leave the sample: a direction drawn for each path of a block, and what it weighs.
+"""Scattering at the sample: a direction and a weight for each path of a block, and the first surface on its way.
 
-A weight is flux times value times cosine over the density of the draw. Of a Gaussian so many paths follow its shape, and the
-others the cosine, so that detectors far off the lobe get theirs too; the density is that of both together. Lambertian and
-Gaussian lobes are drawn in single precision and as vectors, with 24 bits for each angle; all others by
+A weight is flux times value times cosine over the density of the draw. A share of a Gaussian's paths follows its shape, the
+others the cosine, so that detectors far from the lobe receive paths too; the density is that of both together. Lambertian and
+Gaussian lobes are drawn in single precision and in vectorised loops, with 24 bits for each angle; all others by
 twin.optics.bsdf.sampling, path by path.
 """
 
@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Singles, Words
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes, lobe_arrays
 from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
@@ -25,8 +25,8 @@ TINY = np.float32(1e-30)
 
 
 @kernel(fastmath={"contract"})
-def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits: bool, gain: float) -> None:
-    """Paths by Lambert's law, with the two words of `keys` (2,); their weight is FLUX times `gain`."""
+def leave_by_cosine(buffer: Singles, count: int, keys: Words, transmits: bool, gain: float) -> None:
+    """Draw directions by Lambert's law, with the two words of `keys` (2,); the weight is FLUX times `gain`."""
     factor, way = F32(gain), F32(-1.0 if transmits else 1.0)
     for i in range(count):
         height = upper_24(word(keys[0], i))
@@ -37,10 +37,11 @@ def leave_by_cosine(buffer: np.ndarray, count: int, keys: np.ndarray, transmits:
 
 
 @kernel(fastmath={"contract"})
-def leave_by_lobe(
-    buffer: np.ndarray, count: int, keys: np.ndarray, params: Floats, share: float, transmits: bool, gain: float
-) -> None:
-    """Paths by the shape of a Gaussian lobe (twin.optics.bsdf.models), of which `share` of its paths are; weight as above."""
+def leave_by_lobe(buffer: Singles, count: int, keys: Words, params: Floats, share: float, transmits: bool, gain: float) -> None:
+    """Draw directions by the shape of a Gaussian lobe (twin.optics.bsdf.models); `share` of its paths do.
+
+    The weight is as in the module.
+    """
     peak, inverse, cut = F32(params[0] * gain), F32(1.0 / params[1]), F32(params[3])
     intensity, ratio = params[2] == 1.0, F32(1.0 / params[4])
     lobe, rest = F32(share * params[1] / (math.pi * params[3])), F32((1.0 - share) / math.pi)
@@ -51,7 +52,7 @@ def leave_by_lobe(
         square = max(minus_log(below), ZERO) * inverse
         half = QUARTER * square
         sinc, cos_half = sine_ratio(half), cosine(half)
-        # sin(theta) / theta, sin(theta) and cos(theta), by the half angle
+        # sin(theta) / theta, sin(theta) and cos(theta), from the half angle
         stretch = sinc * cos_half
         sine, along = np.sqrt(square) * stretch, TWO * cos_half * cos_half - ONE
         lx, ly, lz = -buffer[i + WX] * ratio, -buffer[i + WY] * ratio, -buffer[i + WZ]
@@ -71,8 +72,8 @@ def leave_by_lobe(
 
 
 @kernel(fastmath={"contract"})
-def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, transmits: bool, gain: float) -> None:
-    """Of paths that left by the cosine, the weight that they have for a Gaussian lobe, of which `share` went the other way."""
+def weigh_lobe(buffer: Singles, count: int, params: Floats, share: float, transmits: bool, gain: float) -> None:
+    """Weights for a Gaussian lobe of paths that were drawn by the cosine; `share` of the lobe's paths follow its shape."""
     peak, exponent = F32(params[0] * gain), F32(params[1])
     intensity, ratio = params[2] == 1.0, F32(1.0 / params[4])
     lobe, rest = F32(share * params[1] / (math.pi * params[3])), F32((1.0 - share) / math.pi)
@@ -96,8 +97,8 @@ def weigh_lobe(buffer: np.ndarray, count: int, params: Floats, share: float, tra
 
 
 @kernel(fastmath={"contract"})
-def stop_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) -> None:
-    """STOP becomes the distance to a mirror where that is met before."""
+def stop_at_mirror(buffer: Singles, count: int, mirror: Floats, half: float) -> None:
+    """Set STOP to the distance to a mirror if that is smaller."""
     cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
     nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
     ux, uy, uz = F32(mirror[2, 0]), F32(mirror[2, 1]), F32(mirror[2, 2])
@@ -114,8 +115,8 @@ def stop_at_mirror(buffer: np.ndarray, count: int, mirror: Floats, half: float) 
 
 
 @kernel(fastmath={"contract"})
-def stop_at_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> None:
-    """The same for the frame's own side, which faces the sample."""
+def stop_at_frame(buffer: Singles, count: int, hole: float, gap: float) -> None:
+    """Set STOP to the distance to the frame's side that faces the sample, if that is smaller."""
     limit, height = F32(hole), F32(gap)
     for i in range(count):
         distance = height / abs(buffer[i + DZ])
@@ -126,21 +127,21 @@ def stop_at_frame(buffer: np.ndarray, count: int, hole: float, gap: float) -> No
 
 
 @kernel()
-def reset_stops(buffer: np.ndarray, count: int) -> None:
-    """STOP is infinite."""
+def reset_stops(buffer: Singles, count: int) -> None:
+    """Set STOP to infinity."""
     for i in range(count):
         buffer[i + STOP] = F32(np.inf)
 
 
 @kernel()
 def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
-    """Of one path of a block: for what is drawn path by path."""
+    """Key of one path of a block, for numbers that are drawn path by path."""
     return scramble(key + U64(stratum * 65536 + i + 1) * U64(0xD1342543DE82EF95))
 
 
 @kernel()
-def leave_by_model(buffer: np.ndarray, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
-    """Paths by any lobe, one after the other: number `which` of the packed ones."""
+def leave_by_model(buffer: Singles, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
+    """Draw directions of any lobe, one path after the other: number `which` of the packed ones."""
     arrays = lobe_arrays(lobes, which)
     transmits = lobes.heads[which, TRANSMITS] == 1
     for i in range(count):

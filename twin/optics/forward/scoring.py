@@ -1,9 +1,10 @@
-"""Which detectors count a ray: a look-up from its direction to those that may, then the exact test of disc and cone, or, of
-real sensors, of lens, diaphragm and detector.
+"""Scoring: the detectors that count a ray.
 
-Directions of either hemisphere, seen along the normal, fall into square cells. A cell lists every detector within whose
-cone some direction of it lies, so that 83,000 detectors cost a ray no more than 30. A list holds the detectors' frames side by
-side, and hits are written down before they are added up: no branch depends on a hit, which makes it half as fast again.
+A look-up gives the candidates from the ray's direction. The exact test of disc and cone follows or, for real sensors, of lens,
+diaphragm and detector. Directions of either hemisphere, projected along the normal, fall into square cells. A cell lists every
+detector whose cone contains some direction of it, so that a ray costs the same with 83,000 detectors as with 30. A list holds
+the detectors' frames side by side, and hits are stored before they are added up: no branch depends on a hit, which makes it
+half as fast again.
 """
 
 import math
@@ -11,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Indices, Singles
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
 from goniotwin.twin.optics.geometry.sensor import RealSensor, passes_sensor
 from goniotwin.twin.optics.kernel import kernel
@@ -20,28 +21,32 @@ F32 = np.float32
 I32 = np.int32
 ONE, ZERO = np.float32(1.0), np.float32(0.0)
 FEWEST_CELLS, MOST_CELLS = 8, 460
-"""A side of the square: what 0.5 deg of field want, with both hemispheres in 1.7 MB, which a core's own cache holds."""
+"""Limits of the cells per side of the square: as many as 0.5 deg of field need, with both hemispheres in 1.7 MB, the size of a
+core's own cache.
+"""
 HITS = 4 * BLOCK
 LENGTH, NOWHERE = 2, 9.0
-"""Lists have a multiple of this length, a power of two: a loop that runs as often as the last time is foreseen by the
-processor. What fills them up is in no cone."""
-# Room for the rounding of directions to single precision.
+"""Lists have a multiple of this length, a power of two: the processor predicts a loop with the same number of passes as last
+time. The padding is in no cone.
+"""
+# Margin for the rounding of directions to single precision.
 SLACK = 2e-6
 
 
 class Targets(NamedTuple):
-    """Detectors: cell c lists those of `numbers` and rows of `frames` (., 6), viewing direction and centre in mm, from
-    starts[c] to starts[c + 1]. `cells` a side; a detector's chord of half the field and its disc's radius in mm, both squared.
-    The last list, of a ray that carries nothing, is empty.
+    """Detectors by cells: cell c lists those of `numbers` and rows of `frames` from starts[c] to starts[c + 1].
 
-    Of real sensors the rows are longer (., 9), with that side of the detector that lies along the arc, and `sensor` has the
-    sensor's constants. Of virtual detectors it is None, for which numba compiles kernels that know nothing of sensors: what
-    asks has it as an argument of its own. Asking in the kernels instead cost virtual detectors 3 to 9 % of their speed.
+    A row of `frames` (., 6) has viewing direction and centre in mm. `cells` per side; the chord of half a detector's field and
+    its disc's radius in mm, both squared. The last list is empty: it is for rays without weight.
+
+    For real sensors the rows are longer (., 9), with the side of the detector that lies along the arc, and `sensor` has the
+    sensor's constants. For virtual detectors `sensor` is None, and numba compiles kernels without sensors: functions that test
+    it have it as an argument of its own. A test inside the kernels would cost virtual detectors 3 to 9 % of their speed.
     """
 
-    starts: np.ndarray
-    numbers: np.ndarray
-    frames: np.ndarray
+    starts: Indices
+    numbers: Indices
+    frames: Singles
     cells: int
     chord2: float
     radius2: float
@@ -49,10 +54,10 @@ class Targets(NamedTuple):
 
 
 @kernel()
-def _listed(axes: Floats, half: float, cells: int, starts: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """How many detectors each cell has, and where `numbers` has room their numbers.
+def _fill_lists(axes: Floats, half: float, cells: int, starts: Indices, numbers: Indices) -> Indices:
+    """Number of detectors in each cell; also fills `numbers`, if it is not empty.
 
-    Seen along the normal the cone of a detector is an ellipse along and across its own azimuth, cut by the horizon.
+    Projected along the normal the cone of a detector is an ellipse along and across its own azimuth, cut by the horizon.
     """
     count = np.zeros(2 * cells * cells + 1, np.int32)
     step, across = 2.0 / cells, math.sin(half)
@@ -66,12 +71,12 @@ def _listed(axes: Floats, half: float, cells: int, starts: np.ndarray, numbers: 
         reach_x, reach_y = along * abs(cos) + across * abs(sin), along * abs(sin) + across * abs(cos)
         first_i, last_i = (middle * cos - reach_x + 1.0) / step, (middle * cos + reach_x + 1.0) / step
         first_j, last_j = (middle * sin - reach_y + 1.0) / step, (middle * sin + reach_y + 1.0) / step
-        room = 0.5 * step * (abs(cos) + abs(sin))
+        margin = 0.5 * step * (abs(cos) + abs(sin))
         for i in range(max(0, int(first_i)), min(cells - 1, int(last_i)) + 1):
             for j in range(max(0, int(first_j)), min(cells - 1, int(last_j)) + 1):
                 x, y = (i + 0.5) * step - 1.0, (j + 0.5) * step - 1.0
-                beyond = max(0.0, abs(x * cos + y * sin - middle) - room) / along
-                aside = max(0.0, abs(y * cos - x * sin) - room) / across
+                beyond = max(0.0, abs(x * cos + y * sin - middle) - margin) / along
+                aside = max(0.0, abs(y * cos - x * sin) - margin) / across
                 if max(beyond, aside) > 1.0 or (not horizon and beyond * beyond + aside * aside > 1.0):
                     continue
                 for side in range(2):
@@ -84,51 +89,51 @@ def _listed(axes: Floats, half: float, cells: int, starts: np.ndarray, numbers: 
 
 
 def make_targets(centres: Floats, axes: Floats, field_deg: float, diameter_mm: float) -> Targets:
-    """Of detectors at `centres` (n, 3), mm, that look along -`axes` (n, 3), all with the same field and disc."""
+    """Targets of detectors at `centres` (n, 3), mm, that look along -`axes` (n, 3), all with the same field and disc."""
     half = math.radians(0.5 * field_deg)
     cells = min(MOST_CELLS, max(FEWEST_CELLS, math.ceil(2.0 / math.sin(half))))
-    starts, room = np.zeros(2 * cells * cells + 2, np.int32), min(half + SLACK, 0.5 * math.pi)
-    counts = _listed(axes, room, cells, starts, np.zeros(0, np.int32))
+    starts, margin = np.zeros(2 * cells * cells + 2, np.int32), min(half + SLACK, 0.5 * math.pi)
+    counts = _fill_lists(axes, margin, cells, starts, np.zeros(0, np.int32))
     if counts.sum(dtype=np.int64) >= 2**31:
         raise ValueError(
             f"{len(axes)} detectors with a field of {field_deg:g} deg overlap too much: give fewer, or a smaller one"
         )
     starts[1:] = np.cumsum((counts + (LENGTH - 1)) & -LENGTH)
     numbers = np.full(int(starts[-1]), len(axes), np.int32)
-    _listed(axes, room, cells, starts, numbers)
+    _fill_lists(axes, margin, cells, starts, numbers)
     frames = np.vstack([np.hstack([axes, centres]), np.full((1, 6), NOWHERE)]).astype(np.float32)[numbers]
     chord2 = (2.0 * math.sin(0.5 * half)) ** 2
     return Targets(starts, numbers, frames, cells, chord2, (0.5 * diameter_mm) ** 2, None)
 
 
 def make_sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: RealSensor) -> Targets:
-    """Of sensors with their lenses at `centres` (n, 3), mm, that look along -`axes` (n, 3), `sides` (n, 3) along the arc.
+    """Targets of sensors with lenses at `centres` (n, 3), mm, that look along -`axes` (n, 3), `sides` (n, 3) along the arc.
 
-    The lists are those of a cone that no ray which can pass is outside of, with room for rounding.
+    The lists are those of a cone that contains every ray that can pass, with a margin for rounding.
     """
-    found = make_targets(centres, axes, sensor.widest_deg + math.degrees(2.0 * SLACK), sensor.lens_diameter_mm)
-    rows = np.vstack([sides, np.zeros(3)]).astype(np.float32)[found.numbers]
-    return found._replace(frames=np.hstack([found.frames, rows]), sensor=sensor.constants)
+    listed = make_targets(centres, axes, sensor.widest_deg + math.degrees(2.0 * SLACK), sensor.lens_diameter_mm)
+    rows = np.vstack([sides, np.zeros(3)]).astype(np.float32)[listed.numbers]
+    return listed._replace(frames=np.hstack([listed.frames, rows]), sensor=sensor.constants)
 
 
 @kernel(fastmath={"contract"})
-def find_cells(buffer: np.ndarray, count: int, cells: int, found: np.ndarray) -> None:
-    """The cell of each path of a block."""
+def find_cells(buffer: Singles, count: int, cells: int, path_cells: Indices) -> None:
+    """Cell of each path of a block."""
     scale, last, nowhere = F32(0.5 * cells), I32(cells - 1), I32(2 * cells * cells)
     row, below = I32(cells), I32(cells * cells)
     for i in range(count):
         a, b = I32((buffer[i + DX] + ONE) * scale), I32((buffer[i + DY] + ONE) * scale)
         cell = I32(I32(min(max(a, I32(0)), last) * row) + min(max(b, I32(0)), last))
         cell = cell if buffer[i + DZ] >= ZERO else I32(cell + below)
-        found[i] = cell if buffer[i + WEIGHT] > ZERO else nowhere
+        path_cells[i] = cell if buffer[i + WEIGHT] > ZERO else nowhere
 
 
 class HitBuffer(NamedTuple):
-    """For HITS and one list of detectors: the place in the lists and the path of each, and of those that count the weight."""
+    """Buffer for HITS and one list of detectors: index in the lists, path, and the weight of those that count."""
 
-    places: np.ndarray
-    paths: np.ndarray
-    weights: np.ndarray
+    places: Indices
+    paths: Indices
+    weights: Singles
 
 
 @kernel(forceinline=True)
@@ -136,7 +141,7 @@ def is_counted(
     targets: Targets, sensor: Floats | None, j: int, px: float, py: float, pz: float, dx: float, dy: float, dz: float,
     stop: float,
 ) -> bool:  # fmt: skip
-    """Whether the detector of row j counts a ray from p along d, as far as `stop`, that is within its cone."""
+    """Whether the detector of row j counts a ray within its cone from p along d, up to the distance `stop`."""
     frames = targets.frames
     ex, ey, ez = frames[j, 0], frames[j, 1], frames[j, 2]
     x, y, z = px - frames[j, 3], py - frames[j, 4], pz - frames[j, 5]
@@ -152,10 +157,10 @@ def is_counted(
 
 
 @kernel()
-def add_sensor_hits(buffer: np.ndarray, hits: int, targets: Targets, room: HitBuffer, sums: Floats) -> None:
+def add_sensor_hits(buffer: Singles, hits: int, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
     """`add_hits` of real sensors."""
     for h in range(hits):
-        i, j = room.paths[h], room.places[h]
+        i, j = hit_buffer.paths[h], hit_buffer.places[h]
         px, py, stop = np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), np.float64(buffer[i + STOP])
         dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
         if is_counted(targets, targets.sensor, j, px, py, 0.0, dx, dy, dz, stop):
@@ -165,13 +170,13 @@ def add_sensor_hits(buffer: np.ndarray, hits: int, targets: Targets, room: HitBu
 
 
 @kernel(fastmath={"contract"})
-def add_hits(buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | None, room: HitBuffer, sums: Floats) -> None:
-    """Adds those of the hits that cross the detector's disc, or pass its sensor, to the first two columns of `sums` (n, 4)."""
+def add_hits(buffer: Singles, hits: int, targets: Targets, sensor: Floats | None, hit_buffer: HitBuffer, sums: Floats) -> None:
+    """Add hits that cross the detector's disc, or pass its sensor, to the first two columns of `sums` (n, 4)."""
     if sensor is not None:
-        add_sensor_hits(buffer, hits, targets, room, sums)
+        add_sensor_hits(buffer, hits, targets, hit_buffer, sums)
         return
-    frames, places, paths, weights = targets.frames, room.places, room.paths, room.weights
-    radius2, kept = F32(targets.radius2), 0
+    frames, places, paths, weights = targets.frames, hit_buffer.places, hit_buffer.paths, hit_buffer.weights
+    radius2, accepted = F32(targets.radius2), 0
     for h in range(hits):
         i, j = paths[h], places[h]
         dx, dy, dz = buffer[i + DX], buffer[i + DY], buffer[i + DZ]
@@ -180,21 +185,21 @@ def add_hits(buffer: np.ndarray, hits: int, targets: Targets, sensor: Floats | N
         distance = -(x * ex + y * ey + z * ez) / (dx * ex + dy * ey + dz * ez)
         x, y, z = x + distance * dx, y + distance * dy, z + distance * dz
         inside = (x * x + y * y + z * z <= radius2) & (distance > ZERO) & (distance < buffer[i + STOP])
-        places[kept], weights[kept] = targets.numbers[j], buffer[i + WEIGHT]
-        kept += 1 if inside else 0
-    for h in range(kept):
+        places[accepted], weights[accepted] = targets.numbers[j], buffer[i + WEIGHT]
+        accepted += 1 if inside else 0
+    for h in range(accepted):
         k, weight = places[h], np.float64(weights[h])
         sums[k, 0] += weight
         sums[k, 1] += weight * weight
 
 
 @kernel(fastmath={"contract"})
-def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, room: HitBuffer, sums: Floats) -> None:
-    """Adds the paths of a block to the first two columns of `sums`, those first that are within the detectors' cones."""
-    starts, frames, places, paths = targets.starts, targets.frames, room.places, room.paths
+def score(buffer: Singles, count: int, path_cells: Indices, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
+    """Add the paths of a block to the first two columns of `sums`: first select the paths within the detectors' cones."""
+    starts, frames, places, paths = targets.starts, targets.frames, hit_buffer.places, hit_buffer.paths
     chord2, hits = F32(targets.chord2), 0
     for i in range(count):
-        first, last = starts[found[i]], starts[found[i] + 1]
+        first, last = starts[path_cells[i]], starts[path_cells[i] + 1]
         if first == last:
             continue
         dx, dy, dz = buffer[i + DX], buffer[i + DY], buffer[i + DZ]
@@ -203,16 +208,16 @@ def score(buffer: np.ndarray, count: int, found: np.ndarray, targets: Targets, r
             paths[hits], places[hits] = i, j
             hits += 1 if ox * ox + oy * oy + oz * oz <= chord2 else 0
         if hits > HITS:
-            add_hits(buffer, hits, targets, targets.sensor, room, sums)
+            add_hits(buffer, hits, targets, targets.sensor, hit_buffer, sums)
             hits = 0
-    add_hits(buffer, hits, targets, targets.sensor, room, sums)
+    add_hits(buffer, hits, targets, targets.sensor, hit_buffer, sums)
 
 
 @kernel()
 def score_segment(
     targets: Targets, px: float, py: float, pz: float, dx: float, dy: float, dz: float, stop: float, weight: float, sums: Floats
 ) -> None:
-    """Adds one ray from p along d, as far as `stop`, to the last two columns of `sums`."""
+    """Add one ray from p along d, up to the distance `stop`, to the last two columns of `sums`."""
     cells = targets.cells
     i, j = int(0.5 * cells * (dx + 1.0)), int(0.5 * cells * (dy + 1.0))
     cell = min(max(i, 0), cells - 1) * cells + min(max(j, 0), cells - 1)

@@ -1,7 +1,4 @@
-"""What a forward run needs to know, made from instrument, sample and source: the kernels' arguments.
-
-How many of a block's paths each lobe of the sample has, and the frame.
-"""
+"""Arguments of the kernels for a forward run, made from instrument, sample and source; shares of paths of each stratum."""
 
 import math
 from dataclasses import dataclass, replace
@@ -26,17 +23,17 @@ from goniotwin.twin.optics.geometry.scene import Scene, scene_at
 from goniotwin.twin.optics.illumination.rayset import RaySource
 
 SHAPE_SHARE = 0.875
-"""Of a Gaussian's paths, those that follow its shape."""
+"""Share of a Gaussian's paths that follow its shape."""
 LEAST = 16
-"""Paths of a block for each stratum; all have a multiple of it, which suits vectors."""
+"""Least number of a block's paths in a stratum; all have a multiple of it, which suits vectorised loops."""
 MM2_TO_M2 = 1e-6
+OPEN_BEAM = regular(transmits=True, side="both")
 
 
 def make_strata(pupil_radius_mm: float, beam: Beam, lobes: Lobes, frames: SampleFrames, beside: float, stray: bool) -> Strata:
-    """How a block's paths are shared out: by what each lobe scatters, and the frame, which gets `beside` of the hole's light.
+    """Shares of a block's paths: each lobe by the light that it scatters; the frame receives `beside` times the hole's light.
 
-    The frame never has more than half, and half for a map of `stray_map` light. Raises ValueError for more lobes than there is
-    room for.
+    The frame never has more than half, and half for a map of `stray` light. Raises ValueError for too many lobes.
     """
     area = math.pi * pupil_radius_mm**2 * 4.0 * beam.hole_half**2
     hole_gain, frame_gain = MM2_TO_M2 * area * MARGIN**2, MM2_TO_M2 * area * (frames.lit**2 - 1.0)
@@ -76,7 +73,7 @@ def make_strata(pupil_radius_mm: float, beam: Beam, lobes: Lobes, frames: Sample
 
 
 def _counts(shares: list[float]) -> list[int]:
-    """Of a block's paths, multiples of LEAST, to each of some shares, at least LEAST."""
+    """Distribute a block's paths to strata in multiples of LEAST, at least LEAST each."""
     if not shares:
         return []
     if len(shares) > BLOCK // LEAST // 2:
@@ -91,20 +88,19 @@ def _counts(shares: list[float]) -> list[int]:
     return counts
 
 
-OPEN_BEAM = regular(transmits=True, side="both")
-
-
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """The arguments of the kernels (see their types); how many `detectors` there are, `rows` of their sums, and detectors of a
-    cell at most, `longest`. `radiance` and `unit` are those of `Estimate`.
+    """Arguments of the kernels (see their types).
+
+    `detectors`: their number; `rows` of their sums; `longest`: greatest number of detectors in a cell. `radiance` and `unit`
+    are those of `Estimate`.
     """
 
     scene: Scene
     beam: Beam
     strata: Strata
     lobes: Lobes
-    stage: Surfaces
+    surfaces: Surfaces
     targets: Targets
     spread: Spread
     longest: int
@@ -114,7 +110,7 @@ class Setting:
 
     @property
     def rows(self) -> int:
-        """Of the sums."""
+        """Number of rows of the sums."""
         return self.detectors + (BINS if self.spread.wanted else 0)
 
 
@@ -130,20 +126,20 @@ def set_up(
     frames: SampleFrames,
     spread: bool = False,
 ) -> Setting:
-    """Everything for `forward_throughput`, see there. With `spread` stray light is spread over a map."""
+    """Setting of a run, see `forward_throughput`. With `spread` stray light is spread over a map."""
     sample = scatterer or OPEN_BEAM
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     rows = np.asarray(directions, dtype=np.float64)
     centres, axes = scene.detectors(instrument, rows) if rows.size else (np.zeros((0, 3)), direction_rows(np.zeros((0, 3))))
     if instrument.sensor is None:
-        found = make_targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
+        detector_targets = make_targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
     else:
-        found = make_sensor_targets(centres, axes, _along_the_arc(instrument, scene, rows), instrument.sensor)
+        detector_targets = make_sensor_targets(centres, axes, _along_the_arc(instrument, scene, rows), instrument.sensor)
     beam = _beam(instrument, scene, wavelength_nm, source, frames)
     weights = sample.weights(wavelength_nm)
-    kept = [k for k in range(len(sample.lobes)) if weights[k] > 0.0]
-    kept = kept or [0]
-    lobes = pack_lobes(tuple(sample.lobes[k] for k in kept), weights[kept], scene.incident)
+    active = [k for k in range(len(sample.lobes)) if weights[k] > 0.0]
+    active = active or [0]
+    lobes = pack_lobes(tuple(sample.lobes[k] for k in active), weights[active], scene.incident)
     half_field = math.radians(0.5 * instrument.field_deg)
     radiance, unit = 1.0, None
     inside, outside = 1.0, frames.lit**2 - 1.0
@@ -167,9 +163,9 @@ def set_up(
             frames.reflectance,
             max_interactions,
         ),
-        found,
+        detector_targets,
         Spread(spread, len(axes), instrument.arc_radius_mm, 0.5 * instrument.detector_diameter_mm, half_field),
-        int(np.diff(found.starts).max()),
+        int(np.diff(detector_targets.starts).max()),
         len(axes),
         radiance,
         unit,
@@ -177,9 +173,9 @@ def set_up(
 
 
 def _along_the_arc(instrument: Instrument, scene: Scene, rows: Floats) -> Floats:
-    """Of each detector the unit vector (n, 3) in the sample's frame along that side of its square that lies along the arc.
+    """Unit vector (n, 3) in the sample's frame along the side of each detector's square that lies along the arc.
 
-    A sensor that was turned on by a quarter about its level side would look along the other one: every deviation is in it.
+    It is the viewing direction of a sensor turned by a further 90 deg about its level side, so it includes every deviation.
     """
     if not rows.size:
         return np.zeros((0, 3))
@@ -211,7 +207,7 @@ def _beam(
 
 
 def _linear_reflectance(instrument: Instrument, scene: Scene, wavelength_nm: float | None) -> Floats:
-    """Of each mirror (3, 2), linear in the cosine over the degree on either side of the beam's axis."""
+    """Reflectance of each mirror (3, 2), linear in the cosine over one degree on either side of the beam's axis."""
     angles = scene.mirror_angles_deg
     near, far = np.maximum(angles - 1.0, 0.0), np.minimum(angles + 1.0, 90.0)
     middle, first, last = (reflected_share(instrument.mirror_reflectance, wavelength_nm, each) for each in (angles, near, far))
@@ -220,26 +216,26 @@ def _linear_reflectance(instrument: Instrument, scene: Scene, wavelength_nm: flo
 
 
 def _landing(beam: Beam) -> tuple[float, float]:
-    """Flux of the rays that come over all mirrors into the hole, and of those that fall beside it, without losses."""
+    """Flux of the rays over all mirrors into the hole, and of those that land beside it, without losses."""
     place, along = beam.rays[:, :3].copy(), beam.rays[:, 3:].copy()
-    kept = np.ones(len(place), dtype=bool)
+    passing = np.ones(len(place), dtype=bool)
     for centre, normal, axis_u, axis_v in beam.mirrors:
         slope = along @ normal
         place += (((centre - place) @ normal) / slope)[:, None] * along
-        kept &= (np.abs((place - centre) @ axis_u) <= beam.mirror_half) & (
+        passing &= (np.abs((place - centre) @ axis_u) <= beam.mirror_half) & (
             np.abs((place - centre) @ axis_v) <= beam.mirror_half
         )
         along -= 2.0 * slope[:, None] * normal
     place += ((beam.gap - place[:, 2]) / along[:, 2])[:, None] * along
     hole = np.all(np.abs(place[:, :2]) <= beam.hole_half, axis=1)
-    inside = float(beam.flux[kept & hole].sum())
+    inside = float(beam.flux[passing & hole].sum())
     if inside <= 0.0:
-        raise ValueError("source: none of its rays comes over the mirrors into the hole; replay it at the instrument's pupil")
-    return inside, float(beam.flux[kept & ~hole].sum())
+        raise ValueError("source: none of its rays reaches the hole over the mirrors; replay it at the instrument's pupil")
+    return inside, float(beam.flux[passing & ~hole].sum())
 
 
 def _etendue(beam: Beam) -> float:
-    """Of the uniform exit pupil and the hole, in m^2 sr, with mirrors that are large enough and lose nothing."""
+    """Etendue of the uniform exit pupil and the hole, in m^2 sr, with mirrors that are large enough and have no losses."""
     nodes, weights = np.polynomial.legendre.leggauss(6)
     turns = np.arange(12) * (math.pi / 6.0)
     radii, shares = np.sqrt(0.5 * (nodes + 1.0)), 0.5 * weights / turns.size

@@ -1,8 +1,8 @@
-"""Stray light as a smooth map over directions: what detectors anywhere would count of a ray, spread over its own neighbours.
+"""Stray light as a smooth map over directions: each ray contributes to all detectors that would count it.
 
-A ray that leaves in a direction is counted by detectors about that direction, within the field of view of which it is and whose
-disc it crosses. Seen from the ray both are circles of directions, one about its own and one about where it crosses the arc's
-sphere, and what they share is a solid angle: so every ray says something, and not one in a hundred thousand.
+A ray is counted by detectors about its direction whose field of view contains it and whose disc it crosses. Relative to the ray
+both are circles of directions, one about its own direction and one about its point on the arc's sphere; their intersection is a
+solid angle. So every ray contributes, and not one in a hundred thousand.
 """
 
 import math
@@ -19,8 +19,10 @@ BINS = 2 * POLAR_BINS * AZIMUTH_BINS
 
 
 class Spread(NamedTuple):
-    """Whether a map is `wanted`. Its bins, over side, polar angle and azimuth in the sample's frame, follow in the sums after
-    those of the `detectors`. The arc's radius and a detector's, in mm; half its field in rad.
+    """Parameters of the map; without `wanted` there is none.
+
+    The bins, over side, polar angle and azimuth in the sample's frame, follow in the sums after those of the `detectors`. The
+    arc's radius and a detector's, in mm; half its field in rad.
     """
 
     wanted: bool
@@ -32,7 +34,7 @@ class Spread(NamedTuple):
 
 @kernel()
 def common_area(a: float, b: float, apart: float) -> float:
-    """Area that two circles of radii a and b share, `apart` between their centres."""
+    """Area of the intersection of two circles of radii a and b with a distance `apart` between their centres."""
     if apart >= a + b:
         return 0.0
     if apart <= abs(a - b):
@@ -47,7 +49,7 @@ def common_area(a: float, b: float, apart: float) -> float:
 def spread_segment(
     spread: Spread, px: float, py: float, pz: float, dx: float, dy: float, dz: float, ends: bool, weight: float, sums: Floats
 ) -> None:
-    """Adds a ray from p along d, unless it `ends` at the sample unit, and so before it comes to the arc."""
+    """Add a ray from p along d, unless it `ends` at the sample unit, before the arc."""
     along = px * dx + py * dy + pz * dz
     if ends or along >= spread.arc:
         return
@@ -62,7 +64,7 @@ def spread_segment(
 
 
 @kernel()
-def projected_solid_angles() -> np.ndarray:
+def projected_solid_angles() -> Floats:
     """Projected solid angle in sr of the bins of each polar angle, (18,)."""
     result = np.empty(POLAR_BINS)
     for i in range(POLAR_BINS):

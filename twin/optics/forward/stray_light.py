@@ -1,7 +1,7 @@
-"""Stray light as a map over directions, so that the fast estimator, which knows of none, can have it added.
+"""Stray light as a map over directions, to be added to the fast estimator, which does not include it.
 
-Stray is what `Estimate` calls so: light of the frames, and light that met a mirror, a frame or the sample again. It changes
-slowly with direction, so one forward run tells it for detectors everywhere: see twin.optics.forward.spread for how.
+Stray light is defined in `Estimate`: light of the frames, and light that met a mirror, a frame or the sample again. It changes
+slowly with direction, so one forward run gives it for detectors everywhere: see twin.optics.forward.spread for the method.
 """
 
 from dataclasses import dataclass
@@ -33,10 +33,10 @@ PATHS = 1 << 20
 class StrayMap:
     """Stray throughput over the cosine of a detector's polar angle, in m^2 sr, as means over bins of the sample's frame.
 
-    `values` and their standard errors `errors` are (2, 18, 36): the side that the light comes from and the other one, polar
-    angle in steps of 5 deg, azimuth in steps of 10 deg. `detector` are arc radius and diameter in mm and field in deg, for
-    which it holds. Light that goes back over the mirrors towards the lamp is not in it: that is as narrow as the beam, and no
-    photodiode can stand there.
+    `values` and their standard errors `errors` are (2, 18, 36): the side of the light and the other one, polar angle in steps
+    of 5 deg, azimuth in steps of 10 deg. `detector` has arc radius and diameter in mm and field in deg, for which the map
+    holds. Light that returns over the mirrors towards the lamp is not included: it is as narrow as the beam, and no photodiode
+    can stand there.
     """
 
     sigma_deg: float
@@ -67,7 +67,7 @@ def stray_map(
     instrument = instrument.simplified()
     check_seed(seed)
     if paths < 2:
-        raise ValueError(f"paths is {paths}: give at least 2, for an error needs two")
+        raise ValueError(f"paths is {paths}: give at least 2; a standard error needs two")
     setting = set_up(
         instrument, sigma_deg, np.zeros((0, 3)), scatterer, gamma_deg, wavelength_nm, source, max_interactions,
         sample_frames or SampleFrames(), spread=True,
@@ -82,16 +82,16 @@ def stray_map(
     )  # fmt: skip
 
 
-def stray_throughput(found: StrayMap, directions: npt.ArrayLike, instrument: Instrument) -> Floats:
-    """Stray throughput (n,) in m^2 sr of detectors in `directions` (n, 3): to be added to that of the fast estimator.
+def stray_throughput(stray: StrayMap, directions: npt.ArrayLike, instrument: Instrument) -> Floats:
+    """Stray throughput (n,) in m^2 sr of detectors in `directions` (n, 3), to be added to that of the fast estimator.
 
-    Linear between the middles of the map's bins, times the share of the detector that no mirror hides. Raises ValueError for
-    directions that are none, and for an instrument with other detectors than the map's.
+    Linear between the centres of the map's bins, times the share of the detector that no mirror hides. Raises ValueError for
+    vectors without a direction, and for an instrument with other detectors than the map's.
     """
     instrument = instrument.simplified()
-    if _detector(instrument) != found.detector:
-        raise ValueError(f"the map is for arc, disc and field {found.detector}, the instrument has {_detector(instrument)}")
-    _, axes = scene_at(instrument, found.sigma_deg, found.gamma_deg).detectors(instrument, directions)
+    if _detector(instrument) != stray.detector:
+        raise ValueError(f"the map is for arc, disc and field {stray.detector}, the instrument has {_detector(instrument)}")
+    _, axes = scene_at(instrument, stray.sigma_deg, stray.gamma_deg).detectors(instrument, directions)
     polar = np.degrees(np.arccos(np.clip(np.abs(axes[:, 2]), 0.0, 1.0))) / POLAR_STEP_DEG - 0.5
     azimuth = np.degrees(np.arctan2(axes[:, 1], axes[:, 0])) / AZIMUTH_STEP_DEG - 0.5
     polar = np.clip(polar, 0.0, POLAR_BINS - 1.0)
@@ -100,11 +100,11 @@ def stray_throughput(found: StrayMap, directions: npt.ArrayLike, instrument: Ins
     side = (axes[:, 2] < 0.0).astype(int)
     result = np.zeros(axes.shape[0])
     for i, share in ((low, 1.0 - (polar - low)), (low + 1, polar - low)):
-        for j, part in ((first, 1.0 - (azimuth - first)), (first + 1, azimuth - first)):
-            result += share * part * found.values[side, i, j % AZIMUTH_BINS]
+        for j, weight in ((first, 1.0 - (azimuth - first)), (first + 1, azimuth - first)):
+            result += share * weight * stray.values[side, i, j % AZIMUTH_BINS]
     result *= np.abs(axes[:, 2])
     if instrument.obstruction:
-        result *= visible_fraction(instrument, found.sigma_deg, directions, gamma_deg=found.gamma_deg)
+        result *= visible_fraction(instrument, stray.sigma_deg, directions, gamma_deg=stray.gamma_deg)
     return result
 
 

@@ -1,4 +1,4 @@
-"""Deviations: how far an element stands from where it should, by three angles and three shifts."""
+"""Deviations: position error of an element, as three angles and three shifts."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -11,11 +11,11 @@ from goniotwin.arrays import Floats
 
 @dataclass(frozen=True)
 class Deviation:
-    """Six deviations of an element from its place, zero by default (paper, figures 9 and 11).
+    """Six deviations of an element from its nominal position, zero by default (paper, figures 9 and 11).
 
-    The element is turned about the x, then the y, then the z axis of the frame in which its place is given, through its
-    own reference point, and then shifted along these axes. Angles in degrees, right-handed; shifts in mm. Raises
-    ValueError, naming the field, for a value that is not finite.
+    The element is turned about the x, then the y, then the z axis of the frame in which its position is given, through its own
+    reference point, and then shifted along these axes. Angles in degrees, right-handed; shifts in mm. Raises ValueError, naming
+    the field, for a value that is not finite.
     """
 
     rx_deg: float = 0.0
@@ -36,7 +36,7 @@ NO_DEVIATION = Deviation()
 
 
 def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
-    """Rotation matrix (3, 3) and shift (3,) in mm: a point p of an element about c goes to c + R (p - c) + shift."""
+    """Rotation matrix R (3, 3) and shift (3,) in mm: a point p of an element about c moves to c + R (p - c) + shift."""
     rx, ry, rz = deviation.rx_deg, deviation.ry_deg, deviation.rz_deg
     shift = np.array([deviation.x_mm, deviation.y_mm, deviation.z_mm])
     if rx == ry == rz == 0.0:
@@ -55,7 +55,10 @@ def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
 
 
 def check_deviations(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:
-    """A copy of `deviations`. Raises ValueError, naming the known elements, for one that is not among them."""
+    """Check deviations by name of the element, and copy them.
+
+    Raises ValueError, listing the known elements, for an unknown name.
+    """
     names = tuple(known)
     for name, deviation in deviations.items():
         if name not in names:

@@ -1,9 +1,4 @@
-"""The instrument's dimensions: from the exit pupil over the mirror unit and the sample's frame to a detector.
-
-What a mirror reflects: a share, or a table over wavelength and angle of incidence.
-
-The frames that hold the sample: two sheets with square holes, which say how much of it is lit, and scatter a little.
-"""
+"""Dimensions of the instrument: exit pupil, mirrors and their reflectance, the sample's frames, detectors."""
 
 import math
 from collections.abc import Mapping
@@ -18,16 +13,18 @@ from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, ch
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 
 NOMINAL_DEG = 45.0
-"""The beam's axis meets each of the three mirrors at this angle."""
+"""Incidence of the beam's axis on each of the three mirrors."""
 NOMINAL_NM = 555.0
+ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
+LEAST_GAP_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Reflectance:
-    """Values (w, a) between 0 and 1 over wavelengths (w,) in nm and angles of incidence (a,) in deg, both ascending.
+    """Reflectance of a mirror: values (w, a) in 0..1 over wavelengths (w,) in nm and incidences (a,) in deg.
 
-    Linear between them; the first and last of each list hold outside. A list of one is no dependence. Raises ValueError,
-    naming the argument, for lists that do not ascend, a wrong shape, or values that no mirror has.
+    Both lists ascend. Linear interpolation; the first and last values hold outside the lists. A list of one entry means no
+    dependence. Raises ValueError, naming the argument, for lists that do not ascend, a wrong shape, or values out of range.
     """
 
     wavelength_nm: Floats
@@ -53,20 +50,20 @@ class Reflectance:
             raise ValueError("values has one that is not above 0 and at most 1: a mirror reflects a share of the light")
 
     def at(self, wavelength_nm: float | None, angle_deg: npt.ArrayLike) -> Floats:
-        """Shares (...) at one wavelength and angles (...). Raises ValueError without the wavelength, where it matters."""
+        """Reflectance (...) at one wavelength and angles (...). Raises ValueError if the wavelength is needed and missing."""
         if self.wavelength_nm.size == 1:
             row = self.values[0]
         elif wavelength_nm is None:
-            raise ValueError("wavelength_nm is missing: the mirrors' reflectance depends on it; say at which it is asked")
+            raise ValueError("wavelength_nm is missing: the mirrors' reflectance depends on it; give a wavelength")
         else:
             row = np.array([np.interp(wavelength_nm, self.wavelength_nm, column) for column in self.values.T])
         return np.asarray(np.interp(np.asarray(angle_deg, dtype=np.float64), self.angle_deg, row))
 
 
 def reflected_share(reflectance: "float | Reflectance", wavelength_nm: float | None, angle_deg: npt.ArrayLike) -> Floats:
-    """Share (...) of unpolarised light that a mirror reflects at angles (...) of incidence, whatever tells it.
+    """Reflectance (...) for unpolarised light at angles (...) of incidence, of a number or of a table.
 
-    Raises ValueError where a table over the wavelength is not told it.
+    Raises ValueError for a table over the wavelength without a wavelength.
     """
     if isinstance(reflectance, Reflectance):
         return reflectance.at(wavelength_nm, angle_deg)
@@ -74,34 +71,32 @@ def reflected_share(reflectance: "float | Reflectance", wavelength_nm: float | N
 
 
 def nominal_reflectance(reflectance: "float | Reflectance") -> float:
-    """At 45 deg and 555 nm."""
+    """Reflectance at 45 deg and 555 nm."""
     return float(reflected_share(reflectance, NOMINAL_NM, NOMINAL_DEG))
-
-
-ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
 
 
 @dataclass(frozen=True)
 class Instrument:
     """Dimensions in mm, angles in degrees (paper, sections 3.1 and 3.2).
 
-    Given by the paper: the distances of 200 mm, the mirrors' reflectance, the spot of 5 x 5 mm, detectors of 5 mm
-    diameter with an acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of
-    0.7 deg (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
+    The paper gives: the distances of 200 mm, the mirrors' reflectance, the spot of 5 x 5 mm, detectors of 5 mm diameter with an
+    acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of 0.7 deg (the paper has
+    0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
 
-    `field_deg` is the full width of a detector's acceptance cone. `obstruction` says whether the mirrors, and the mounts that
-    reach `mirror_mount_mm` beyond their edges all round and are black, hide directions from the detectors.
+    `field_deg` is the full width of a detector's acceptance cone. With `obstruction` the mirrors hide directions from the
+    detectors, and so do their black mounts, which extend `mirror_mount_mm` beyond the mirrors' edges on all sides.
 
-    Without a `sensor` detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count what is within the
-    cone. With one each detector is such a unit, its lens where the disc was, and these two are the lens' diameter and the
-    sensor's field: whatever is given for them is replaced, for one instrument cannot have two kinds of detectors.
+    Without a `sensor` the detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count the rays within
+    the cone. With a sensor each detector is such a unit, its lens in the place of the disc. `detector_diameter_mm` and
+    `field_deg` are then replaced by the lens' diameter and the sensor's field: one instrument cannot have two kinds of
+    detectors.
 
     `deviations` are by element: `pupil` (the illumination unit's end, about its own centre), `mirror_1` to `mirror_3` (each in
     its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
     sigma: across, along the axis, towards the light), `sample` (in the frame that turns with gamma), `arc` (the rig's frame)
     and `sensor` (each detector in its own frame: away from the normal, level, along its view).
 
-    Raises ValueError, naming the field, for a value that no instrument can have.
+    Raises ValueError, naming the field, for a value out of range.
     """
 
     pupil_radius_mm: float = 5.0
@@ -138,26 +133,26 @@ class Instrument:
         object.__setattr__(self, "deviations", MappingProxyType(dict(sorted(known.items()))))
 
     def deviation(self, element: str) -> Deviation:
-        """Of one element; none where none is given."""
+        """Deviation of one element; zero where none is given."""
         return self.deviations.get(element, NO_DEVIATION)
 
     def simplified(self) -> "Instrument":
-        """The same with virtual detectors, a disc with an acceptance cone each, which is all that the fast estimator knows.
+        """The instrument with virtual detectors: discs with an acceptance cone, the only kind of the fast estimator.
 
-        Raises ValueError, with the reason, where the sensor is not such a detector (`RealSensor.simple`).
+        Raises ValueError, with the reason, if the sensor is not equivalent to such a detector (`RealSensor.simple`).
         """
         if self.sensor is None:
             return self
         if self.sensor.departure is not None:
             raise ValueError(
-                f"the sensor is no simple detector, a disc with an acceptance cone: {self.sensor.departure}; "
+                f"the sensor is not a simple detector, a disc with an acceptance cone: {self.sensor.departure}; "
                 "use the forward estimator, which traces lens, diaphragm and detector"
             )
         return replace(self, sensor=None)
 
     @property
     def blocking_side_mm(self) -> float:
-        """Side of the square that is in the light's way: a mirror with its mount."""
+        """Side of the square that blocks light: a mirror with its mount."""
         return self.mirror_side_mm + 2.0 * self.mirror_mount_mm
 
     @property
@@ -172,22 +167,20 @@ class Instrument:
 
     @property
     def grey(self) -> bool:
-        """Whether its mirrors reflect all wavelengths alike."""
+        """Whether the mirrors' reflectance is independent of the wavelength."""
         return not isinstance(self.mirror_reflectance, Reflectance) or self.mirror_reflectance.wavelength_nm.size == 1
-
-
-LEAST_GAP_MM = 1e-3
 
 
 @dataclass(frozen=True)
 class SampleFrames:
-    """A frame above and one below the sample's sheet (paper, section 3.1, which gives no numbers: these are assumed).
+    """The frames of the sample: one above and one below its sheet (paper, section 3.1, without numbers: these are assumed).
 
-    Each is a square sheet of `side_mm`, without thickness, `gap_mm` from the sample, whose hole is the instrument's
-    `spot_side_mm`. With no gap the hole is the illuminated spot at every incidence, as the fast estimator has it; a gap makes
-    the spot wander with sigma, and light is caught between sample and frame. They scatter `reflectance` of the light by
+    Each frame is a square sheet of `side_mm`, without thickness, `gap_mm` from the sample. Its hole has the instrument's
+    `spot_side_mm`. Without a gap the hole is the illuminated spot at every incidence, as in the fast estimator. With a gap the
+    spot moves with sigma, and light is trapped between sample and frame. The frames scatter `reflectance` of the light by
     Lambert's law from either side and absorb the rest (black anodised metal). The uniform exit pupil lights a square `lit`
-    times as wide as the hole; a rayset lights what it lights. Raises ValueError, naming the field, for what no frame can have.
+    times as wide as the hole; a rayset lights the area that its rays reach. Raises ValueError, naming the field, for a value
+    out of range.
     """
 
     gap_mm: float = 0.0

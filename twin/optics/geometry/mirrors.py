@@ -1,10 +1,10 @@
-"""The mirror unit: three plane squares that carry the beam from the illumination axis to the sample.
+"""The mirror unit: three plane square mirrors that carry the beam from the illumination axis to the sample.
 
-The light comes along y to mirror 1 at (0, -d, 0), goes out along l to mirror 2, runs parallel to y to mirror 3 at d l,
-and comes back along -l to the sample: the corners of a square of side d, turned about y by sigma (paper, figure 4).
-Which way along y the light comes is not in the paper; here it is from negative y.
+The light comes along y to mirror 1 at (0, -d, 0), goes out along l to mirror 2, runs parallel to y to mirror 3 at d l, and
+comes back along -l to the sample: the corners of a square of side d, turned about y by sigma (paper, figure 4). The paper does
+not give the sign of the direction along y; here the light comes from negative y.
 
-Where a ray meets a mirror.
+Also the intersection of a ray with a mirror.
 """
 
 import math
@@ -23,9 +23,9 @@ ALONG_Y = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, eq=False)
 class Mirrors:
-    """Three squares in the order in which the light meets them, each array (3, 3): one row a mirror, in mm.
+    """Three squares in the order of the beam, arrays (3, 3) in mm, one row per mirror.
 
-    `normals` face the light, `axes_u` and `axes_v` are unit vectors along the sides.
+    `normals` face the light; `axes_u` and `axes_v` are unit vectors along the sides.
     """
 
     centres: Floats
@@ -35,18 +35,18 @@ class Mirrors:
 
     @property
     def packed(self) -> Floats:
-        """As kernels take them, (3, 4, 3): centre, normal and the two axes of each mirror."""
+        """Argument of the kernels, (3, 4, 3): centre, normal and the two axes of each mirror."""
         return np.ascontiguousarray(np.stack([self.centres, self.normals, self.axes_u, self.axes_v], axis=1))
 
 
 def reflect(vector: Floats, normal: Floats) -> Floats:
-    """A vector (3,) as a plane of that unit normal reflects it."""
+    """Vector (3,) reflected in a plane with the unit normal `normal`."""
     image: Floats = vector - 2.0 * float(vector @ normal) * normal
     return image
 
 
 def mirrors_at(instrument: Instrument, sigma_deg: float) -> Mirrors:
-    """The mirrors of the unit turned to `sigma_deg`. Raises ValueError unless that is finite."""
+    """Mirrors of the unit at `sigma_deg`. Raises ValueError unless that is finite."""
     if not math.isfinite(sigma_deg):
         raise ValueError(f"sigma_deg is {sigma_deg!r}: give the mirror unit's angle in degrees")
     light = light_direction(sigma_deg)
@@ -60,11 +60,11 @@ def mirrors_at(instrument: Instrument, sigma_deg: float) -> Mirrors:
     axes_v = np.array([ALONG_Y + light, -ALONG_Y - light, ALONG_Y - light]) / math.sqrt(2.0)
     unit = Mirrors(centres, normals, axes_u, axes_v)
     if any(name.startswith("mirror") for name in instrument.deviations):
-        unit = _deviating(instrument, unit, np.array([-across, ALONG_Y, light]))
+        unit = _apply_deviations(instrument, unit, np.array([-across, ALONG_Y, light]))
     return unit
 
 
-def _deviating(instrument: Instrument, unit: Mirrors, frame: Floats) -> Mirrors:
+def _apply_deviations(instrument: Instrument, unit: Mirrors, frame: Floats) -> Mirrors:
     centres, normals = unit.centres.copy(), unit.normals.copy()
     axes_u, axes_v = unit.axes_u.copy(), unit.axes_v.copy()
     for k in range(3):
@@ -77,7 +77,7 @@ def _deviating(instrument: Instrument, unit: Mirrors, frame: Floats) -> Mirrors:
 
 
 def _in_rig(deviation: Deviation, axes: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and shift (3,) in the rig's frame of a deviation that is given along `axes`, one a row."""
+    """Rotation (3, 3) and shift (3,) in the rig's frame of a deviation given along `axes`, one per row."""
     turn, shift = rotation_and_shift(deviation)
     return axes.T @ turn @ axes, shift @ axes
 
@@ -90,17 +90,16 @@ def pupil(instrument: Instrument) -> tuple[Floats, Floats, Floats]:
 
 
 def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
-    """Centre (mm) and two unit axes, (3,) each, of the exit pupil as the sample sees it in the three mirrors.
+    """Centre (mm) and two unit axes, (3,) each, of the exit pupil's image in the three mirrors, as seen from the sample.
 
-    Exact: the pupil is reflected in the three planes, one after the other. The axes turn with sigma, as the beam's
-    section does.
+    Exact: the pupil is reflected in the three planes one after the other. The axes turn with sigma, as the beam's section does.
     """
     centre, axis_u, axis_v = transform_rows(np.array(pupil(instrument)), unfolding_maps(mirrors_at(instrument, sigma_deg))[0])
     return centre, axis_u, axis_v
 
 
 def unfolding_maps(unit: Mirrors) -> tuple[Floats, Floats]:
-    """Maps (4, 4) of homogeneous columns that unfold the path: of what is before mirror 1, and (3, 4, 4) of each mirror.
+    """Maps (4, 4) of homogeneous columns that unfold the path: one for points before mirror 1, and (3, 4, 4) for the mirrors.
 
     Each mirror is reflected in those that follow it, so that the path from the sample to the pupil's image is straight.
     """
@@ -113,14 +112,14 @@ def unfolding_maps(unit: Mirrors) -> tuple[Floats, Floats]:
 
 
 def transform_rows(rows: Floats, maps: Floats) -> Floats:
-    """Rows (..., n, 3), of which the first is a point and the others are vectors, as a map (..., 4, 4) takes them."""
+    """Rows (..., n, 3), the first a point and the others vectors, transformed by maps (..., 4, 4)."""
     turned = rows @ np.swapaxes(maps[..., :3, :3], -1, -2)
     turned[..., 0, :] += maps[..., :3, 3]
     return np.ascontiguousarray(turned)
 
 
 def unfold_mirrors(unit: Mirrors) -> Mirrors:
-    """The mirrors as the sample sees them: each one's image in those that follow, so that the path is straight."""
+    """Mirrors as seen from the sample: the image of each in those that follow, so that the path is straight."""
     seen = transform_rows(unit.packed, unfolding_maps(unit)[1])
     return Mirrors(seen[:, 0], seen[:, 1], seen[:, 2], seen[:, 3])
 
@@ -132,7 +131,7 @@ def distance_to(
     """Distance from p along the unit vector w to the square m of half side `half`; infinite where the ray misses it."""
     cx, cy, cz = mirrors[m, 0, 0] - px, mirrors[m, 0, 1] - py, mirrors[m, 0, 2] - pz
     slope = wx * mirrors[m, 1, 0] + wy * mirrors[m, 1, 1] + wz * mirrors[m, 1, 2]
-    # A ray within the mirror's plane divides by zero: infinite or NaN, and then the last line says no.
+    # A ray within the mirror's plane divides by zero: the result is inf or NaN, and the last condition is false.
     distance = (cx * mirrors[m, 1, 0] + cy * mirrors[m, 1, 1] + cz * mirrors[m, 1, 2]) / slope
     x, y, z = distance * wx - cx, distance * wy - cy, distance * wz - cz
     u = x * mirrors[m, 2, 0] + y * mirrors[m, 2, 1] + z * mirrors[m, 2, 2]

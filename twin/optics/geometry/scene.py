@@ -1,7 +1,7 @@
-"""The instrument at one pose, as the sample sees it: everything in the sample's own frame, mirrors unfolded.
+"""The instrument at one pose in the sample's own frame, with the mirrors unfolded.
 
-The sample's plane is z = 0, the sides of the hole lie along x and y, and the light comes from z > 0: for a mirror unit
-beyond 90 deg the frame is turned about x, with the sample's back up. Deviations of every element are in it.
+The sample's plane is z = 0. The sides of the hole lie along x and y. The light comes from z > 0: for a mirror unit beyond 90
+deg the frame is turned about x, with the sample's back up. Deviations of every element are included.
 """
 
 import math
@@ -20,17 +20,17 @@ from goniotwin.twin.optics.kernel import kernel
 
 UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
 SCENES_KEPT = 64
-"""A campaign has hundreds of poses of the arc for each place of the mirror unit."""
+"""Size of the cache: a campaign has hundreds of poses of the arc for each position of the mirror unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What kernels take, lengths in mm. Shared by all who ask for the same: not to be written to.
+    """Arguments of the kernels, lengths in mm. Cached and shared: do not write to the arrays.
 
-    `pupil` (4, 3): centre of the exit pupil's image, its two axes as long as its radius, its normal towards the sample's
-    side. `mirrors` and `images` (3, 4, 3): centre, normal and axes of each mirror where it stands, and unfolded.
-    `to_sample` (3, 3) and `origin` (3,): a point X of the rig is at to_sample (X - origin). `incident` is 1 for light on
-    the front and -1 on the back. `clipped`: some ray of the beam misses a mirror.
+    `pupil` (4, 3): centre of the exit pupil's image, its two axes as long as its radius, its normal towards the sample's side.
+    `mirrors` and `images` (3, 4, 3): centre, normal and axes of each mirror at its place, and unfolded. `to_sample` (3, 3) and
+    `origin` (3,): a point X of the rig is at to_sample (X - origin). `incident` is 1 for light on the front and -1 on the back.
+    `clipped`: some ray of the beam misses a mirror.
     """
 
     sigma_deg: float
@@ -56,7 +56,7 @@ class Scene:
     def detectors(self, instrument: Instrument, directions: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Centres (n, 3), mm, and viewing directions (n, 3), away from the sample, of detectors on the arc.
 
-        `directions` (n, 3) are those of the rig, in which they should stand. Raises ValueError for what is no direction.
+        `directions` (n, 3) are the nominal directions in the rig's frame. Raises ValueError for a vector without a direction.
         """
         axes = direction_rows(directions)
         centres = instrument.arc_radius_mm * axes
@@ -77,9 +77,9 @@ class Scene:
 
 @lru_cache(maxsize=SCENES_KEPT)
 def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -> Scene:
-    """The instrument with its mirror unit at `sigma_deg` and its sample unit at `gamma_deg`.
+    """Scene with the mirror unit at `sigma_deg` and the sample unit at `gamma_deg`.
 
-    A mirror unit whose axis was told wrong may stand anywhere. Raises ValueError for angles that are not finite.
+    A mirror unit with a wrongly set axis may be at any angle. Raises ValueError for angles that are not finite.
     """
     if not (math.isfinite(sigma_deg) and math.isfinite(gamma_deg)):
         raise ValueError(f"sigma_deg is {sigma_deg!r}, gamma_deg {gamma_deg!r}: give both in degrees")
@@ -128,8 +128,8 @@ def _detector_frames(axes: Floats) -> Floats:
 def clips_beam(images: Floats, pupil: Floats, hole: float, mirror: float) -> bool:
     """Whether some ray of the beam misses a mirror; `hole` and `mirror` are half sides, mm.
 
-    Hole and pupil are convex, so the beam's section in a mirror's plane is the hull of the lines between their corners:
-    when these 16 lines pass, all do, and no kernel need ask.
+    Hole and pupil are convex, so the beam's section in a mirror's plane is the hull of the lines between their corners: if
+    these 16 lines pass, all do, and the kernels can skip the test.
     """
     for corner in range(16):
         px, py = hole if corner & 1 else -hole, hole if corner & 2 else -hole

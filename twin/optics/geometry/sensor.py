@@ -1,10 +1,10 @@
-"""The sensor unit as it is built: ideal lens, frame, diaphragm, detector (paper, figure 5a).
+"""The sensor unit as built: ideal lens, frame, diaphragm, detector (paper, figure 5a).
 
-The lens sits in its frame where the simplified detector has its disc; whatever meets the frame is stopped. Behind the lens,
-at `diaphragm_mm`, is the diaphragm, and right behind that, at `detector_mm`, the detector. An ideal lens turns a ray that
-crosses it at x with the slope p into one of slope p - x / f. With the diaphragm in the focal plane it arrives there at
-f p, wherever it crossed the lens: the unit then is the simplified detector, a disc with an acceptance cone, exactly. With
-the diaphragm elsewhere, or a detector too small for the cone, it is not, and only the forward estimator knows, which traces it.
+The lens in its frame takes the place of the simplified detector's disc; rays that meet the frame are stopped. Behind the lens,
+at `diaphragm_mm`, is the diaphragm, and behind that, at `detector_mm`, the detector. An ideal lens turns a ray that crosses it
+at x with the slope p into one of slope p - x / f. With the diaphragm in the focal plane the ray arrives there at f p, wherever
+it crossed the lens: the unit is then exactly the simplified detector, a disc with an acceptance cone. With the diaphragm
+elsewhere, or a detector too small for the cone, it is not; the forward estimator, which traces it, is then the only one.
 """
 
 import math
@@ -18,11 +18,11 @@ from goniotwin.twin.optics.kernel import kernel
 
 @dataclass(frozen=True)
 class RealSensor:
-    """Dimensions in mm: all assumed but the lens' diameter (that of the paper's virtual detectors).
+    """Dimensions in mm, all assumed except the lens' diameter (that of the paper's virtual detectors).
 
-    `aperture_mm` is the diaphragm's variable diameter, `diaphragm_mm` and `detector_mm` are distances behind the lens,
+    `aperture_mm` is the diaphragm's variable diameter. `diaphragm_mm` and `detector_mm` are distances behind the lens.
     `detector_side_mm` is the side of the square detector; its sides lie along the arc and across it. Raises ValueError, naming
-    the field, for what cannot be built.
+    the field, for dimensions that cannot be built.
     """
 
     lens_diameter_mm: float = 5.0
@@ -42,12 +42,12 @@ class RealSensor:
 
     @property
     def field_deg(self) -> float:
-        """Full angle of view: what the diaphragm lets pass of parallel light from a side."""
+        """Full angle of view: the diaphragm's limit for parallel light at an angle."""
         return 2.0 * math.degrees(math.atan(0.5 * self.aperture_mm / self.focal_length_mm))
 
     @property
     def departure(self) -> str | None:
-        """What makes it other than a disc with an acceptance cone, in words; None where nothing does."""
+        """Difference from a disc with an acceptance cone, in words; None where there is none."""
         if not math.isclose(self.diaphragm_mm, self.focal_length_mm, rel_tol=1e-12):
             return f"its diaphragm is at {self.diaphragm_mm:g} mm and its focal plane at {self.focal_length_mm:g} mm"
         behind = self.detector_mm - self.diaphragm_mm
@@ -58,15 +58,15 @@ class RealSensor:
 
     @property
     def simple(self) -> bool:
-        """Whether it is a disc with an acceptance cone: diaphragm in the focal plane, detector large enough behind it."""
+        """Whether it is equivalent to a disc with an acceptance cone: diaphragm in the focal plane, detector large enough."""
         return self.departure is None
 
     @property
     def widest_deg(self) -> float:
-        """Full angle of a cone about the axis in which is every ray that can pass, wherever it crosses the lens.
+        """Full angle of a cone about the axis that contains every ray that can pass, wherever it crosses the lens.
 
-        At the distance d behind the lens a ray is at x (1 - d/f) + p d, at most a from the axis; with x at most R the slope p
-        is at most (a + R |1 - d/f|) / d. So for the diaphragm, and for the detector's corners; the smaller of the two counts.
+        At the distance d behind the lens a ray is at x (1 - d/f) + p d, at most a from the axis. With x at most R the slope p
+        is at most (a + R |1 - d/f|) / d. This holds for the diaphragm and for the detector's corners; the smaller limit counts.
         """
         slope = math.inf
         for behind, reach in (
@@ -78,7 +78,7 @@ class RealSensor:
 
     @property
     def constants(self) -> Floats:
-        """For `passes_sensor`: squared radii of lens and aperture, 1/f, diaphragm, detector, half its side."""
+        """Argument of `passes_sensor`: squared radii of lens and aperture, 1/f, diaphragm, detector, half its side."""
         return np.array(
             [
                 0.25 * self.lens_diameter_mm**2, 0.25 * self.aperture_mm**2, 1.0 / self.focal_length_mm, self.diaphragm_mm,
@@ -89,7 +89,7 @@ class RealSensor:
 
 @kernel(forceinline=True)
 def passes_sensor(x: float, y: float, p: float, q: float, constants: Floats) -> bool:
-    """Whether a ray reaches the detector that crosses the lens' plane at (x, y), mm, with slopes (p, q) to its axis."""
+    """Whether a ray that crosses the lens' plane at (x, y), mm, with slopes (p, q) to its axis reaches the detector."""
     if x * x + y * y > constants[0]:
         return False
     p, q = p - x * constants[2], q - y * constants[2]

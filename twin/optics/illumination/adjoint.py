@@ -1,9 +1,9 @@
-"""The illumination of the sample, backwards: from the square where the sample is over the exit pupil to the arc.
+"""Illumination of the sample by backward rays: from the square at the sample over the exit pupil to the arc.
 
-Every ray ends in the arc or beside it, and its weight is the length that it has within the arc's cylinder, directly and by
-the reflector, for an optically thin arc has a radiance in proportion to that. So nearly all rays count, alike.
+Every ray ends in the arc or beside it. Its weight is its length within the arc's cylinder, directly and by the reflector: the
+radiance of an optically thin arc is proportional to that length. So nearly all rays contribute, with similar weights.
 
-Figure 8 of the paper as data: how uniform the illumination of the sample is, and how far it diverges.
+Also figure 8 of the paper as data: uniformity and divergence of the illumination.
 """
 
 import math
@@ -19,15 +19,19 @@ from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import check_seed, run_until, scramble, uniform
 
 U64 = np.uint64
-# Few enough to be quick, and enough for their scatter to be known.
+# Few enough to be fast, and enough for an estimate of their standard deviation.
 FIRST_RAYS = 512
 DARK_RAYS = 1 << 18
 MOST_RAYS = 1 << 30
+# Width of the map relative to the field: it shows the slit's image with its edges.
+MARGIN = 2.0
+# Least number of rays of a cell of the map: its error is then below 1 %.
+CELL_RAYS = 256
 
 
 @kernel(forceinline=True)
 def lit_length(frames: Floats, sizes: Floats, x: Floats, w: Floats) -> float:
-    """Of a ray that goes backwards from between slit and condenser: weighted length in mm within the arc, 0 if vignetted.
+    """Weighted length in mm within the arc of a backward ray that starts between slit and condenser; 0 if vignetted.
 
     Directly and by the reflector, each times its share of the light; with the change of radiance in the input condenser.
     """
@@ -53,7 +57,7 @@ def _trace(
     start = scramble(U64(seed))
     for ray in range(first, last):
         key = scramble(start + U64(ray) * U64(0xD1342543DE82EF95))
-        # The cells take turns, so that each has its share of the rays.
+        # Consecutive rays go to consecutive cells, so that all cells have the same number of rays.
         cell = ray % (cells * cells)
         i, j = cell // cells, cell % cells
         x[0] = ((i + uniform(key, 0)) / cells - 0.5) * side
@@ -86,7 +90,7 @@ def _trace(
 
 
 def emission_per_mm3_sr(unit: IlluminationUnit) -> float:
-    """What the arc emits of the wavelengths that pass: radiance per length within it, in the lamp's unit / (mm^3 sr)."""
+    """Emission of the arc at the passing wavelengths: radiance per length within it, in the lamp's unit / (mm^3 sr)."""
     return unit.band_flux / (4.0 * math.pi * unit.arc_volume_mm3)
 
 
@@ -100,10 +104,10 @@ def adjoint_illumination(
     side_mm: float | None = None,
     seed: int = 0,
 ) -> Illumination:
-    """The same as `forward_illumination`, by rays from the square to a point of the exit pupil and back to the arc.
+    """Result of `forward_illumination`, by rays from the square to a point of the exit pupil and back to the arc.
 
-    `rays` is rounded up so that each cell has as many, and at least 2. The flux' error is that of its cells together; all
-    errors are those of means of weights. Raises ValueError as `forward_illumination`; the bound is 2^30 rays.
+    `rays` is rounded up so that each cell has the same number, at least 2. The flux' error is that of its cells together; all
+    errors are standard errors of mean weights. Raises ValueError as `forward_illumination`; the limit is 2^30 rays.
     """
     side = check_square(unit, side_mm, cells, bins)
     check_seed(seed)
@@ -113,7 +117,7 @@ def adjoint_illumination(
         rays = places * max(2, math.ceil(rays / places))
     first_rays = places * max(2, math.ceil(FIRST_RAYS / places))
     cell_mm2 = (side / cells) ** 2
-    # Flux that a mean weight of 1 in one cell stands for.
+    # Flux per cell for a mean weight of 1.
     scale = emission_per_mm3_sr(unit) * math.pi * unit.exit_pupil_radius_mm**2 * cell_mm2
 
     def trace(first: int, last: int) -> Floats:
@@ -123,7 +127,7 @@ def adjoint_illumination(
     def estimate(sums: Floats, count: int) -> tuple[float, float, Illumination]:
         mean, error = mean_and_error(sums[:, :places], count // places)
         ring, ring_error = mean_and_error(sums[:, places:], count)
-        found = Illumination(
+        result = Illumination(
             flux=float(mean.sum()) * scale,
             flux_error=math.sqrt(float(np.sum(error**2))) * scale,
             unit=unit.lamp.unit,
@@ -136,24 +140,18 @@ def adjoint_illumination(
             angular_flux=ring * (scale * places),
             angular_flux_error=ring_error * (scale * places),
         )
-        return found.flux, found.flux_error, found
+        return result.flux, result.flux_error, result
 
     return run_until(trace, estimate, rays, relative_error, first_rays, DARK_RAYS, MOST_RAYS)
 
 
-# The map shows the slit's image with its edges: so much wider than the field.
-MARGIN = 2.0
-# Rays of a cell of the map, at least: its error is then below 1 %.
-CELL_RAYS = 256
-
-
 @dataclass(frozen=True, eq=False)
 class IlluminationFigure:
-    """The main output of the illumination unit (paper, figure 8), ready to be drawn.
+    """Main output of the illumination unit (paper, figure 8), ready to be drawn.
 
-    Map: `irradiance` [x, z] (n, n) and its standard errors in `unit`/m^2, over the cells between `edges_mm` (n + 1,) in
-    both directions. Profile: `intensity` (bins,) and its standard errors in `unit`/sr against the `angle_deg` (bins,) to
-    the axis, of the light in the central `field` alone, whose flux, uniformity and full width are there too.
+    Map: `irradiance` [x, z] (n, n) and its standard errors in `unit`/m^2, over the cells between `edges_mm` (n + 1,) in both
+    directions. Profile: `intensity` (bins,) and its standard errors in `unit`/sr over the angle `angle_deg` (bins,) to the
+    axis, of the light in the central `field` alone; `field` also has its flux, uniformity and full width.
     """
 
     unit: str
@@ -169,13 +167,12 @@ class IlluminationFigure:
 def illumination_figure(
     unit: IlluminationUnit, cells: int = 40, bins: int = 40, relative_error: float = 0.001, seed: int = 0
 ) -> IlluminationFigure:
-    """Data of the paper's figure 8. `cells` is across the map of twice the field; `relative_error` that of the flux.
+    """Data of the paper's figure 8. `cells` is the number across the map of twice the field; `relative_error` that of the flux.
 
-    The lit square is the slit's image, 14 times larger: 7 mm for a field of 5 mm. What is uniform is the irradiance: without
-    deviations to 0.1 % over the field and to 1 % over the square (the arc's chords), with edges that are sharp because the
-    lenses are ideal. What is not is the exit pupil: its rim is a quarter darker than its centre (the cosines in front of
-    the f/1 condenser), so that the beam is narrower than one from a uniform pupil. Raises ValueError as
-    `adjoint_illumination`.
+    The lit square is the slit's image, 14 times larger: 7 mm for a field of 5 mm. The irradiance is uniform: without deviations
+    to 0.1 % over the field and to 1 % over the square (the arc's chords), with sharp edges because the lenses are ideal. The
+    exit pupil is not uniform: its rim is darker than its centre by a quarter (the cosines in front of the f/1 condenser), so
+    that the beam is narrower than one from a uniform pupil. Raises ValueError as `adjoint_illumination`.
     """
     field = adjoint_illumination(unit, relative_error=relative_error, bins=bins, seed=seed)
     side = MARGIN * unit.field_side_mm

@@ -1,4 +1,4 @@
-"""The beam that arrives across the axis where the sample is: what both estimators of the illumination unit find."""
+"""Beam in the plane across the axis at the sample: the result of both estimators of the illumination unit."""
 
 import math
 from dataclasses import dataclass
@@ -8,18 +8,18 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 
-# The centre of the divergence profile is so much of the flux: less would be few rays, more would reach the flank.
+# Share of the flux in the centre of the divergence profile: less would be few rays, more would reach the flank.
 CENTRE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Illumination:
-    """The light in the square of `side_mm` about the axis, in the plane across it at the sample's distance.
+    """Light in the square of `side_mm` about the axis, in the plane across it at the sample's distance.
 
-    Each value has its standard error. Flux is in `unit` (W or lm). `irradiance` [x, z] in unit/m^2 is the mean over
-    each of (n, n) cells, x and z ascending. `angular_flux` (bins,) is the flux, from all over the square, by the angle to
-    the unit's axis between `angle_edges_deg` (bins + 1,); the last bin has what is beyond it too. `emitted_flux` is what
-    the arc emits, into all directions, of the wavelengths that pass. `rays` is how many were traced.
+    Each value has its standard error. Flux is in `unit` (W or lm). `irradiance` [x, z] in unit/m^2 is the mean over each of (n,
+    n) cells, x and z ascending. `angular_flux` (bins,) is the flux over the whole square, by the angle to the unit's axis
+    between `angle_edges_deg` (bins + 1,); the last bin includes larger angles. `emitted_flux` is the arc's flux into all
+    directions at the passing wavelengths. `rays` is the number of traced rays.
     """
 
     flux: float
@@ -41,12 +41,12 @@ class Illumination:
 
     @property
     def uniformity(self) -> float:
-        """Least irradiance of a cell over the mean. It has the cells' noise in it: see their errors."""
+        """Least irradiance of a cell over the mean. It includes the cells' noise: see their errors."""
         return float(self.irradiance.min() / self.irradiance.mean())
 
     @property
     def solid_angles_sr(self) -> Floats:
-        """Of the rings between the angles, (bins,)."""
+        """Solid angles of the rings between the angles, (bins,)."""
         rings: Floats = -2.0 * math.pi * np.diff(np.cos(np.radians(self.angle_edges_deg)))
         return rings
 
@@ -60,8 +60,8 @@ class Illumination:
     def full_width_deg(self) -> tuple[float, float]:
         """Full width of the divergence at half the central intensity, with its standard error; both NaN without light.
 
-        The central intensity is that of the innermost bins with a twentieth of the flux. Between the middles of the bins
-        run straight lines.
+        The central intensity is that of the innermost bins with a twentieth of the flux. Linear interpolation between the
+        centres of the bins.
         """
         if self.flux <= 0.0:
             return math.nan, math.nan
@@ -82,13 +82,13 @@ class Illumination:
 
 
 def widest_angle(unit: IlluminationUnit, side_mm: float) -> float:
-    """Where the histogram of angles ends, in rad: half as much again as the widest ray has without deviations."""
+    """End of the histogram of angles, in rad: 1.5 times the widest angle of a ray without deviations."""
     reach = unit.exit_pupil_radius_mm + 0.5 * math.sqrt(2.0) * side_mm
     return 1.5 * math.atan(reach / unit.sample_distance_mm)
 
 
 def check_square(unit: IlluminationUnit, side_mm: float | None, cells: int, bins: int) -> float:
-    """The square's side: the unit's own without another. Raises ValueError for what makes no map or profile."""
+    """Side of the square, the unit's own by default. Raises ValueError for values without a map or profile."""
     side = unit.field_side_mm if side_mm is None else side_mm
     if not (math.isfinite(side) and side > 0.0):
         raise ValueError(f"side_mm is {side!r}: give a positive, finite number")
@@ -99,6 +99,6 @@ def check_square(unit: IlluminationUnit, side_mm: float | None, cells: int, bins
 
 
 def mean_and_error(sums: Floats, count: int) -> tuple[Floats, Floats]:
-    """Of `count` weights, by the sums (2, n) of weights and of their squares: means and their standard errors, (n,)."""
+    """Means of `count` weights and their standard errors, (n,), from the sums (2, n) of weights and of their squares."""
     mean = sums[0] / count
     return mean, np.sqrt(np.maximum(sums[1] / count - mean**2, 0.0) / (count - 1))

@@ -1,7 +1,7 @@
-"""What the illumination unit's elements do to a ray: kernels that the estimators in both directions share.
+"""Elements of the illumination unit: kernels that the estimators in both directions share.
 
-A ray is a point x (3,) in mm and a unit vector w (3,), both changed in place. Frames and sizes as `IlluminationUnit` has
-them. What only one direction needs (emitting, weighing by the chord) stands with its estimator.
+A ray is a point x (3,) in mm and a unit vector w (3,), both changed in place. Frames and sizes are those of `IlluminationUnit`.
+Kernels for one direction only are in the file of its estimator.
 """
 
 import math
@@ -12,7 +12,10 @@ from goniotwin.twin.optics.kernel import kernel
 
 @kernel(forceinline=True)
 def to_plane(frame: Floats, x: Floats, w: Floats) -> tuple[float, float]:
-    """Takes the ray to the element's plane, forwards or backwards: its own coordinates (x, z) there, NaN or inf if never."""
+    """Propagate the ray, forwards or backwards, to the element's plane.
+
+    Returns its coordinates (x, z) in the element's frame; NaN or inf if it never meets the plane.
+    """
     away = along = 0.0
     for c in range(3):
         away += (frame[0, c] - x[c]) * frame[2, c]
@@ -28,10 +31,10 @@ def to_plane(frame: Floats, x: Floats, w: Floats) -> tuple[float, float]:
 
 @kernel(forceinline=True)
 def bend(frame: Floats, u: float, v: float, power: float, w: Floats) -> float:
-    """An ideal lens bends a ray that meets it at its own (u, v): tangents lose u and v times the power (1 / focal length).
+    """Refract a ray at an ideal lens at its own (u, v): tangents decrease by u and v times the power (1 / focal length).
 
-    A negative power traces light backwards. Returns the fourth power of cosine before over cosine after. Going with the
-    light the radiance is multiplied by that, and the etendue of a pencil by its inverse: their product, the flux, is kept.
+    A negative power traces light backwards. Returns the fourth power of the cosine before over the cosine after. Along the
+    light the radiance is multiplied by that, and the etendue of a pencil by its inverse: their product, the flux, is conserved.
     """
     p = q = along = 0.0
     for c in range(3):
@@ -49,7 +52,7 @@ def bend(frame: Floats, u: float, v: float, power: float, w: Floats) -> float:
 
 @kernel(forceinline=True)
 def reflect_at_sphere(frame: Floats, radius: float, least: float, x: Floats, w: Floats) -> bool:
-    """Takes a ray from near the reflector's centre to its sphere and reflects it there; whether the reflector is there.
+    """Propagate a ray from near the reflector's centre to its sphere and reflect it; False if it misses the reflector.
 
     `least` is the cosine of the half-angle at the centre of curvature, which is a radius from the vertex along y.
     """
@@ -75,7 +78,10 @@ def reflect_at_sphere(frame: Floats, radius: float, least: float, x: Floats, w: 
 
 @kernel(forceinline=True)
 def chord(frame: Floats, radius: float, half: float, x: Floats, w: Floats) -> float:
-    """Length in mm that the whole straight line through x along w has within the arc's cylinder; its axis is its own z."""
+    """Length in mm, within the arc's cylinder, of the whole straight line through x along w.
+
+    The cylinder's axis is its own z.
+    """
     a = b = c0 = start = slope = p0 = q0 = p1 = q1 = 0.0
     for c in range(3):
         offset = x[c] - frame[0, c]

@@ -1,7 +1,7 @@
-"""The illumination of the sample, forward: rays from the arc's volume over every element to the sample's plane.
+"""Illumination of the sample by forward rays: from the arc's volume over every element to the sample's plane.
 
-It knows nothing of chords or of the exit pupil's place, so that it can hold the adjoint one. A ray's random numbers are
-a function of seed and ray.
+It uses neither chords nor the exit pupil's position, so that it is an independent check of the adjoint estimator. A ray's
+random numbers are a function of seed and ray.
 """
 
 import math
@@ -32,7 +32,7 @@ def _trace(
     start = scramble(U64(seed))
     for ray in range(first, last):
         key = scramble(start + U64(ray) * U64(0xD1342543DE82EF95))
-        # Anywhere in the arc; within a cone about the condenser, or straight away from it, towards the reflector.
+        # Uniform in the arc; within a cone towards the condenser, or the opposite cone towards the reflector.
         cosine = 1.0 - uniform(key, 0) * aim[3]
         backwards = uniform(key, 1) < 0.5
         radius, turn = math.sqrt(max(0.0, 1.0 - cosine * cosine)), 2.0 * math.pi * uniform(key, 2)
@@ -73,12 +73,12 @@ def _trace(
 
 
 def _aim(unit: IlluminationUnit) -> tuple[Floats, Floats]:
-    """The directions of which some can reach the input condenser, directly or by the reflector, and none other does.
+    """Cone of directions that contains all that can reach the input condenser, directly or by the reflector.
 
-    Axis of a cone and 1 - cosine of its half-angle, (4,), and two unit vectors across, (2, 3). A line reaches the condenser
-    only from within the ball about the reflector's centre that holds the arc, for reflection keeps its distance from there;
-    that turns the line by at most twice the angle under which the sphere sees that ball's radius. Rays elsewhere need not be
-    traced; their share is in the weight.
+    Axis of the cone and 1 - cosine of its half-angle, (4,), and two unit vectors across, (2, 3). A line reaches the condenser
+    only from within the ball about the reflector's centre that holds the arc, because reflection keeps its distance from there.
+    Reflection turns the line by at most twice the angle under which the sphere sees that ball's radius. Rays in other
+    directions need not be traced; their share is in the weight.
     """
     frames, radius = unit.frames, unit.reflector_radius_mm
     centre = frames[REFLECTOR, 0] + radius * frames[REFLECTOR, 2]
@@ -105,19 +105,19 @@ def forward_illumination(
     side_mm: float | None = None,
     seed: int = 0,
 ) -> Illumination:
-    """Illumination of the square of `side_mm` (the unit's `field_side_mm`) across the axis where the sample is.
+    """Illumination of the square of `side_mm` (the unit's `field_side_mm`) across the axis at the sample.
 
-    Rays start uniformly in the arc's volume, into the directions of which some can reach the input condenser (all others
-    cannot, and are only counted); they must pass every opening as it stands. Give `rays` or, instead, the
-    `relative_error` of the flux. The map has `cells` x `cells`, the divergence `bins`. Errors are those of the mean of the
-    weights, zeros included. Bit-identical for any number of threads. Raises ValueError for fewer than 2 rays, a negative
-    seed, a map of no cells, and an error that 2^34 rays do not reach.
+    Rays start uniformly in the arc's volume, in the directions of which some can reach the input condenser (all others cannot,
+    and are only counted). They must pass every opening at its actual position. Give `rays` or, instead, the `relative_error` of
+    the flux. The map has `cells` x `cells`, the divergence `bins`. Errors are those of the mean of the weights, zeros included.
+    Bit-identical for any number of threads. Raises ValueError for fewer than 2 rays, a negative seed, a map without cells, and
+    an error that needs more than 2^34 rays.
     """
     side = check_square(unit, side_mm, cells, bins)
     check_seed(seed)
     frames, sizes, widest = unit.frames, unit.sizes, widest_angle(unit, side)
     aim, across = _aim(unit)
-    # Both cones: a share of 1 - cos of all directions.
+    # Both cones together: a share 1 - cos of all directions.
     scale = unit.band_flux * float(aim[3])
 
     def trace(first: int, last: int) -> Floats:
@@ -126,10 +126,10 @@ def forward_illumination(
 
     def estimate(sums: Floats, count: int) -> tuple[float, float, Illumination]:
         mean, error = mean_and_error(sums, count)
-        # No ray falls into two cells: so the sums over all cells are those of one weight.
+        # A ray is in one cell at most: so the sums over all cells are those of one weight.
         whole, whole_error = mean_and_error(sums[:, : cells * cells].sum(axis=1, keepdims=True), count)
         cell_m2 = (side / cells * 1e-3) ** 2
-        found = Illumination(
+        result = Illumination(
             flux=float(whole[0]) * scale,
             flux_error=float(whole_error[0]) * scale,
             unit=unit.lamp.unit,
@@ -142,6 +142,6 @@ def forward_illumination(
             angular_flux=mean[cells * cells :] * scale,
             angular_flux_error=error[cells * cells :] * scale,
         )
-        return found.flux, found.flux_error, found
+        return result.flux, result.flux_error, result
 
     return run_until(trace, estimate, rays, relative_error, FIRST_RAYS, DARK_RAYS, MOST_RAYS)

@@ -1,4 +1,4 @@
-"""Raysets: the rays that leave the output condenser, recorded once and replayed as a source (paper, section 3.3)."""
+"""Raysets: rays that leave the output condenser, recorded once and replayed as a source (paper, section 3.3)."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from goniotwin.twin.optics.montecarlo import check_seed, scramble, uniform
 
 U64 = np.uint64
 COLUMNS = {"positions_mm": 3, "directions": 3, "wavelength_nm": 0, "flux": 0}
-# Positions are computed on the plane; more than that is a rayset of something else.
+# Positions are computed on the plane: a larger distance means a rayset of another kind.
 PLANE_TOLERANCE_MM = 1e-6
 
 
@@ -22,14 +22,13 @@ PLANE_TOLERANCE_MM = 1e-6
 class Rayset:
     """Rays that leave an illumination unit, simulated, in the unit's frame (y along the light, origin the exit pupil).
 
-    `positions_mm` (n, 3) are where the rays cross the plane y = `plane_mm`, `directions` (n, 3) point along the light and
-    need not be unit vectors, `wavelength_nm` (n,) is one for each ray, `flux` (n,) what each carries, in `unit` (W or lm);
-    a ray that the unit vignettes carries none. `geometry` is the fingerprint of the `IlluminationUnit`, `emitted_flux`
-    what its arc emits, into all directions, of the wavelengths that pass, `seed` what the rays came from.
+    `positions_mm` (n, 3) are the points on the plane y = `plane_mm`. `directions` (n, 3) point along the light and need not be
+    unit vectors. `wavelength_nm` (n,) is one for each ray, `flux` (n,) the flux of each, in `unit` (W or lm); a ray that the
+    unit vignettes has none. `geometry` is the fingerprint of the `IlluminationUnit`, `emitted_flux` its arc's flux into all
+    directions at the passing wavelengths, `seed` the seed of the rays.
 
-    The arrays are copied, and cannot be written. Raises ValueError, with the ray's number, for NaN, wrong shapes, a
-    direction of no length or against the light, negative flux, a wavelength that is none, a ray off the plane; and for
-    more flux than was emitted.
+    The arrays are copied and read-only. Raises ValueError, with the ray's number, for NaN, wrong shapes, a direction of length
+    zero or against the light, negative flux, an invalid wavelength, a ray off the plane; and for more flux than was emitted.
     """
 
     positions_mm: Floats
@@ -45,7 +44,7 @@ class Rayset:
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.flux))
         if count < 1:
-            raise ValueError("a rayset of no rays: give at least one")
+            raise ValueError("a rayset without rays: give at least one")
         for name, width in COLUMNS.items():
             column = np.array(getattr(self, name), dtype=np.float64)
             wanted = (count, width) if width else (count,)
@@ -62,7 +61,7 @@ class Rayset:
         if self.unit not in ("W", "lm"):
             raise ValueError(f"unit is {self.unit!r}: give W or lm")
         if not math.isfinite(self.plane_mm):
-            raise ValueError(f"plane_mm is {self.plane_mm!r}: give the plane's place along y")
+            raise ValueError(f"plane_mm is {self.plane_mm!r}: give the plane's position along y")
         off = np.abs(self.positions_mm[:, 1] - self.plane_mm) > PLANE_TOLERANCE_MM
         self._refuse(off, "positions_mm", f"is not on the plane y = {self.plane_mm:g} mm")
         if not (math.isfinite(self.emitted_flux) and self.emitted_flux > 0.0):
@@ -80,19 +79,19 @@ class Rayset:
 
     @property
     def total_flux(self) -> float:
-        """What leaves the output condenser, in `unit`."""
+        """Flux that leaves the output condenser, in `unit`."""
         return float(self.flux.sum())
 
     @property
     def total_flux_error(self) -> float:
-        """Standard error of that as an estimate of what leaves the unit; NaN for a single ray."""
+        """Standard error of the total flux as an estimate for the unit; NaN for a single ray."""
         count = self.flux.size
         return float(self.flux.std(ddof=1) * math.sqrt(count)) if count > 1 else math.nan
 
 
 @kernel(nogil=True)
 def _record(rays: int, seed: np.uint64, frames: Floats, sizes: Floats) -> Floats:
-    """Of each ray (rays, 8): place on the plane y = 0 and direction after the lens, weight in 1/mm, a number in 0..1."""
+    """Rays (rays, 8): point on the plane y = 0 and direction after the lens, weight in 1/mm, a number in 0..1."""
     result = np.zeros((rays, 8))
     x, w, back = np.empty(3), np.empty(3), np.empty(3)
     start = scramble(U64(seed))
@@ -123,25 +122,25 @@ def _record(rays: int, seed: np.uint64, frames: Floats, sizes: Floats) -> Floats
 
 
 def record(unit: IlluminationUnit, rays: int, seed: int) -> Rayset:
-    """`rays` rays that leave the output condenser, on the plane across the axis through the exit pupil's place (y = 0).
+    """Record `rays` rays that leave the output condenser, on the plane across the axis at the exit pupil (y = 0).
 
-    Each goes from a uniform point of the slit to one of the exit pupil, and carries what the arc sends along it, found
-    backwards: so none is traced in vain, and all carry about the same. They are weighted, not alike. Wavelengths are
-    distributed as the flux that passes the monochromator. Raises ValueError for fewer than 2 rays, a negative seed, and
-    where no wavelength of the lamp passes.
+    Each goes from a uniform point of the slit to one of the exit pupil, and has the flux that the arc sends along it, found by
+    backward tracing: so no ray is lost, and all have similar flux. They are weighted. Wavelengths are distributed as the flux
+    that passes the monochromator. Raises ValueError for fewer than 2 rays, a negative seed, and if no wavelength of the lamp
+    passes.
     """
     if rays < 2:
         raise ValueError(f"rays is {rays}: give at least 2")
     check_seed(seed)
-    found = _record(rays, U64(seed), unit.frames, unit.sizes)
+    columns = _record(rays, U64(seed), unit.frames, unit.sizes)
     width, height = unit.opening_mm
     scale = emission_per_mm3_sr(unit) * width * height * math.pi * unit.exit_pupil_radius_mm**2 / rays
-    found[:, 1] = 0.0
+    columns[:, 1] = 0.0
     return Rayset(
-        positions_mm=found[:, 0:3],
-        directions=found[:, 3:6],
-        wavelength_nm=unit.passband.sample(unit.lamp, found[:, 7]),
-        flux=found[:, 6] * scale,
+        positions_mm=columns[:, 0:3],
+        directions=columns[:, 3:6],
+        wavelength_nm=unit.passband.sample(unit.lamp, columns[:, 7]),
+        flux=columns[:, 6] * scale,
         unit=unit.lamp.unit,
         plane_mm=0.0,
         geometry=unit.fingerprint,
@@ -152,8 +151,10 @@ def record(unit: IlluminationUnit, rays: int, seed: int) -> Rayset:
 
 @dataclass(frozen=True, eq=False)
 class RaySource:
-    """A rayset as kernels take it, contiguous: `rays` (n, 6) are positions in mm and unit directions in the rig's frame;
-    `flux` (n,) in `unit` and `wavelength_nm` (n,) belong to them.
+    """Rayset as an argument of the kernels, contiguous.
+
+    `rays` (n, 6) are positions in mm and unit directions in the rig's frame; `flux` (n,) in `unit` and `wavelength_nm` (n,)
+    belong to them.
     """
 
     rays: Floats
@@ -163,10 +164,10 @@ class RaySource:
 
 
 def replay(rayset: Rayset, unit: IlluminationUnit, pupil_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RaySource:
-    """The rayset as a source in place of the uniform exit pupil whose centre is at `pupil_mm` of the rig's frame.
+    """Replay a rayset as a source instead of the uniform exit pupil whose centre is at `pupil_mm` of the rig's frame.
 
     That is `twin.optics.geometry.mirrors.pupil(instrument)[0]`; by default the frame remains the unit's. Raises ValueError if
-    the rayset is not of this unit: other dimensions, shares, lamp, wavelength or deviations make other rays.
+    the rayset is of another unit: other dimensions, shares, lamp, wavelength or deviations make other rays.
     """
     if rayset.geometry != unit.fingerprint:
         raise ValueError(

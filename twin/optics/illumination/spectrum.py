@@ -1,4 +1,4 @@
-"""Spectra of lamps: flux over wavelength, with its unit, and what of it a monochromator lets pass."""
+"""Spectra of lamps: flux over wavelength, with its unit, and the passband of a monochromator."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -27,8 +27,8 @@ V = np.array(
 class Spectrum:
     """Flux that a lamp emits over all directions: `flux_per_nm` (n,) in W/nm or lm/nm at `wavelength_nm` (n,).
 
-    Straight lines between the points, nothing outside them. The arrays are copied, and cannot be written. Raises
-    ValueError for fewer than 2 points, wavelengths that do not ascend, negative flux, NaN, or no flux at all.
+    Linear between the points, zero outside them. The arrays are copied and read-only. Raises ValueError for fewer than 2
+    points, wavelengths that do not ascend, negative flux, NaN, or no flux at all.
     """
 
     wavelength_nm: Floats
@@ -65,9 +65,9 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Passband:
-    """What a monochromator lets pass: 1 over an interval about the centre, falling to 0 over a bandwidth on either side.
+    """Transmittance of a monochromator: 1 over an interval about the centre, falling to 0 over a bandwidth on either side.
 
-    With no interval it is a triangle whose full width at half maximum is the bandwidth. All in nm.
+    Without an interval it is a triangle whose full width at half maximum is the bandwidth. All in nm.
     """
 
     centre_nm: float
@@ -76,12 +76,12 @@ class Passband:
 
     @property
     def knots(self) -> Floats:
-        """Where its straight lines meet, (5,), ascending."""
+        """Corners of its straight lines, (5,), ascending."""
         inner, outer = 0.5 * self.interval_nm, 0.5 * self.interval_nm + self.bandwidth_nm
         return self.centre_nm + np.array([-outer, -inner, 0.0, inner, outer])
 
     def transmittance(self, wavelength_nm: npt.ArrayLike) -> Floats:
-        """Of light of these wavelengths."""
+        """Transmittance at these wavelengths."""
         distance = np.abs(np.asarray(wavelength_nm, dtype=np.float64) - self.centre_nm)
         return np.clip((0.5 * self.interval_nm + self.bandwidth_nm - distance) / self.bandwidth_nm, 0.0, 1.0)
 
@@ -90,20 +90,22 @@ class Passband:
         knots = np.sort(np.concatenate([spectrum.wavelength_nm, self.knots]))
         middle = 0.5 * (knots[1:] + knots[:-1])
         ends = spectrum.at(knots) * self.transmittance(knots)
-        # Both are straight lines between the knots, so that Simpson's rule is exact; outside the table there is nothing.
+        # Both are linear between the knots, so that Simpson's rule is exact; outside the table the flux is zero.
         inside = (middle > spectrum.wavelength_nm[0]) & (middle < spectrum.wavelength_nm[-1])
         simpson = (ends[1:] + ends[:-1] + 4.0 * spectrum.at(middle) * self.transmittance(middle)) / 6.0
         return float(np.sum(np.where(inside, simpson, 0.0) * np.diff(knots)))
 
     def sample(self, spectrum: Spectrum, numbers: Floats) -> Floats:
-        """Wavelengths in nm, distributed as the flux that passes, of `numbers` (n,) in 0..1.
+        """Wavelengths in nm, distributed as the flux that passes, from `numbers` (n,) in 0..1.
 
-        Raises ValueError where nothing passes.
+        Raises ValueError if no flux passes.
         """
         low = max(float(self.knots[0]), float(spectrum.wavelength_nm[0]))
         high = min(float(self.knots[-1]), float(spectrum.wavelength_nm[-1]))
         if low >= high:
-            raise ValueError(f"the lamp emits nothing in {self.knots[0]:g} to {self.knots[-1]:g} nm, which is all that passes")
+            raise ValueError(
+                f"the lamp emits nothing in {self.knots[0]:g} to {self.knots[-1]:g} nm, and no other wavelength passes"
+            )
         edges = np.linspace(low, high, 4097)
         middle = 0.5 * (edges[1:] + edges[:-1])
         share = np.cumsum(spectrum.at(middle) * self.transmittance(middle))
@@ -111,7 +113,7 @@ class Passband:
 
 
 def luminous_spectrum(spectrum: Spectrum) -> Spectrum:
-    """A spectrum in W as one in lm, at the wavelengths of both tables between 380 and 780 nm."""
+    """Spectrum in W converted to lm, at the wavelengths of both tables between 380 and 780 nm."""
     if spectrum.unit == "lm":
         return spectrum
     wavelength = np.union1d(spectrum.wavelength_nm, V_NM)
@@ -120,12 +122,11 @@ def luminous_spectrum(spectrum: Spectrum) -> Spectrum:
 
 
 def xenon_spectrum(luminous_flux_lm: float = 3000.0) -> Spectrum:
-    """A xenon short-arc lamp of about 150 W, in W/nm from 380 to 780 nm; 3000 lm is what such lamps are rated at.
+    """Xenon short-arc lamp of about 150 W, in W/nm from 380 to 780 nm; such lamps are rated at 3000 lm.
 
-    Coarse, and drawn from what is generally published of these lamps, not from one lamp's data sheet: a continuum like
-    that of a black body at 6000 K, flat within a fifth over the visible, with groups of weak lines near 467 and 490 nm.
-    The strong lines from 820 nm on lie outside. Replace it by the table of the lamp in use. Raises ValueError unless the
-    flux is positive and finite.
+    Coarse, from general publications on these lamps, not from one lamp's data sheet: a continuum like that of a black body at
+    6000 K, flat within a fifth over the visible, with groups of weak lines near 467 and 490 nm. The strong lines from 820 nm on
+    are outside. Replace it by the table of the lamp in use. Raises ValueError unless the flux is positive and finite.
     """
     if not (np.isfinite(luminous_flux_lm) and luminous_flux_lm > 0.0):
         raise ValueError(f"luminous_flux_lm is {luminous_flux_lm!r}: give a positive, finite number")

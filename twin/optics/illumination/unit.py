@@ -1,10 +1,10 @@
 """The illumination unit: xenon arc, reflector, input condenser, monochromator, output condenser with the exit pupil.
 
-Its frame has the directions of the rig's: y along the light, z up, x across; the origin is the centre of the exit pupil,
-which is the output condenser's opening. Along y, from the back: reflector, arc, input condenser, slit, output condenser;
-the sample is `sample_distance_mm` further on, the mirrors being unfolded.
+Its frame has the directions of the rig's: y along the light, z up, x across. The origin is the centre of the exit pupil, which
+is the output condenser's opening. Along y, from the back: reflector, arc, input condenser, slit, output condenser; the sample
+is `sample_distance_mm` further on, with the mirrors unfolded.
 
-The correction unit: a beam splitter, whose weak arm goes to the monitor photodiode.
+Behind the output condenser is the correction unit: a beam splitter with a weak arm to the monitor photodiode.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, ch
 from goniotwin.twin.optics.illumination.spectrum import Passband, Spectrum, xenon_spectrum
 
 ELEMENTS = ("arc", "reflector", "input_condenser", "slit", "output_condenser", "unit")
-# In this order the frames go to the kernels.
+# Order of the frames in the kernels' arguments.
 ARC, REFLECTOR, INPUT, SLIT, OUTPUT = range(5)
 SHARES = ("arc_transmittance", "bulb_transmittance", "reflector_reflectance", "monochromator_transmittance")
 
@@ -29,28 +29,28 @@ SHARES = ("arc_transmittance", "bulb_transmittance", "reflector_reflectance", "m
 class IlluminationUnit:
     """Dimensions of the illumination unit (paper, section 3.1), in mm, nm and degrees; shares are of flux.
 
-    Given by the paper: arc, reflector, slit, ideal lenses, no loss but the reflector's. The rest is assumed:
+    The paper gives: arc, reflector, slit, ideal lenses, no loss except the reflector's. The rest is assumed:
 
     - The arc is a cylinder that emits uniformly from its volume into all directions; its axis is vertical (z, the slit's
-      height). The bulb costs `bulb_transmittance` at each passage and bends nothing: direct light passes it once.
-    - The reflector images the arc onto itself, upside down. Its light passes bulb, arc and electrodes again and so the
-      bulb three times; what arc and electrodes cost is `arc_transmittance` for all of it, wherever it passes.
-      With the defaults the reflector adds 62 %, which is what makers of such lamp housings state.
-    - The input condenser takes light up to f/1, and enlarges the arc `input_condenser_magnification` times onto the slit:
-      five times, with which it fills the exit pupil from all of the slit and has a millimetre to spare for deviations.
+      height). The bulb transmits `bulb_transmittance` at each passage and does not refract; direct light passes it once.
+    - The reflector images the arc onto itself, upside down. Its light passes bulb, arc and electrodes again and so the bulb
+      three times. `arc_transmittance` covers the losses in arc and electrodes for all of it, wherever it passes. With the
+      defaults the reflector adds 62 %, the value stated by makers of such lamp housings.
+    - The input condenser takes light up to f/1, and enlarges the arc `input_condenser_magnification` times onto the slit: five
+      times. It then fills the exit pupil from all of the slit, with a margin of one millimetre for deviations.
     - Slit and height stop open `slit_width_mm` in x and the smaller of both heights in z. Wavelength does not depend on the
-      place in the slit. What passes is a trapezoid about `wavelength_nm`: an interval (0: a triangle) with edges as wide as
-      the bandwidth. `monochromator_transmittance` at its top stands for grating and mirrors: so much that about 0.2 W/m^2
-      arrive on the sample at 5 nm.
+      position in the slit. The passband is a trapezoid about `wavelength_nm`: an interval (0: a triangle) with edges as wide as
+      the bandwidth. `monochromator_transmittance` at its top is for grating and mirrors, with a value that gives about 0.2
+      W/m^2 on the sample at 5 nm.
     - The output condenser images the slit onto the sample.
 
-    An ideal lens maps straight lines to straight lines and loses nothing, so that a ray keeps its flux; the radiance
-    along it changes as the fourth power of the cosines on both sides (behind f/1 by up to a third).
+    An ideal lens maps straight lines to straight lines without loss, so that a ray keeps its flux; the radiance along it
+    changes as the fourth power of the cosines on both sides (behind f/1 by up to a third).
 
-    `deviations` has any of arc, reflector, input_condenser, slit (with its height stop), output_condenser (with the exit
-    pupil) and unit (all of them together). Each turns about its reference point: the centres of arc, lenses and slit, the
-    reflector's vertex, and for the unit that of the exit pupil. Raises ValueError, naming the field, for what no unit
-    can have, and for deviations of an unknown element.
+    `deviations` has any of arc, reflector, input_condenser, slit (with its height stop), output_condenser (with the exit pupil)
+    and unit (all of them together). Each turns about its reference point: the centres of arc, lenses and slit, the reflector's
+    vertex, and for the unit that of the exit pupil. Raises ValueError, naming the field, for a value out of range, and for
+    deviations of an unknown element.
     """
 
     lamp: Spectrum = field(default_factory=xenon_spectrum)
@@ -99,32 +99,32 @@ class IlluminationUnit:
 
     @property
     def slit_distance_mm(self) -> float:
-        """From slit to output condenser (57 mm)."""
+        """Distance from slit to output condenser (57 mm)."""
         return self.sample_distance_mm / self.output_condenser_magnification
 
     @property
     def opening_mm(self) -> tuple[float, float]:
-        """Width (x) and height (z) of what slit and height stop leave open."""
+        """Width (x) and height (z) of the opening of slit and height stop."""
         return self.slit_width_mm, min(self.slit_height_mm, self.height_stop_mm)
 
     @property
     def passband(self) -> Passband:
-        """What the monochromator lets pass, without its transmittance."""
+        """Passband of the monochromator, without its transmittance."""
         return Passband(self.wavelength_nm, self.interval_nm, self.bandwidth_nm)
 
     @cached_property
     def band_flux(self) -> float:
-        """Of the arc's flux into all directions that whose wavelength passes, in the lamp's unit."""
+        """The arc's flux into all directions at the passing wavelengths, in the lamp's unit."""
         return self.passband.flux(self.lamp)
 
     @property
     def arc_volume_mm3(self) -> float:
-        """Of the self-luminous cylinder."""
+        """Volume of the self-luminous cylinder."""
         return math.pi * self.arc_radius_mm**2 * self.arc_length_mm
 
     @cached_property
     def fingerprint(self) -> str:
-        """16 hexadecimal digits that stand for every dimension, share and deviation, the lamp's table and the passband."""
+        """16 hexadecimal digits, a hash of every dimension, share and deviation, the lamp's table and the passband."""
         digest = hashlib.blake2b(digest_size=8)
         for entry in fields(self):
             if entry.name not in ("lamp", "deviations"):
@@ -140,9 +140,9 @@ class IlluminationUnit:
 
     @cached_property
     def frames(self) -> Floats:
-        """Where arc, reflector, input condenser, slit and output condenser stand, deviations included: (5, 4, 3) in mm.
+        """Frames of arc, reflector, input condenser, slit and output condenser, deviations included: (5, 4, 3) in mm.
 
-        Of each its reference point, and the unit vectors of its own x, y (along the light) and z.
+        For each its reference point, and the unit vectors of its own x, y (along the light) and z.
         """
         condenser = -self.slit_distance_mm - self.input_condenser_distance_mm * self.input_condenser_magnification
         arc = condenser - self.input_condenser_distance_mm
@@ -157,9 +157,10 @@ class IlluminationUnit:
 
     @cached_property
     def sizes(self) -> Floats:
-        """For the kernels, (13,): arc radius and half length; reflector's radius and the cosine of its half-angle; of both
-        lenses focal length and radius; half opening in x and z; shares of direct and of reflected light; distance of the
-        sample; in mm.
+        """Argument of the kernels, (13,), in mm.
+
+        Arc radius and half length; reflector's radius and the cosine of its half-angle; of both lenses focal length and radius;
+        half opening in x and z; shares of direct and of reflected light; distance of the sample.
         """
         near, far = self.input_condenser_distance_mm, self.input_condenser_distance_mm * self.input_condenser_magnification
         slit, sample = self.slit_distance_mm, self.sample_distance_mm
@@ -187,7 +188,7 @@ class IlluminationUnit:
 
 @dataclass(frozen=True)
 class Split:
-    """What a splitter makes of a flux, in the flux' own unit; what is in neither was absorbed."""
+    """Fluxes behind a beam splitter, in the incident flux' own unit; the rest is absorbed."""
 
     monitor: float
     onwards: float
@@ -195,12 +196,12 @@ class Split:
 
 @dataclass(frozen=True)
 class CorrectionUnit:
-    """The beam splitter behind the output condenser (paper, section 2, which gives no numbers: these are assumed).
+    """The beam splitter behind the output condenser (paper, section 2, without numbers: these are assumed).
 
-    Shares of the flux: `monitor_share` goes to the monitor, `absorptance` is lost, the rest goes on to the mirrors,
-    alike for all wavelengths, places, angles and polarisations. The monitor takes the whole beam, and so sees the lamp's
-    changes but not what only moves the light across the sample. Raises ValueError, naming the field, for shares that are
-    none or are more than 1 together.
+    Shares of the flux: `monitor_share` goes to the monitor, `absorptance` is lost, the rest goes on to the mirrors, the same
+    for all wavelengths, positions, angles and polarisations. The monitor receives the whole beam; so it measures the lamp's
+    changes, but not a movement of the light across the sample. Raises ValueError, naming the field, for shares out of range or
+    with a sum above 1.
     """
 
     monitor_share: float = 0.08
@@ -216,11 +217,11 @@ class CorrectionUnit:
 
     @property
     def onwards_share(self) -> float:
-        """Of the flux, what goes on to the mirrors."""
+        """Share of the flux that goes on to the mirrors."""
         return 1.0 - self.monitor_share - self.absorptance
 
     def split(self, leaving_flux: float) -> Split:
-        """What monitor and mirrors get of the flux that leaves the output condenser (`Rayset.total_flux`), in its unit.
+        """Flux to monitor and to mirrors, of the flux that leaves the output condenser (`Rayset.total_flux`), in its unit.
 
         Raises ValueError unless that is finite and not negative.
         """

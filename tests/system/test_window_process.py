@@ -1,0 +1,157 @@
+"""The window as a process: a signal stops the run in order, and a long run does not abort the process."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
+from goniotwin.app.campaign.journal.summary import campaign_summary
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
+from goniotwin.mocks.control import ControlClient
+from goniotwin.protocols.clock import RealClock
+from tests.app.campaign.campaign_bench import QUIET, planned_values
+from tests.conftest import REPOSITORY, RIG, Writer
+from tests.system.conftest import Serve, at
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
+LONGEST_S = 300.0
+LONGEST_RUN_S = 3600.0
+ROWS = 3000
+FATAL_PAINTS = 134
+"""PySide6 6.12.0 on Python 3.11 aborted after so many repaints, at row 717 of this schedule at simulation speed 60."""
+DIFFUSE = REPOSITORY / "examples" / "schedules" / "diffuse-spectral.toml"
+
+
+class WindowProcess:
+    """`goniotwin desktop` with a run in progress, in a process of its own."""
+
+    def __init__(self, rig: Path, schedule: Path, folder: Path, speed: float, longest_s: float) -> None:
+        self._folder = folder
+        self._errors = folder.with_suffix(".err")
+        with self._errors.open("w", encoding="utf-8") as errors:
+            self.process = subprocess.Popen(
+                [
+                    sys.executable, "-m", "tests.system.window_starter", "desktop", "--rig", str(rig),
+                    "--schedule", str(schedule), "--out", str(folder), "--speed", str(speed),
+                ],
+                cwd=REPOSITORY, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+                stdout=subprocess.PIPE, stderr=errors, text=True,
+            )  # fmt: skip
+        clock = RealClock()
+        self._limit = clock.at(clock.now() + longest_s, self.process.kill)
+
+    def wait_for_rows(self, rows: int) -> int:
+        """Wait until so many rows are in the journal; return the number of repaints of the plot so far."""
+        assert self.process.stdout is not None
+        while line := self.process.stdout.readline():
+            done, paints = map(int, line.split())
+            if done >= rows:
+                return paints
+        raise AssertionError(f"the window has ended: status {self.process.wait()}, {self.errors}")
+
+    def wait_for_exit(self) -> int:
+        """Wait until it ends; return the exit status."""
+        status = self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+        self._limit.cancel()
+        return status
+
+    @property
+    def errors(self) -> str:
+        """Its standard error."""
+        return self._errors.read_text(encoding="utf-8")
+
+    @property
+    def journal(self) -> Path:
+        """The journal of its run."""
+        (path,) = self._folder.glob("*.journal")
+        return path
+
+
+Starter = Callable[..., WindowProcess]
+
+
+@pytest.fixture
+def start_window(tmp_path: Path) -> Iterator[Starter]:
+    started: list[WindowProcess] = []
+
+    def start(rig: Path, schedule: Path, speed: float = 1.0, longest_s: float = LONGEST_S) -> WindowProcess:
+        window = WindowProcess(rig, schedule, tmp_path / "journals", speed, longest_s)
+        started.append(window)
+        return window
+
+    yield start
+    for window in started:
+        window.process.kill()
+        window.wait_for_exit()
+
+
+def check_stopped(window: WindowProcess) -> Path:
+    """Check an end as that of `goniotwin run` after Ctrl-C, with a complete journal in state "stopped"; return the journal."""
+    assert window.wait_for_exit() == 130, window.errors
+    assert "Traceback" not in window.errors
+    assert window.errors.count("goniotwin: stopping") == 1
+    journal = window.journal
+    assert not Path(f"{journal}-wal").exists()
+    campaign = campaign_summary(journal)
+    assert (campaign.state, campaign.sessions, campaign.faults) == ("stopped", 1, [])
+    assert 0 < campaign.rows < campaign.planned
+    database = sqlite3.connect(journal)
+    assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+    database.close()
+    return journal
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=["SIGINT", "SIGTERM", "SIGHUP"])
+def test_after_a_signal_the_run_is_stopped_and_can_be_resumed(
+    start_window: Starter, write_rig: Writer, write_schedule: Writer, tmp_path: Path, number: int
+) -> None:
+    rig, schedule = write_rig(*QUIET), write_schedule()
+    window = start_window(rig, schedule, speed=4.0)
+    window.wait_for_rows(2)
+    window.process.send_signal(number)
+    journal = check_stopped(window)
+    assert resume_campaign(journal).state is State.DONE
+    run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), tmp_path / "undisturbed.journal")
+    assert planned_values(journal) == planned_values(tmp_path / "undisturbed.journal")
+
+
+def test_a_signal_brings_moving_axes_to_rest_and_later_signals_are_ignored(
+    start_window: Starter, write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path
+) -> None:
+    """The rig is served by another process, whose control port has the positions of the axes."""
+    served = tmp_path / "served.toml"
+    _, lines = serve(write_rig(*QUIET), "--write-rig", served)
+    control = ControlClient(at(lines, "control", "port")["port"])
+    window = start_window(served, write_schedule())
+    window.wait_for_rows(2)
+    while control.do("state")["angles_deg"]["beta"] < 20.0:
+        assert window.process.poll() is None, window.errors
+    for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        window.process.send_signal(number)
+    check_stopped(window)
+    resting = control.do("state")["angles_deg"]
+    while control.do("state")["angles_deg"] != resting:  # during the ramp
+        resting = control.do("state")["angles_deg"]
+    assert 20.0 < resting["beta"] < 179.0
+    control.close()
+
+
+@pytest.mark.long
+def test_three_thousand_rows_with_a_visible_plot(start_window: Starter) -> None:
+    window = start_window(RIG, DIFFUSE, speed=60.0, longest_s=LONGEST_RUN_S)
+    paints = window.wait_for_rows(ROWS)
+    print(f"\n{ROWS} rows, the plot was painted {paints} times")
+    assert paints > FATAL_PAINTS
+    window.process.send_signal(signal.SIGTERM)
+    assert campaign_summary(check_stopped(window)).rows >= ROWS

@@ -1,0 +1,53 @@
+"""Run `goniotwin ARGUMENTS` and press Start as soon as it is enabled.
+
+Prints a line for each row in the journal: the number of rows, and the number of repaints of the plot so far.
+"""
+
+import pyqtgraph as pg
+from PySide6.QtCore import QEvent, QObject, QTimer, Slot
+from PySide6.QtWidgets import QApplication
+
+from goniotwin.app.campaign.running.events import RowCommitted
+from goniotwin.app.cli.main import main
+from goniotwin.app.desktop import MainWindow
+
+POLL_MS = 10
+
+
+class WindowStarter(QObject):
+    """Presses Start once, then prints the progress."""
+
+    def __init__(self, application: QApplication) -> None:
+        super().__init__()
+        self._paints = 0
+        self._application = application
+        self._timer = QTimer(self, interval=POLL_MS)
+        self._timer.timeout.connect(self._poll)
+        self._timer.start()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Count the repaints of the plot; Qt calls it."""
+        self._paints += event.type() is QEvent.Type.Paint
+        return super().eventFilter(watched, event)
+
+    @Slot()
+    def _poll(self) -> None:
+        for window in self._application.topLevelWidgets():
+            if isinstance(window, MainWindow) and window.view.run.start_button.isEnabled():
+                self._timer.stop()
+                shown = window.view.plot.findChild(pg.PlotWidget)
+                assert shown is not None
+                shown.viewport().installEventFilter(self)
+                window.presenter.message_shown.connect(self._print)
+                window.view.run.start_button.click()
+
+    @Slot(object)
+    def _print(self, message: object) -> None:
+        if isinstance(message, RowCommitted):
+            print(message.done, self._paints, flush=True)
+
+
+if __name__ == "__main__":
+    application = QApplication(["goniotwin"])
+    starter = WindowStarter(application)
+    main()

@@ -1,0 +1,192 @@
+"""Values, drawn directions and albedo of each model, compared with each other."""
+
+import math
+
+import numpy as np
+import pytest
+
+from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics import (
+    Scatterer,
+    albedo,
+    apply_spectrum,
+    draw_directions,
+    evaluate,
+    from_specular,
+    gaussian,
+    lambertian,
+    light_direction,
+    lobe_shares,
+    regular,
+    specular_direction,
+    sum_samples,
+    table_sample,
+    to_specular,
+)
+from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
+from tests.twin.optics.models import ANISOTROPIC, BRUSHED, MODELS, SINGLE, canonical_directions, model_name
+
+# At the edges of the tables' cells, where the density is discontinuous.
+THETA_EDGES = np.array([0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 90.0, 130.0, 180.0])
+SECTORS, FINE = 6, 24
+Places = Ints
+RINGS = THETA_EDGES.size - 1
+
+
+def integrals(sigma_deg: float, density: Floats) -> Floats:
+    """Integral of a density (rings, FINE, sectors, FINE) at `bin_middles` over the solid angle of each bin."""
+    theta, width = middles()
+    area = np.radians(width / FINE) * np.sin(np.radians(theta)) * 2.0 * math.pi / SECTORS
+    result: Floats = np.sum(density.mean(axis=3) * area[:, :, None], axis=1)
+    return result
+
+
+def middles() -> tuple[Floats, Floats]:
+    """theta (rings, FINE) of the parts of each ring, and the rings' widths (rings, 1)."""
+    width = np.diff(THETA_EDGES)[:, None]
+    return THETA_EDGES[:-1, None] + width * (np.arange(FINE) + 0.5) / FINE, width
+
+
+def bin_middles(sigma_deg: float) -> Floats:
+    """Directions (rings, FINE, sectors, FINE, 3) of the parts of all bins, about the specular direction of sigma."""
+    phi = 360.0 / SECTORS * (np.arange(SECTORS)[:, None] + (np.arange(FINE) + 0.5) / FINE)
+    return from_specular(sigma_deg, middles()[0][:, :, None, None], phi)
+
+
+def bins(sigma_deg: float, directions: Floats) -> tuple[Places, Places]:
+    """Ring and sector of each direction."""
+    theta, phi = to_specular(sigma_deg, directions)
+    ring = np.clip(np.searchsorted(THETA_EDGES, theta, side="right") - 1, 0, RINGS - 1)
+    return ring, np.minimum(phi * SECTORS / 360.0, SECTORS - 1).astype(np.int64)
+
+
+def too_large(chi2: float, freedom: int) -> bool:
+    """Whether chi-square exceeds its quantile of 1 in 30,000 (normal approximation of Wilson and Hilferty)."""
+    spread = 2.0 / (9.0 * freedom)
+    return (math.pow(chi2 / freedom, 1.0 / 3.0) - 1.0 + spread) / math.sqrt(spread) > 4.0
+
+
+@pytest.mark.parametrize("model", SINGLE, ids=model_name)
+def test_drawn_directions_follow_their_density(model: Scatterer) -> None:
+    sigma_deg, count = 40.0, 40_000
+    (lobe,), (x, y, z) = model.lobes, (float(c) for c in light_direction(sigma_deg))
+    uniform = np.random.default_rng(7).random((count, 3))
+    drawn = scatter_all(*lobe.kernel_arguments, lobe.cells, 1, False, x, y, z, uniform)[:, :3]
+    assert np.linalg.norm(drawn, axis=1) == pytest.approx(1.0)
+    seen = np.zeros((RINGS, SECTORS))
+    np.add.at(seen, bins(sigma_deg, drawn), 1.0)
+    kind, params, sig, ph, th, psi, _ = lobe.kernel_arguments
+    places = bin_middles(sigma_deg)
+    values = density_all(kind, params, sig, ph, th, psi, lobe.cells, x, y, z, places.reshape(-1, 3))
+    expected = count * integrals(sigma_deg, values.reshape(places.shape[:-1]))
+    assert expected.sum() == pytest.approx(count, rel=3e-3)
+    full = expected > 20.0
+    deviation = (seen - expected)[full] / np.sqrt(expected[full])
+    assert full.sum() >= 10
+    assert not too_large(float(np.sum(deviation**2)), int(full.sum()) - 1)
+    # About 400 numbers in total: 5 is exceeded once in 4000 runs of the suite.
+    assert np.max(np.abs(deviation)) < 5.0
+    assert seen[~full].sum() == pytest.approx(expected[~full].sum(), abs=4.5 * math.sqrt(expected[~full].sum() + 1.0))
+
+
+@pytest.mark.parametrize("sigma_deg", [0.0, 35.0, 70.0, 140.0])
+@pytest.mark.parametrize("model", [m for m in MODELS if m.name != "with regular"], ids=model_name)
+def test_weights_in_each_part_of_the_sphere_sum_to_the_integral_of_the_value(model: Scatterer, sigma_deg: float) -> None:
+    count, gamma_deg, light = 40_000, 25.0, light_direction(sigma_deg)
+    directions, weights = draw_directions(model, light, np.random.default_rng(11).random((count, 4)), gamma_deg=gamma_deg)
+    incident, polar = (1, sigma_deg) if sigma_deg < 90.0 else (-1, 180.0 - sigma_deg)
+    places, deviations = bin_middles(polar), []
+    for transmits in (False, True):
+        observers = canonical_directions(places, incident, transmits)
+        value = evaluate(model, light, observers, gamma_deg=gamma_deg) * np.abs(observers[..., 2])
+        expected = integrals(polar, value * (places[..., 2] > 0.0))
+        above = canonical_directions(directions, incident, transmits)
+        mine = (above[:, 2] > 0.0) & (weights > 0.0)
+        where, used = bins(polar, above[mine]), weights[mine]
+        total, square, hits = (np.zeros((RINGS, SECTORS)) for _ in range(3))
+        np.add.at(total, where, used)
+        np.add.at(square, where, used**2)
+        np.add.at(hits, where, 1.0)
+        full = (hits > 30.0) & (expected > 1e-12)
+        mean = total / count
+        # The bins' own quadrature is accurate to 0.5 %, at the horizon of a coarse table.
+        error = np.sqrt((square / count - mean**2) / count + (5e-3 * expected) ** 2)
+        deviations.append((mean - expected)[full] / error[full])
+        found, stated = total.sum() / count, albedo(model, sigma_deg, transmits, gamma_deg=gamma_deg)
+        assert found == pytest.approx(stated, abs=5.0 * math.sqrt(square.sum()) / count + 1e-9)
+    every = np.concatenate(deviations)
+    if any(lobe.incident == incident for lobe in model.lobes) and every.size:
+        assert not too_large(float(np.sum(every**2)), every.size)
+        # About 3000 numbers in total: 5.5 is exceeded once in 8000 runs of the suite.
+        assert np.max(np.abs(every)) < 5.5
+    else:
+        assert not np.any(weights)
+
+
+@pytest.mark.parametrize("gamma_deg", [0.0, 77.0])
+@pytest.mark.parametrize("sigma_deg", [0.0, 30.0, 75.0, 110.0, 170.0])
+@pytest.mark.parametrize("model", MODELS, ids=model_name)
+def test_the_mean_weight_is_the_albedo(model: Scatterer, sigma_deg: float, gamma_deg: float) -> None:
+    count = 40_000
+    light = light_direction(sigma_deg)
+    directions, weights = draw_directions(model, light, np.random.default_rng(3).random((count, 4)), gamma_deg=gamma_deg)
+    through = directions[:, 2] * light[2] < 0.0
+    for transmitted, mine in ((False, weights * ~through), (True, weights * through)):
+        error = mine.std(ddof=1) / math.sqrt(count)
+        # 300 numbers: 5 standard errors are exceeded once in 6000 runs of the suite; constant weights have rounding errors.
+        assert mine.mean() == pytest.approx(albedo(model, sigma_deg, transmitted, gamma_deg=gamma_deg), abs=5 * error + 2e-6)
+
+
+@pytest.mark.parametrize("model", [gaussian(2.0), gaussian(5.0), gaussian(15.0), ANISOTROPIC, BRUSHED], ids=model_name)
+def test_a_lobe_is_drawn_by_its_own_shape(model: Scatterer) -> None:
+    _, weights = draw_directions(model, light_direction(30.0), np.random.default_rng(5).random((20_000, 4)))
+    # By the cosine law alone a lobe of 5 deg has 11 times its mean, one of 2 deg 28 times.
+    assert weights.std() < 0.8 * weights.mean()
+
+
+@pytest.mark.parametrize("sigma_deg", [20.0, 130.0])
+def test_a_regular_component_has_one_direction_and_its_share_of_the_light(sigma_deg: float) -> None:
+    mirror = sum_samples(regular(0.25, side="both"), regular(0.5, transmits=True, side="both"), lambertian(0.1, side="both"))
+    light = light_direction(sigma_deg)
+    directions, weights = draw_directions(mirror, light, np.random.default_rng(2).random((20_000, 4)))
+    reflected = np.isclose(directions @ specular_direction(sigma_deg), 1.0, atol=1e-14)
+    through = np.isclose(directions @ -light, 1.0, atol=1e-14)
+    assert np.mean(weights * reflected) == pytest.approx(0.25, abs=0.015)
+    assert np.mean(weights * through) == pytest.approx(0.5, abs=0.015)
+    # Each lobe is drawn in proportion to its share, so that all weights are equal.
+    assert weights == pytest.approx(0.85)
+
+
+def test_lobes_are_drawn_in_proportion_to_their_albedo() -> None:
+    sample = sum_samples(
+        lambertian(0.3), gaussian(5.0, reflectance=0.6), gaussian(5.0, transmits=True), lambertian(side="back")
+    )
+    assert lobe_shares(sample, 0.0) == pytest.approx([0.3 / 1.8, 0.6 / 1.8, 0.9 / 1.8, 0.0], rel=1e-6)
+    assert lobe_shares(sample, 150.0) == pytest.approx([0.0, 0.0, 0.0, 1.0])
+    assert not np.any(lobe_shares(lambertian(), 150.0))
+    # A lobe that is zero at this incidence, but not at others, has a probability too.
+    bent = gaussian(5.0, transmits=True, refraction=0.5)
+    assert lobe_shares(sum_samples(lambertian(0.5), bent), 80.0)[1] > 0.0
+
+
+def test_without_a_wavelength_lobes_are_drawn_by_their_mean_over_the_spectrum() -> None:
+    sample = sum_samples(apply_spectrum([400.0, 600.0], [0.0, 1.0], lambertian(0.5)), lambertian(0.5))
+    assert lobe_shares(sample, 0.0) == pytest.approx([1.0 / 3.0, 2.0 / 3.0])
+    assert lobe_shares(sample, 0.0, 400.0) == pytest.approx([0.0, 1.0])
+
+
+def test_a_table_of_zeros_has_no_weight() -> None:
+    black = table_sample([0.0, 60.0], [0.0, 180.0], [0.0, 90.0], np.zeros((2, 2, 2)))
+    _, weights = draw_directions(black, light_direction(10.0), np.random.default_rng(2).random((1000, 4)))
+    assert not np.any(weights)
+    assert albedo(black, 10.0) == 0.0
+    assert not evaluate(black, light_direction(10.0), from_specular(10.0, 5.0, 0.0))
+
+
+def test_invalid_uniform_numbers_are_refused() -> None:
+    with pytest.raises(ValueError, match="uniform has the shape"):
+        draw_directions(lambertian(), light_direction(0.0), np.full((5, 3), 0.5))
+    with pytest.raises(ValueError, match="less than 1"):
+        draw_directions(lambertian(), light_direction(0.0), np.full((5, 4), 1.0))
+    with pytest.raises(ValueError, match="light has the shape"):
+        draw_directions(lambertian(), [[0.0, 0.0, 1.0]], np.full((5, 4), 0.5))
