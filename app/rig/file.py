@@ -345,7 +345,7 @@ class EtalonTable(TomlTable):
 
 
 class RigFile(TomlTable):
-    """The whole file."""
+    """All tables of a rig file."""
 
     name: str
     simulated: SimulatedTable | None = None

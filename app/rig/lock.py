@@ -71,17 +71,17 @@ class RigLock:
 
 
 def _open(path: Path) -> IO[str]:
-    """Open a lock file, which is made for all users: the next one with this rig, or with this inode, may be another.
+    """Open a lock file with permissions for all users: the next program with this rig or journal may be another user's.
 
-    A file that another user has made without write permission can still be locked; it keeps its note. Raises OSError.
+    A file of another user without write permission can still be locked; it keeps its note. Raises OSError.
     """
     try:
         return os.fdopen(os.open(path, os.O_RDWR), "r+", encoding="utf-8")
     except FileNotFoundError:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         if hasattr(os, "fchmod"):
-            with contextlib.suppress(OSError):  # another user was faster, and has done it
-                os.fchmod(handle, 0o666)  # the process' umask may have taken the permissions of others
+            with contextlib.suppress(OSError):  # another user's program was faster, and has set them
+                os.fchmod(handle, 0o666)  # the umask of the process may have removed permissions of others
         return os.fdopen(handle, "r+", encoding="utf-8")
     except PermissionError:
         return os.fdopen(os.open(path, os.O_RDONLY), "r", encoding="utf-8")

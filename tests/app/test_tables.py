@@ -106,9 +106,9 @@ def test_a_byte_order_mark_at_the_beginning_of_a_file_is_accepted(write_schedule
     table = "radiance_factor,relative_uncertainty\n0.98,0.002\n"
     (path.parent / "c.csv").write_text(table, encoding="utf-8-sig")
     path.write_text(path.read_text(encoding="utf-8"), encoding="utf-8-sig")
-    found = read_schedule(path)
-    assert found.file.name == "small"
-    assert found.certificate == table
+    schedule = read_schedule(path)
+    assert schedule.file.name == "small"
+    assert schedule.certificate == table
 
 
 IMPOSSIBLE_ON_THE_RIG = [

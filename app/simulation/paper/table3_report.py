@@ -75,11 +75,11 @@ def assumptions(result: Table3) -> dict[str, dict[str, str]]:
 
 
 def explanations(result: Table3) -> list[str]:
-    """Explanations of the paper's level and trend, and attempts where there is no explanation, with their numbers."""
-    return [*_explained(result), *_unexplained(result)]
+    """The contributions that explain the paper's level and trend, and the open questions, with their numbers."""
+    return [*_contributions(result), *_open_questions(result)]
 
 
-def _explained(result: Table3) -> list[str]:
+def _contributions(result: Table3) -> list[str]:
     ours, tilted, floor, point = result.noise_free, result.tilted, result.floor, result.point_spot
     blur, shift = exponents(ours), exponents(np.sqrt(tilted**2 - ours**2))
     rise, paper_rise = result.etalon_rise, PAPER[2] / PAPER[0]
@@ -104,7 +104,7 @@ def _explained(result: Table3) -> list[str]:
     ]
 
 
-def _unexplained(result: Table3) -> list[str]:
+def _open_questions(result: Table3) -> list[str]:
     near, falls, middle = result.closest, exponents(PAPER), result.corner(30.0, 5.0)
     required = result.required_tilt_deg
     return [

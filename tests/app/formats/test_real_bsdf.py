@@ -15,9 +15,9 @@ FOLDER = ROOT.parent / "shared" / "data" / "real_bsdf"
 def files() -> list[Path]:
     if not FOLDER.is_dir():
         pytest.skip("the measured files are absent: no folder ../shared/data/real_bsdf beside the repository")
-    found = sorted(FOLDER.glob("*.bsdf"))
-    assert found, "the folder has .bsdf files"
-    return found
+    paths = sorted(FOLDER.glob("*.bsdf"))
+    assert paths, "the folder has .bsdf files"
+    return paths
 
 
 def test_every_measured_file_is_read_as_a_plain_parser_reads_it(files: list[Path]) -> None:

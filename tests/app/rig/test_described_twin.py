@@ -28,23 +28,23 @@ def described(*changes: Change, **models: str) -> DescribedTwin:
     return described_twin(real_rig(*changes), "etalon", ["paper"], models)
 
 
-def model(found: DescribedTwin) -> TwinModel:
-    made = found.rig.model()
+def model(twin: DescribedTwin) -> TwinModel:
+    made = twin.rig.model()
     assert made is not None
     return made
 
 
 def test_its_mechanics_are_the_operators_nominal_ones() -> None:
     nominal = "[axes.sigma]\nsense = -1\nzero_offset_deg = 12.5\nbacklash_deg = 0.05\nencoder_counts = 40000"
-    found = model(described(("[axes.sigma]", nominal)))
-    sigma = found.axes["sigma"]
+    twin = model(described(("[axes.sigma]", nominal)))
+    sigma = twin.axes["sigma"]
     assert (sigma.motor, sigma.gear, sigma.sense, sigma.zero_deg) == (4, 36.0, -1, 12.5)
     assert (sigma.backlash_deg, sigma.encoder_counts, sigma.encoder) == (0.05, 40_000, True)
-    assert found.axes["shift"].encoder is False
+    assert twin.axes["shift"].encoder is False
 
 
 def test_its_photodiodes_times_and_geometry_are_the_operators_nominal_ones() -> None:
-    found = model(
+    twin = model(
         described(
             ("upper_deg = [0, 5,", "upper_deg = [1, 5,"),
             ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e5, 1e7]\nconversions_per_s = 10"),
@@ -52,18 +52,18 @@ def test_its_photodiodes_times_and_geometry_are_the_operators_nominal_ones() -> 
             ("arc_radius_mm = 300.0", "arc_radius_mm = 320.0\nfield_deg = 1.5"),
         )
     )
-    assert found.photodiodes.upper_deg[:2] == (1.0, 5.0)
-    assert found.electronics.gains_v_per_a == (1e5, 1e7)
-    assert found.electronics.conversions_per_s == 10
-    assert (found.monochromator.slew_nm_per_s, found.monochromator.shutter_s) == (90.0, 0.4)
-    assert (found.instrument.arc_radius_mm, found.instrument.field_deg) == (320.0, 1.5)
+    assert twin.photodiodes.upper_deg[:2] == (1.0, 5.0)
+    assert twin.electronics.gains_v_per_a == (1e5, 1e7)
+    assert twin.electronics.conversions_per_s == 10
+    assert (twin.monochromator.slew_nm_per_s, twin.monochromator.shutter_s) == (90.0, 0.4)
+    assert (twin.instrument.arc_radius_mm, twin.instrument.field_deg) == (320.0, 1.5)
 
 
 @pytest.mark.parametrize("change", [[], [("[axes.sigma]", "[axes.sigma]\nsense = -1"), ("gear = 36.0 ", "gear = 35.0 ")]])
 def test_an_axis_reaches_its_target_also_with_a_wrong_sense_or_gear(change: list[Change]) -> None:
     """A wrong sense or gear cancels, and cannot be found with the described twin."""
-    found = described(*change)
-    with open_rig(found.rig, VirtualClock()) as opened:
+    twin = described(*change)
+    with open_rig(twin.rig, VirtualClock()) as opened:
         opened.connect()
         axis = opened.rig.axes["sigma"]
         pending = axis.start(30.0)
@@ -74,17 +74,17 @@ def test_an_axis_reaches_its_target_also_with_a_wrong_sense_or_gear(change: list
 
 
 def test_properties_that_the_file_does_not_have_are_listed_as_assumptions() -> None:
-    found = described()
-    assert [each.partition(" ")[0] for each in found.assumptions] == ["lamp,", "etalon", "paper"]
-    assert "Gaussian of 5 deg" in found.assumptions[2]
-    assert "--sample paper=MODEL" in found.assumptions[2]
-    assert "ideal diffuser on both sides with a reflectance of 0.99" in found.assumptions[1]
+    twin = described()
+    assert [each.partition(" ")[0] for each in twin.assumptions] == ["lamp,", "etalon", "paper"]
+    assert "Gaussian of 5 deg" in twin.assumptions[2]
+    assert "--sample paper=MODEL" in twin.assumptions[2]
+    assert "ideal diffuser on both sides with a reflectance of 0.99" in twin.assumptions[1]
 
 
 def test_a_sample_with_a_given_model_is_not_an_assumption() -> None:
-    found = described(paper="lambertian:reflectance=0.5+gaussian:width_deg=3,reflectance=0.3")
-    assert not any("paper" in each for each in found.assumptions)
-    assert model(found).samples["paper"].name == "lambertian 0.5 + gaussian 3 deg one_over_e luminance"
+    twin = described(paper="lambertian:reflectance=0.5+gaussian:width_deg=3,reflectance=0.3")
+    assert not any("paper" in each for each in twin.assumptions)
+    assert model(twin).samples["paper"].name == "lambertian 0.5 + gaussian 3 deg one_over_e luminance"
 
 
 @pytest.mark.parametrize("text", ["plaster", "gaussian:width=3", "table:"])
@@ -95,10 +95,10 @@ def test_an_invalid_model_is_refused(text: str) -> None:
 
 def test_its_text_is_a_complete_rig_file() -> None:
     """The journal of a rehearsal contains it, and can be reduced without any other file."""
-    found = described(paper="gaussian:width_deg=2,form=half_width")
-    again = parse_rig(found.rig.text, found.rig.folder, "again")
+    twin = described(paper="gaussian:width_deg=2,form=half_width")
+    again = parse_rig(twin.rig.text, twin.rig.folder, "again")
     assert again.simulated
-    assert again.model_hash() == found.rig.model_hash()
+    assert again.model_hash() == twin.rig.model_hash()
     assert all(address.startswith("twin://") for address in again.file.addresses)
     nominal = axis_settings(real_rig().file)
     assert {name: axis_settings(again.file)[name] for name in AXES} == nominal
@@ -117,11 +117,11 @@ def test_a_virtual_rig_is_not_changed() -> None:
 
 def test_limit_switches_are_beyond_the_soft_limits() -> None:
     switches = "[axes.beta]\nswitches = true\nright_polarity = 1\nleft_polarity = 1"
-    found = described(("[axes.beta]", switches))
-    beta = model(found).axes["beta"]
+    twin = described(("[axes.beta]", switches))
+    beta = model(twin).axes["beta"]
     assert (beta.lower_switch_deg, beta.upper_switch_deg) == (-6.0, 361.0)
-    assert sum("beta's limit switches" in each for each in found.assumptions) == 2
-    with open_rig(found.rig, VirtualClock()) as opened:
+    assert sum("beta's limit switches" in each for each in twin.assumptions) == 2
+    with open_rig(twin.rig, VirtualClock()) as opened:
         opened.connect()
         switched = opened.rig.axes["beta"].switches()
         assert not switched.right
@@ -129,14 +129,14 @@ def test_limit_switches_are_beyond_the_soft_limits() -> None:
 
 
 def test_devices_of_other_kinds_become_the_twins_and_are_listed_as_assumptions() -> None:
-    found = described(
+    twin = described(
         ("baudrate = 9600", "baudrate = 19200"),
         ("range_a = 500e-9", 'range_a = 50e-9\ndialect = "b2980"'),
         ("gain_uncertainty = 0.001", "conversions_per_s = 60.0"),
     )
-    assumptions = " ".join(found.assumptions)
+    assumptions = " ".join(twin.assumptions)
     assert all(each in assumptions for each in ("9600 Bd", "PM100D", "2.8e-07 A", "100 conversions"))
-    with open_rig(found.rig, VirtualClock()) as opened:
+    with open_rig(twin.rig, VirtualClock()) as opened:
         opened.connect()
 
 
@@ -144,21 +144,21 @@ def test_modules_of_one_motor_each_share_a_bus() -> None:
     changes = [
         (f"motor = {motor}\ngear", f"motor = 0\nmodule = {module}\ngear") for module, motor in ((1, 3), (2, 4), (3, 5), (4, 0))
     ]
-    found = described(*changes)
-    controller = model(found).controller
+    twin = described(*changes)
+    controller = model(twin).controller
     assert (controller.kind, controller.wire) == ("tmcm-1240", "rs485")
-    with open_rig(found.rig, VirtualClock()) as opened:
+    with open_rig(twin.rig, VirtualClock()) as opened:
         opened.connect()
 
 
 def test_converters_on_a_serial_line_stay_on_a_serial_line() -> None:
     units = ", ".join(f'"twin://virtual/adc-{k}"' for k in range(5))
     lines = ", ".join(f'"rtu:/dev/ttyUSB1?unit={k + 1}&baudrate=19200"' for k in range(5))
-    found = described(
+    twin = described(
         (f"units = [{units}]", f"units = [{lines}]"),
         ('kind = "adam-6017"', 'kind = "adam-4117"'),
         ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e10]"),
     )
-    assert (model(found).electronics.module, model(found).electronics.baudrate) == ("adam-4117", 19200)
-    with open_rig(found.rig, VirtualClock()) as opened:
+    assert (model(twin).electronics.module, model(twin).electronics.baudrate) == ("adam-4117", 19200)
+    with open_rig(twin.rig, VirtualClock()) as opened:
         opened.connect()

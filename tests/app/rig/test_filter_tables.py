@@ -117,13 +117,13 @@ def test_the_described_twin_has_the_filters_of_the_real_rigs_file() -> None:
     for name in ("axes", "mono"):
         text = text.replace(f"twin://virtual/{name}", f"/dev/{name}")
     text = re.sub(r"twin://virtual/adc-(\d)", r"adam-\1:502", text).replace("twin://virtual/monitor", "1313:8078:P0012345")
-    found = described_twin(parse_rig(text, RIG.parent, "real"), "etalon", ["paper"], {})
-    model = found.rig.model()
+    twin = described_twin(parse_rig(text, RIG.parent, "real"), "etalon", ["paper"], {})
+    model = twin.rig.model()
     assert model is not None
     assert model.order_sorting == OrderSorting(0.0, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
-    assert [each.position for each in monochromator_settings(found.rig.file).wheel.filters] == [1, 4, 2]
-    assert found.rig.file.monochromator.baudrate == 9600
-    assert any("filters with a cut_on_nm transmit 0.9 of the light" in each for each in found.assumptions)
+    assert [each.position for each in monochromator_settings(twin.rig.file).wheel.filters] == [1, 4, 2]
+    assert twin.rig.file.monochromator.baudrate == 9600
+    assert any("filters with a cut_on_nm transmit 0.9 of the light" in each for each in twin.assumptions)
 
 
 def test_a_served_rigs_file_keeps_the_operators_filters() -> None:

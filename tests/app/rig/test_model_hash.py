@@ -71,9 +71,9 @@ def test_version_1_does_not_change(rig: str, changes: tuple[Change, ...], former
 
 
 def test_both_versions_differ_for_different_rigs_and_the_new_one_has_its_prefix() -> None:
-    found = [model_hashes(model_of(rig, *changes)) for rig, changes, _ in FORMER.values()]
-    assert len({each for hashes in found for each in hashes}) == 2 * len(FORMER)
-    assert all(re.fullmatch(r"2:[0-9a-f]{16}", hashes[0]) for hashes in found)
+    digests = [model_hashes(model_of(rig, *changes)) for rig, changes, _ in FORMER.values()]
+    assert len({each for hashes in digests for each in hashes}) == 2 * len(FORMER)
+    assert all(re.fullmatch(r"2:[0-9a-f]{16}", hashes[0]) for hashes in digests)
 
 
 def renamed(value: Any) -> Any:
@@ -150,12 +150,12 @@ def test_a_change_of_any_field_changes_both_versions(model: TwinModel) -> None:
     names = [f".samples[{key!r}].name other" for key in model.samples]
     unchanged = []
     for place, other in variants(model, ""):
-        found = model_hash(other)
-        if found == model_hash(model):
+        digest = model_hash(other)
+        if digest == model_hash(model):
             unchanged.append(place)
             continue
-        assert found not in seen, f"{place} and {seen[found]} give the same hash"
-        seen[found] = place
+        assert digest not in seen, f"{place} and {seen[digest]} give the same hash"
+        seen[digest] = place
         if not place.endswith("reshaped"):  # version 1 covers only the shape of a lobe's values
             assert old_model_hash(other) != old, place
     assert unchanged == [".seed other", *names]

@@ -23,9 +23,9 @@ reflectance = 0.9
 
 
 def model(write_rig: Writer, sample: str) -> TwinModel:
-    found = read_rig(write_rig((GAUSSIAN, f"[twin.samples.it]\n{sample}\n"))).model()
-    assert found is not None
-    return found
+    twin_model = read_rig(write_rig((GAUSSIAN, f"[twin.samples.it]\n{sample}\n"))).model()
+    assert twin_model is not None
+    return twin_model
 
 
 def sample_of(write_rig: Writer, text: str) -> Scatterer:

@@ -24,9 +24,9 @@ def test_without_the_table_the_detectors_are_virtual(write_rig: Writer) -> None:
 def test_the_table_gives_the_dimensions_of_the_sensor_or_their_defaults(write_rig: Writer) -> None:
     assert instrument(write_rig, "[twin.sensor]").sensor == RealSensor()
     given = "[twin.sensor]\nlens_diameter_mm = 6.0\nfocal_length_mm = 25.0\naperture_mm = 0.4\ndiaphragm_mm = 25.0\n"
-    found = instrument(write_rig, given + "detector_mm = 26.0\ndetector_side_mm = 2.0")
-    assert found.sensor == RealSensor(6.0, 25.0, 0.4, 25.0, 26.0, 2.0)
-    assert found.detector_diameter_mm == 6.0
+    result = instrument(write_rig, given + "detector_mm = 26.0\ndetector_side_mm = 2.0")
+    assert result.sensor == RealSensor(6.0, 25.0, 0.4, 25.0, 26.0, 2.0)
+    assert result.detector_diameter_mm == 6.0
 
 
 def test_a_sensor_that_is_not_a_simple_disc_needs_the_forward_estimator(write_rig: Writer) -> None:
@@ -56,5 +56,5 @@ def test_an_impossible_sensor_is_refused_with_its_key(write_rig: Writer, text: s
 
 def test_the_model_hash_covers_the_sensor(write_rig: Writer) -> None:
     texts = ["", "[twin.sensor]", "[twin.sensor]\naperture_mm = 0.2", "[twin.sensor]\ndetector_side_mm = 3.5"]
-    found = {read_rig(write_rig((LIGHT, f"{text}\n\n{LIGHT}"))).model_hash() for text in texts}
-    assert len(found) == len(texts)
+    digests = {read_rig(write_rig((LIGHT, f"{text}\n\n{LIGHT}"))).model_hash() for text in texts}
+    assert len(digests) == len(texts)

@@ -116,8 +116,8 @@ def test_the_interpolation_does_not_overshoot(seed: int) -> None:
     azimuth = np.concatenate([[0.0], np.sort(generator.choice(np.arange(1, 180), 4, replace=False)), [180.0]])
     table = generator.random((6, 6))
     at_polar, at_azimuth = generator.uniform(polar[0], polar[-1], 50), generator.uniform(0.0, 180.0, 50)
-    found = interpolate_cubic(polar, azimuth, table, at_polar, at_azimuth)
-    assert np.all((found >= table.min() - 1e-12) & (found <= table.max() + 1e-12))
+    values = interpolate_cubic(polar, azimuth, table, at_polar, at_azimuth)
+    assert np.all((values >= table.min() - 1e-12) & (values <= table.max() + 1e-12))
     nodes = interpolate_cubic(polar, azimuth, table, *np.meshgrid(polar, azimuth, indexing="ij"))
     np.testing.assert_allclose(nodes, table, rtol=1e-9)
 

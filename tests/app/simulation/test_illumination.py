@@ -86,7 +86,7 @@ def test_the_picture_is_a_png(light: IlluminationResult, tmp_path: Path) -> None
 
 
 def test_a_rayset_gives_the_ratios_of_the_uniform_pupil(rays: Path) -> None:
-    def found(source: bool) -> tuple[np.ndarray, np.ndarray]:
+    def ratios(source: bool) -> tuple[np.ndarray, np.ndarray]:
         task = Task(
             parse_sample("gaussian:width_deg=15,reflectance=0.5+lambertian:reflectance=0.3"),
             np.array([30.0]),
@@ -104,7 +104,7 @@ def test_a_rayset_gives_the_ratios_of_the_uniform_pupil(rays: Path) -> None:
             assert any(line.startswith(f"source: rayset {rays}") for line in assumptions(simulation))
         return simulation.at[0].ratio.factor[0], simulation.at[0].ratio.standard_error[0]
 
-    (factor, error), (uniform, its_error) = found(True), found(False)
+    (factor, error), (uniform, its_error) = ratios(True), ratios(False)
     assert not np.array_equal(factor, uniform)
     seen = (error < 0.15 * factor) & (its_error < 0.15 * uniform)
     assert np.count_nonzero(seen) >= 15

@@ -14,7 +14,7 @@ from goniotwin.twin.optics import Instrument, lambertian, regular, specular_dire
 OPEN = Instrument(obstruction=False)
 
 
-def found(sample: str, sigmas: tuple[float, ...] = (30.0,), **settings: Any) -> Simulation:
+def simulate_sample(sample: str, sigmas: tuple[float, ...] = (30.0,), **settings: Any) -> Simulation:
     few = {
         "polar_deg": np.concatenate([[0.0, 10.0, 20.0], np.arange(28.0, 32.1, 0.5), [40.0, 60.0, 85.0]]),
         "azimuth_deg": np.concatenate([[0.0, 60.0, 120.0, 160.0], np.arange(176.0, 180.1, 1.0)]),
@@ -23,7 +23,7 @@ def found(sample: str, sigmas: tuple[float, ...] = (30.0,), **settings: Any) -> 
 
 
 def test_its_luminance_factor_is_the_throughput_in_the_mirror_direction_over_the_etalons() -> None:
-    mirror = found("regular:reflectance=0.9")
+    mirror = simulate_sample("regular:reflectance=0.9")
     directions = specular_direction(30.0)[None]
     expected = throughput(OPEN, 30.0, directions, regular(0.9)) / throughput(OPEN, 30.0, directions, lambertian())
     assert mirror.table[0, 0, :, 0] == pytest.approx(np.full(mirror.phi_deg.size, expected[0]), rel=1e-6)
@@ -38,14 +38,14 @@ def test_its_luminance_factor_is_the_throughput_in_the_mirror_direction_over_the
 def test_in_a_sum_it_is_added_to_the_other_models(transmitted: bool) -> None:
     way = ",transmits=true" if transmitted else ""
     rest = "lambertian:reflectance=0.4,transmittance=0.3"
-    whole = found(f"{rest}+regular:reflectance=0.04{way}", transmitted=transmitted)
-    parts = [found(each, transmitted=transmitted) for each in (rest, f"regular:reflectance=0.04{way}")]
+    whole = simulate_sample(f"{rest}+regular:reflectance=0.04{way}", transmitted=transmitted)
+    parts = [simulate_sample(each, transmitted=transmitted) for each in (rest, f"regular:reflectance=0.04{way}")]
     np.testing.assert_allclose(whole.table, parts[0].table + parts[1].table, rtol=1e-9)
     assert whole.table[0, 0, 0, -1] == pytest.approx(0.3 if transmitted else 0.4)
 
 
 def test_the_assumptions_give_its_direction_and_that_its_factor_depends_on_the_instrument() -> None:
-    mirror = found("lambertian:reflectance=0.5+regular:reflectance=0.04", (0.0, 30.0), instrument=Instrument())
+    mirror = simulate_sample("lambertian:reflectance=0.5+regular:reflectance=0.04", (0.0, 30.0), instrument=Instrument())
     hidden, seen = summary(mirror, [Path("a.ddr")])["regular"]
     # At normal incidence mirror 3 is in the mirror direction.
     assert (hidden["sigma"], hidden["hidden"], hidden["largest_luminance_factor"]) == (0.0, True, None)
@@ -55,21 +55,23 @@ def test_the_assumptions_give_its_direction_and_that_its_factor_depends_on_the_i
     assert "regular component: 0.04 of the light leaves in the mirror direction, theta = 0" in text
     assert "not a property of the sample" in text
     assert "no detector sees it at sigma 0" in text
-    plain = found("lambertian:reflectance=0.5")
+    plain = simulate_sample("lambertian:reflectance=0.5")
     assert summary(plain, [Path("a.ddr")])["regular"] == []
     assert "regular" not in "\n".join(assumptions(plain))
 
 
 def test_a_component_of_the_other_side_is_not_listed() -> None:
     both = "lambertian:reflectance=0.5,side=both+regular:reflectance=0.04,side=back"
-    assert summary(found(both), [Path("a.ddr")])["regular"] == []
-    (peak,) = summary(found(both, back=True), [Path("a.ddr")])["regular"]
+    assert summary(simulate_sample(both), [Path("a.ddr")])["regular"] == []
+    (peak,) = summary(simulate_sample(both, back=True), [Path("a.ddr")])["regular"]
     assert peak["share"] == 0.04
     assert peak["largest_luminance_factor"] > 10.0
 
 
 def test_a_refracted_lobe_has_the_direction_of_snells_law() -> None:
-    refracted = found("gaussian:width_deg=3,transmits=true,refraction=1.5", transmitted=True, polar_deg=None, azimuth_deg=None)
+    refracted = simulate_sample(
+        "gaussian:width_deg=3,transmits=true,refraction=1.5", transmitted=True, polar_deg=None, azimuth_deg=None
+    )
     axis = np.degrees(np.arcsin(np.sin(np.radians(30.0)) / 1.5))
     at = refracted.at[0]
     brightest = at.directions[np.argmax(at.ratio.factor[0])]

@@ -31,7 +31,7 @@ SIGMAS = pytest.mark.parametrize(
 )
 
 
-def found(
+def simulate_sheet(
     sample: str, back: bool = False, transmitted: bool = False, sigmas: tuple[float, ...] = (20.0, 50.0), **settings: Any
 ) -> Simulation:
     few = {"polar_deg": np.arange(0.0, 86.0, 5.0), "azimuth_deg": np.arange(0.0, 181.0, 10.0)}
@@ -44,9 +44,9 @@ def found(
 def test_each_side_and_direction_gives_the_values_of_its_own_model(
     back: bool, transmitted: bool, sigmas: tuple[float, ...]
 ) -> None:
-    sheet = found(SHEET, back, transmitted, sigmas)
+    sheet = simulate_sheet(SHEET, back, transmitted, sigmas)
     # The same model alone on the front: the models of other sides have no influence.
-    alone = found(MODELS[2 * back + transmitted].replace(",side=back", ""), False, transmitted, sigmas)
+    alone = simulate_sheet(MODELS[2 * back + transmitted].replace(",side=back", ""), False, transmitted, sigmas)
     assert np.array_equal(sheet.known, alone.known)
     np.testing.assert_allclose(sheet.table, alone.table, rtol=1e-6, atol=1e-12)
 
@@ -56,7 +56,7 @@ def test_each_side_and_direction_gives_the_values_of_its_own_model(
 def test_front_and_back_agree_for_a_symmetric_sheet(transmitted: bool, sigmas: tuple[float, ...]) -> None:
     sheet = "lambertian:reflectance=0.2,transmittance=0.2,side=both+gaussian:width_deg=10,reflectance=0.3,side=both"
     sheet += "+gaussian:width_deg=6,reflectance=0.2,transmits=true,side=both"
-    front, back = (found(sheet, side, transmitted, sigmas, instrument=Instrument()) for side in (False, True))
+    front, back = (simulate_sheet(sheet, side, transmitted, sigmas, instrument=Instrument()) for side in (False, True))
     np.testing.assert_allclose(back.table, front.table, rtol=1e-6)
     assert np.array_equal(back.known, front.known)
     for here, there in zip(front.at, back.at, strict=True):
@@ -79,7 +79,7 @@ def test_a_detector_measures_the_bsdf_in_its_direction(
     sheet = f"table:{path},side={'back' if back else 'front'}"
     out = tmp_path / "a.csv"
     grid = {"polar_deg": np.arange(5.0, 80.0, 15.0), "azimuth_deg": np.arange(0.0, 361.0, 45.0)}
-    write_simulation(found(sheet, back, transmitted, sigmas, **grid), out)
+    write_simulation(simulate_sheet(sheet, back, transmitted, sigmas, **grid), out)
     columns = read_points_csv(out).columns
     directions = arc_direction(columns["polar_deg"], columns["azimuth_deg"], back != transmitted)
     for sigma in sigmas:
@@ -94,7 +94,7 @@ def test_a_detector_measures_the_bsdf_in_its_direction(
     # On the output grid, in the sample's specular coordinates: half way from 0.5 to 0.3, times 2 and 0.5.
     nodes = {"theta_deg": np.array([30.0]), "phi_deg": np.array([90.0, 270.0])}
     grid = {"polar_deg": np.arange(0.0, 81.0, 5.0), "azimuth_deg": np.arange(0.0, 361.0, 10.0)}
-    table = found(sheet, back, transmitted, sigmas, **grid, **nodes).table[0, 0, 1:3, 1]
+    table = simulate_sheet(sheet, back, transmitted, sigmas, **grid, **nodes).table[0, 0, 1:3, 1]
     assert table == pytest.approx([0.55, 0.325], rel=0.02)
 
 
@@ -103,9 +103,9 @@ def test_the_forward_estimator_agrees_for_light_on_the_back(back: bool, transmit
     grid: dict[str, Any] = {
         "polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE,
     }  # fmt: skip
-    fast = found(SHEET, back, transmitted, **grid).at[0].ratio
+    fast = simulate_sheet(SHEET, back, transmitted, **grid).at[0].ratio
     settings = EstimatorSettings("forward", paths=1_500_000, seed=3)
-    forward = found(SHEET, back, transmitted, **grid, estimator=settings).at[0].ratio
+    forward = simulate_sheet(SHEET, back, transmitted, **grid, estimator=settings).at[0].ratio
     many = (forward.standard_error < 0.15 * forward.factor)[0] & np.isfinite(fast.factor[0])
     assert np.count_nonzero(many) >= 10
     agree(forward.factor[0, many], forward.standard_error[0, many], fast.factor[0, many], 0.0)
@@ -113,7 +113,7 @@ def test_the_forward_estimator_agrees_for_light_on_the_back(back: bool, transmit
 
 def test_files_and_summary_state_the_side(tmp_path: Path) -> None:
     for back, transmitted in WAYS:
-        sheet = found(SHEET, back, transmitted)
+        sheet = simulate_sheet(SHEET, back, transmitted)
         path = tmp_path / f"{back}.{'ddt' if transmitted else 'ddr'}"
         write_simulation(sheet, path)
         text = "\n".join(read_ddr(path).comments)
@@ -134,4 +134,4 @@ def test_files_and_summary_state_the_side(tmp_path: Path) -> None:
 )
 def test_a_side_without_a_model_is_refused(sample: str, back: bool, transmitted: bool, message: str) -> None:
     with pytest.raises(UserError, match=message):
-        found(sample, back, transmitted)
+        simulate_sheet(sample, back, transmitted)

@@ -115,9 +115,9 @@ def test_the_csv_has_every_detector_with_its_error(some: Simulation, tmp_path: P
 
 @pytest.mark.parametrize("grid", [pytest.param(FEW, id="few detectors"), ALL_LONG])
 def test_all_wavelengths_come_from_one_set_of_rays(grid: dict[str, Any], tmp_path: Path) -> None:
-    found = simulate(task("lambertian:reflectance=0.5", wavelengths_nm=np.array([450.0, 650.0]), **grid))
-    np.testing.assert_allclose(found.table[:, 0][:, found.known[0, 0]], 0.5, rtol=1e-9)
-    write_simulation(found, tmp_path / "colour.ddr")
+    simulation = simulate(task("lambertian:reflectance=0.5", wavelengths_nm=np.array([450.0, 650.0]), **grid))
+    np.testing.assert_allclose(simulation.table[:, 0][:, simulation.known[0, 0]], 0.5, rtol=1e-9)
+    write_simulation(simulation, tmp_path / "colour.ddr")
     assert read_ddr(tmp_path / "colour.ddr").channels == (450.0, 650.0)
     # A sample with a spectrum has its own list of wavelengths.
     spectral = simulate(task(f"table:{tmp_path / 'colour.ddr'}", **grid))
@@ -129,23 +129,23 @@ def test_the_forward_estimator_simulates_each_wavelength_of_a_spectral_sample(tm
     values = np.array([0.25, 0.5])[:, None, None, None, None] * np.ones((1, 2, 2, 2))
     ends = np.array([0.0, 90.0]), np.array([0.0, 180.0]), np.array([0.0, 180.0])
     write_ddr(tmp_path / "a.ddr", DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), *ends, (450.0, 650.0), values))
-    found = simulate(small(f"table:{tmp_path / 'a.ddr'}", estimator=EstimatorSettings("forward", paths=1_500_000))).at[0]
-    many = found.ratio.standard_error[0] < 0.15 * found.ratio.factor[0]
+    simulation = simulate(small(f"table:{tmp_path / 'a.ddr'}", estimator=EstimatorSettings("forward", paths=1_500_000))).at[0]
+    many = simulation.ratio.standard_error[0] < 0.15 * simulation.ratio.factor[0]
     assert np.count_nonzero(many) >= 15
     for row, expected in enumerate((0.25, 0.5)):
-        value, error = found.ratio.factor[row, many], found.ratio.standard_error[row, many]
+        value, error = simulation.ratio.factor[row, many], simulation.ratio.standard_error[row, many]
         agree(value, error, np.full(value.shape, expected), 0.0)
 
 
 @pytest.mark.parametrize("grid", [pytest.param(NEAR, id="detectors near the lobe"), ALL_LONG])
 def test_transmitted_light_has_its_own_table(grid: dict[str, Any], tmp_path: Path) -> None:
-    found = simulate(task("gaussian:width_deg=5,transmits=true", (0.0, 30.0), transmitted=True, instrument=OPEN, **grid))
+    simulation = simulate(task("gaussian:width_deg=5,transmits=true", (0.0, 30.0), transmitted=True, instrument=OPEN, **grid))
     # The lobe goes straight through: theta = 0, as in reflection.
     mirrored = simulate(task("gaussian:width_deg=5", (0.0, 30.0), instrument=OPEN, **grid))
-    near = found.theta_deg <= 10.0
-    np.testing.assert_allclose(found.table[..., near], mirrored.table[..., near], rtol=1e-6)
-    write_simulation(found, tmp_path / "a.ddt")
-    assert read_ddr(tmp_path / "a.ddt").values.max() == pytest.approx(found.table.max())
+    near = simulation.theta_deg <= 10.0
+    np.testing.assert_allclose(simulation.table[..., near], mirrored.table[..., near], rtol=1e-6)
+    write_simulation(simulation, tmp_path / "a.ddt")
+    assert read_ddr(tmp_path / "a.ddt").values.max() == pytest.approx(simulation.table.max())
 
 
 # The forward estimator is slow, so it has few paths here; its long tests are with the optics.
@@ -166,8 +166,8 @@ def test_both_estimators_agree_within_their_errors(sample: str, sigma_deg: float
 
 def test_the_same_seed_gives_the_same_bits() -> None:
     def numbers(seed: int) -> bytes:
-        found = simulate(small("lambertian", estimator=EstimatorSettings("forward", paths=20_000, seed=seed)))
-        return found.table.tobytes() + found.at[0].ratio.standard_error.tobytes()
+        simulation = simulate(small("lambertian", estimator=EstimatorSettings("forward", paths=20_000, seed=seed)))
+        return simulation.table.tobytes() + simulation.at[0].ratio.standard_error.tobytes()
 
     assert numbers(1) == numbers(1)
     assert numbers(1) != numbers(2)
@@ -189,11 +189,11 @@ def test_either_estimator_reaches_a_given_error() -> None:
 
 
 def test_a_detector_without_paths_is_counted_and_has_no_error() -> None:
-    found = simulate(task(sigmas=(60.0,), instrument=OPEN, estimator=EstimatorSettings("forward", paths=20_000)))
-    at = found.at[0]
+    simulation = simulate(task(sigmas=(60.0,), instrument=OPEN, estimator=EstimatorSettings("forward", paths=20_000)))
+    at = simulation.at[0]
     assert at.missed.sum() > 100
     assert not at.obstructed.any()
-    assert summary(found, [Path("a.ddr")])["directions_without_hits"]["60"] == at.missed.sum()
+    assert summary(simulation, [Path("a.ddr")])["directions_without_hits"]["60"] == at.missed.sum()
     assert np.all(np.isnan(at.ratio.standard_error[0, at.missed]))
 
 
@@ -242,8 +242,8 @@ def test_invalid_file_names_are_refused(tmp_path: Path) -> None:
 
 def test_a_broad_sample_gives_its_own_bsdf() -> None:
     # For a lobe much wider than the aperture the ratio of the instrument is pi times the BSDF.
-    found = simulate(task(BROAD, instrument=OPEN))
-    nodes = from_specular(30.0, found.theta_deg[None, :], found.phi_deg[:, None])
-    known = found.known[0, 0] & (found.theta_deg[None, :] <= 30.0)
-    expected = np.pi * evaluate(found.task.sample, light_direction(30.0), nodes[known])
-    np.testing.assert_allclose(found.table[0, 0][known], expected, rtol=5e-3)
+    simulation = simulate(task(BROAD, instrument=OPEN))
+    nodes = from_specular(30.0, simulation.theta_deg[None, :], simulation.phi_deg[:, None])
+    known = simulation.known[0, 0] & (simulation.theta_deg[None, :] <= 30.0)
+    expected = np.pi * evaluate(simulation.task.sample, light_direction(30.0), nodes[known])
+    np.testing.assert_allclose(simulation.table[0, 0][known], expected, rtol=5e-3)

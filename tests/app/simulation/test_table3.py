@@ -34,7 +34,7 @@ TOPICS = {"spot", "form", "range of i", "divergence", "field", "deviations", "no
 
 
 @pytest.fixture(scope="module")
-def found() -> Table3:
+def table() -> Table3:
     steps: list[str] = []
     result = compute_table3(steps.append)
     assert len(steps) == STEPS
@@ -75,14 +75,14 @@ def test_formula_5_is_symmetric_and_in_percent() -> None:
     assert relative_rms_percent(two, one) == pytest.approx(expected)
 
 
-def test_blur_shift_and_noise_fall_with_the_powers_of_the_explanation(found: Table3) -> None:
-    assert exponents(found.noise_free)[:, :2] == pytest.approx(2.0, abs=0.06)
-    shift = np.sqrt(found.tilted**2 - found.noise_free**2)
+def test_blur_shift_and_noise_fall_with_the_powers_of_the_explanation(table: Table3) -> None:
+    assert exponents(table.noise_free)[:, :2] == pytest.approx(2.0, abs=0.06)
+    shift = np.sqrt(table.tilted**2 - table.noise_free**2)
     assert exponents(shift) == pytest.approx(1.0, abs=0.1)
     assert np.all(exponents(np.sqrt(counting_variance(OPEN))) <= 0.0)
     # So the logarithm of their sum is convex over the logarithm of the width, except for large shifts, whose powers are not
     # quite 1; the paper's is not convex. At sigma 60 the horizon limits the range of i.
-    for total in (found.noise_free, found.tilted, found.worst, found.floor, found.closest.table):
+    for total in (table.noise_free, table.tilted, table.worst, table.floor, table.closest.table):
         falls = exponents(total)
         assert np.all(falls[:2, 0] >= falls[:2, 1] - 0.02)
     assert np.all(exponents(PAPER)[:2, 0] < exponents(PAPER)[:2, 1] - 0.2)
@@ -108,9 +108,9 @@ def test_the_tilt_of_the_sample_alone_gives_the_papers_limit() -> None:
 
 
 @parted(64)
-def test_the_worst_corner_is_the_worst_of_all_4096_corners(found: Table3, part: int) -> None:
+def test_the_worst_corner_is_the_worst_of_all_4096_corners(table: Table3, part: int) -> None:
     tolerances = tilts(OPEN)
-    corner = found.corner(30.0, 5.0)
+    corner = table.corner(30.0, 5.0)
     every = [
         gaussian_cuts(with_deviations(OPEN, tolerances, signs), [30.0], 5.0)[0].relative_rms_percent
         for signs in (corner.signs, *itertools.islice(itertools.product((-1, 1), repeat=12), 0, None, part))
@@ -123,8 +123,8 @@ def test_the_worst_corner_is_the_worst_of_all_4096_corners(found: Table3, part: 
     assert corner.relative_rms_percent == pytest.approx(math.hypot(4.72 * sum_of_all / 2.0, 0.6), rel=0.02)
 
 
-def test_the_worst_corner_with_a_collimated_beam_is_that_of_an_independent_prototype(found: Table3) -> None:
-    assert found.collimated.relative_rms_percent == pytest.approx(20.2, abs=0.1)
+def test_the_worst_corner_with_a_collimated_beam_is_that_of_an_independent_prototype(table: Table3) -> None:
+    assert table.collimated.relative_rms_percent == pytest.approx(20.2, abs=0.1)
 
 
 def test_a_corner_of_one_tolerance_has_its_worse_sign() -> None:
@@ -135,31 +135,31 @@ def test_a_corner_of_one_tolerance_has_its_worse_sign() -> None:
     assert corner.describe() == ("-sample ry" if sides[0] > sides[1] else "+sample ry")
 
 
-def test_each_column_states_its_assumptions(found: Table3) -> None:
-    columns = assumptions(found)
+def test_each_column_states_its_assumptions(table: Table3) -> None:
+    columns = assumptions(table)
     assert set(columns) == {"paper", "noise_free", "tilted", "worst"}
     assert all(set(topics) == TOPICS for topics in columns.values())
-    result = as_dict(found)
+    result = as_dict(table)
     for name in columns:
         assert set(result[name]) == {"0", "30", "60"}
         assert all(len(row) == 4 for row in result[name].values())
     assert result["paper"]["60"] == [3.85, 1.83, 0.74, 0.63]
     assert result["simulated"] is True
-    assert np.all(found.worst > found.tilted)
-    assert np.all(found.tilted > found.noise_free)
+    assert np.all(table.worst > table.tilted)
+    assert np.all(table.tilted > table.noise_free)
 
 
-def test_the_document_contains_the_output_of_the_command(found: Table3) -> None:
+def test_the_document_contains_the_output_of_the_command(table: Table3) -> None:
     printed = io.StringIO()
-    print_table3(Console(width=100, file=printed, highlight=False, color_system=None), found)
+    print_table3(Console(width=100, file=printed, highlight=False, color_system=None), table)
     document = DOCUMENT.read_text(encoding="utf-8")
     assert "goniotwin simulate table3" in document
     for line in printed.getvalue().splitlines():
         assert line.rstrip() in document
 
 
-def test_the_figures_are_png_files(found: Table3, tmp_path: Path) -> None:
-    written = write_figures(found, tmp_path / "new")
+def test_the_figures_are_png_files(table: Table3, tmp_path: Path) -> None:
+    written = write_figures(table, tmp_path / "new")
     assert set(written) == {"figure12", "figure13"}
     for path in written.values():
         assert path.read_bytes().startswith(b"\x89PNG")
