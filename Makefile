@@ -16,7 +16,7 @@ test: $(READY)
 	  echo "  sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"; exit 1; }
 	@echo "ruff, mypy and lint-imports on one core, numba's kernels compiled on the other"; \
 	$(BIN)/python -m tests.kernels forward >$(VENV)/kernels.log 2>&1 & kernels=$$!; \
-	{ $(BIN)/ruff check . && $(BIN)/ruff format --check --quiet . && $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports && $(BIN)/python -m tests.kernels fast; } \
+	{ $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports && $(BIN)/python -m tests.kernels fast; } \
 	  || { kill $$kernels; exit 1; }; \
 	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }
 	$(PYTEST) -m "not long"

@@ -1,4 +1,4 @@
-"""Mock hardware: twin devices where programs that know nothing of the twin look for real ones."""
+"""Mock hardware: twin devices on real endpoints (serial, TCP, USB), for programs written for real devices."""
 
 from goniotwin.mocks.usb_endpoints import install_backend
 

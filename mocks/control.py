@@ -33,7 +33,7 @@ Action = Callable[[Order], dict[str, Any] | None]
 
 
 class ControlPort:
-    """Orders to a virtual rig from outside its wires; `others` are those that concern the served endpoints."""
+    """Orders to a virtual rig apart from its wires; `others` are the orders about the served endpoints."""
 
     def __init__(self, rig: VirtualRig, others: dict[str, Action] | None = None) -> None:
         self._rig = rig
@@ -48,7 +48,7 @@ class ControlPort:
         self._actions = {**self._own, **(others or {})}
 
     def obey(self, line: bytes) -> dict[str, Any]:
-        """The answer to one line; what goes wrong is in it."""
+        """Carry out the order in one line; return the answer, which contains any error."""
         try:
             order = parse_order(line)
             what = order.get("do")
@@ -138,7 +138,7 @@ class ControlServer(LoopbackServer):
     """Server of the control port on loopback, one thread for each client."""
 
     def __init__(self, door: ControlPort, port: int = 0) -> None:
-        class Handler(socketserver.StreamRequestHandler):
+        class ControlHandler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 with contextlib.suppress(OSError):
                     while line := self.rfile.readline(LONGEST_LINE):
@@ -146,13 +146,13 @@ class ControlServer(LoopbackServer):
                         self.wfile.write(json.dumps(answer).encode() + b"\n")
 
             def _ends(self, line: bytes) -> bool:
-                """Whether that is the whole line; reads on to its end."""
+                """Whether the line is complete; read the rest of it if not."""
                 whole = len(line) < LONGEST_LINE or line.endswith(b"\n")
                 while len(line) == LONGEST_LINE and not line.endswith(b"\n"):
                     line = self.rfile.readline(LONGEST_LINE)
                 return whole
 
-        super().__init__("control", Handler, port)
+        super().__init__("control", ControlHandler, port)
 
 
 class ControlClient:

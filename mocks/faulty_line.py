@@ -145,7 +145,7 @@ class FaultyEnd:
 
 
 def plug_in(line: FaultyLine, clock: Clock, put: Callable[[SerialDevice], object], away_s: float = 0.3) -> None:
-    """Has `put` an end of a line where ports look for a device, and another one `away_s` after its plug has been pulled."""
+    """Connect an end of a line with `put`; connect a new one `away_s` after the plug is pulled."""
 
     def again() -> None:
         line.outbox.clear()

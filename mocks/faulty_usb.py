@@ -32,7 +32,7 @@ class FaultyUsb(UsbTmcDevice):
 
     @property
     def misfortune(self) -> FaultPlan:
-        """What decides what happens. Another one begins with a bus that is well."""
+        """The source of the faults. A new one starts with a bus without faults."""
         return self._misfortune
 
     @misfortune.setter
@@ -41,7 +41,7 @@ class FaultyUsb(UsbTmcDevice):
         self._fault = Fault.NONE
 
     def bulk_out(self, data: bytes, t: float) -> None:
-        """What the host writes, if it comes through. Raises Stall."""
+        """Pass the host's write to the device, unless it is lost. Raises Stall."""
         self._fault = self._misfortune.next()
         match self._fault:
             case Fault.UNHEARD | Fault.HANG:
@@ -60,14 +60,14 @@ class FaultyUsb(UsbTmcDevice):
         super().bulk_out(data, t)
 
     def bulk_in_ready(self) -> float | None:
-        """When there is something to read, which may be never."""
+        """Time at which data can be read; None if never."""
         ready = super().bulk_in_ready()
         if ready is None or self._fault in (Fault.NAK, Fault.HANG):
             return None
         return ready + self._late_s if self._fault is Fault.LATE else ready
 
     def bulk_in(self, size: int | None = None) -> bytes:
-        """What is read, or what has become of it."""
+        """Data for the host, with the fault of this exchange."""
         data = super().bulk_in(size)
         match self._fault:
             case Fault.LOST:

@@ -8,7 +8,7 @@ WAITING_CLIENTS = 64
 
 
 class LoopbackServer:
-    """Listens from the beginning, serves from `start` on; every connection is a `handler`'s."""
+    """Server that listens after construction and serves after `start`; a `handler` per connection."""
 
     def __init__(self, name: str, handler: type[socketserver.BaseRequestHandler], port: int = 0) -> None:
         class Server(socketserver.ThreadingTCPServer):
@@ -21,15 +21,15 @@ class LoopbackServer:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Port number."""
         return int(self._server.server_address[1])
 
     def start(self) -> None:
-        """Serves from now on."""
+        """Start serving."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Takes no more clients; the port is free again. Connections that are open are their handlers' to end."""
+        """Accept no more clients and release the port. The handlers end open connections."""
         if self._thread.is_alive():
             self._server.shutdown()
             self._thread.join()

@@ -70,7 +70,7 @@ class ModbusEndpoints:
         self._rtu[port] = (chosen, baudrate)
 
     def start(self) -> None:
-        """Serves from now on. Raises OSError for a port that cannot be opened; nothing is served then."""
+        """Start serving. Raises OSError for a port that cannot be opened; then nothing is served."""
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="Modbus endpoints", daemon=True)
         self._thread.start()
@@ -81,7 +81,7 @@ class ModbusEndpoints:
             raise
 
     def stop(self) -> None:
-        """Ends: connections are closed, ports free again."""
+        """Stop: close connections and release the ports."""
         if self._loop is None or self._thread is None:
             return
         asyncio.run_coroutine_threadsafe(self._close(), self._loop).result()
@@ -93,7 +93,7 @@ class ModbusEndpoints:
         self.ports = {}
 
     def unplug(self, name: str) -> None:
-        """Pulls the plug of a module on TCP: connections are closed, and new ones as soon as they are made. Raises KeyError."""
+        """Pull the plug of a module on TCP: close its connections, and new ones at once. Raises KeyError."""
         server = self._servers[name]
         assert self._loop is not None
         self._unplugged.add(name)
@@ -107,7 +107,7 @@ class ModbusEndpoints:
             done.result()
 
     def replug(self, name: str) -> None:
-        """Puts it in again. Raises KeyError."""
+        """Plug the module in again. Raises KeyError."""
         self._known(name)
         self._unplugged.discard(name)
 
@@ -142,7 +142,7 @@ class ModbusEndpoints:
             await asyncio.sleep(0)
 
     def _station(self, name: str) -> Station:
-        """What makes the module's end of a new connection."""
+        """Factory of the module's end of a new connection."""
 
         def station() -> SerialDevice:
             between = self._rig.modbus_wires.get(name)
@@ -175,7 +175,7 @@ class _Handler(ServerRequestHandler):
         self._speed = float(getattr(rig.clock, "speed", 1.0))
 
     def data_received(self, data: bytes) -> None:
-        """Any piece of a request, or several. Over TCP nothing more is taken in than can be heard at once."""
+        """Receive parts of requests. Over TCP, reading pauses while received bytes wait for processing."""
         if self._refused:
             self.close()
             return
@@ -191,7 +191,7 @@ class _Handler(ServerRequestHandler):
         self._forget()
 
     def _take_turn(self) -> None:
-        """Hears a little, sends what is due, in order, and comes back for the rest after the other connections."""
+        """Process some bytes, send the replies that are due, in order, and continue after the other connections."""
         if self._next is not None:
             self._next.cancel()
             self._next = None
@@ -244,7 +244,7 @@ class _RtuServer(ModbusSerialServer):
         self._rig, self._station = rig, station
 
     def callback_new_connection(self) -> _Handler:
-        """The line is its one connection."""
+        """A serial line is a single connection."""
         return _Handler(self, self._rig, self._station())
 
 

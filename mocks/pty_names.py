@@ -31,14 +31,14 @@ class PtyNames:
         self._put[link] = terminal
 
     def take(self, link: Path) -> None:
-        """Removes it, if it is still the one that was put."""
+        """Remove the link if it is still the one that `put` made."""
         terminal = self._put.pop(link, None)
         with contextlib.suppress(OSError):
             if terminal is not None and str(link.readlink()) == terminal:
                 link.unlink()
 
     def close(self) -> None:
-        """Removes all, and lets go of the folders."""
+        """Remove all links and release the folders."""
         for link in list(self._put):
             self.take(link)
         for descriptor in self._claimed.values():
@@ -67,7 +67,7 @@ class PtyNames:
 
 
 def baudrate(slave: int) -> int | None:
-    """What the client has set on its side of a pseudo-terminal, None where that is not to be known."""
+    """Baud rate that the client has set on its side of a pseudo-terminal; None where it cannot be read."""
     import termios
 
     speed = termios.tcgetattr(slave)[5]

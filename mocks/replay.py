@@ -24,7 +24,7 @@ class Replay(Protocol):
         """Time of the next recorded request, s; infinity after the last."""
 
     def step(self) -> None:
-        """Send it."""
+        """Send the next recorded request."""
 
     def differences(self) -> list[Difference]:
         """Replies of the device that were not recorded, and recorded ones that are missing."""
@@ -41,7 +41,7 @@ def replay_all(replays: Iterable[Replay]) -> None:
 
 
 class LineReplay:
-    """On a serial line or a Modbus connection. `way_s` is how long bytes are on their way, besides their own length."""
+    """Replay on a serial line or a Modbus connection. `way_s` is the delay of the bytes, besides their own length."""
 
     def __init__(self, device: SerialDevice, transcript: list[Transfer], way_s: float = 0.0) -> None:
         self._device = device
@@ -59,7 +59,7 @@ class LineReplay:
         return sent.t if sent is not None else float("-inf")
 
     def step(self) -> None:
-        """Send it. Bytes that the device has begun to send by then answer the request before."""
+        """Send the next recorded request. Bytes that the device has begun to send by then answer the request before."""
         sent = self._exchanges[len(self._replies)].sent
         if sent is None:
             self._replies.append(b"")
@@ -108,7 +108,7 @@ class RecordedDevice:
 
     @property
     def finished(self) -> bool:
-        """Whether everything that was recorded has happened again."""
+        """Whether the whole recording has been replayed."""
         return not self._left and not self._heard and not self.differences
 
     def receive(self, data: bytes, t: float) -> None:
@@ -137,10 +137,10 @@ class RecordedDevice:
             self._heard = b""
 
     def reset(self, t: float) -> None:
-        """What was recorded cannot forget."""
+        """Without effect: a recording has no state to reset."""
         del t
 
 
 def _seconds(count: int, baudrate: int) -> float:
-    """That so many bytes take on a line; nothing where they keep no time."""
+    """Duration of a number of bytes on a line, s; 0 without byte timing."""
     return BITS_A_BYTE * count / baudrate if baudrate else 0.0

@@ -21,7 +21,7 @@ class Difference:
 
     @property
     def places(self) -> list[tuple[int, int | None, int | None]]:
-        """Each byte that differs: where it is, what was recorded, what came now; None where there was nothing."""
+        """Different bytes: position, recorded byte, replayed byte; None for a missing byte."""
         pairs = enumerate(zip_longest(self.recorded, self.replayed))
         return [(k, one, other) for k, (one, other) in pairs if one != other]
 
@@ -74,7 +74,7 @@ def _joined(pieces: list[Transfer]) -> bytes:
 
 
 def _from(pieces: list[Transfer], start: int) -> list[Transfer]:
-    """What is left of recorded bytes after the first `start`."""
+    """Recorded bytes after the first `start`."""
     left = []
     for piece in pieces:
         if start < len(piece.data):
@@ -93,19 +93,19 @@ def _up_to(pieces: list[Transfer], size: int) -> list[Transfer]:
 
 
 def _agree(one: bytes, other: bytes) -> bool:
-    """As far as both go."""
+    """Whether two byte strings agree over their common length."""
     return one.startswith(other) or other.startswith(one)
 
 
 def _surplus(then: list[Transfer], now: bytes, next_recorded: bytes, next_reply: bytes) -> tuple[list[Transfer], bytes]:
-    """Of an exchange that differs: what belongs to the next, on one of the sides, because that fits there."""
+    """Bytes of a different exchange that fit the next one, on one of the two sides."""
     late, early = _from(then, len(now)), now[len(_joined(then)) :]
     fits = _alike(_joined(late) + next_recorded, early + next_reply) > _alike(next_recorded, next_reply)
     return (late, early) if fits else ([], b"")
 
 
 def _alike(one: bytes, other: bytes) -> int:
-    """How many bytes are the same from the start on."""
+    """Number of equal bytes from the start."""
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
 
 

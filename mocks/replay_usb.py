@@ -79,7 +79,7 @@ class UsbReplay:
             self._device.bulk_out(data, self._now + 0.5 * self._device.latency_s)
 
     def _read(self, until: float) -> bytes:
-        """What bulk IN has for a host that waits as long."""
+        """Data of bulk IN for a host that waits as long as the recorded one."""
         try:
             ready = self._device.bulk_in_ready()
             return self._device.bulk_in() if ready is not None and ready <= until else b""
@@ -120,7 +120,7 @@ class RecordedUsb(UsbTmcDevice):
 
     @property
     def finished(self) -> bool:
-        """Whether everything that was recorded has happened again."""
+        """Whether the whole recording has been replayed."""
         return not (self._recorded or self._bulk or self._interrupts or self.differences)
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, t: float) -> bytes:
@@ -142,31 +142,31 @@ class RecordedUsb(UsbTmcDevice):
         self._match(SETUP.pack(*CLEAR_HALT, 0, endpoint, 0), float("-inf"))
 
     def bulk_out(self, data: bytes, t: float) -> None:
-        """What the host writes."""
+        """Compare the host's write with the recording."""
         self._bulk.extend(self._match(data, t - 0.5 * self.latency_s))
 
     def bulk_in_ready(self) -> float | None:
-        """When it comes that came next."""
+        """Time of the next recorded bulk IN data."""
         return self._bulk[0][0] if self._bulk else None
 
     def bulk_in(self, size: int | None = None) -> bytes:
-        """As recorded. Raises Overflow where the host has no room for it."""
+        """Recorded data. Raises Overflow where the host has no room for it."""
         data = self._bulk.popleft()[1]
         if size is not None and len(data) > size:
             raise Overflow
         return data
 
     def interrupt_in_ready(self) -> float | None:
-        """When the notice comes that came next."""
+        """Time of the next recorded notice."""
         return self._interrupts[0][0] if self._interrupts else None
 
     def interrupt_in(self, t: float) -> bytes:
-        """As recorded."""
+        """Recorded notice."""
         del t
         return self._interrupts.popleft()[1]
 
     def _match(self, data: bytes, t: float) -> list[tuple[float, bytes]]:
-        """What came then, each with the time at which the device has it ready; nothing once something was different."""
+        """Recorded answers with their times; none after the first difference."""
         if self.differences:
             return []
         expected = self._recorded.popleft() if self._recorded else Exchange(None)

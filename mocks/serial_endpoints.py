@@ -57,11 +57,11 @@ class SerialEndpoints:
         return int(listener.getsockname()[1])
 
     def start(self) -> None:
-        """Serves from now on."""
+        """Start serving."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends; ports and names are free again."""
+        """Stop; release ports and names."""
         self._ending = True
         self._wake()
         if self._thread.is_alive():
@@ -77,11 +77,11 @@ class SerialEndpoints:
         self._selector.close()
 
     def changed(self) -> None:
-        """A device may have something to send that no byte has asked for."""
+        """Notify that a device may have unsolicited bytes to send."""
         self._wake()
 
     def unplug(self, name: str) -> None:
-        """Pulls a line's plug: sockets are closed, new ones too; a pseudo-terminal is gone with its name. Raises KeyError."""
+        """Pull a line's plug: close sockets, new ones too; remove a pseudo-terminal and its name. Raises KeyError."""
         line = self._lines[name]
 
         def act() -> None:
@@ -96,7 +96,7 @@ class SerialEndpoints:
         self._in_turn(act)
 
     def replug(self, name: str) -> None:
-        """Puts it in again: another pseudo-terminal under the same name. Raises KeyError, OSError."""
+        """Plug the line in again: a new pseudo-terminal under the same name. Raises KeyError, OSError."""
         line = self._lines[name]
 
         def act() -> None:
@@ -108,7 +108,7 @@ class SerialEndpoints:
         self._in_turn(act)
 
     def _in_turn(self, act: Callable[[], None]) -> None:
-        """In the thread that serves, soon where this is it. Raises what `act` raises."""
+        """Run `act` in the serving thread; deferred if called from that thread. Raises the errors of `act`."""
         if self._ending:
             return
         if not self._thread.is_alive():
@@ -166,7 +166,7 @@ class SerialEndpoints:
                 done.set_result(None)
 
     def _wait_s(self) -> float:
-        """Until the first device wants to send."""
+        """Time until the first device has bytes to send, s."""
         with self._lock:
             due = [line.device.outbox[0][0] for line in self._lines.values() if line.device.outbox]
         if any(end.unsent for line in self._lines.values() for end in line.ends):

@@ -1,4 +1,4 @@
-"""What serial endpoints are made of: lines, and the open ends of them."""
+"""Parts of serial endpoints: lines and their open ends."""
 
 import os
 import socket
@@ -39,7 +39,7 @@ class OpenEnd:
     unsent: bytearray = field(default_factory=bytearray)
 
     def write(self, data: bytes) -> None:
-        """As much as goes without waiting; the rest is kept. Raises OSError where the other side is gone.
+        """Write without blocking; keep the rest. Raises OSError where the other side is closed.
 
         A pseudo-terminal keeps no rest: what its client does not read is lost, as at a serial port, and a client that opens it
         after a time of silence does not get earlier replies.
@@ -57,7 +57,7 @@ class OpenEnd:
             del self.unsent[:sent]
 
     def read(self) -> bytes:
-        """What has arrived. Raises OSError where the other side is gone; no bytes from a socket mean the same."""
+        """Read the available bytes. Raises OSError where the other side is closed; an empty read of a socket means the same."""
         if self.connection is None:
             return os.read(self.descriptor, HEARD_AT_ONCE)
         data = self.connection.recv(HEARD_AT_ONCE)
@@ -67,5 +67,5 @@ class OpenEnd:
 
 
 def owed(device: SerialDevice) -> int:
-    """Bytes that a device has still to send."""
+    """Number of bytes that a device still has to send."""
     return sum(len(data) for _, data in device.outbox)

@@ -39,7 +39,7 @@ class Endpoint:
     bus_id: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """What it has, and nothing else."""
+        """The fields that are set."""
         return {key: value for key, value in vars(self).items() if value is not None}
 
 
@@ -63,7 +63,7 @@ class ServedRig:
         return list(self._endpoints)
 
     def start(self) -> None:
-        """Opens everything. Raises OSError."""
+        """Open all endpoints. Raises OSError."""
         self._endpoints = [*self._serial(), *self._modbus(), *self._on_usb()]
         self._lines.start()
         if self._control is not None:
@@ -71,7 +71,7 @@ class ServedRig:
             self._endpoints.append(Endpoint(CONTROL, "simulation control port", host=LOOPBACK, port=self._control.port))
 
     def stop(self) -> None:
-        """Closes everything; ports and names are free again."""
+        """Close all endpoints; release ports and names."""
         if self._control is not None:
             self._control.stop()
         self._usb.stop()

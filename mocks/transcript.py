@@ -40,7 +40,7 @@ class Exchange:
 
 
 def read_transcript(path: Path) -> list[Transfer]:
-    """All that passed, in order. Raises TranscriptError."""
+    """Read all transfers, in order. Raises TranscriptError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -64,7 +64,7 @@ def read_transcript(path: Path) -> list[Transfer]:
 
 
 def merge_transcripts(transcripts: Iterable[list[Transfer]]) -> list[Transfer]:
-    """The transcripts of several units on one line, as the line saw them: in order of time, each in its own order.
+    """Merge the transcripts of several units on one line: in order of time, each in its own order.
 
     Where times are equal a reply comes first: the next request follows it.
     """

@@ -3,7 +3,7 @@
 Programs with a USB/IP client of their own use it as it is. On Linux `usbip attach` makes of it a device of the system,
 which any program finds. A device is one client's at a time; pulling its plug ends that client's connection.
 
-Virtual USB: the twin's devices found by programs that know nothing of it.
+In this process, programs that use pyusb find the twin's devices through `install_backend`.
 """
 
 import errno
@@ -55,30 +55,30 @@ class UsbEndpoints:
         self.bus_ids = {name: f"{BUS}-{k + 1}" for k, name in enumerate(rig.usb)}
         endpoints = self
 
-        class Handler(socketserver.BaseRequestHandler):
+        class UsbIpHandler(socketserver.BaseRequestHandler):
             def handle(self) -> None:
                 endpoints.serve(self.request)
 
-        self._server = LoopbackServer("USB endpoints", Handler, port)
+        self._server = LoopbackServer("USB endpoints", UsbIpHandler, port)
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Port number."""
         return self._server.port
 
     def start(self) -> None:
-        """Serves from now on."""
+        """Start serving."""
         self._server.start()
 
     def stop(self) -> None:
-        """Ends: connections are closed, the port is free again."""
+        """Stop: close connections and release the port."""
         self._server.stop()
         with self._lock:
             for connection in self._open:
                 _hang_up(connection)
 
     def unplug(self, name: str) -> None:
-        """Pulls a device's cable. Raises KeyError for one that there is not."""
+        """Pull a device's cable. Raises KeyError for an unknown device."""
         self._backend.unplug(name)
         with self._lock:
             connection = self._imported.get(self.bus_ids[name])
@@ -86,11 +86,11 @@ class UsbEndpoints:
                 _hang_up(connection)
 
     def replug(self, name: str, reset: bool = False) -> None:
-        """Puts it in again; with `reset` the instrument has forgotten its settings. Raises KeyError."""
+        """Plug the cable in again; with `reset` the instrument loses its settings. Raises KeyError."""
         self._backend.replug(name, reset=reset)
 
     def serve(self, connection: socket.socket) -> None:
-        """One connection, until it ends."""
+        """Serve one connection until it ends."""
         with self._lock:
             self._open.add(connection)
         bus_id = None
@@ -117,7 +117,7 @@ class UsbEndpoints:
                     self._lock.notify_all()
 
     def _taken(self, bus_id: str, connection: socket.socket) -> str | None:
-        """The name of a device that is free, or is about to be, and now is this connection's."""
+        """Claim a device for this connection, free now or soon; return its name."""
         names = [name for name, each in self.bus_ids.items() if each == bus_id]
         with self._lock:
             self._lock.wait_for(lambda: bus_id not in self._imported, LEAVING_S)
@@ -141,7 +141,7 @@ class UsbEndpoints:
 
 
 class _Import:
-    """A device in the hands of one client: transfers to it at once, transfers from it when there is something."""
+    """A device imported by one client: transfers to it at once, transfers from it when data are ready."""
 
     def __init__(
         self, connection: socket.socket, backend: TwinUsbBackend, rig: VirtualRig, name: str, buffer: bytearray
@@ -153,7 +153,7 @@ class _Import:
         self._pending: list[usbip.Submit] = []
 
     def serve(self) -> None:
-        """Until the client hangs up or the plug is pulled. Raises OSError, UsbIpError."""
+        """Serve until the client disconnects or the plug is pulled. Raises OSError, UsbIpError."""
         while True:
             if select.select([self._connection], [], [], 0.0 if self._pending else None)[0]:
                 self._buffer += _received(self._connection)
@@ -243,7 +243,7 @@ def _hang_up(connection: socket.socket) -> None:
 
 @contextmanager
 def install_backend(backend: IBackend) -> Iterator[None]:
-    """Meanwhile `usb.core.find()` without a backend of its own finds the devices of `backend`, in this process."""
+    """Context in which `usb.core.find()` without an explicit backend finds the devices of `backend`, in this process."""
     real: Callable[..., IBackend | None] = usb.backend.libusb1.get_backend
     usb.backend.libusb1.get_backend = lambda find_library=None: backend  # noqa: ARG005  (pyusb's own signature)
     try:

@@ -20,8 +20,11 @@ FORBIDDEN = (
     "in between whiles", "it is its own", "back door", "doubts",
 )  # fmt: skip
 ALLOWED = {
-    # names that others read: JSON keys, journal columns
+    # names that others read: keys of JSON answers
     "foretold_s",
+    '"told"',
+    # the name of a stream of random numbers, which decides the numbers
+    "foreseen readings",
 }
 WORD = re.compile(rf"(?<![A-Za-z])({'|'.join(FORBIDDEN)})(?![A-Za-z])", re.IGNORECASE)
 HERE = "tests/test_words.py"
@@ -41,6 +44,10 @@ def places(*paths: str) -> list[str]:
                 rest = rest.replace(allowed, "")
             found += [f"{name}:{number}: {match[0]}: {line.strip()}" for match in WORD.finditer(rest)]
     return found
+
+
+def test_no_forbidden_word_is_left() -> None:
+    assert places() == []
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ class RigLock:
             self._folder.mkdir(mode=0o777, parents=True, exist_ok=True)
             with contextlib.suppress(OSError):
                 self._folder.chmod(0o1777)  # other users of this computer use the same rig
-            file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+", encoding="utf-8")
+            file = _open(path)
         except OSError as error:
             raise UserError(f"{path}: the lock of {address} cannot be made: {error.strerror}; check that folder") from None
         if not _try_lock(file) and not _try_lock_again(file):
@@ -68,6 +68,23 @@ class RigLock:
             os.ftruncate(file.fileno(), 0)
             os.lseek(file.fileno(), 0, os.SEEK_SET)
             os.write(file.fileno(), f"{note}\n".encode())
+
+
+def _open(path: Path) -> IO[str]:
+    """Open a lock file, which is made for all users: the next one with this rig, or with this inode, may be another.
+
+    A file that another user has made without write permission can still be locked; it keeps its note. Raises OSError.
+    """
+    try:
+        return os.fdopen(os.open(path, os.O_RDWR), "r+", encoding="utf-8")
+    except FileNotFoundError:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        if hasattr(os, "fchmod"):
+            with contextlib.suppress(OSError):  # another user was faster, and has done it
+                os.fchmod(handle, 0o666)  # the process' umask may have taken the permissions of others
+        return os.fdopen(handle, "r+", encoding="utf-8")
+    except PermissionError:
+        return os.fdopen(os.open(path, os.O_RDONLY), "r", encoding="utf-8")
 
 
 def holder_of(address: str) -> str | None:

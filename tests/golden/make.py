@@ -1,9 +1,9 @@
-"""Makes the golden files anew: `python -m tests.golden.make [NAME ...]`, from the root of the repository.
+"""Make the golden files anew: `python -m tests.golden.make [NAME ...]`, from the root of the repository.
 
-They say what the program does, so they are made anew only where a change of that is intended, and the change is said
-with the commit. A name is that of a file in `data`, without its suffix; without one all are made, but for the journals. Those
-are of an older version of the program on purpose, the last one whose hash of the model was made of names of classes: they are
-made (with `journals`) by the program that is to be compared with.
+They record the behaviour of the program. Make them anew only where a change of it is intended, and state the change in the
+commit. NAME is a file in `data` without its suffix; without a name all are made except the journals. The journals are of an
+older version on purpose, the last one whose model hash contained names of classes; `journals` makes them with the version
+that is checked out.
 """
 
 import sys

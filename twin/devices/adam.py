@@ -3,7 +3,7 @@
 An ADAM-4117 stands behind amplifiers of one fixed gain, the first of the plant's list. Registers of the 4X table are
 read by functions 03 and 04 alike, coils of the 0X table by 01 and 02 alike (the latter to be confirmed on hardware).
 
-The eight inputs of a converter module: ranges, counts, what a change of range loses, the highest and the lowest yet.
+The eight inputs have ranges, counts, a maximum and a minimum; a change of range loses one reading.
 """
 
 import math
@@ -56,7 +56,7 @@ class Inputs:
         return self._mean(self.counts(t))
 
     def set_range(self, channel: int, code: int, t: float) -> None:
-        """Another range loses the next reading: the register keeps what it has until the one after it is finished."""
+        """Set a range. The next reading is lost: the register keeps its value until the reading after that is finished."""
         if code == self.ranges[channel]:
             return
         held = self.counts(t)[channel]
@@ -89,17 +89,17 @@ class Inputs:
         return [int(value) for value in self._lowest]
 
     def forget_highest(self, channel: int, t: float) -> None:
-        """The maximum of a channel (8: of the average) begins anew."""
+        """Reset the maximum of a channel (8: of the average)."""
         self._look(t)
         self._highest[channel] = -1
 
     def forget_lowest(self, channel: int, t: float) -> None:
-        """The minimum of a channel (8: of the average) begins anew."""
+        """Reset the minimum of a channel (8: of the average)."""
         self._look(t)
         self._lowest[channel] = adam.FULL_SCALE + 1
 
     def _look(self, t: float) -> None:
-        """Lets maximum and minimum see the conversions since they were last looked at, `LOOK_BACK` at most, and now."""
+        """Update maximum and minimum with the conversions since the last update, `LOOK_BACK` at most, and the present one."""
         last = self._conversion(adam.CHANNELS - 1, t)
         held = dict(self._held)
         for conversion in range(max(self._seen_until + 1, last - LOOK_BACK), last):

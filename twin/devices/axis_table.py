@@ -1,4 +1,4 @@
-"""The axis parameters of Trinamic's modules: what each is after power-on, what it may be, and whether EEPROM keeps it.
+"""The axis parameters of Trinamic's modules: value after power-on, range, and storage in EEPROM.
 
 Numbers are PyTrinamic's maps of the TMCM-6214 and TMCM-1240. Defaults and ranges are those of the manuals where these state
 them; of the chopper's and coolStep's parameters, which do nothing here but hold their value, they are assumptions.

@@ -1,6 +1,6 @@
-"""What each statement of the Cornerstone 260 does: state and time in; state, answer and the time it takes out.
+"""Statements of the Cornerstone 260: from state and time to new state, answer and duration.
 
-What a Cornerstone 260 knows of itself: gratings with their calibration, labels, slits, units, status and error.
+The state: gratings with their calibration, labels, slits, units, status and error.
 """
 
 import re
@@ -32,17 +32,17 @@ class GratingData:
     factor: float = 1.0
 
     def shown_nm(self, true_nm: float) -> float:
-        """What the unit believes the wavelength to be."""
+        """Wavelength shown by the unit, nm."""
         return true_nm * self.factor + self.zero_nm
 
     def true_nm(self, shown_nm: float) -> float:
-        """The other way round."""
+        """True wavelength for a shown one, nm."""
         return (shown_nm - self.zero_nm) / self.factor
 
 
 @dataclass(frozen=True)
 class UnitState:
-    """Immutable, so that what an ABORT takes back can be taken back."""
+    """State of the unit. Immutable, so that an ABORT can restore an earlier one."""
 
     gratings: tuple[GratingData, ...]
     filter_labels: tuple[str, ...]
@@ -61,13 +61,13 @@ class UnitState:
         return self.gratings[self.grating - 1]
 
     def with_grating(self, number: int, **changes: object) -> "UnitState":
-        """A grating's data changed."""
+        """State with new data of a grating."""
         changed = list(self.gratings)
         changed[number - 1] = replace(changed[number - 1], **changes)  # type: ignore[arg-type]
         return replace(self, gratings=tuple(changed))
 
     def after_power_on(self) -> "UnitState":
-        """What is kept without power: calibration and labels."""
+        """State after power-on: calibration and labels are kept."""
         return UnitState(self.gratings, self.filter_labels)
 
 
@@ -89,7 +89,7 @@ class StatementRefused(Exception):
 
 @dataclass(frozen=True)
 class StatementResult:
-    """What a statement led to: the state after it, its answer, and when all that it moves has arrived."""
+    """Result of a statement: the new state, the answer, and the time at which all movements have ended."""
 
     state: UnitState
     t: float
@@ -109,7 +109,7 @@ class Statements:
         }  # fmt: skip
 
     def perform(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
-        """Carries one out at `t`. Raises StatementRefused."""
+        """Carry out a statement at `t`. Raises StatementRefused."""
         if statement.query:
             return self._ask(state, statement, t)
         action = self._commands.get(statement.word)
@@ -118,7 +118,7 @@ class Statements:
         return self._set_numbered(state, statement, t)
 
     def highest_nm(self, state: UnitState) -> float:
-        """As far as the drive reaches with the present grating."""
+        """Highest wavelength of the drive with the present grating, nm."""
         return HIGHEST_NM_OF_1200 * 1200 / state.current.lines_per_mm
 
     def _nm_per_step(self, state: UnitState) -> float:
@@ -296,7 +296,7 @@ class Statements:
 
 
 def _numbered(word: str, state: UnitState, filters: int) -> tuple[str, int, str]:
-    """`GRAT2LABEL` taken apart. Raises StatementRefused."""
+    """Split a word such as `GRAT2LABEL` into its parts: GRAT, 2, LABEL. Raises StatementRefused."""
     match = re.fullmatch(r"(GRAT)(\d)(LABEL|LINES|ZERO|FACTOR)|(FILTER)(\d)(LABEL)|(SLIT)(\d)(MICRONS)", word)
     if match is None:
         raise StatementRefused(ErrorCode.NOT_UNDERSTOOD)

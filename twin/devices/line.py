@@ -1,13 +1,13 @@
-"""What a device on a serial line is to its door."""
+"""Interface of a device on a serial line."""
 
 from collections import deque
 from typing import Protocol
 
 
 class SerialDevice(Protocol):
-    """A device that hears bytes and puts answers into its outbox, each with the time at which it begins to send it.
+    """A device that receives bytes and puts answers into its outbox, each with the start time of its transmission.
 
-    What has not begun to be sent yet the device may still take back.
+    The device may remove answers whose transmission has not started.
     """
 
     baudrate: int
@@ -17,4 +17,4 @@ class SerialDevice(Protocol):
         """Bytes of which the last has arrived at `t`."""
 
     def reset(self, t: float) -> None:
-        """Power fails and comes back: what is not kept in its memory it has forgotten."""
+        """Power cycle: everything outside non-volatile memory is lost."""

@@ -1,4 +1,4 @@
-"""What stands between a Modbus wire and the modules on it: requests cut from the bytes as they come, and answered.
+"""Modbus stations between a wire and its modules: they cut requests from the byte stream and answer them.
 
 Any split of the bytes gives the same requests. Cut and answered they are here, byte by byte, as the Modbus specification has
 them: pymodbus, on the other side of the wire, is then the independent reader, and what its own server would do with a request

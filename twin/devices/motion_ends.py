@@ -1,4 +1,4 @@
-"""What ends a movement before its end: a limit switch, a stall, an encoder that is somewhere else than the counter."""
+"""Early ends of a movement: a limit switch, a stall, a deviation between encoder and counter."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ STALL_HORIZON_S = 1.0
 
 @dataclass(frozen=True)
 class MotionEnd:
-    """What will end a movement, and when: `soft` over a ramp, else at once."""
+    """Cause and time of the end of a movement: `soft` over a ramp, else at once."""
 
     t: float
     flag: ErrorFlag = NO_FLAG
@@ -36,7 +36,7 @@ class Guards:
 
 
 def next_motion_end(drive: Drive, t: float, guards: Guards) -> MotionEnd | None:
-    """The first of what will end a movement; None where nothing will."""
+    """The first early end of a movement; None without any."""
     halts: list[MotionEnd] = []
     for switch, side in ((guards.right, 1), (guards.left, -1)):
         met = when_switched(drive, t, switch, True, side) if switch is not None else None

@@ -56,7 +56,7 @@ class Motor(RampGenerator):
         return self._trajectory.position(t)
 
     def arrival(self) -> float | None:
-        """When it will have reached its target, None where it will not."""
+        """Time of arrival at the target; None if the motor does not arrive."""
         end = self._trajectory.end
         reaches = self._search is None and round(self._trajectory.position(end)) == self._target
         return end if reaches and self._trajectory.velocity(end) == 0.0 else None
@@ -162,7 +162,7 @@ class Motor(RampGenerator):
         return self.move_to(self.get(start, t) + offset, t)
 
     def _recount(self, position: float, t: float) -> None:
-        """Moving, it goes on to the old target from the new count: the axis then ends elsewhere (as a TMCM-3214 does)."""
+        """Set the counter. A moving motor goes from the new count to the old target: the axis ends elsewhere (TMCM-3214)."""
         goes_on, velocity = self._positioning and self.is_moving(t), self._trajectory.velocity(t)
         self._cancel_search(t)
         self._halt = None

@@ -59,12 +59,12 @@ class Pm100d(ScpiInstrument):
         self.abort()
 
     def abort(self) -> None:
-        """Neither a measurement nor a zero goes on."""
+        """Stop a measurement and a zero adjustment."""
         self._measured: tuple[float, float] | None = None  # value, when it is ready
         self._zeroing: tuple[float, float] | None = None  # from, until
 
     def trigger(self) -> None:
-        """As INITiate."""
+        """Same as INITiate."""
         self._initiate()
 
     def pending_until(self) -> float:
@@ -144,7 +144,7 @@ class Pm100d(ScpiInstrument):
         return self._read()
 
     def _initiate(self) -> None:
-        """Averages from now on; the value is there when the averaging is over."""
+        """Start averaging; the value is available when the averaging ends."""
         end = self._now + self._averages / self._monitor.samples_per_s
         current = self._plant.monitor_a(self._now, end)
         if self._auto:

@@ -31,7 +31,7 @@ class CommandRejected(Exception):
 
 
 class RampGenerator:
-    """What turns a motor: its counter, its trajectory, what will end that, and the shaft that follows.
+    """Ramp generator of a motor: counter, trajectory, its early end, and the shaft that follows.
 
     `shaft` is None where nothing is coupled to it; `heartbeat` is the module's heartbeat.
     """
@@ -58,7 +58,7 @@ class RampGenerator:
         self._wanted = self._trajectory = rest_at(0.0, t)
 
     def is_moving(self, t: float) -> bool:
-        """Whether the ramp is not over."""
+        """Whether the ramp is still running."""
         return self._trajectory.end > t or self._trajectory.velocity(t) != 0.0
 
     def _stalls(self, t: float) -> bool:
@@ -84,7 +84,7 @@ class RampGenerator:
         self._follow(ramp_to_velocity(t, position, now, velocity * self._unit(), *self._slopes()), t)
 
     def search(self, kind: int, t: float) -> int:
-        """RFS. Raises CommandRejected for a type that there is not."""
+        """RFS. Raises CommandRejected for an unknown type."""
         self.catch_up(t)
         if kind == SearchCommand.STATUS:
             if self._search is not None:
@@ -106,7 +106,7 @@ class RampGenerator:
         return 0
 
     def catch_up(self, t: float) -> None:
-        """What has happened by `t`: a movement has been ended, a search is over."""
+        """Update the state to `t`: ended movements, finished searches."""
         if self._halt is not None and t >= self._halt.t:
             self._errors |= self._halt.flag
             self._halt, self._wanted = None, self._trajectory
@@ -121,7 +121,7 @@ class RampGenerator:
             self._wanted = self._trajectory = self.shaft.recount(search.end, rest, self._per_full())
 
     def refresh(self, t: float) -> None:
-        """Something has changed that may end a movement, or no longer."""
+        """Recompute the end of the movement after a change."""
         self.catch_up(t)
         if not self.is_moving(t) and self._wanted is self._trajectory:
             return
@@ -213,5 +213,5 @@ class RampGenerator:
 
 
 def signed(value: int) -> int:
-    """A counter of 32 bits goes round."""
+    """Value of a 32-bit counter with wrap-around."""
     return (value + 2**31) % 2**32 - 2**31

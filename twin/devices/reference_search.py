@@ -1,4 +1,4 @@
-"""Reference searches (RFS): the whole way of one, worked out when it is started.
+"""Reference searches (RFS): the whole trajectory, computed at the start.
 
 Source: TMCL manuals, axis parameter 193. They leave open where exactly zero is; here it is (*)
 - at an end switch (modes 1, 2): where the switch lets go when it is left slowly;
@@ -40,7 +40,7 @@ class ReferenceSearch:
 
 @dataclass(frozen=True)
 class Means:
-    """What a search has: its speeds (pps) and slopes (pps/s), its switches, and what its trajectory does to the shaft."""
+    """Inputs of a search: speeds (pps), slopes (pps/s), switches, and the effect of its trajectory on the shaft."""
 
     fast: float
     slow: float
@@ -55,7 +55,7 @@ class Means:
 
 
 class _NothingFound(Exception):
-    """It runs on, or stands at a switch, until it is stopped."""
+    """The search finds no reference: it runs, or stands at a switch, until it is stopped."""
 
 
 def search(mode: int, start: Trajectory, t: float, means: Means) -> ReferenceSearch:
@@ -71,7 +71,7 @@ def search(mode: int, start: Trajectory, t: float, means: Means) -> ReferenceSea
 
 
 def known(mode: int) -> bool:
-    """Whether there is such a mode."""
+    """Whether the mode exists."""
     kind = mode & 15
     added = mode - kind
     return (1 <= kind <= 4 and added in (0, SWAPPED)) or (5 <= kind <= 8 and added in (0, 128))
@@ -121,7 +121,7 @@ class _Course:
         return self.means.right if side > 0 else self.means.left
 
     def is_active(self, switch: Switch) -> bool:
-        """Whether a switch is so where the course has come to."""
+        """Whether a switch is active at the end of the course."""
         return switch.active(self.means.driven(self.trajectory).angle_deg(self.t))
 
     def run(self, velocity: float, *seen: Seen, brake: bool = False, ends: bool = True) -> float:
@@ -152,7 +152,7 @@ class _Course:
         return ahead.position(first)
 
     def go(self, position: float, speed: float) -> None:
-        """To a place."""
+        """Move to a position."""
         means, here = self.means, self.trajectory.position(self.t)
         way = ramp_to_target(self.t, here, 0.0, position, speed, means.acceleration, means.deceleration)
         self.trajectory = join(self.trajectory, way)

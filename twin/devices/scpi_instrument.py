@@ -91,21 +91,21 @@ class ScpiInstrument:
     # ---- identity and status of an instrument ----
 
     def commands(self) -> Iterator[Command]:
-        """Its own commands: pattern, query or not, what to do."""
+        """Commands of the instrument: pattern, query or not, action."""
         yield from ()
 
     def preset(self) -> None:
         """*RST."""
 
     def pending_until(self) -> float:
-        """When everything that has been started is over, s."""
+        """End time of all running operations, s."""
         return float("-inf")
 
     def refresh(self, t: float) -> None:
-        """Brings the status groups up to `t`."""
+        """Update the status groups to `t`."""
 
     def abort(self) -> None:
-        """Nothing that was started goes on."""
+        """Stop all running operations."""
 
     def trigger(self) -> None:
         """*TRG, or USB488's TRIGGER."""
@@ -140,7 +140,7 @@ class ScpiInstrument:
         self.abort()
 
     def power_cycle(self, t: float) -> None:
-        """The power went away and came back: every setting is forgotten."""
+        """Power cycle: all settings are lost."""
         self._errors.clear()
         self._events, self._event_enable, self.service_enable = POWER_ON, 0, 0
         self._now, self._complete_at = t, None
@@ -150,7 +150,7 @@ class ScpiInstrument:
         self.preset()
 
     def report(self, code: int, text: str) -> None:
-        """Puts an error into the queue; the last place of a full queue reports the overflow."""
+        """Put an error into the queue; the last place of a full queue reports the overflow."""
         if len(self._errors) >= ERRORS_KEPT:
             self._errors[-1] = (-350, "Queue overflow")
         else:
@@ -184,7 +184,7 @@ class ScpiInstrument:
             return None
 
     def _settle(self) -> None:
-        """What was started may be over by now."""
+        """Finish operations that have ended."""
         self.refresh(self._now)
         if self._complete_at is not None and self._complete_at <= self._now:
             self._events |= OPERATION_COMPLETE
@@ -308,7 +308,7 @@ def number(unit: MessageUnit, lowest: float, highest: float, default: float, fac
 
 
 def limit(unit: MessageUnit, lowest: float, highest: float, default: float, now: float) -> float:
-    """What a query asks for: the present value, or with MIN, MAX or DEF a limit. Raises ScpiError."""
+    """Value for a query: the present value, or with MIN, MAX or DEF a limit. Raises ScpiError."""
     if not unit.parameters:
         return now
     if single(unit).upper() not in (*words("MINimum"), *words("MAXimum"), *words("DEFault")):

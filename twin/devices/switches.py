@@ -1,4 +1,4 @@
-"""The switches of an axis as a motion module sees them, and when in a movement one of them changes."""
+"""Switches of an axis, and the times in a movement at which their states change."""
 
 import math
 from collections.abc import Callable
@@ -17,7 +17,7 @@ PAST_EDGE_DEG = 1e-9
 
 
 class Place(Enum):
-    """Which switch."""
+    """Kind of switch."""
 
     LOWER = "lower"
     UPPER = "upper"
@@ -26,7 +26,7 @@ class Place(Enum):
 
 @dataclass(frozen=True)
 class Switch:
-    """A switch of an axis; `inverted` turns its meaning round."""
+    """A switch of an axis; `inverted` inverts its logic."""
 
     mechanics: Mechanics
     place: Place
@@ -63,7 +63,7 @@ class Switch:
 
 
 def _ahead(edge: float, angle: float, direction: int) -> float:
-    """How far an edge is in a direction, more than 0 and at most a turn."""
+    """Distance to an edge in a direction, more than 0 and at most a turn."""
     way = ((edge - angle) * direction) % TURN_DEG
     # At the very edge it is as it is above it: downwards it changes there, upwards it has changed.
     return way if way > 0.0 or direction < 0 else TURN_DEG
@@ -100,7 +100,7 @@ def when_true(drive: Drive, start: float, condition: Callable[[float], bool], lo
 
 
 def _in_segment(drive: Drive, begin: float, end: float, switch: Switch, wanted: bool) -> float | None:
-    """Within one direction of movement the angle goes one way too, or stands."""
+    """First time in a segment of one direction; there the angle is monotonic."""
     angle = drive.angle_deg(begin)
     if switch.active(angle) is wanted:
         return begin
@@ -121,7 +121,7 @@ def _in_segment(drive: Drive, begin: float, end: float, switch: Switch, wanted: 
 
 
 def _moved(drive: Drive, begin: float, end: float) -> float:
-    """Which way the axis is driven, by the sign."""
+    """Direction of the axis, by the sign."""
     last = end if end < math.inf else begin + 1.0
     return (drive.counter(last) - drive.counter(begin)) / drive.per_full * drive.mechanics.deg_per_full_step
 

@@ -56,7 +56,7 @@ class TmclLine:
             module.reset(t)
 
     def _post(self, t: float, data: bytes) -> None:
-        """An answer leaves after those before it, and before those that are due later."""
+        """Queue an answer after earlier answers and before those that are due later."""
         later: list[tuple[float, bytes]] = []
         while self.outbox and isinstance(self.outbox[-1][1], UnsolicitedReply) and self.outbox[-1][0] > t:
             later.append(self.outbox.pop())
@@ -64,7 +64,7 @@ class TmclLine:
         self.outbox.extend(reversed(later))
 
     def _withdraw(self, data: bytes) -> None:
-        """What has not been sent yet need not be sent."""
+        """Remove an answer that is not sent yet."""
         left = [each for each in self.outbox if each[1] is not data]
         self.outbox.clear()
         self.outbox.extend(left)

@@ -41,7 +41,7 @@ Answers = list[tuple[float, bytes]]
 
 
 class UnsolicitedReply(bytes):
-    """A frame that answers nothing that was just asked."""
+    """A frame without a preceding request."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class MotionModule:
         self._dead_until = t + FACTORY_RESET_S
 
     def _mind_heartbeat(self, t: float) -> None:
-        """What was still turning when the host had been silent for too long has been stopped then."""
+        """Stop the motors at the time of a missed heartbeat."""
         if t > self._heartbeat.until:
             for motor in self.motors:
                 if motor.is_moving(self._heartbeat.until):

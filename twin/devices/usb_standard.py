@@ -42,7 +42,7 @@ def configuration_descriptor() -> bytes:
 
 
 def string_descriptor(index: int, texts: dict[int, str]) -> bytes | None:
-    """Index 0 lists the languages; None for one that there is not."""
+    """Index 0 lists the languages; None for an unknown index."""
     if index == 0:
         return ENGLISH
     if index not in texts:

@@ -78,7 +78,7 @@ class Transfers:
     # ---- bulk ----
 
     def bulk_out(self, data: bytes, t: float) -> None:
-        """What one write brings to bulk OUT. Raises Stall where the endpoint is halted, or where the class halts it.
+        """Receive one write to bulk OUT. Raises Stall where the endpoint is halted, or where the class halts it.
 
         A transfer may come in several writes, each but the last of whole packets.
         """
@@ -125,7 +125,7 @@ class Transfers:
                 self._halt(f"MsgID {header.msg_id}: nothing vendor-specific here")
 
     def bulk_in_ready(self) -> float | None:
-        """When bulk IN has something for the host; None while there is nothing to send."""
+        """Time at which bulk IN has data for the host; None without data."""
         if BULK_IN in self._halted:
             raise Stall
         if self._fifo is not None:
@@ -135,7 +135,7 @@ class Transfers:
         return self._answers[0][0]
 
     def bulk_in(self, size: int | None = None) -> bytes:
-        """What `bulk_in_ready` spoke of: packets until a short one, or until `size` bytes are full. Raises Overflow."""
+        """The data announced by `bulk_in_ready`: packets until a short one, or until `size` bytes are full. Raises Overflow."""
         if self._fifo is None:
             self._fifo = self._answer()
         fifo = self._fifo
@@ -197,7 +197,7 @@ class Transfers:
     # ---- interrupt IN ----
 
     def interrupt_in_ready(self) -> float | None:
-        """When interrupt IN has a notice for the host: a service request, or the answer to READ_STATUS_BYTE."""
+        """Time at which interrupt IN has a notice for the host: a service request, or the answer to READ_STATUS_BYTE."""
         if INTERRUPT_IN in self._halted:
             raise Stall
         if self._notices:
@@ -210,7 +210,7 @@ class Transfers:
         return None
 
     def interrupt_in(self, t: float) -> bytes:
-        """The notice that `interrupt_in_ready` spoke of: two bytes."""
+        """The notice that `interrupt_in_ready` announces: two bytes."""
         if self._notices:
             notice = self._notices.popleft()
         else:
@@ -237,7 +237,7 @@ class Transfers:
         return bytes((RequestStatus.SUCCESS, tag, 0))
 
     def halt(self, endpoint: int) -> None:
-        """Halts an endpoint without a cause; for tests."""
+        """Halt an endpoint without a cause; for tests."""
         self._halted.add(endpoint)
 
     def clear_halt(self, endpoint: int) -> None:

@@ -1,1 +1,1 @@
-"""The goniophotometer's geometry: arcs, directions, symmetry, and what the mirror unit blocks."""
+"""Geometry of the goniophotometer: arcs, directions, symmetry of the sample, blocking by the mirror unit, collision."""

@@ -1,56 +1,53 @@
-"""Sides and arcs: which way the mirror unit turns for a side of the sample, and which arc sees its light.
+"""Arcs: which arc sees which light, what its photodiodes look at in a pose, and the directions that they cover in a plan.
 
-A schedule's sigma is the incidence on the side that is lit, so for the back the rig turns to 180 - sigma. The arc on the lit
-side sees what is reflected, the other what goes through. Upper and lower arc are each other's mirror images in the sample's
-plane, and so are the two sides: about its own normal everything looks as it does from the front.
+The arc on the lit side sees reflected light, the other arc transmitted light.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.directions import (
+    Arc,
+    LitSide,
+    PoseAngles,
+    incidence_deg,
+    is_lit_from_behind,
+    opposite_sigma_deg,
+    polar_and_azimuth,
+    rig_sigma_deg,
+    wrap_azimuth,
+    zenith_deg,
+)
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors, may_be_blocked
-from goniotwin.app.campaign.geometry.symmetry import wrap_azimuth
 from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.grids import DECIMALS
+from goniotwin.app.campaign.schedule.grids import DECIMALS, HALF_TURN_DEG
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics import arc_direction, to_specular
 
-Side = Literal["front", "back"]
-Arc = Literal["upper", "lower"]
-HALF_TURN_DEG = 180.0
 SPECULAR_AZIMUTH_DEG = 180.0
+"""Azimuth of the specular direction, and of the direction straight through, from the half plane of the incident light."""
 
 
-def lit_sides(file: ScheduleFile) -> tuple[Side, ...]:
-    """The sides that a schedule has lit."""
+def lit_sides(file: ScheduleFile) -> tuple[LitSide, ...]:
+    """The sides of the sample that a schedule measures with light on them."""
     return ("front", "back") if file.side == "both" else (file.side,)
 
 
-def rig_sigma_deg(sigma_deg: float, side: Side) -> float:
-    """Where the mirror unit goes for an incidence on a side."""
-    return sigma_deg if side == "front" else round(HALF_TURN_DEG - sigma_deg, DECIMALS)
-
-
-def incidence_deg(rig_sigma_deg: float) -> float:
-    """The incidence, from the normal of the side that is lit."""
-    return min(rig_sigma_deg, round(HALF_TURN_DEG - rig_sigma_deg, DECIMALS))
-
-
 def lit_arc(rig_sigma_deg: float) -> Arc:
-    """The arc on the side that is lit."""
-    return "upper" if rig_sigma_deg <= 0.5 * HALF_TURN_DEG else "lower"
+    """The arc on the lit side."""
+    return "lower" if is_lit_from_behind(rig_sigma_deg) else "upper"
 
 
 def far_arc(rig_sigma_deg: float) -> Arc:
-    """The other."""
-    return "lower" if lit_arc(rig_sigma_deg) == "upper" else "upper"
+    """The arc on the side that is not lit."""
+    return "upper" if is_lit_from_behind(rig_sigma_deg) else "lower"
 
 
 def observing_arcs(file: ScheduleFile, rig_sigma_deg: float) -> Iterator[Arc]:
-    """The arcs whose photodiodes see what the schedule is about."""
+    """The arcs that see the light that a schedule is about: reflected, transmitted, or both."""
     if file.light in ("reflected", "both"):
         yield lit_arc(rig_sigma_deg)
     if file.light in ("transmitted", "both"):
@@ -62,24 +59,77 @@ def polar_deg(rig: RigFile, arc: Arc) -> tuple[float, ...]:
     return tuple(rig.photodiodes.upper_deg if arc == "upper" else rig.photodiodes.lower_deg)
 
 
-def etalon_sigma_deg(there_deg: float, arc: Arc) -> float:
-    """Where the mirror unit goes for the etalon that scales what an arc sees at a sigma: to the arc's own side."""
-    return rig_sigma_deg(incidence_deg(there_deg), "front" if arc == "upper" else "back")
+def etalon_sigma_deg(sigma_deg: float, arc: Arc) -> float:
+    """Sigma of the rig at the etalon that scales what an arc measures at a sigma of the rig: light on the arc's own side."""
+    return rig_sigma_deg(incidence_deg(sigma_deg), "front" if arc == "upper" else "back")
 
 
-def etalon_sigmas_deg(file: ScheduleFile, there_deg: float) -> tuple[float, ...]:
-    """Where the mirror unit goes for the etalon that scales what is measured at a sigma.
+def etalon_sigmas_deg(file: ScheduleFile, sigma_deg: float) -> tuple[float, ...]:
+    """Sigmas of the rig at the etalon that scales what a schedule measures at a sigma of the rig.
 
-    The etalon only reflects. So it is lit on the side of each arc that looks: for transmitted light from the other side.
+    The etalon only reflects. So the light is on the side of each observing arc: for transmitted light on the other side than
+    at the sample.
     """
-    return tuple(etalon_sigma_deg(there_deg, arc) for arc in observing_arcs(file, there_deg))
+    return tuple(etalon_sigma_deg(sigma_deg, arc) for arc in observing_arcs(file, sigma_deg))
+
+
+@dataclass(frozen=True)
+class ArcView:
+    """One arc in one pose; arrays have one element for each photodiode, angles are in degrees.
+
+    `channels` are the numbers of the photodiodes. `zenith` and `azimuth` are the directions of observation in the frame of the
+    rig, `polar` the polar angles from the normal of the side that the arc is on. `theta` and `phi` are specular coordinates:
+    about the specular direction or, if `transmitted`, about the direction straight through. `back`: the light is on the back;
+    `theta` and `phi` are then those of the sample turned about the x axis, so that they belong to its back.
+    """
+
+    channels: Ints
+    zenith: Floats
+    azimuth: Floats
+    theta: Floats
+    phi: Floats
+    polar: Floats
+    back: bool
+    transmitted: bool
+
+    def etalon_pose(self, pose: PoseAngles) -> PoseAngles:
+        """The pose in which this arc sees the etalon as it sees the sample, with the light on the arc's own side."""
+        gamma, sigma, beta, shift = pose
+        return (gamma, opposite_sigma_deg(sigma), beta, shift) if self.transmitted else pose
+
+
+def arc_views(rig: RigFile, pose: PoseAngles) -> list[ArcView]:
+    """Views of the upper and of the lower arc, without an arc that has no photodiodes."""
+    upper = np.arange(len(rig.photodiodes.upper_deg))
+    lower = len(upper) + np.arange(len(rig.photodiodes.lower_deg))
+    arcs: list[tuple[Arc, Ints]] = [("upper", upper), ("lower", lower)]
+    return [
+        _arc_view(channels, np.array(polar_deg(rig, arc), dtype=float), pose, arc) for arc, channels in arcs if len(channels)
+    ]
+
+
+def _arc_view(channels: Ints, polar_at_rest: Floats, pose: PoseAngles, arc: Arc) -> ArcView:
+    _, sigma, beta, shift = pose
+    polar, azimuth = polar_and_azimuth(polar_at_rest + shift, beta)
+    back = is_lit_from_behind(sigma)
+    transmitted = arc != lit_arc(sigma)
+    direction = arc_direction(polar, azimuth, lower=arc == "lower")
+    if back:
+        direction = direction * np.array([1.0, -1.0, -1.0])
+    if transmitted:
+        direction = direction * np.array([1.0, 1.0, -1.0])
+    theta, phi = to_specular(incidence_deg(sigma), direction)
+    return ArcView(channels, zenith_deg(polar, arc), azimuth, theta, phi, polar, back, transmitted)
 
 
 @dataclass(frozen=True)
 class ArcDirections:
-    """What one arc sees at one sigma: the distinct directions (n, 2), zenith from the arc's own pole and azimuth in degrees;
-    how many of them two photodiodes see; which are hidden (n,) at the sample, and which at the etalon that scales them;
-    whether the specular direction is among them, or, on the far side, the one straight through.
+    """The directions that one arc measures at one sigma of the rig in a plan.
+
+    `angles_deg` (n, 2): the distinct directions, polar angle from the arc's own pole and azimuth. `shared`: how many of them
+    two photodiodes measure. `blocked_at_sample` (n,) and `blocked_at_etalon` (n,): blocked by the mirror unit in the pose of
+    the sample, and of the etalon that scales it. `specular_blocked`: whether the specular direction is blocked or, on the far
+    arc, the direction straight through.
     """
 
     sigma_deg: float
@@ -92,74 +142,76 @@ class ArcDirections:
 
     @property
     def directions(self) -> int:
-        """How many there are."""
+        """Number of directions."""
         return len(self.angles_deg)
 
     @property
     def blocked_deg(self) -> Floats:
-        """Those that the sample's pose hides or the etalon's."""
+        """Directions (m, 2) that are blocked at the sample or at the etalon."""
         return self.angles_deg[self.blocked_at_sample | self.blocked_at_etalon]
 
     @property
     def blocked_only_at_etalon(self) -> int:
-        """How many of them the sample's pose leaves free."""
+        """Number of directions that are blocked at the etalon only."""
         return int((self.blocked_at_etalon & ~self.blocked_at_sample).sum())
 
     @property
     def transmitted(self) -> bool:
-        """Whether the arc is on the far side of the light."""
-        return etalon_sigma_deg(self.sigma_deg, self.arc) != self.sigma_deg
+        """Whether the arc sees transmitted light."""
+        return self.arc != lit_arc(self.sigma_deg)
 
 
 def observed_directions(file: ScheduleFile, rig: RigFile, poses: Floats) -> list[ArcDirections]:
-    """Of the arcs that the schedule is about, sigma by sigma; poses (n, 4)."""
-    return list(_seen(file, rig, poses))
+    """The directions that poses (n, 4) cover, by sigma of the rig and observing arc."""
+    return list(_observed(file, rig, poses))
 
 
-def _seen(file: ScheduleFile, rig: RigFile, poses: Floats) -> Iterator[ArcDirections]:
+def _observed(file: ScheduleFile, rig: RigFile, poses: Floats) -> Iterator[ArcDirections]:
+    straight = np.array([SPECULAR_AZIMUTH_DEG])
     for sigma in np.unique(poses[:, 1]).tolist():
         at = poses[poses[:, 1] == sigma]
         for arc in observing_arcs(file, sigma):
-            zenith, azimuth, seen_by = _distinct(at[:, 2], at[:, 3], np.array(polar_deg(rig, arc)))
-            angles = np.stack([zenith, azimuth], axis=1)
-            straight = np.array([incidence_deg(sigma)]), np.array([SPECULAR_AZIMUTH_DEG])
-            there = etalon_sigma_deg(sigma, arc)
-            blocked_at_sample = blocked_at_etalon = _hidden(rig, sigma, arc, zenith, azimuth)
-            hides = bool(_hidden(rig, sigma, arc, *straight)[0])
-            if there != sigma:
-                blocked_at_etalon = _hidden(rig, there, arc, zenith, azimuth)
-                hides |= bool(_hidden(rig, there, arc, *straight)[0])
-            yield ArcDirections(sigma, arc, angles, int((seen_by > 1).sum()), blocked_at_sample, blocked_at_etalon, hides)
+            polar, azimuth, photodiodes = _distinct(at[:, 2], at[:, 3], np.array(polar_deg(rig, arc)))
+            angles = np.stack([polar, azimuth], axis=1)
+            specular = np.array([incidence_deg(sigma)])
+            sigma_of_etalon = etalon_sigma_deg(sigma, arc)
+            at_sample = at_etalon = _blocked(rig, sigma, arc, polar, azimuth)
+            specular_blocked = bool(_blocked(rig, sigma, arc, specular, straight)[0])
+            if sigma_of_etalon != sigma:
+                at_etalon = _blocked(rig, sigma_of_etalon, arc, polar, azimuth)
+                specular_blocked |= bool(_blocked(rig, sigma_of_etalon, arc, specular, straight)[0])
+            yield ArcDirections(sigma, arc, angles, int((photodiodes > 1).sum()), at_sample, at_etalon, specular_blocked)
 
 
-def _hidden(rig: RigFile, sigma_deg: float, arc: Arc, zenith_deg: Floats, azimuth_deg: Floats) -> Flags:
-    from_the_front = zenith_deg if arc == "upper" else HALF_TURN_DEG - zenith_deg
-    hidden = may_be_blocked(rig, sigma_deg, from_the_front, azimuth_deg)
-    hidden[hidden] = blocked_by_mirrors(rig, sigma_deg, from_the_front[hidden], azimuth_deg[hidden])
-    return hidden
+def _blocked(rig: RigFile, sigma_deg: float, arc: Arc, polar_deg: Floats, azimuth_deg: Floats) -> Flags:
+    zenith = zenith_deg(polar_deg, arc)
+    blocked = may_be_blocked(rig, sigma_deg, zenith, azimuth_deg)
+    blocked[blocked] = blocked_by_mirrors(rig, sigma_deg, zenith[blocked], azimuth_deg[blocked])
+    return blocked
 
 
 def _distinct(beta_deg: Floats, shift_deg: Floats, polar_deg: Floats) -> tuple[Floats, Floats, Ints]:
-    """Zenith and azimuth of the distinct directions, and how many photodiodes see each.
+    """Polar angle and azimuth of the distinct directions, and the number of photodiodes that measure each.
 
-    The arc beyond its pole looks at the other side, and at the pole itself all azimuths are one. Every pair of a zenith
-    and an azimuth is a place in a table, which each photodiode ticks off: sorting would take far longer.
+    At the pole itself all azimuths are one. Every pair of a polar angle and an azimuth is an entry of a table, and each
+    photodiode marks its entries: sorting would take far longer.
     """
     betas, which_beta = np.unique(np.round(beta_deg, DECIMALS), return_inverse=True)
     shifts, which_shift = np.unique(np.round(shift_deg, DECIMALS), return_inverse=True)
     pairs = np.unique(which_beta.ravel() * len(shifts) + which_shift.ravel())
     signed = np.round(polar_deg[:, None] + shifts, DECIMALS)
-    zeniths, where_zenith = np.unique(np.abs(signed), return_inverse=True)
-    where_zenith = where_zenith.reshape(signed.shape)
-    azimuths, where_azimuth = np.unique(np.stack([wrap_azimuth(betas), wrap_azimuth(betas + 180.0)]), return_inverse=True)
-    where_azimuth = where_azimuth.reshape(2, len(betas))
-    seen_by = np.zeros((len(zeniths), len(azimuths)), dtype=np.int64)
+    polars, polar_index = np.unique(np.abs(signed), return_inverse=True)
+    polar_index = polar_index.reshape(signed.shape)
+    both_sides = np.stack([wrap_azimuth(betas), wrap_azimuth(betas + HALF_TURN_DEG)])
+    azimuths, azimuth_index = np.unique(both_sides, return_inverse=True)
+    azimuth_index = azimuth_index.reshape(2, len(betas))
+    photodiodes = np.zeros((len(polars), len(azimuths)), dtype=np.int64)
     beta, shift = np.divmod(pairs, len(shifts))
     for k in range(len(polar_deg)):
-        azimuth = where_azimuth[(signed[k, shift] < 0.0).astype(int), beta]
+        azimuth = azimuth_index[(signed[k, shift] < 0.0).astype(int), beta]
         azimuth = np.where(signed[k, shift] == 0.0, 0, azimuth)
-        mine = np.zeros_like(seen_by, dtype=bool)
-        mine[where_zenith[k, shift], azimuth] = True
-        seen_by += mine
-    zenith, azimuth = np.nonzero(seen_by)
-    return zeniths[zenith], azimuths[azimuth], seen_by[zenith, azimuth]
+        marked = np.zeros_like(photodiodes, dtype=bool)
+        marked[polar_index[k, shift], azimuth] = True
+        photodiodes += marked
+    polar, azimuth = np.nonzero(photodiodes)
+    return polars[polar], azimuths[azimuth], photodiodes[polar, azimuth]

@@ -1,68 +1,58 @@
-"""What each arc looks at in a pose: where its photodiodes look, and whether they see light reflected or transmitted."""
+"""Conversions of angles: incidence and sigma of the rig, direction of observation of a photodiode, azimuths.
 
-from dataclasses import dataclass
+Sigma of a schedule is the incidence on the lit side, from the normal of that side. For the back the mirror unit turns to
+180 deg - sigma, so that sigma of the rig is above 90 deg. Upper and lower arc are mirror images of each other in the plane of
+the sample, and so are its two sides: about its own normal the geometry of the back equals that of the front.
+"""
+
+from typing import Literal
 
 import numpy as np
 
-from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats, Ints
-from goniotwin.twin.optics import arc_direction, to_specular
+from goniotwin.app.campaign.schedule.grids import DECIMALS, HALF_TURN_DEG, TURN_DEG
+from goniotwin.arrays import Floats
 
-Pose = tuple[float, float, float, float]
+LitSide = Literal["front", "back"]
+Arc = Literal["upper", "lower"]
+PoseAngles = tuple[float, float, float, float]
+"""gamma, sigma, beta, shift of the rig in degrees."""
 
 
-@dataclass(frozen=True)
-class ArcView:
-    """One arc in one pose, one element a photodiode; angles in degrees.
+def opposite_sigma_deg(rig_sigma_deg: float) -> float:
+    """Sigma of the rig with the same incidence on the other side."""
+    return round(HALF_TURN_DEG - rig_sigma_deg, DECIMALS)
 
-    `channels` are the photodiodes' numbers. `zenith` and `azimuth` are of the directions in the rig's frame, `theta` and `phi`
-    about the specular direction or, `transmitted`, about the direction straight on. `back`: the light comes from behind;
-    then the sample is taken as turned about x, so that the angles are those of its back. `polar` and `turned` are zenith and
-    azimuth from the normal of the side that the arc is on, the azimuth from the plane of incidence's half with the light.
+
+def rig_sigma_deg(sigma_deg: float, side: LitSide) -> float:
+    """Sigma of the rig for an incidence on a side."""
+    return sigma_deg if side == "front" else opposite_sigma_deg(sigma_deg)
+
+
+def incidence_deg(rig_sigma_deg: float) -> float:
+    """Incidence, from the normal of the lit side."""
+    return min(rig_sigma_deg, opposite_sigma_deg(rig_sigma_deg))
+
+
+def is_lit_from_behind(rig_sigma_deg: float) -> bool:
+    """Whether the back is the lit side."""
+    return rig_sigma_deg > 0.5 * HALF_TURN_DEG
+
+
+def polar_and_azimuth(signed_polar_deg: Floats, beta_deg: Floats | float) -> tuple[Floats, Floats]:
+    """Polar angle from the arc's own pole, and azimuth from 0 to below 360 deg, of photodiodes on the arc.
+
+    Below 0 (beyond the pole) a photodiode looks from the other side of the normal. Not rounded.
     """
-
-    channels: Ints
-    zenith: Floats
-    azimuth: Floats
-    theta: Floats
-    phi: Floats
-    polar: Floats
-    back: bool
-    transmitted: bool
-
-    def etalon_pose(self, pose: Pose) -> Pose:
-        """Where this arc sees the etalon as it sees the sample, but lit from the arc's own side."""
-        gamma, sigma, beta, shift = pose
-        return (gamma, 180.0 - sigma, beta, shift) if self.transmitted else pose
-
-    def incidence_deg(self, pose: Pose) -> float:
-        """From the normal of the side that is lit."""
-        return 180.0 - pose[1] if self.back else pose[1]
+    azimuth = np.where(signed_polar_deg < 0.0, beta_deg + HALF_TURN_DEG, beta_deg)
+    return np.abs(signed_polar_deg), np.mod(azimuth, TURN_DEG)
 
 
-def arc_views(rig: RigFile, pose: Pose) -> list[ArcView]:
-    """Of the upper and of the lower arc, those that there are."""
-    table = rig.photodiodes
-    upper = np.arange(len(table.upper_deg))
-    lower = len(upper) + np.arange(len(table.lower_deg))
-    views = [(upper, table.upper_deg, False), (lower, table.lower_deg, True)]
-    return [_view(channels, np.array(polar, dtype=float), pose, low) for channels, polar, low in views if len(channels)]
+def zenith_deg(polar_deg: Floats, arc: Arc) -> Floats:
+    """Zenith angle from the normal of the front, of polar angles from the arc's own pole: beyond 90 deg on the lower arc."""
+    return polar_deg if arc == "upper" else HALF_TURN_DEG - polar_deg
 
 
-def _view(channels: Ints, at_rest: Floats, pose: Pose, lower: bool) -> ArcView:
-    _, sigma, beta, shift = pose
-    signed = at_rest + shift
-    azimuth = np.full(signed.size, beta)
-    # The arc at a zenith below 0 looks at the other side of the normal.
-    azimuth = np.mod(np.where(signed < 0.0, azimuth + 180.0, azimuth), 360.0)
-    polar = np.abs(signed)
-    back = sigma > 90.0
-    transmitted = lower is not back
-    seen = arc_direction(polar, azimuth, lower=lower)
-    if back:
-        seen = seen * np.array([1.0, -1.0, -1.0])
-    if transmitted:
-        seen = seen * np.array([1.0, 1.0, -1.0])
-    theta, phi = to_specular(180.0 - sigma if back else sigma, seen)
-    zenith = 180.0 - polar if lower else polar
-    return ArcView(channels, zenith, azimuth, theta, phi, polar, back, transmitted)
+def wrap_azimuth(angles_deg: Floats) -> Floats:
+    """The same directions from 0 to below 360 deg, rounded to DECIMALS."""
+    wrapped = np.round(np.mod(angles_deg, TURN_DEG), DECIMALS)
+    return np.asarray(np.where(wrapped == TURN_DEG, 0.0, wrapped))

@@ -1,1 +1,1 @@
-"""From a schedule and a rig to rows in order, and what can be said of them before anything moves."""
+"""The planner: from a schedule and a rig file to rows in order, and what is known about them before anything moves."""

@@ -1,7 +1,4 @@
-"""What a plan would be, before anything is opened: rows, duration, order, ranges, hidden directions, warnings.
-
-Why a plan measures in the order that it does, in words.
-"""
+"""Check of a plan before any device is opened: rows, duration, scan order and its reason, blocked directions, warnings."""
 
 from typing import Any
 
@@ -21,76 +18,23 @@ from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.rig import AXES
 
 COLUMN_NAMES = (*LOOP_NAMES, "filter")
-PATH_SEARCH = "rearranged where steps are uneven"
-
-
-def sample_order(details: PlanDetails) -> tuple[ScanGrid, ScanOrder]:
-    """Of the samples' own poses: the etalon's may be others, and those of the open beam are few."""
-    grid = details.mountings[1][0].grid
-    return grid, details.orders[grid]
-
-
-def loop_names(order: ScanOrder) -> list[str]:
-    """The loops, the innermost first."""
-    return [COLUMN_NAMES[column] for column in reversed(order.loop_order.columns)]
-
-
-def explain_order(plan: Plan, details: PlanDetails) -> str:
-    """The nestings that were compared, the one taken first, with about how long the whole campaign takes in each; and how often
-    the filter changes.
-    """
-    grid, order = sample_order(details)
-    passes = sum(each.grid is grid for mounted in details.mountings for each in mounted)
-    seconds = {PATH_SEARCH: plan.seconds} if order.improved else {}
-    for nest in sorted(order.candidates, key=lambda nest: (nest != order.loop_order, order.candidates[nest])):
-        if order.candidates[nest] < float("inf"):
-            whole = plan.seconds + (order.candidates[nest] - order.seconds) * passes
-            for words in _labels(nest, order.loop_order):
-                seconds.setdefault(words, whole)
-    count, wheel_s = filter_changes(plan)
-    filters = f"; filter changes: {count}, {duration_text(wheel_s)}" if count else ""
-    told = "; ".join(f"{words}: {duration_text(whole)}" for words, whole in seconds.items())
-    if plan.schedule.file.order != "fastest":
-        return f"as the schedule says. {told}{filters}"
-    return f"{told if len(seconds) > 1 else 'there is one loop only'}{filters}"
-
-
-def filter_changes(plan: Plan) -> tuple[int, float]:
-    """How often a plan that was just made changes the filter, and how many seconds the wheel turns for it."""
-    assert isinstance(plan.rows, PlannedRows)
-    moves, wavelengths = Moves(plan.rig.file), []
-    for piece in plan.rows.pieces:
-        if isinstance(piece, MeasurementBlock):
-            known = piece.scan_pass.grid.wavelengths_nm
-            wavelengths.append(known[piece.points % len(known)])
-        elif piece.wavelength_nm is not None:
-            wavelengths.append(np.array([piece.wavelength_nm]))
-    return moves.filter_changes(np.concatenate(wavelengths))
-
-
-def _labels(nest: LoopOrder, taken: LoopOrder) -> list[str]:
-    """What tells a nest from the others; only of one with the innermost loop of the `taken` also whether it goes by filters."""
-    if len(nest.columns) < 2:
-        return ["one loop"]
-    outside = ["wavelength outside"] if nest.columns[0] == WAVELENGTH else []
-    by_filter = ", filter by filter" if FILTER in nest.columns and nest.columns[-1] == taken.columns[-1] else ""
-    return [f"{COLUMN_NAMES[nest.columns[-1]]} inside{by_filter}", *outside]
-
-
+PATH_SEARCH = "path search"
 MAX_LISTED = 6
-__all__ = ["check_plan", "describe_check"]
+"""Number of sigmas that are listed with blocked directions."""
 
 
 def check_plan(plan: Plan) -> dict[str, Any]:
-    """rows, duration_s, from what to what it may turn out and what no order could beat, the order and why, rows by kind, the
-    range of each axis, how many directions there are, how many of them are hidden, only at the etalon, and which, how many
-    two photodiodes share, how many poses the symmetry leaves out, how often the filter changes, warnings, and which axes have
-    to be referenced after a power-up. Of a plan that was just made.
+    """Check a plan with `details`; the result is the content of `--json`.
+
+    rows, duration_s, duration_range_s, least_s (lower bound), order, why, kinds (rows by kind), axes_deg (range of each axis),
+    directions, shadowed (number that the mirror unit blocks), shadowed_only_for_etalon, shadowed_deg (which), overlaps
+    (directions that two photodiodes measure), left_out (poses omitted by symmetry), filter_changes, warnings, mountings,
+    unreferenced (axes that need a reference after a power-up), simulated.
     """
     details, rows = plan.details, plan.rows
     assert details is not None
     assert isinstance(rows, PlannedRows)
-    seen = observed_directions(plan.schedule.file, plan.rig.file, details.mountings[1][0].poses.angles)
+    arcs = observed_directions(plan.schedule.file, plan.rig.file, details.mountings[1][0].poses.angles)
     return {
         "rows": len(rows),
         "duration_s": plan.seconds,
@@ -100,9 +44,9 @@ def check_plan(plan: Plan) -> dict[str, Any]:
         "why": explain_order(plan, details),
         "kinds": rows.kinds,
         "axes_deg": _ranges(details, rows),
-        "directions": sum(each.directions for each in seen),
-        "shadowed": sum(len(each.blocked_deg) for each in seen),
-        "shadowed_only_for_etalon": sum(each.blocked_only_at_etalon for each in seen),
+        "directions": sum(each.directions for each in arcs),
+        "shadowed": sum(len(each.blocked_deg) for each in arcs),
+        "shadowed_only_for_etalon": sum(each.blocked_only_at_etalon for each in arcs),
         "shadowed_deg": [
             {
                 "sigma": each.sigma_deg,
@@ -111,21 +55,76 @@ def check_plan(plan: Plan) -> dict[str, Any]:
                 "specular": each.specular_blocked,
                 "zenith_azimuth": each.blocked_deg.tolist(),
             }
-            for each in seen
+            for each in arcs
             if len(each.blocked_deg)
         ],
-        "overlaps": sum(each.shared for each in seen),
+        "overlaps": sum(each.shared for each in arcs),
         "left_out": details.mountings[1][0].poses.left_out,
         "filter_changes": filter_changes(plan)[0],
-        "warnings": plan_warnings(plan, details, seen),
+        "warnings": plan_warnings(plan, details, arcs),
         "mountings": [passes[0].sample for passes in details.mountings],
-        "unreferenced": _to_be_referenced(plan),
+        "unreferenced": _unreferenced(plan),
         "simulated": plan.rig.simulated,
     }
 
 
+def sample_order(details: PlanDetails) -> tuple[ScanGrid, ScanOrder]:
+    """Grid and scan order of the samples; the etalon and the open beam may have other poses."""
+    grid = details.mountings[1][0].grid
+    return grid, details.orders[grid]
+
+
+def loop_names(order: ScanOrder) -> list[str]:
+    """The loops of a scan order, the innermost first."""
+    return [COLUMN_NAMES[column] for column in reversed(order.loop_order.columns)]
+
+
+def explain_order(plan: Plan, details: PlanDetails) -> str:
+    """The loop orders that were compared, with the approximate duration of the campaign in each, and the filter changes.
+
+    The one that was taken comes first.
+    """
+    grid, order = sample_order(details)
+    passes = sum(each.grid is grid for mounted in details.mountings for each in mounted)
+    seconds = {PATH_SEARCH: plan.seconds} if order.improved else {}
+    for loop_order in sorted(order.candidates, key=lambda each: (each != order.loop_order, order.candidates[each])):
+        if order.candidates[loop_order] < float("inf"):
+            duration = plan.seconds + (order.candidates[loop_order] - order.seconds) * passes
+            for label in _labels(loop_order, order.loop_order):
+                seconds.setdefault(label, duration)
+    count, wheel_s = filter_changes(plan)
+    filters = f"; filter changes: {count}, {duration_text(wheel_s)}" if count else ""
+    comparison = "; ".join(f"{label}: {duration_text(duration)}" for label, duration in seconds.items())
+    if plan.schedule.file.order != "fastest":
+        return f"set by the schedule. {comparison}{filters}"
+    return f"{comparison if len(seconds) > 1 else 'there is only one loop'}{filters}"
+
+
+def filter_changes(plan: Plan) -> tuple[int, float]:
+    """Number of filter changes of a plan with `details`, and the seconds that the wheel turns for them."""
+    assert isinstance(plan.rows, PlannedRows)
+    moves, wavelengths = Moves(plan.rig.file), []
+    for piece in plan.rows.pieces:
+        if isinstance(piece, MeasurementBlock):
+            of_grid = piece.scan_pass.grid.wavelengths_nm
+            wavelengths.append(of_grid[piece.points % len(of_grid)])
+        elif piece.wavelength_nm is not None:
+            wavelengths.append(np.array([piece.wavelength_nm]))
+    return moves.filter_changes(np.concatenate(wavelengths))
+
+
+def _labels(loop_order: LoopOrder, taken: LoopOrder) -> list[str]:
+    """Labels of a loop order. A loop over the filters is only named with the innermost loop of the order that is `taken`."""
+    columns = loop_order.columns
+    if len(columns) < 2:
+        return ["one loop"]
+    outside = ["wavelength outside"] if columns[0] == WAVELENGTH else []
+    by_filter = ", filter by filter" if FILTER in columns and columns[-1] == taken.columns[-1] else ""
+    return [f"{COLUMN_NAMES[columns[-1]]} inside{by_filter}", *outside]
+
+
 def describe_check(plan: Plan, result: dict[str, Any]) -> str:
-    """The same for a person."""
+    """The result of `check_plan` as text."""
     file = plan.schedule.file
     kinds = ", ".join(f"{count} {kind}" for kind, count in result["kinds"].items())
     ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in result["axes_deg"].items())
@@ -133,23 +132,21 @@ def describe_check(plan: Plan, result: dict[str, Any]) -> str:
         f"{file.name} on {plan.rig.file.name}{' (SIMULATED)' if plan.rig.simulated else ''}",
         f"  rows        {result['rows']} ({kinds})",
         f"  duration    {duration_text(result['duration_s'])}, and the time to mount: {', '.join(result['mountings'])}",
-        f"              (no order could take less than {duration_text(result['least_s'])})",
-        f"  order       from the inside: {', '.join(result['order']) or 'one pose, one wavelength'}",
+        f"              (lower bound for any order: {duration_text(result['least_s'])})",
+        f"  order       from the innermost loop: {', '.join(result['order']) or 'one pose, one wavelength'}",
         f"              {result['why']}",
         f"  axes        {ranges} deg",
-        f"  hidden      {result['shadowed']} of {result['directions']} directions of {_light(plan)}, by the mirror unit"
+        f"  blocked     {result['shadowed']} of {result['directions']} directions of {_light(plan)}, by the mirror unit"
         f"{_only_for_etalon(result)}",
-        *_hidden_where(result),
-        f"  overlaps    {result['overlaps']} directions are seen by two photodiodes",
+        *_blocked_by_sigma(result),
+        f"  overlaps    {result['overlaps']} directions are measured by two photodiodes",
     ]
     if result["left_out"]:
-        lines.append(
-            f"  left out    {result['left_out']} poses that see the same as others do by the symmetry: {file.symmetry}"
-        )
+        lines.append(f"  omitted     {result['left_out']} poses that are equivalent to others by the symmetry: {file.symmetry}")
     if result["unreferenced"]:
         lines.append(
-            f"  reference   {', '.join(result['unreferenced'])}: after each power-up of the controller to be homed, or to be "
-            "told where they are: goniotwin home, goniotwin here"
+            f"  reference   {', '.join(result['unreferenced'])}: home it, or set its position, after each power-up of the "
+            "controller: goniotwin home, goniotwin here"
         )
     return "\n".join([*lines, *(f"  warning     {each}" for each in result["warnings"])])
 
@@ -162,36 +159,32 @@ def _light(plan: Plan) -> str:
 
 def _only_for_etalon(result: dict[str, Any]) -> str:
     only = result["shadowed_only_for_etalon"]
-    return f", {only} of them only for the etalon, which is lit from the photodiodes' own side" if only else ""
+    return f", {only} of them only at the etalon, which is lit from the photodiodes' own side" if only else ""
 
 
-def _hidden_where(result: dict[str, Any]) -> list[str]:
-    """By sigma, the first few."""
-    told = [
+def _blocked_by_sigma(result: dict[str, Any]) -> list[str]:
+    """Numbers of blocked directions for the first sigmas."""
+    counts = [
         f"{len(each['zenith_azimuth'])} at sigma {each['sigma']:g}{f' with the {_straight(each)}' if each['specular'] else ''}"
         for each in result["shadowed_deg"]
     ]
-    more = [f"and {len(told) - MAX_LISTED} sigmas more"] if len(told) > MAX_LISTED else []
-    return [f"              {', '.join([*told[:MAX_LISTED], *more])}"] if told else []
-
-
-def _of_arc(each: dict[str, Any]) -> str:
-    return f" of the {each['arc']} arc"
+    more = [f"and {len(counts) - MAX_LISTED} more sigmas"] if len(counts) > MAX_LISTED else []
+    return [f"              {', '.join([*counts[:MAX_LISTED], *more])}"] if counts else []
 
 
 def _straight(each: dict[str, Any]) -> str:
-    return "specular one" if each["arc"] == lit_arc(each["sigma"]) else "one straight through"
+    return "specular direction" if each["arc"] == lit_arc(each["sigma"]) else "direction straight through"
 
 
 def _ranges(details: PlanDetails, rows: PlannedRows) -> dict[str, list[float]]:
-    """How far each axis goes."""
+    """Lowest and highest angle of each axis."""
     single = [piece.pose for piece in rows.pieces if isinstance(piece, Row) and piece.pose is not None]
     blocks = [each.poses.angles for passes in details.mountings for each in passes]
     poses = np.concatenate([*blocks, np.array(single).reshape(-1, len(AXES))])
     return {axis: [float(column.min()), float(column.max())] for axis, column in zip(AXES, poses.T, strict=True)}
 
 
-def _to_be_referenced(plan: Plan) -> list[str]:
-    """Axes that go to no angle after a power-up of their controller, until somebody has referenced them."""
+def _unreferenced(plan: Plan) -> list[str]:
+    """Axes that are unreferenced after a power-up of their controller."""
     tables = {name: getattr(plan.rig.file.axes, name) for name in AXES}
     return [name for name, table in tables.items() if table.homing_required or not table.power_up_at_reference]

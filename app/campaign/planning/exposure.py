@@ -1,8 +1,7 @@
-"""How long rows are read whose gains or readings the light decides: foreseen from a twin's light at some of them.
+"""Expected exposure: how long rows are read whose gains or readings depend on the light, from a twin's signal at some of them.
 
-The photocurrents are those of the twin's fast estimator, at rows spread evenly over what is measured with each sample. On
-counts with the noise that the twin has the engine's own rules are then followed: at which gains (running/gains.py), and how
-often (running/averaging.py).
+The photocurrents are those of the twin's fast estimator, at rows spread evenly over the grid of each sample. The engine's own
+rules of auto-range and averaging (app.campaign.readout) are applied to counts with the twin's noise.
 """
 
 from collections.abc import Iterator
@@ -25,16 +24,17 @@ from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.view import Aspect
 
 SAMPLED_ROWS = 40
-"""Rows of each sample, for each of its grids."""
+"""Number of rows of each sample and grid at which the signal is calculated."""
 GOLDEN_FRACTION = 0.6180339887498949
-"""Multiples of it, their whole parts left out, are spread evenly however many there are: in step with no grid."""
+"""Golden ratio minus 1: the fractional parts of its multiples are spread evenly, in step with no grid."""
 MAX_DRAWS = 1024
+"""Number of drawn noise values for each photodiode."""
 DRAW_OFFSET = 37
-"""Of the noise that is drawn once, each row begins so much further on."""
+"""Offset in the drawn noise from one row to the next."""
 
 
 def exposure_twin(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel | None:
-    """The twin to ask: that of a virtual rig, or the one that a real rig's file describes; None where asking takes long."""
+    """The twin of a virtual rig, or the one that a real rig's file describes; None where its signal takes long to calculate."""
     model = described_twin(rig, etalon, samples, {}).rig.model()
     if model is None or model.estimator.kind != "fast" or model.estimator.stray:
         return None
@@ -42,20 +42,20 @@ def exposure_twin(rig: RigDescription, etalon: str, samples: list[str]) -> TwinM
 
 
 def expected_reading_s(rig: RigDescription, model: TwinModel, passes: list[Pass], row: Row, timing: Timing) -> float:
-    """What a row of these passes takes to be read after one like it, on average, s."""
-    light = ExpectedSignal(rig, model)
-    known: dict[ScanGrid, float] = {}
+    """Mean time in s to read a row of these passes after a similar row."""
+    signal = ExpectedSignal(rig, model)
+    seconds: dict[ScanGrid, float] = {}
     for each in passes:
-        if each.grid not in known:
+        if each.grid not in seconds:
             points = each.grid.points[_spread(len(each.grid))]
-            found = [list(light.lots(row, point, number)) for number, point in enumerate(points)]
-            known[each.grid] = float(np.mean([timing.lots_seconds(lots) for lots in found]))
+            rows_of_lots = [list(signal.lots(row, point, number)) for number, point in enumerate(points)]
+            seconds[each.grid] = float(np.mean([timing.lots_seconds(lots) for lots in rows_of_lots]))
     rows = sum(len(each.grid) for each in passes)
-    return sum(known[each.grid] * len(each.grid) for each in passes) / rows
+    return sum(seconds[each.grid] * len(each.grid) for each in passes) / rows
 
 
 class ExpectedSignal:
-    """What a twin's photodiodes give, as counts."""
+    """The expected signal of a twin's photodiodes as counts, and the readings that a row needs with it."""
 
     def __init__(self, rig: RigDescription, model: TwinModel) -> None:
         self._settings = photodiode_settings(rig.file)
@@ -64,22 +64,22 @@ class ExpectedSignal:
         self._plant = Plant(model)
 
     def lots(self, row: Row, point: Floats, number: int) -> Iterator[ReadingLots]:
-        """Gain by gain, how many readings are taken one lot after the other, of a row at a point (5,)."""
+        """For each gain the lots of readings that a row at a point (5,) takes; `number` selects the drawn noise."""
         gamma, sigma, beta, shift, wavelength = point.tolist()
         sample = None if row.sample == NO_SAMPLE else row.sample
-        sorting = self._wheel.at(wavelength)
+        glass = self._wheel.at(wavelength)
         aspect = Aspect(sample, 0.0, wavelength, sigma, gamma, beta, shift)
-        signal = self._plant.steady_photocurrents_a(aspect, 1 if sorting is None else sorting.position)
+        signal = self._plant.steady_photocurrents_a(aspect, 1 if glass is None else glass.position)
         gains = GainSequence(row, self._settings.count, max(row.gains))
         for gain in gains:
             drawn = _normals(len(signal) + 1)[np.mod(np.arange(MAX_DRAWS) + number * DRAW_OFFSET, MAX_DRAWS)]
             counts = self._counts(signal, gain, drawn)
-            lots = self._read(row, gain, counts, gains.saturated)
+            lots = self._lots(row, gain, counts, gains.saturated)
             gains.add(counts[: max(MIN_AVERAGED_READINGS, min(sum(lots), MAX_DRAWS))])
             yield gain, lots
 
-    def _read(self, row: Row, gain: int, counts: Counts, waiting: Flags) -> tuple[int, ...]:
-        """As the engine does it: a lot, and as long as that is not enough another."""
+    def _lots(self, row: Row, gain: int, counts: Counts, selected: Flags) -> tuple[int, ...]:
+        """The lots at one gain, as the engine takes them: until the `selected` photodiodes have enough readings."""
         if row.target is None:
             return (row.readings,)
         dark = self._counts(np.zeros(counts.shape[1]), gain, np.zeros((1, counts.shape[1] + 1)))[0].astype(float)
@@ -87,14 +87,14 @@ class ExpectedSignal:
         lots = [max(row.readings, MIN_AVERAGED_READINGS)]
         while sum(lots) <= MAX_DRAWS:
             taken = counts[: sum(lots)]
-            needed = readings_needed(taken, dark, waiting & ~saturation(taken), row.target, most)
+            needed = readings_needed(taken, dark, selected & ~saturation(taken), row.target, most)
             if needed <= sum(lots):
                 break
             lots.append(needed - sum(lots))
         return tuple(lots)
 
     def _counts(self, signal_a: Floats, gain: int, drawn: Floats) -> Counts:
-        """Counts (readings, photodiodes) at a gain by its number; in the first column of `drawn` is what the lamp flickers."""
+        """Counts (readings, photodiodes) at a gain, given by number; the first column of `drawn` is the flicker of the lamp."""
         electronics, diodes = self._model.electronics, self._model.photodiodes
         noisy = float(self._model.noise)
         volts_per_a = electronics.gains_v_per_a[gain]
@@ -110,14 +110,14 @@ class ExpectedSignal:
 
 @lru_cache(maxsize=4)
 def _normals(columns: int) -> Floats:
-    """Standard normal numbers (MOST_DRAWN, columns), always the same."""
+    """Standard normal numbers (MAX_DRAWS, columns); the same in every call."""
     key = process_key(0, "foreseen readings")
     drawn = [normal(key, np.int64(k)) for k in range(MAX_DRAWS * columns)]
     return np.array(drawn).reshape(MAX_DRAWS, columns)
 
 
 def _spread(rows: int) -> Ints:
-    """The numbers of some of so many rows, all where there are few."""
+    """Numbers of at most SAMPLED_ROWS of the rows, spread evenly."""
     if rows <= SAMPLED_ROWS:
         return np.arange(rows)
     return np.asarray(rows * np.mod(GOLDEN_FRACTION * np.arange(SAMPLED_ROWS), 1.0), dtype=np.int64)

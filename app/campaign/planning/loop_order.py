@@ -1,4 +1,4 @@
-"""Nested loops: in which order they visit the points of a grid, and how long that takes on a rig."""
+"""Loop orders: nested loops over the columns of a scan grid, the sequence of points that they give, and its moving time."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,10 @@ from goniotwin.drivers import ArcClearance
 
 @dataclass(frozen=True)
 class LoopOrder:
-    """Loops over the columns of a grid, the outermost first: each goes back and forth, or always the same way.
+    """Loops over columns of a grid, the outermost first.
 
-    Those of the columns `reversed_columns` begin there, of the ones that go back and forth.
+    Each loop goes back and forth, or always in the same direction. A loop over one of `reversed_columns` that goes back and
+    forth starts at its other end.
     """
 
     columns: tuple[int, ...]
@@ -23,52 +24,56 @@ class LoopOrder:
     reversed_columns: frozenset[int] = frozenset()
 
 
-def loop_sequence(grid: ScanGrid, nest: LoopOrder, moves: Moves) -> Ints:
-    """The numbers of the points (n,) in the order in which a nest visits them.
+def loop_sequence(grid: ScanGrid, loop_order: LoopOrder, moves: Moves) -> Ints:
+    """The numbers of the points (n,) in the sequence of a loop order.
 
-    A loop that goes back and forth turns round where it was within the loop around it, and only where it has moved.
+    A loop that goes back and forth turns round only where it has moved within the loop around it.
     """
     loops = []
-    for column, both in zip(nest.columns, nest.back_and_forth, strict=True):
+    for column, back_and_forth in zip(loop_order.columns, loop_order.back_and_forth, strict=True):
         size = len(grid.values[column])
         ranks = grid.ranks[column] if moves.backlash(column) >= 0 else size - 1 - grid.ranks[column]
-        loops.append(Loop(ranks, size, both, column in nest.reversed_columns))
+        loops.append(Loop(ranks, size, back_and_forth, column in loop_order.reversed_columns))
     return nested_sequence(len(grid), loops)
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Which turn of a loop each point belongs to, (n,), of how many, and how it goes: back and forth, and from which end."""
+    """One loop: the step (n,) at which it comes to each point, and the number of steps.
 
-    turns: Ints
+    It goes back and forth, or always in the same direction; `from_end`: it starts at its last step.
+    """
+
+    steps: Ints
     size: int
     back_and_forth: bool = True
-    reversed_columns: bool = False
+    from_end: bool = False
 
 
 def nested_sequence(points: int, loops: list[Loop]) -> Ints:
-    """The numbers of so many points in the order in which nested loops, the outermost first, come to them."""
+    """The numbers of this many points in the sequence of nested loops, the outermost first."""
     place, places = np.zeros(points, dtype=np.int64), 1
     for loop in loops:
-        found, inner = unique_ranks(place * loop.size + loop.turns, places * loop.size)
-        turns = np.bincount(found // loop.size, minlength=places)
-        first = np.cumsum(turns) - turns
+        distinct, inner = unique_ranks(place * loop.size + loop.steps, places * loop.size)
+        steps = np.bincount(distinct // loop.size, minlength=places)
+        first = np.cumsum(steps) - steps
         if loop.back_and_forth:
-            moved = (turns > 1).astype(np.int64)
-            back = np.mod(np.cumsum(moved) - moved + loop.reversed_columns, 2).astype(bool)
-            inner = np.where(back[place], (2 * first + turns - 1)[place] - inner, inner)
-        place, places = inner, len(found)
-    order = np.empty(points, dtype=np.int64)
-    order[place] = np.arange(points)
-    return order
+            moved = (steps > 1).astype(np.int64)
+            back = np.mod(np.cumsum(moved) - moved + loop.from_end, 2).astype(bool)
+            inner = np.where(back[place], (2 * first + steps - 1)[place] - inner, inner)
+        place, places = inner, len(distinct)
+    sequence = np.empty(points, dtype=np.int64)
+    sequence[place] = np.arange(points)
+    return sequence
 
 
 def moving_seconds(moves: Moves, clearance: ArcClearance, points: Floats, ends: Floats | None = None) -> float:
-    """All moves from each of points (n, 5) to the next; infinite where the arc would meet the beam on its way.
+    """Seconds of all moves from each of points (n, 5) to the next; infinite if the arc would collide with the beam.
 
-    Or on its way from `ends` (5,) to the first of them, or from the last to there.
+    With `ends` (5,), the point of the drift checks, the moves from there to the first point and from the last point to there
+    must be free as well; their seconds do not count.
     """
-    way = points if ends is None else np.concatenate([ends[None], points, ends[None]])
-    if crosses_beam(clearance, way).any():
+    path = points if ends is None else np.concatenate([ends[None], points, ends[None]])
+    if crosses_beam(clearance, path).any():
         return float("inf")
     return float(moves.seconds(points[:-1], points[1:]).sum())

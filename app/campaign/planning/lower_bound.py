@@ -1,11 +1,11 @@
-"""What no order can beat: the least time that moving takes, and the least that a whole plan takes.
+"""Lower bounds of the machine time: of the moves of any order of a grid's points, and of a whole plan.
 
-Any order is a path through all points, so it is one of the trees that connect them, and costs no less than the cheapest of
-these. A move from one point to another takes no less than the slowest of its axes alone does, and an axis no less than the
-costliest gap between neighbouring values on its way; a change of filter, whose price is not that of a way along the wavelength,
-counts as much as the cheapest that leads over the gap. With these underestimates the cheapest tree is found without building
-it: at a cost c all points are connected that lie between the same gaps costlier than c, on every axis; that leaves n(c)
-islands, and the tree costs the integral of n(c) - 1 over c. See docs/decisions/0013.
+Any order is a path through all points, hence one of their spanning trees, and costs no less than the cheapest spanning tree. A
+move between two points takes at least as long as the slowest of its axes alone, and an axis at least as long as the costliest
+gap between neighbouring values on its way. A filter change does not follow the order of the wavelengths: a gap between two
+filters costs as much as the cheapest move over it. With these underestimates the cost of the cheapest tree is found without
+building the tree: at a cost c all points are connected that lie between the same gaps costlier than c, on every axis; this
+gives n(c) clusters, and the tree costs the integral of n(c) - 1 over c. See docs/decisions/0013.
 """
 
 import math
@@ -22,56 +22,60 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 
 TINY_S = 1e-9
-LEVELS = 200
-"""So many different costs are told apart."""
+MAX_LEVELS = 200
+"""Limit of the number of distinct costs."""
 
 
 def moving_lower_bound_s(grid: ScanGrid, moves: Moves) -> float:
-    """Less than this no order of a grid's points takes for its moves."""
+    """Lower bound of the moving time of any order of a grid's points."""
     gaps = {column: _gap_seconds(grid.values[column], moves, column) for column in grid.varying_columns}
     if not gaps:
         return 0.0
-    levels = _levels(np.concatenate(list(gaps.values())))
     total, below = 0.0, 0.0
-    for level in levels.tolist():
-        # Joined by gaps that cost less than `level`: exact where no level between was left out, too few islands else.
-        islands = grid.count_distinct({column: _clusters(costs, level) for column, costs in gaps.items()})
-        total += (level - below) * (islands - 1)
+    for level in _levels(np.concatenate(list(gaps.values()))).tolist():
+        # Connected by gaps that cost less than `level`: exact if no level in between was left out, else too few clusters.
+        clusters = grid.count_distinct({column: _clusters(costs, level) for column, costs in gaps.items()})
+        total += (level - below) * (clusters - 1)
         below = level
     return total
 
 
 def _gap_seconds(values: Floats, moves: Moves, column: int) -> Floats:
-    """Of each gap between neighbouring values, whichever way is quicker: what a move over the gap takes at least."""
-    cheaper = _either_way(values[:-1], values[1:], moves, column)
+    """For each gap between neighbouring values the least time of a move over it, in the quicker direction."""
+    cheaper = _quicker_direction(values[:-1], values[1:], moves, column)
     if column == WAVELENGTH:
-        # Between two filters the neighbours need not be the cheapest: the wheel may be quicker from the filter before to the
-        # one after. Whatever changes the filter goes at least from one filter's last wavelength to the other's first.
+        # Between two filters the neighbours need not be the cheapest move: the wheel may be quicker from the filter before to
+        # the one after. Any move that changes the filter goes at least from one filter's last wavelength to another's first.
         changes = np.flatnonzero(np.diff(moves.filter_numbers(values)))
         for k in changes:
             below, above = np.meshgrid(values[changes[changes <= k]], values[changes[changes >= k] + 1])
-            cheaper[k] = _either_way(below.ravel(), above.ravel(), moves, column).min()
+            cheaper[k] = _quicker_direction(below.ravel(), above.ravel(), moves, column).min()
     return np.asarray(np.floor(cheaper / TINY_S) * TINY_S)
 
 
-def _either_way(here: Floats, there: Floats, moves: Moves, column: int) -> Floats:
+def _quicker_direction(start: Floats, stop: Floats, moves: Moves, column: int) -> Floats:
     seconds = moves.one_step(column)
-    return np.minimum(seconds(here, there), seconds(there, here))
+    return np.minimum(seconds(start, stop), seconds(stop, start))
 
 
 def _clusters(costs: Floats, level: float) -> Ints:
-    """A label for each value: the same where all gaps between two of them cost less than `level`."""
+    """A label for each value: equal for two values if all gaps between them cost less than `level`."""
     return np.concatenate([[0], np.cumsum(costs >= level)]).astype(np.int64)
 
 
 def _levels(costs: Floats) -> Floats:
-    """The distinct costs, in order; of too many only some."""
-    found = np.unique(costs)
-    return found if len(found) <= LEVELS else found[np.linspace(0, len(found) - 1, LEVELS).astype(int)]
+    """The distinct costs in ascending order, at most MAX_LEVELS of them."""
+    distinct = np.unique(costs)
+    if len(distinct) <= MAX_LEVELS:
+        return distinct
+    return np.asarray(distinct[np.linspace(0, len(distinct) - 1, MAX_LEVELS).astype(int)])
 
 
 def plan_lower_bound_s(rig: RigFile, templates: RowTemplates, mounted: list[list[Pass]]) -> float:
-    """The least readings that each row can do with, the least moving, and as many darks and drift checks as that takes."""
+    """Lower bound of the duration of a plan, for any order of its rows.
+
+    The least readings that each row may need, the least moving, and the dark readings and drift checks that this time takes.
+    """
     timing = Timing(rig)
     moving: dict[ScanGrid, float] = {}
     for passes in mounted:
@@ -79,43 +83,44 @@ def plan_lower_bound_s(rig: RigFile, templates: RowTemplates, mounted: list[list
             if each.grid not in moving:
                 moving[each.grid] = moving_lower_bound_s(each.grid, timing.moves)
     warm_up = templates.file.warm_up
-    waited = 0.0 if warm_up is None else shortest_warm_up_s(warm_up.longest_s)
-    return waited + sum(_mounted(templates, passes, moving, timing) for passes in mounted)
+    warm_up_s = 0.0 if warm_up is None else shortest_warm_up_s(warm_up.longest_s)
+    return warm_up_s + sum(_mounting_seconds(templates, passes, moving, timing) for passes in mounted)
 
 
-def _mounted(templates: RowTemplates, passes: list[Pass], moving: dict[ScanGrid, float], timing: Timing) -> float:
-    """All that is done with one mounting."""
+def _mounting_seconds(templates: RowTemplates, passes: list[Pass], moving: dict[ScanGrid, float], timing: Timing) -> float:
+    """Lower bound of all rows of one mounting."""
     file = templates.file
     row = templates.measurement(passes[0].sample)
     reading = timing.reading_range_s(row)[0] + timing.readback_s
     rows = sum(len(each.grid) for each in passes)
     if file.drift is not None and passes[0].sample != NO_SAMPLE:
         rows += 1 + min_intervals(rows, reading, file.drift.every_s)
-    measured = rows * reading + sum(moving[each.grid] for each in passes)
-    stretches = min_intervals(rows, reading, file.dark_every_s)
+    measuring = rows * reading + sum(moving[each.grid] for each in passes)
+    intervals = min_intervals(rows, reading, file.dark_every_s)
     if _longest_row_seconds(templates, passes, timing) <= file.dark_every_s:
-        stretches = max(stretches, math.ceil(measured / file.dark_every_s - TINY))
-    shutters = timing.switch_shutter(opened=True) + timing.switch_shutter(opened=False)
+        intervals = max(intervals, math.ceil(measuring / file.dark_every_s - TINY))
+    shutter = timing.switch_shutter(opened=True) + timing.switch_shutter(opened=False)
     dark = templates.dark("", 0)
-    return measured + (stretches + 1) * timing.typical_reading_s(dark) + stretches * shutters
+    return measuring + (intervals + 1) * timing.typical_reading_s(dark) + intervals * shutter
 
 
 def _longest_row_seconds(templates: RowTemplates, passes: list[Pass], timing: Timing) -> float:
-    """The most that a row takes in any order: right across all axes, with what only the first one after a dark needs."""
+    """Longest duration of a row in any order: the move across all axes, as the first row after a dark reading."""
     drift = templates.file.drift
-    ends = [each.grid.values for each in passes]
+    columns = [each.grid.values for each in passes]
     if drift is not None:
         pose = (drift.gamma_deg, drift.sigma_deg, drift.beta_deg, drift.shift_deg, drift.wavelength_nm)
-        ends.append([np.array([value]) for value in pose])
-    both = [sorted({float(f(values[k])) for values in ends for f in (np.min, np.max)}) for k in range(WAVELENGTH + 1)]
-    corners = np.array(list(product(*((each[0], each[-1]) for each in both))))
+        columns.append([np.array([value]) for value in pose])
+    ranges = [sorted({float(f(values[k])) for values in columns for f in (np.min, np.max)}) for k in range(WAVELENGTH + 1)]
+    corners = np.array(list(product(*((each[0], each[-1]) for each in ranges))))
     moving = timing.moves.seconds(corners, corners[::-1])
-    # The way along the wavelengths that takes longest need not be that from end to end, but is from an end of some filter's.
-    every = np.unique(np.concatenate([values[WAVELENGTH] for values in ends]))
-    filters = timing.moves.filter_numbers(every)
-    waves = np.unique([f(every[filters == number]) for number in np.unique(filters) for f in (np.min, np.max)])
+    # The longest move along the wavelengths need not go from end to end, but it is between two ends of filters' bands.
+    wavelengths = np.unique(np.concatenate([values[WAVELENGTH] for values in columns]))
+    filters = timing.moves.filter_numbers(wavelengths)
+    band_ends = np.unique([f(wavelengths[filters == number]) for number in np.unique(filters) for f in (np.min, np.max)])
     slewing = timing.moves.one_step(WAVELENGTH)
-    beyond = slewing(np.repeat(waves, len(waves)), np.tile(waves, len(waves))).max() - slewing(waves[:1], waves[-1:])[0]
+    slowest = slewing(np.repeat(band_ends, len(band_ends)), np.tile(band_ends, len(band_ends))).max()
+    beyond = slowest - slewing(band_ends[:1], band_ends[-1:])[0]
     row = templates.measurement(passes[0].sample)
     reading = timing.longest_reading_s(row) + timing.readback_s
     return float(moving.max() + max(0.0, beyond)) + timing.shutter_seconds(opened=True) + reading

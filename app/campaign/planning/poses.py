@@ -1,8 +1,7 @@
-"""Poses beyond the grids that hold the others to account: mirror images, overlapping photodiodes, the open beam.
+"""Poses of a schedule on a rig: those of the grids without mirror images of others, and poses beside the grids.
 
-Finer poses where some photodiode looks near the specular direction, or near the one straight through.
-
-The poses of a schedule on a rig: grids, what is finer near the specular direction, less what the symmetry repeats.
+Beside the grids there are finer poses near the specular direction or the direction straight through, poses at which photodiodes
+overlap, mirror images that check the symmetry, and poses of the open beam.
 """
 
 from dataclasses import dataclass
@@ -10,15 +9,9 @@ from itertools import chain
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import (
-    Side,
-    etalon_sigmas_deg,
-    far_arc,
-    lit_sides,
-    observing_arcs,
-    polar_deg,
-    rig_sigma_deg,
-)
+from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg, far_arc, lit_sides, observing_arcs, polar_deg
+from goniotwin.app.campaign.geometry.collision import reachable_poses
+from goniotwin.app.campaign.geometry.directions import LitSide, rig_sigma_deg
 from goniotwin.app.campaign.geometry.symmetry import mirror_images, unique_pose_mask
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import DECIMALS, grid_values
@@ -26,162 +19,21 @@ from goniotwin.app.rig import RigFile, arc_clearance
 from goniotwin.arrays import Flags, Floats
 
 CHECK_TURNS_DEG = (90.0, -90.0, 0.0)
-"""By how much an isotropic sample is turned, besides being mirrored, where its symmetry is checked: the first that can be."""
-IN_THE_BEAM_DEG = 180.0
-
-
-def symmetry_check_poses(file: ScheduleFile, rig: RigFile, poses: Floats) -> Floats:
-    """The images (n, 4) of as many of the `poses` as `[symmetry_check]` says, spread over all of them.
-
-    Raises ValueError where the rig reaches too few.
-    """
-    if file.symmetry_check is None:
-        return np.zeros((0, 4))
-    points = file.symmetry_check.points
-    plain = poses[poses[:, 3] == grid_values(file.shift_deg)[0]]
-    told: dict[int, str] = {}
-    for turn in CHECK_TURNS_DEG:
-        mirrored = mirror_images(plain, file.symmetry, turn)
-        others = np.any(mirrored != plain, axis=1)
-        reached = others & _reached(rig, mirrored)
-        usable = mirrored[reached & _clear(rig, plain, mirrored)]
-        if len(usable) >= points:
-            return np.asarray(usable[np.round(np.linspace(0, len(usable) - 1, points)).astype(int)])
-        counts = {
-            "are their own": int((~others).sum()),
-            "beyond the limits of gamma or beta": int((others & ~reached).sum()),
-            "behind the incoming beam": int(reached.sum()) - len(usable),
-        }
-        told.setdefault(len(usable), ", ".join(f"{count} {why}" for why, count in counts.items() if count))
-    most = max(told)
-    why = f" of {len(plain)} ({told[most]})" if told[most] else ""
-    remedy = "take fewer" if most else "leave [symmetry_check] out, or take gammas and betas whose images the rig reaches"
-    raise ValueError(f"symmetry_check.points: {points}, but the rig reaches the mirror images of {most} poses{why}; {remedy}")
-
-
-def _reached(rig: RigFile, poses: Floats) -> Flags:
-    gamma, beta = rig.axes.gamma, rig.axes.beta
-    return np.asarray(
-        (poses[:, 0] >= gamma.lower_deg) & (poses[:, 0] <= gamma.upper_deg)
-        & (poses[:, 2] >= beta.lower_deg) & (poses[:, 2] <= beta.upper_deg)
-    )  # fmt: skip
-
-
-def _clear(rig: RigFile, poses: Floats, mirrored: Floats) -> Flags:
-    """Which can be reached from some of the poses, at their shift, without sweeping through the beam."""
-    clearance = arc_clearance(rig)
-    betas, shift = np.unique(poses[:, 2]), float(poses[:, 3].max())
-    free = {
-        beta: clearance.collision((beta, float(betas[np.abs(betas - beta).argmin()])), (shift,)) is None
-        for beta in np.unique(mirrored[:, 2]).tolist()
-    }
-    return np.array([free[beta] for beta in mirrored[:, 2].tolist()], dtype=bool)
-
-
-def overlap_poses(file: ScheduleFile, rig: RigFile) -> Floats:
-    """Sigma (of the incidence), beta, shift (n, 3) of `[overlap]`. Raises ValueError where no photodiodes can overlap."""
-    if file.overlap is None:
-        return np.zeros((0, 3))
-    base, betas = grid_values(file.shift_deg)[0], grid_values(file.beta_deg)
-    step = overlapping_step_deg(rig, base)
-    if step is None:
-        raise ValueError(
-            f"overlap.points: from shift {base:g} deg the axis takes no photodiode to its neighbour's place; leave it out"
-        )
-    chosen = np.unique(np.round(np.linspace(0, len(betas) - 1, file.overlap.points)).astype(int))
-    return np.array(
-        [(sigma, betas[k], shift) for sigma in grid_values(file.sigma_deg) for k in chosen for shift in (base, base + step)]
-    )
-
-
-def overlapping_step_deg(rig: RigFile, base_deg: float) -> float | None:
-    """The least change of the shift after which most photodiodes look where others did at `base_deg`; None: there is none."""
-    counts: dict[float, int] = {}
-    for arc in (rig.photodiodes.upper_deg, rig.photodiodes.lower_deg):
-        for one in arc:
-            for other in arc:
-                step = round(other - one, DECIMALS)
-                if step != 0.0 and rig.axes.shift.lower_deg <= base_deg + step <= rig.axes.shift.upper_deg:
-                    counts[step] = counts.get(step, 0) + 1
-    return min(counts, key=lambda step: (-counts[step], abs(step), step), default=None)
-
-
-def open_beam_poses(file: ScheduleFile, rig: RigFile) -> Floats:
-    """Poses (n, 4) at which a photodiode of the far arc looks straight into the beam. Raises ValueError where none can."""
-    poses = []
-    lower, upper = rig.axes.shift.lower_deg, rig.axes.shift.upper_deg
-    for side in lit_sides(file):
-        for sigma in grid_values(file.sigma_deg):
-            there = rig_sigma_deg(sigma, side)
-            shifts = [round(sigma - polar, DECIMALS) for polar in polar_deg(rig, far_arc(there))]
-            possible = sorted((abs(shift), shift) for shift in shifts if lower <= shift <= upper)
-            if not possible:
-                raise ValueError(
-                    f"open_beam: at sigma {sigma:g} deg no photodiode of the {far_arc(there)} arc comes into the beam; "
-                    "take that sigma out, or set open_beam = false"
-                )
-            poses.append((grid_values(file.gamma_deg)[0], there, IN_THE_BEAM_DEG, possible[0][1]))
-    return np.array(poses)
-
-
-MAX_NEAR_CANDIDATES = 10_000_000
+"""Turns of gamma for the symmetry check of an isotropic sample, besides the mirroring: the first possible one is taken."""
+OPEN_BEAM_BETA_DEG = 180.0
 TINY_DEG = 1e-6
-
-
-def near_specular_poses(file: ScheduleFile, rig: RigFile, side: Side) -> Floats:
-    """Sigma (of the incidence), beta, shift (n, 3) of the schedule's `[near_specular]`, those of the grids among them.
-
-    Raises ValueError where there are too many to look at.
-    """
-    table = file.near_specular
-    if table is None:
-        return np.zeros((0, 3))
-    betas, shifts = np.array(grid_values(file.beta_deg)), np.array(grid_values(file.shift_deg))
-    if table.beta_step_deg is not None:
-        steps = (betas.max() - betas.min()) / table.beta_step_deg
-        _refuse_too_many(len(grid_values(file.sigma_deg)), steps, len(shifts))
-        betas = np.union1d(betas, np.round(betas.min() + table.beta_step_deg * np.arange(int(steps + 1e-6) + 1), 9))
-    if table.shift_deg is not None:
-        shifts = np.union1d(shifts, grid_values(table.shift_deg))
-    _refuse_too_many(len(grid_values(file.sigma_deg)), len(betas), len(shifts))
-    found = []
-    for sigma in grid_values(file.sigma_deg):
-        arcs = observing_arcs(file, rig_sigma_deg(sigma, side))
-        polar = sorted(set(chain.from_iterable(polar_deg(rig, arc) for arc in arcs)))
-        k, j = np.nonzero(_closest_deg(sigma, betas, shifts, polar, table.within_deg) <= table.within_deg + TINY_DEG)
-        found.append(np.stack([np.full(len(k), sigma), betas[k], shifts[j]], axis=1))
-    return np.concatenate(found)
-
-
-def _closest_deg(sigma_deg: float, beta_deg: Floats, shift_deg: Floats, polar_deg: list[float], within_deg: float) -> Floats:
-    """How near to the specular direction some photodiode looks, by beta and shift; infinite where far beyond `within_deg`."""
-    closest = np.full((len(beta_deg), len(shift_deg)), np.inf)
-    sigma = np.radians(sigma_deg)
-    for polar in polar_deg:
-        # Two directions are never nearer to each other than their zenith angles are.
-        if not np.any(np.abs(np.abs(polar + shift_deg) - sigma_deg) <= within_deg + TINY_DEG):
-            continue
-        zenith = np.radians(polar + shift_deg)
-        cosine = np.cos(zenith) * np.cos(sigma) - np.sin(zenith) * np.sin(sigma) * np.cos(np.radians(beta_deg))[:, None]
-        np.minimum(closest, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), out=closest)
-    return closest
-
-
-def _refuse_too_many(sigmas: int, betas: float, shifts: int) -> None:
-    if sigmas * betas * shifts > MAX_NEAR_CANDIDATES:
-        raise ValueError(
-            f"near_specular: {sigmas} sigma_deg x {betas:.0f} beta x {shifts} shift would have to be looked at; "
-            "take greater steps"
-        )
-
-
+MAX_NEAR_CANDIDATES = 10_000_000
+"""Limit of the poses that are tested for nearness to the specular direction."""
 MAX_FURTHER_POSES = 4_000_000
+"""Limit of the poses of near_specular and overlap, before equal ones are removed."""
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses (n, 4) in rig angles: gamma, sigma, beta, shift; which of them are only there to check the symmetry, and how
-    many more the grids have that are mirror images of these.
+    """Poses `angles` (n, 4) in angles of the rig: gamma, sigma, beta, shift.
+
+    `mirrored` (n,): poses that only check the symmetry. `left_out`: number of poses of the grids that are mirror images of
+    these and are not measured.
     """
 
     angles: Floats
@@ -190,8 +42,8 @@ class Poses:
 
 
 def sample_poses(file: ScheduleFile, rig: RigFile) -> Poses:
-    """Of each sample. Raises ValueError, naming the key, for what the rig cannot do."""
-    sides = [_of_side(file, rig, side) for side in lit_sides(file)]
+    """The poses of each sample. Raises ValueError, with the key, for what the rig cannot do."""
+    sides = [_side_poses(file, rig, side) for side in lit_sides(file)]
     angles = np.concatenate([angles for angles, _ in sides])
     checks = symmetry_check_poses(file, rig, angles)
     mirrored = np.arange(len(angles) + len(checks)) >= len(angles)
@@ -199,24 +51,42 @@ def sample_poses(file: ScheduleFile, rig: RigFile) -> Poses:
 
 
 def etalon_poses(file: ScheduleFile, of_samples: Poses) -> Poses:
-    """Of the etalon: each photodiode at each of the samples' poses, lit on the side that it looks at."""
+    """The poses of the etalon: each photodiode as at the samples, with the light on the side that the photodiode sees."""
     if file.light == "reflected":
         return of_samples
     blocks, mirrored = [], []
-    for there in np.unique(of_samples.angles[:, 1]).tolist():
-        chosen = of_samples.angles[:, 1] == there
-        for sigma in etalon_sigmas_deg(file, there):
+    for sample_sigma in np.unique(of_samples.angles[:, 1]).tolist():
+        chosen = of_samples.angles[:, 1] == sample_sigma
+        for sigma in etalon_sigmas_deg(file, sample_sigma):
             block = of_samples.angles[chosen].copy()
             block[:, 1] = sigma
             blocks.append(block)
             mirrored.append(of_samples.mirrored[chosen])
     angles, flags = np.concatenate(blocks), np.concatenate(mirrored)
-    kept = unique_pose_mask(angles, "anisotropic")
-    return Poses(angles[kept], flags[kept], 0)
+    mask = unique_pose_mask(angles, "anisotropic")
+    return Poses(angles[mask], flags[mask], 0)
 
 
-def _of_side(file: ScheduleFile, rig: RigFile, side: Side) -> tuple[Floats, int]:
-    """Poses of one lit side, and how many of its grids are left out."""
+def open_beam_poses(file: ScheduleFile, rig: RigFile) -> Floats:
+    """Poses (n, 4) at which a photodiode of the far arc looks straight into the beam. Raises ValueError if there is none."""
+    poses = []
+    lower, upper = rig.axes.shift.lower_deg, rig.axes.shift.upper_deg
+    for side in lit_sides(file):
+        for sigma in grid_values(file.sigma_deg):
+            rig_sigma = rig_sigma_deg(sigma, side)
+            shifts = [round(sigma - polar, DECIMALS) for polar in polar_deg(rig, far_arc(rig_sigma))]
+            possible = sorted((abs(shift), shift) for shift in shifts if lower <= shift <= upper)
+            if not possible:
+                raise ValueError(
+                    f"open_beam: at sigma {sigma:g} deg no photodiode of the {far_arc(rig_sigma)} arc reaches the beam; "
+                    "remove that sigma, or set open_beam = false"
+                )
+            poses.append((grid_values(file.gamma_deg)[0], rig_sigma, OPEN_BEAM_BETA_DEG, possible[0][1]))
+    return np.array(poses)
+
+
+def _side_poses(file: ScheduleFile, rig: RigFile, side: LitSide) -> tuple[Floats, int]:
+    """Poses of one lit side, and the number of poses of the grids that are left out."""
     gammas, betas = np.array(grid_values(file.gamma_deg)), np.array(grid_values(file.beta_deg))
     sigmas, shifts = np.array(grid_values(file.sigma_deg)), np.array(grid_values(file.shift_deg))
     planned = len(gammas) * len(betas) * len(sigmas) * len(shifts)
@@ -242,3 +112,118 @@ def _of_side(file: ScheduleFile, rig: RigFile, side: Side) -> tuple[Floats, int]
     for sigma in sigmas.tolist():
         poses[poses[:, 1] == sigma, 1] = rig_sigma_deg(sigma, side)
     return poses, left_out
+
+
+def near_specular_poses(file: ScheduleFile, rig: RigFile, side: LitSide) -> Floats:
+    """Incidence, beta, shift (n, 3) of `[near_specular]`; some of them are poses of the grids.
+
+    Raises ValueError if there are too many candidates.
+    """
+    table = file.near_specular
+    if table is None:
+        return np.zeros((0, 3))
+    betas, shifts = np.array(grid_values(file.beta_deg)), np.array(grid_values(file.shift_deg))
+    if table.beta_step_deg is not None:
+        steps = (betas.max() - betas.min()) / table.beta_step_deg
+        _refuse_too_many(len(grid_values(file.sigma_deg)), steps, len(shifts))
+        betas = np.union1d(betas, np.round(betas.min() + table.beta_step_deg * np.arange(int(steps + 1e-6) + 1), 9))
+    if table.shift_deg is not None:
+        shifts = np.union1d(shifts, grid_values(table.shift_deg))
+    _refuse_too_many(len(grid_values(file.sigma_deg)), len(betas), len(shifts))
+    blocks = []
+    for sigma in grid_values(file.sigma_deg):
+        arcs = observing_arcs(file, rig_sigma_deg(sigma, side))
+        polar = sorted(set(chain.from_iterable(polar_deg(rig, arc) for arc in arcs)))
+        k, j = np.nonzero(_closest_deg(sigma, betas, shifts, polar, table.within_deg) <= table.within_deg + TINY_DEG)
+        blocks.append(np.stack([np.full(len(k), sigma), betas[k], shifts[j]], axis=1))
+    return np.concatenate(blocks)
+
+
+def _closest_deg(sigma_deg: float, beta_deg: Floats, shift_deg: Floats, polar_deg: list[float], within_deg: float) -> Floats:
+    """Angle from the specular direction to the nearest photodiode (betas, shifts); infinite where far above `within_deg`."""
+    closest = np.full((len(beta_deg), len(shift_deg)), np.inf)
+    sigma = np.radians(sigma_deg)
+    for polar in polar_deg:
+        # Two directions are at least as far apart as their zenith angles.
+        if not np.any(np.abs(np.abs(polar + shift_deg) - sigma_deg) <= within_deg + TINY_DEG):
+            continue
+        zenith = np.radians(polar + shift_deg)
+        cosine = np.cos(zenith) * np.cos(sigma) - np.sin(zenith) * np.sin(sigma) * np.cos(np.radians(beta_deg))[:, None]
+        np.minimum(closest, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), out=closest)
+    return closest
+
+
+def _refuse_too_many(sigmas: int, betas: float, shifts: int) -> None:
+    if sigmas * betas * shifts > MAX_NEAR_CANDIDATES:
+        raise ValueError(
+            f"near_specular: {sigmas} sigma_deg x {betas:.0f} beta x {shifts} shift are more than {MAX_NEAR_CANDIDATES} poses; "
+            "take greater steps"
+        )
+
+
+def overlap_poses(file: ScheduleFile, rig: RigFile) -> Floats:
+    """Incidence, beta, shift (n, 3) of `[overlap]`. Raises ValueError if no photodiodes can overlap."""
+    if file.overlap is None:
+        return np.zeros((0, 3))
+    base, betas = grid_values(file.shift_deg)[0], grid_values(file.beta_deg)
+    step = overlapping_step_deg(rig, base)
+    if step is None:
+        raise ValueError(
+            f"overlap.points: from shift {base:g} deg the axis moves no photodiode to the position of another; remove [overlap]"
+        )
+    chosen = np.unique(np.round(np.linspace(0, len(betas) - 1, file.overlap.points)).astype(int))
+    return np.array(
+        [(sigma, betas[k], shift) for sigma in grid_values(file.sigma_deg) for k in chosen for shift in (base, base + step)]
+    )
+
+
+def overlapping_step_deg(rig: RigFile, base_deg: float) -> float | None:
+    """The smallest step of the shift after which most photodiodes look where others did at `base_deg`; None without one."""
+    counts: dict[float, int] = {}
+    for arc in (rig.photodiodes.upper_deg, rig.photodiodes.lower_deg):
+        for one in arc:
+            for other in arc:
+                step = round(other - one, DECIMALS)
+                if step != 0.0 and rig.axes.shift.lower_deg <= base_deg + step <= rig.axes.shift.upper_deg:
+                    counts[step] = counts.get(step, 0) + 1
+    return min(counts, key=lambda step: (-counts[step], abs(step), step), default=None)
+
+
+def symmetry_check_poses(file: ScheduleFile, rig: RigFile, poses: Floats) -> Floats:
+    """Mirror images (n, 4) of the `poses` for `[symmetry_check]`, spread over all of them.
+
+    Raises ValueError if the rig reaches fewer than `points`.
+    """
+    if file.symmetry_check is None:
+        return np.zeros((0, 4))
+    points = file.symmetry_check.points
+    plain = poses[poses[:, 3] == grid_values(file.shift_deg)[0]]
+    reasons: dict[int, str] = {}
+    for turn in CHECK_TURNS_DEG:
+        mirrored = mirror_images(plain, file.symmetry, turn)
+        others = np.any(mirrored != plain, axis=1)
+        within = others & _within_limits(rig, mirrored)
+        usable = mirrored[within & reachable_poses(arc_clearance(rig), plain, mirrored)]
+        if len(usable) >= points:
+            return np.asarray(usable[np.round(np.linspace(0, len(usable) - 1, points)).astype(int)])
+        counts = {
+            "equal their mirror image": int((~others).sum()),
+            "beyond the limits of gamma or beta": int((others & ~within).sum()),
+            "behind the incoming beam": int(within.sum()) - len(usable),
+        }
+        reasons.setdefault(len(usable), ", ".join(f"{count} {reason}" for reason, count in counts.items() if count))
+    most = max(reasons)
+    reason = f" ({reasons[most]})" if reasons[most] else ""
+    remedy = "take fewer" if most else "remove [symmetry_check], or take gammas and betas whose mirror images the rig reaches"
+    raise ValueError(
+        f"symmetry_check.points: {points}, but the rig reaches the mirror images of {most} of {len(plain)} poses{reason}; "
+        f"{remedy}"
+    )
+
+
+def _within_limits(rig: RigFile, poses: Floats) -> Flags:
+    gamma, beta = rig.axes.gamma, rig.axes.beta
+    return np.asarray(
+        (poses[:, 0] >= gamma.lower_deg) & (poses[:, 0] <= gamma.upper_deg)
+        & (poses[:, 2] >= beta.lower_deg) & (poses[:, 2] <= beta.upper_deg)
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Points to measure as ranks on their grids: what orders are made of, counted and compared with."""
+"""Scan grid: the points to measure, and the ranks of their values in each column, from which orders are made."""
 
 from functools import cached_property
 
@@ -7,34 +7,35 @@ import numpy as np
 from goniotwin.arrays import Floats, Ints
 
 WAVELENGTH = 4
-"""The column of the wavelength; before it come gamma, sigma, beta, shift."""
+"""Column of the wavelength, after gamma, sigma, beta, shift."""
 FILTER = 5
-"""The column of the order-sorting filter, which the wavelength decides: a loop of it goes around that of the wavelength."""
+"""Column of the order-sorting filter, which follows from the wavelength: a loop over it is around the loop over wavelengths."""
 TABLE_FACTOR = 8
-"""A table of so many places a point finds the distinct numbers faster than sorting does."""
+"""Largest ratio of table entries to points at which a table finds distinct numbers faster than sorting."""
 
 
 class ScanGrid:
-    """All pairs of `poses` (n, 4) and `wavelengths` (w,); a point's number is its pose's times w, and its wavelength's.
+    """All pairs of `poses` (n, 4) and `wavelengths_nm` (w,).
 
-    `filters` (w,) are the numbers of the filters that the wavelengths have; all one where they are not given.
+    The number of a point is the number of its pose times w, plus the number of its wavelength. `filters` (w,) are the numbers
+    of the filters of the wavelengths; without them all wavelengths have the same filter.
     """
 
     def __init__(self, poses: Floats, wavelengths_nm: Floats, filters: Ints | None = None) -> None:
         self.poses = poses
         self.wavelengths_nm = wavelengths_nm
         filters = np.zeros(len(wavelengths_nm), dtype=np.int64) if filters is None else filters
-        found = [np.unique(column, return_inverse=True) for column in (*poses.T, wavelengths_nm, filters)]
-        self.values = [values for values, _ in found]
-        self._pose_ranks = [np.asarray(ranks, dtype=np.int64) for _, ranks in found[:WAVELENGTH]]
-        self._wavelength_ranks, self._filter_ranks = (np.asarray(ranks, dtype=np.int64) for _, ranks in found[WAVELENGTH:])
+        columns = [np.unique(column, return_inverse=True) for column in (*poses.T, wavelengths_nm, filters)]
+        self.values = [values for values, _ in columns]
+        self._pose_ranks = [np.asarray(ranks, dtype=np.int64) for _, ranks in columns[:WAVELENGTH]]
+        self._wavelength_ranks, self._filter_ranks = (np.asarray(ranks, dtype=np.int64) for _, ranks in columns[WAVELENGTH:])
 
     def __len__(self) -> int:
         return len(self.poses) * len(self.wavelengths_nm)
 
     @cached_property
     def points(self) -> Floats:
-        """All of them, (n, 5)."""
+        """All points (n, 5): gamma, sigma, beta, shift in degrees, wavelength in nm."""
         points = np.empty((len(self), 5))
         points[:, :WAVELENGTH] = np.repeat(self.poses, len(self.wavelengths_nm), axis=0)
         points[:, WAVELENGTH] = np.tile(self.wavelengths_nm, len(self.poses))
@@ -42,43 +43,46 @@ class ScanGrid:
 
     @cached_property
     def ranks(self) -> list[Ints]:
-        """By column, the place of each point's value among the column's."""
+        """For each column the rank of each point's value among the values of the column."""
         outer = [np.repeat(ranks, len(self.wavelengths_nm)) for ranks in self._pose_ranks]
         return [*outer, *(np.tile(ranks, len(self.poses)) for ranks in (self._wavelength_ranks, self._filter_ranks))]
 
     @property
     def varying_columns(self) -> tuple[int, ...]:
-        """The columns that change at all; the filter is none of them, for it changes with the wavelength."""
+        """The columns with more than one value, without the filter, which follows from the wavelength."""
         return tuple(column for column, values in enumerate(self.values[:FILTER]) if len(values) > 1)
 
     @property
     def has_filter_groups(self) -> bool:
-        """Whether there are several filters, and several wavelengths to one of them."""
+        """Whether there are several filters, and several wavelengths with one of them."""
         return 1 < len(self.values[FILTER]) < len(self.values[WAVELENGTH])
 
     def count_distinct(self, labels: dict[int, Ints]) -> int:
-        """How many points differ in some column, where the values of each have the `labels`; other columns do not count."""
-        light = WAVELENGTH if WAVELENGTH in labels else FILTER  # the wavelength has told the filter
-        waves = int(labels[light].max()) + 1 if light in labels else 1
+        """Number of points that differ in their labels.
+
+        `labels` has, for some columns, a label for each value of the column; the other columns do not count.
+        """
+        spectral = WAVELENGTH if WAVELENGTH in labels else FILTER  # the wavelength determines the filter
+        waves = int(labels[spectral].max()) + 1 if spectral in labels else 1
         columns = [column for column in labels if column < WAVELENGTH]
         sizes = [int(labels[column].max()) + 1 for column in columns]
         if len(self.poses) == int(np.prod([len(values) for values in self.values[:WAVELENGTH]])):
-            return int(np.prod(sizes)) * waves  # a whole grid
+            return int(np.prod(sizes)) * waves  # the poses are a full product
         key = np.zeros(len(self.poses), dtype=np.int64)
-        room = 1
+        table_size = 1
         for column, size in zip(columns, sizes, strict=True):
-            key, room = key * size + labels[column][self._pose_ranks[column]], room * size
-        return len(unique_ranks(key, room)[0]) * waves
+            key, table_size = key * size + labels[column][self._pose_ranks[column]], table_size * size
+        return len(unique_ranks(key, table_size)[0]) * waves
 
 
-def unique_ranks(key: Ints, room: int) -> tuple[Ints, Ints]:
-    """The distinct numbers of `key` (each below `room`) in order, and the place of each among them."""
-    if room > TABLE_FACTOR * len(key):
-        found, places = np.unique(key, return_inverse=True)
-        return found, places
-    there = np.zeros(room, dtype=bool)
-    there[key] = True
-    found = np.flatnonzero(there)
-    places = np.empty(room, dtype=np.int64)
-    places[found] = np.arange(len(found))
-    return found, places[key]
+def unique_ranks(key: Ints, table_size: int) -> tuple[Ints, Ints]:
+    """The distinct numbers of `key` (each below `table_size`) in ascending order, and the rank of each of `key` among them."""
+    if table_size > TABLE_FACTOR * len(key):
+        distinct, ranks = np.unique(key, return_inverse=True)
+        return distinct, ranks
+    present = np.zeros(table_size, dtype=bool)
+    present[key] = True
+    distinct = np.flatnonzero(present)
+    ranks = np.empty(table_size, dtype=np.int64)
+    ranks[distinct] = np.arange(len(distinct))
+    return distinct, ranks[key]

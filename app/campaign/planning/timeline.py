@@ -1,6 +1,6 @@
-"""Passes laid out in time: mountings, darks, drift checks and the warm-up between the measurements, each when it is due.
+"""Timeline of a plan: passes laid out in time, with mountings, warm-up, dark readings and drift checks where they are due.
 
-The rows of a plan: counted and timed at once, made one by one when somebody wants them.
+The rows are counted and timed at once, and built only when they are read.
 """
 
 from collections import Counter
@@ -24,7 +24,7 @@ from goniotwin.drivers import ArcClearance
 
 @dataclass(frozen=True)
 class MeasurementBlock:
-    """Measurements without a break: points of a pass by their numbers, in order, with their seconds."""
+    """Consecutive measurements: points of a pass, given by number, in order, with their seconds."""
 
     scan_pass: Pass
     points: Ints
@@ -33,13 +33,13 @@ class MeasurementBlock:
 
 @dataclass(frozen=True)
 class RowTemplates:
-    """How every measurement is read, and what a dark after it is."""
+    """Templates of rows: how every measurement is read, and every dark reading. `gains` are numbers in the rig's list."""
 
     file: ScheduleFile
     gains: tuple[int, ...]
 
     def measurement(self, sample: str) -> Row:
-        """A measurement without a place yet."""
+        """A measurement without number, identity, pose and wavelength."""
         file, averaging = self.file, self.file.averaging
         return Row(
             0, "", "measure", sample, 0.0, None, None, self.gains, file.readings, file.gains_v_per_a == "automatic",
@@ -47,13 +47,13 @@ class RowTemplates:
         )  # fmt: skip
 
     def dark(self, sample: str, number: int) -> Row:
-        """Always at every gain: any of them may be needed."""
+        """A dark reading; always at every gain, because any of them may be needed."""
         return Row(0, f"{sample}/dark {number}", "dark", sample, gains=self.gains, readings=self.file.dark_readings)
 
 
 @dataclass
 class PlanTimeline:
-    """Grows piece by piece; a piece is a single row (its number still 0) or a run."""
+    """The timeline while it is built: single rows (their number still 0) and blocks of measurements."""
 
     file: ScheduleFile
     templates: RowTemplates
@@ -61,15 +61,15 @@ class PlanTimeline:
     clearance: ArcClearance
     pieces: list[Row | MeasurementBlock] = field(default_factory=list)
     oldest_dark_s: float = 0.0
-    _darks: int = 0
-    _drifts: int = 0
+    _dark_count: int = 0
+    _drift_count: int = 0
     _since_dark: float = 0.0
     _since_drift: float = 0.0
     _lit_since_dark: bool = False
     _measured_since_drift: bool = False
 
     def warm_up(self, wavelength_nm: float) -> None:
-        """Before anything is mounted."""
+        """Add the warm-up, before the first mounting."""
         table = self.file.warm_up
         if table is not None:
             target = 0.01 * table.percent_per_10min
@@ -78,116 +78,117 @@ class PlanTimeline:
             )
 
     def mount(self, sample: str) -> None:
-        """With a dark and a drift check to begin with."""
+        """Add a mounting, followed by a dark reading and a drift check."""
         self._add(Row(0, f"{sample}/mount", "mount", sample))
         self._dark(sample)
         self._drift(sample)
 
     def dismount(self, sample: str) -> None:
-        """With a drift check and a dark to end with."""
+        """Add the drift check and the dark reading at the end of a mounting."""
         self._drift(sample)
         self._dark(sample)
 
     def measure(self, scan_pass: Pass, sequence: Ints) -> None:
-        """All points of a pass in that order. A dark or a drift check comes first wherever it would be overdue afterwards.
+        """Add all points of a pass in the order of `sequence`.
 
-        A drift check where the arc would meet the beam on its way there, or back, comes sooner, or later if that cannot be.
+        A dark reading or a drift check is inserted before a row at whose end it would be overdue. A drift check that the arc
+        cannot reach, or cannot leave, without a collision comes sooner, or later where sooner is impossible.
         """
         points = scan_pass.grid.points[sequence]
         timing, row = self.timing, self.templates.measurement(scan_pass.sample)
         reading = timing.typical_reading_s(row) + timing.readback_s
-        moving = timing.moves.seconds(np.concatenate([timing.here[None], points[:-1]]), points)
+        moving = timing.moves.seconds(np.concatenate([timing.position[None], points[:-1]]), points)
         seconds = moving + reading
         ends = np.cumsum(seconds)
-        free = self._free_for_a_check(scan_pass.sample, points)
-        places = np.array([-1, *np.flatnonzero(free[1:]) + 1, len(points)])
-        begin, away, checking = 0, False, False
+        check_possible = self._check_possible(scan_pass.sample, points)
+        check_places = np.array([-1, *np.flatnonzero(check_possible[1:]) + 1, len(points)])
+        begin, moved_away, check_due = 0, False, False
         while begin < len(points):
-            # What came between has closed the shutter, or left the axes elsewhere, or the amplifiers at another gain.
-            first = timing.shutter_seconds(opened=True) + timing.next_reading_s(row) - timing.typical_reading_s(row)
-            if away:
-                back = timing.moves.seconds(timing.here[None], points[begin : begin + 1])
-                first += float(back[0] - moving[begin])
+            # What came before has closed the shutter, moved the axes away, or left another gain.
+            extra = timing.shutter_seconds(opened=True) + timing.next_reading_s(row) - timing.typical_reading_s(row)
+            if moved_away:
+                back = timing.moves.seconds(timing.position[None], points[begin : begin + 1])
+                extra += float(back[0] - moving[begin])
             until_dark = self.file.dark_every_s - self._since_dark
             until_drift = self._until_drift(scan_pass.sample)
-            next_s = float(seconds[begin]) + first
-            # A row that takes longer than either may be old is done all the same, right after it.
+            next_s = float(seconds[begin]) + extra
+            # A row that takes longer than one of the intervals is measured directly after the dark reading or drift check.
             overdue = next_s > until_drift and self._measured_since_drift
-            if checking or (overdue and free[begin]):
+            if check_due or (overdue and check_possible[begin]):
                 self._drift(scan_pass.sample)
-                away, checking = True, False
+                moved_away, check_due = True, False
                 continue
             if next_s > until_dark and self._lit_since_dark:
                 self._dark(scan_pass.sample)
                 continue
-            began = float(ends[begin]) - next_s
-            dark, check = np.searchsorted(ends, (began + until_dark, began + until_drift), side="right").tolist()
-            sooner = int(np.searchsorted(places, check, side="right")) - 1
-            check = int(places[sooner] if places[sooner] > begin else places[sooner + 1])
+            start = float(ends[begin]) - next_s
+            dark, check = np.searchsorted(ends, (start + until_dark, start + until_drift), side="right").tolist()
+            sooner = int(np.searchsorted(check_places, check, side="right")) - 1
+            check = int(check_places[sooner] if check_places[sooner] > begin else check_places[sooner + 1])
             end = max(begin + 1, min(dark, check))
-            checking = end == check < len(points)
+            check_due = end == check < len(points)
             timing.switch_shutter(opened=True)
-            timing.here = points[end - 1]
+            timing.position = points[end - 1]
             timing.advance(row, end - begin)
-            taken = seconds[begin:end].copy()
-            taken[0] += first
-            self._pass_by(float(taken.sum()))
-            self.pieces.append(MeasurementBlock(scan_pass, sequence[begin:end], taken))
+            block_seconds = seconds[begin:end].copy()
+            block_seconds[0] += extra
+            self._advance(float(block_seconds.sum()))
+            self.pieces.append(MeasurementBlock(scan_pass, sequence[begin:end], block_seconds))
             self._measured_since_drift = self._lit_since_dark = True
-            begin, away = end, False
+            begin, moved_away = end, False
 
-    def _free_for_a_check(self, sample: str, points: Floats) -> Flags:
-        """Before which of the points (n,) the arc keeps clear of the beam on its way to the pose of the checks and back."""
-        there = drift_point(self.file)
-        if there is None or sample == NO_SAMPLE:
+    def _check_possible(self, sample: str, points: Floats) -> Flags:
+        """Before which of the points (n,) the arc can go to the pose of the drift checks and back without a collision."""
+        check = drift_point(self.file)
+        if check is None or sample == NO_SAMPLE:
             return np.ones(len(points), dtype=bool)
-        drift = np.broadcast_to(there, points.shape)
-        back = ~crosses_beam_between(self.clearance, drift, points)
-        back[1:] &= ~crosses_beam_between(self.clearance, points[:-1], drift[1:])
-        return back
+        checks = np.broadcast_to(check, points.shape)
+        possible = ~crosses_beam_between(self.clearance, checks, points)
+        possible[1:] &= ~crosses_beam_between(self.clearance, points[:-1], checks[1:])
+        return possible
 
     def _until_drift(self, sample: str) -> float:
         return float("inf") if self.file.drift is None or sample == NO_SAMPLE else self.file.drift.every_s - self._since_drift
 
     def _dark(self, sample: str) -> None:
-        self._darks += 1
-        self._add(self.templates.dark(sample, self._darks))
+        self._dark_count += 1
+        self._add(self.templates.dark(sample, self._dark_count))
         self._since_dark = 0.0
         self._lit_since_dark = False
 
     def _drift(self, sample: str) -> None:
         table = self.file.drift
-        if table is None or sample == NO_SAMPLE:  # which sends no light anywhere that could change
+        if table is None or sample == NO_SAMPLE:  # without a sample there is no signal that could drift
             return
         pose = (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg)
-        like = self.templates.measurement(sample)
+        template = self.templates.measurement(sample)
         row = Row(
-            0, f"{sample}/drift {self._drifts + 1}", "drift", sample, 0.0, table.wavelength_nm, pose,
-            like.gains, like.readings, like.automatic, like.target, like.longest_s,
+            0, f"{sample}/drift {self._drift_count + 1}", "drift", sample, 0.0, table.wavelength_nm, pose,
+            template.gains, template.readings, template.automatic, template.target, template.longest_s,
         )  # fmt: skip
-        taken = copy(self.timing).row_seconds(row)
-        if self._lit_since_dark and self._since_dark + taken > self.file.dark_every_s:
+        seconds = copy(self.timing).row_seconds(row)
+        if self._lit_since_dark and self._since_dark + seconds > self.file.dark_every_s:
             self._dark(sample)
-        self._drifts += 1
+        self._drift_count += 1
         self._add(row)
         self._lit_since_dark, self._measured_since_drift = True, False
         self._since_drift = 0.0
 
     def _add(self, row: Row) -> None:
         seconds = self.timing.row_seconds(row)
-        self._pass_by(0.0 if row.kind in ("dark", "mount") else seconds)
+        self._advance(0.0 if row.kind in ("dark", "mount") else seconds)
         self._since_drift += seconds if row.kind == "dark" else 0.0
         self.pieces.append(replace(row, seconds=seconds))
 
-    def _pass_by(self, seconds: float) -> None:
+    def _advance(self, seconds: float) -> None:
         self._since_drift += seconds
-        if self._darks:
+        if self._dark_count:
             self._since_dark += seconds
             self.oldest_dark_s = max(self.oldest_dark_s, self._since_dark)
 
 
 class PlannedRows(Sequence[Row]):
-    """Like a tuple of rows. Until one of them is asked for there is none, so that a million can be checked in no time."""
+    """Rows of a plan, like a tuple. They are built at the first access, so that a million can be counted and timed quickly."""
 
     def __init__(self, pieces: list[Row | MeasurementBlock], templates: RowTemplates) -> None:
         self._pieces = pieces
@@ -195,22 +196,22 @@ class PlannedRows(Sequence[Row]):
 
     @cached_property
     def kinds(self) -> dict[str, int]:
-        """How many rows there are of each kind."""
-        counted: Counter[str] = Counter()
+        """Number of rows of each kind."""
+        counts: Counter[str] = Counter()
         for piece in self._pieces:
-            counted.update({"measure": len(piece.points)} if isinstance(piece, MeasurementBlock) else {piece.kind: 1})
-        return dict(counted)
+            counts.update({"measure": len(piece.points)} if isinstance(piece, MeasurementBlock) else {piece.kind: 1})
+        return dict(counts)
 
     @cached_property
     def seconds(self) -> float:
-        """The whole duration foretold."""
+        """Estimated duration of all rows."""
         return sum(
             float(piece.seconds.sum()) if isinstance(piece, MeasurementBlock) else piece.seconds for piece in self._pieces
         )
 
     @property
     def pieces(self) -> list[Row | MeasurementBlock]:
-        """Single rows, their numbers still 0, and runs of measurements."""
+        """Single rows (their number still 0) and blocks of measurements."""
         return self._pieces
 
     def __len__(self) -> int:
@@ -236,18 +237,19 @@ class PlannedRows(Sequence[Row]):
         rows: list[Row] = []
         for piece in self._pieces:
             if isinstance(piece, MeasurementBlock):
-                rows += self._made(piece, len(rows))
+                rows += self._block_rows(piece, len(rows))
             else:
                 rows.append(replace(piece, number=len(rows)))
         return tuple(rows)
 
-    def _made(self, run: MeasurementBlock, number: int) -> Iterator[Row]:
-        like = self._templates.measurement(run.scan_pass.sample)
-        poses, wavelengths = run.scan_pass.poses.angles.tolist(), run.scan_pass.grid.wavelengths_nm.tolist()
-        which, when = divmod(run.points, len(wavelengths))
+    def _block_rows(self, block: MeasurementBlock, number: int) -> Iterator[Row]:
+        """The rows of a block; the first has this number."""
+        template, scan_pass = self._templates.measurement(block.scan_pass.sample), block.scan_pass
+        poses, wavelengths = scan_pass.poses.angles.tolist(), scan_pass.grid.wavelengths_nm.tolist()
+        pose, wavelength = divmod(block.points, len(wavelengths))
         return map(
-            Row, range(number, number + len(run.points)), run.scan_pass.identities(run.points), repeat(like.kind),
-            repeat(like.sample),
-            run.seconds.tolist(), [wavelengths[k] for k in when.tolist()], [tuple(poses[k]) for k in which.tolist()],
-            repeat(like.gains), repeat(like.readings), repeat(like.automatic), repeat(like.target), repeat(like.longest_s),
+            Row, range(number, number + len(block.points)), scan_pass.identities(block.points), repeat(template.kind),
+            repeat(template.sample), block.seconds.tolist(), [wavelengths[k] for k in wavelength.tolist()],
+            [tuple(poses[k]) for k in pose.tolist()], repeat(template.gains), repeat(template.readings),
+            repeat(template.automatic), repeat(template.target), repeat(template.longest_s),
         )  # fmt: skip

@@ -1,6 +1,5 @@
-"""More rows than a campaign may have, refused with the arithmetic before they are built.
-
-What a rig cannot do of a schedule, said before anything is built: file, key, reason, remedy.
+"""Validation of a schedule against a rig, before anything is built: limits of the axes, gains, samples, number of rows,
+certificate. Errors state file, key, reason and remedy.
 """
 
 import math
@@ -9,7 +8,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import ArcDirections, incidence_deg, lit_sides, observed_directions, rig_sigma_deg
+from goniotwin.app.campaign.geometry.arcs import ArcDirections, lit_sides, observed_directions
+from goniotwin.app.campaign.geometry.directions import incidence_deg, rig_sigma_deg
 from goniotwin.app.campaign.geometry.symmetry import unique_pose_mask
 from goniotwin.app.campaign.planning.durations import Timing, min_intervals
 from goniotwin.app.campaign.planning.mountings import Pass
@@ -25,10 +25,11 @@ from goniotwin.drivers import LimitError
 from goniotwin.drivers.motion import Axis, AxisSettings
 
 MAX_ROWS = 1_000_000
+"""Limit of the number of rows of a campaign."""
 
 
 def refuse_too_many_rows(schedule: ScheduleDescription) -> None:
-    """Raises UserError with the arithmetic where the grids alone make more rows than a campaign may have."""
+    """Raises UserError with the arithmetic if the grids alone give more than MAX_ROWS rows."""
     file = schedule.file
     counts = {
         "samples and etalon": len(file.samples) + 1 + file.signature,
@@ -41,8 +42,8 @@ def refuse_too_many_rows(schedule: ScheduleDescription) -> None:
     }
     rows = math.prod(counts.values())
     if rows > MAX_ROWS:
-        sums = " x ".join(f"{count} {key}" for key, count in counts.items() if count > 1)
-        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MAX_ROWS}; take coarser grids")
+        product = " x ".join(f"{count} {key}" for key, count in counts.items() if count > 1)
+        raise UserError(f"{schedule.name}: {product} = {rows} rows, more than {MAX_ROWS}; take coarser grids")
     betas = len(grid_values(file.beta_deg))
     if file.overlap is not None and file.overlap.points > betas:
         raise UserError(
@@ -51,7 +52,7 @@ def refuse_too_many_rows(schedule: ScheduleDescription) -> None:
 
 
 def _turns(file: ScheduleFile) -> dict[str, int]:
-    """How many gammas and betas are left when the symmetry has made some of them superfluous."""
+    """Numbers of gammas and betas without those that the symmetry makes superfluous, by key."""
     gammas, betas = grid_values(file.gamma_deg), grid_values(file.beta_deg)
     if file.symmetry == "isotropic":
         poses = np.zeros((len(betas), 4))
@@ -65,23 +66,23 @@ def _turns(file: ScheduleFile) -> dict[str, int]:
 
 
 def refuse_too_many_poses(schedule: ScheduleDescription, mounted: list[list[Pass]]) -> None:
-    """The same where it is what comes beyond the grids: near_specular, overlap, symmetry_check and open_beam."""
+    """Raises UserError if there are too many rows with near_specular, overlap, symmetry_check and open_beam."""
     rows = sum(len(each.grid) for passes in mounted for each in passes)
     if rows > MAX_ROWS:
         wavelengths = len(mounted[0][0].grid.wavelengths_nm)
         passes_of = Counter((each.sample, len(each.grid.poses)) for passes in mounted for each in passes)
-        told = " + ".join(
+        terms = " + ".join(
             f"{sample}: {poses} poses x {wavelengths} wavelengths x {passes} passes"
             for (sample, poses), passes in passes_of.items()
         )
         raise UserError(
-            f"{schedule.name}: {told} = {rows} rows, more than {MAX_ROWS}; take coarser grids, a narrower near_specular, "
+            f"{schedule.name}: {terms} = {rows} rows, more than {MAX_ROWS}; take coarser grids, a narrower near_specular, "
             "or less of overlap and symmetry_check"
         )
 
 
 def min_rows(mounted: list[list[Pass]], templates: RowTemplates, timing: Timing) -> dict[str, int]:
-    """By kind, how many rows a plan has at least, whatever its order: from the least that its rows take to read."""
+    """Least number of rows of a plan by kind, for any order; from the least time that its rows take to read."""
     file = templates.file
     kinds = {"measure": 0, "drift": 0, "dark": 0}
     for passes in mounted:
@@ -98,17 +99,21 @@ def min_rows(mounted: list[list[Pass]], templates: RowTemplates, timing: Timing)
 
 
 def refuse_too_many_checks(schedule: ScheduleDescription, kinds: Mapping[str, int], about: str = "") -> None:
-    """The same where it is the rows between the measurements."""
-    measured, darks, checks = (kinds.get(kind, 0) for kind in ("measure", "dark", "drift"))
+    """Raises UserError if there are too many rows with dark readings and drift checks; `kinds` has the rows by kind.
+
+    `about` stands before the numbers of dark readings and drift checks, such as "at least ".
+    """
+    measured, dark_readings, checks = (kinds.get(kind, 0) for kind in ("measure", "dark", "drift"))
     rows = sum(kinds.values())
     if rows > MAX_ROWS:
         file = schedule.file
-        told = [f"{about}{darks} darks (dark_every_s = {file.dark_every_s:g})"]
+        terms = [f"{measured} measurements", f"{about}{dark_readings} dark readings (dark_every_s = {file.dark_every_s:g})"]
         if file.drift is not None:
-            told.append(f"{about}{checks} drift checks (drift.every_s = {file.drift.every_s:g})")
-        others = [f"{count} {kind}" for kind, count in kinds.items() if kind not in ("measure", "dark", "drift")]
-        sums = " + ".join([f"{measured} measurements", *told, *others])
-        raise UserError(f"{schedule.name}: {sums} = {rows} rows, more than {MAX_ROWS}; take them less often, or coarser grids")
+            terms.append(f"{about}{checks} drift checks (drift.every_s = {file.drift.every_s:g})")
+        terms += [f"{count} {kind}" for kind, count in kinds.items() if kind not in ("measure", "dark", "drift")]
+        raise UserError(
+            f"{schedule.name}: {' + '.join(terms)} = {rows} rows, more than {MAX_ROWS}; take longer intervals or coarser grids"
+        )
 
 
 def refuse_beyond_limits(schedule: ScheduleDescription, rig: RigDescription) -> None:
@@ -122,13 +127,13 @@ def refuse_beyond_limits(schedule: ScheduleDescription, rig: RigDescription) -> 
     for key, wavelength in [*wavelengths, *([("drift.wavelength_nm", drift.wavelength_nm)] if drift else [])]:
         if not table.lowest_nm <= wavelength <= table.highest_nm:
             raise UserError(
-                f"{schedule.name}: {key}: {wavelength:g} nm is outside the monochromator's "
-                f"{table.lowest_nm:g} to {table.highest_nm:g} nm in {rig.name}; take it out of the schedule"
+                f"{schedule.name}: {key}: {wavelength:g} nm is outside the monochromator's range of "
+                f"{table.lowest_nm:g} to {table.highest_nm:g} nm in {rig.name}; remove it from the schedule"
             )
 
 
 def _angles(file: ScheduleFile) -> Iterator[tuple[str, str, float]]:
-    """Key, axis and angle in degrees of everything that a schedule has an axis go to."""
+    """Key, axis and angle in degrees of all positions of the axes in a schedule."""
     for axis in AXES:
         for value in grid_values(getattr(file, f"{axis}_deg")):
             for angle in [rig_sigma_deg(value, side) for side in lit_sides(file)] if axis == "sigma" else [value]:
@@ -146,57 +151,60 @@ def _check_axis(schedule: ScheduleDescription, rig: RigDescription, key: str, se
         Axis.check_limits(settings, value)
     except LimitError as error:
         raise UserError(
-            f"{schedule.name}: {key}: {value:g} deg is {error.happened} in {rig.name}; take it out of the schedule"
+            f"{schedule.name}: {key}: {value:g} deg is {error.happened} in {rig.name}; remove it from the schedule"
         ) from None
 
 
 def gain_numbers(schedule: ScheduleDescription, rig: RigDescription) -> tuple[int, ...]:
-    """The gains to read at, as numbers in the rig's list. Raises UserError for one that the rig does not have."""
+    """The gains of a schedule, as numbers in the rig's list. Raises UserError for a gain that the rig does not have."""
     known = rig.file.photodiodes.gains_v_per_a
     wanted = schedule.file.gains_v_per_a
     if wanted == "automatic":
         return tuple(range(len(known)))
     for gain in wanted:
         if gain not in known:
-            has = ", ".join(f"{each:g}" for each in known)
-            raise UserError(f"{schedule.name}: gains_v_per_a: {gain:g} is not among those of {rig.name}: {has}; take one")
+            available = ", ".join(f"{each:g}" for each in known)
+            raise UserError(
+                f"{schedule.name}: gains_v_per_a: {gain:g} is not a gain of {rig.name}: {available}; choose one of these"
+            )
     return tuple(sorted(known.index(gain) for gain in wanted))
 
 
 def refuse_unknown_samples(schedule: ScheduleDescription, rig: RigDescription) -> None:
     """Raises UserError for a sample that a virtual rig does not have."""
     if rig.file.twin is None:
-        return  # what a person mounts has whatever name the person gives it
+        return  # at a real rig samples have any names
     known = rig.file.twin.samples
     for sample in (schedule.file.etalon, *schedule.file.samples):
         if sample not in known:
-            has = ", ".join(sorted(known)) or "none"
-            raise UserError(f"{schedule.name}: there is no sample {sample!r} in {rig.name}: it has {has}; take one")
+            available = ", ".join(sorted(known)) or "none"
+            raise UserError(
+                f"{schedule.name}: there is no sample {sample!r} in {rig.name}: it has {available}; choose one of these"
+            )
 
 
 def refuse_uncertified(schedule: ScheduleDescription, rig: RigFile, poses: Floats) -> None:
-    """Raises UserError where the certificate says nothing of any direction, or wavelength; `poses` (n, 4) of the samples."""
+    """Raises UserError if the certificate covers no wavelength, or no direction of `poses` (n, 4) of the samples."""
     file = schedule.file
     if schedule.certificate is None or file.certificate is None:
         return
     certificate = parse_certificate(schedule.certificate, file.certificate.file)
-    within = certificate.covers("wavelength_nm", np.array(grid_values(file.wavelength_nm)))
-    what = "wavelengths"
-    if within.any():
-        what = "directions"
+    quantity = "wavelengths"
+    if certificate.covers("wavelength_nm", np.array(grid_values(file.wavelength_nm))).any():
+        quantity = "directions"
         if certified_directions(certificate, observed_directions(file, rig, poses)):
             return
     raise UserError(
-        f"{schedule.name}: certificate.file: {file.certificate.file} says nothing of any of the schedule's {what}, so that "
-        f"nothing would have a value: it holds for {certificate}; name one that holds for what is measured"
+        f"{schedule.name}: certificate.file: {file.certificate.file} covers none of the schedule's {quantity}, so that there "
+        f"would be no values: it is valid for {certificate}; name a certificate that covers the measurement"
     )
 
 
-def certified_directions(certificate: Certificate, seen: list[ArcDirections]) -> int:
-    """How many directions it says something of, at the wavelengths that it has."""
+def certified_directions(certificate: Certificate, arcs: list[ArcDirections]) -> int:
+    """Number of directions that a certificate covers, at the wavelengths that it has."""
     count = 0
-    for each in seen:
+    for each in arcs:
         if certificate.covers("incidence_deg", np.array([incidence_deg(each.sigma_deg)])).all():
-            zenith, azimuth = each.angles_deg.T
-            count += int((certificate.covers("zenith_deg", zenith) & certificate.covers("azimuth_deg", azimuth)).sum())
+            polar, azimuth = each.angles_deg.T
+            count += int((certificate.covers("zenith_deg", polar) & certificate.covers("azimuth_deg", azimuth)).sum())
     return count

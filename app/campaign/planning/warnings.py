@@ -1,10 +1,7 @@
-"""What a plan should be looked at again for: warnings, a sentence each.
+"""Warnings about a plan, one sentence each.
 
-Samples of a virtual rig that give no light at all where they are measured: an etalon with a bare back, an opaque sheet.
-
-Photodiodes that the drift checks cannot watch, as far as geometry tells: hidden at their pose, or away from its light.
-
-How much light a sample sends to each at that pose only a rehearsal knows: see app.campaign.reduction.drift_checks.
+They follow from schedule, rig file and plan. How much light a sample sends to each photodiode at the pose of the drift checks
+is known only to a rehearsal: see app.campaign.reduction.drift_checks.
 """
 
 from collections import Counter
@@ -12,16 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import (
-    HALF_TURN_DEG,
-    Arc,
-    ArcDirections,
-    etalon_sigma_deg,
-    far_arc,
-    incidence_deg,
-    lit_arc,
-    polar_deg,
-)
+from goniotwin.app.campaign.geometry.arcs import ArcDirections, etalon_sigma_deg, far_arc, lit_arc, polar_deg
+from goniotwin.app.campaign.geometry.directions import Arc, incidence_deg, opposite_sigma_deg, polar_and_azimuth, zenith_deg
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.planning.durations import Timing, shortest_warm_up_s
 from goniotwin.app.campaign.planning.exposure import SAMPLED_ROWS
@@ -37,39 +26,102 @@ from goniotwin.app.rig import RigFile, monochromator_settings
 from goniotwin.arrays import Ints
 from goniotwin.twin.optics import Scatterer
 
+SECOND_ORDER_NM = 710.0
+"""Above this wavelength the second order of the grating passes light of half the wavelength that the lamp's bulb transmits."""
 
-def _no_signal(plan: Plan, seen: list[ArcDirections]) -> Iterator[str]:
-    """A warning for each; what a real rig's samples do nobody knows."""
-    if not any(each.transmitted for each in seen) and plan.schedule.file.side == "front":
-        return  # what reflects nothing from its front nobody measures
+
+def plan_warnings(plan: Plan, details: PlanDetails, arcs: list[ArcDirections]) -> list[str]:
+    """All warnings; `arcs` are the observed directions of the samples."""
+    return [
+        *_omitted(plan, details),
+        *_blocked(arcs),
+        *_uncertified(plan.schedule, arcs),
+        *_no_signal(plan, arcs),
+        *_unmonitored(plan, arcs),
+        *_no_overlap(plan, arcs),
+        *_old_dark_reading(plan, details),
+        *_saturated_open_beam(plan),
+        *_second_order(plan),
+        *_uncertain_duration(plan),
+    ]
+
+
+def _omitted(plan: Plan, details: PlanDetails) -> Iterator[str]:
+    for name in details.omitted:
+        points = getattr(plan.schedule.file, name).points
+        yield (
+            f"[{name}] points = {points} is omitted: in any order the arc would collide with the incoming beam on the way to "
+            "its poses; take betas on one side of the beam, or remove the table"
+        )
+
+
+def _blocked(arcs: list[ArcDirections]) -> Iterator[str]:
+    for each in arcs:
+        if each.specular_blocked and not each.transmitted:
+            yield (
+                f"at sigma {each.sigma_deg:g} deg the mirror unit blocks the specular direction, "
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal: the reading there is not a value of the sample"
+            )
+        elif each.specular_blocked:
+            yield (
+                f"at sigma {each.sigma_deg:g} deg the mirror unit blocks the direction straight through, "
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal, when the etalon is lit from that side: the reading "
+                "there has no scale; take a sigma at which it is free"
+            )
+
+
+def _uncertified(schedule: ScheduleDescription, arcs: list[ArcDirections]) -> Iterator[str]:
+    """A warning if the certificate does not cover all wavelengths and directions."""
+    file = schedule.file
+    if schedule.certificate is None or file.certificate is None:
+        return
+    certificate = parse_certificate(schedule.certificate, file.certificate.file)
+    wavelengths = np.array(grid_values(file.wavelength_nm))
+    within = certificate.covers("wavelength_nm", wavelengths)
+    directions, total = certified_directions(certificate, arcs), sum(each.directions for each in arcs)
+    outside = [
+        *([f"{(~within).sum()} of {within.size} wavelengths"] if not within.all() else []),
+        *([f"{total - directions} of {total} directions"] if directions < total else []),
+    ]
+    if outside:
+        yield (
+            f"the etalon's certificate {file.certificate.file} does not cover {' and '.join(outside)}, which get no value "
+            f"(uncertified): it is valid for {certificate}; take a certificate that covers all of them, or measure less"
+        )
+
+
+def _no_signal(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
+    """Samples of a virtual rig without light where they are measured; of a real rig's samples this is not known."""
+    if not any(each.transmitted for each in arcs) and plan.schedule.file.side == "front":
+        return  # reflection from the front: a sample without it would not be measured
     model = plan.rig.model()
     if model is None:
         return
     file = plan.schedule.file
-    bare = sorted({_side(etalon_sigma_deg(each.sigma_deg, each.arc)) for each in seen})
-    for side in bare:
+    sides = sorted({_lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) for each in arcs})
+    for side in sides:
         if not _scatters(model.samples[file.etalon], side, transmitted=False):
-            light = _kinds(each for each in seen if _side(etalon_sigma_deg(each.sigma_deg, each.arc)) == side)
+            light = _light_kinds(each for each in arcs if _lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) == side)
             yield (
                 f"{file.etalon} reflects nothing when its {side} is lit, so that {light} has no scale and no value: "
                 "take an etalon that scatters on both sides"
             )
     for sample in file.samples:
-        for side, transmitted in sorted({(_side(each.sigma_deg), each.transmitted) for each in seen}):
+        for side, transmitted in sorted({(_lit_side(each.sigma_deg), each.transmitted) for each in arcs}):
             if not _scatters(model.samples[sample], side, transmitted=transmitted):
-                does = "lets nothing through" if transmitted else "reflects nothing"
+                verb = "transmits" if transmitted else "reflects"
                 yield (
-                    f"{sample} {does} when its {side} is lit: what is measured there is noise; "
-                    "is it the right sample, side or light?"
+                    f"{sample} {verb} nothing when its {side} is lit: the readings there are noise; "
+                    "check sample, side and light"
                 )
 
 
-def _side(sigma_deg: float) -> str:
+def _lit_side(sigma_deg: float) -> str:
     return "front" if lit_arc(sigma_deg) == "upper" else "back"
 
 
-def _kinds(seen: Iterator[ArcDirections]) -> str:
-    kinds = sorted({"transmitted" if each.transmitted else "reflected" for each in seen})
+def _light_kinds(arcs: Iterator[ArcDirections]) -> str:
+    kinds = sorted({"transmitted" if each.transmitted else "reflected" for each in arcs})
     return f"{' and '.join(kinds)} light"
 
 
@@ -78,28 +130,28 @@ def _scatters(sample: Scatterer, side: str, *, transmitted: bool) -> bool:
     return any(lobe.incident == incident and lobe.transmits == transmitted for lobe in sample.lobes)
 
 
-def _unmonitored(plan: Plan, seen: list[ArcDirections]) -> Iterator[str]:
-    """A warning for each reason."""
+def _unmonitored(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
+    """Photodiodes without light at the pose of the drift checks, as far as the geometry shows."""
     table = plan.schedule.file.drift
     if table is None:
         return
-    rig, arcs = plan.rig.file, {each.arc for each in seen}
-    dark = far_arc(table.sigma_deg)
-    if dark in arcs:
-        other = (
-            f"a [drift] sigma_deg of {HALF_TURN_DEG - table.sigma_deg:g} lights them"
-            if len(arcs) == 1
-            else "measure transmitted light in a schedule of its own, with drift checks from that side"
+    rig, observing = plan.rig.file, {each.arc for each in arcs}
+    unlit = far_arc(table.sigma_deg)
+    if unlit in observing:
+        remedy = (
+            f"set [drift] sigma_deg = {opposite_sigma_deg(table.sigma_deg):g}, which lights them"
+            if len(observing) == 1
+            else "measure transmitted light in a separate schedule, with drift checks from that side"
         )
         yield (
             f"the drift checks at sigma {table.sigma_deg:g} deg do not light the side of the etalon that photodiodes "
-            f"{number_list(_channels(rig, dark))} look at: a fault of theirs while the etalon is measured would pass; {other}"
+            f"{number_list(_channels(rig, unlit))} see: a fault of these while the etalon is measured is not detected; {remedy}"
         )
-    hidden = np.concatenate([_blocked_photodiodes(rig, table, arc) for arc in sorted(arcs)])
-    if hidden.size:
+    blocked = np.concatenate([_blocked_photodiodes(rig, table, arc) for arc in sorted(observing)])
+    if blocked.size:
         yield (
-            f"at the pose of the drift checks the mirror unit hides photodiodes {number_list(hidden)}: a fault of theirs would "
-            "pass; take a [drift] pose that is free"
+            f"at the pose of the drift checks the mirror unit blocks photodiodes {number_list(blocked)}: a fault of these is "
+            "not detected; take a [drift] pose at which they are free"
         )
 
 
@@ -109,129 +161,63 @@ def _channels(rig: RigFile, arc: Arc) -> Ints:
 
 
 def _blocked_photodiodes(rig: RigFile, table: DriftTable, arc: Arc) -> Ints:
-    signed = np.array(polar_deg(rig, arc), dtype=float) + table.shift_deg
-    azimuth = table.beta_deg + np.where(signed < 0.0, HALF_TURN_DEG, 0.0)
-    zenith = np.abs(signed) if arc == "upper" else HALF_TURN_DEG - np.abs(signed)
-    return _channels(rig, arc)[blocked_by_mirrors(rig, table.sigma_deg, zenith, azimuth, table.gamma_deg)]
+    polar, azimuth = polar_and_azimuth(np.array(polar_deg(rig, arc), dtype=float) + table.shift_deg, table.beta_deg)
+    return _channels(rig, arc)[blocked_by_mirrors(rig, table.sigma_deg, zenith_deg(polar, arc), azimuth, table.gamma_deg)]
 
 
-def _uncertified(schedule: ScheduleDescription, seen: list[ArcDirections]) -> Iterator[str]:
-    """A warning where some of the directions, at some of the wavelengths, will have no value for want of a certificate."""
-    file = schedule.file
-    if schedule.certificate is None or file.certificate is None:
-        return
-    certificate = parse_certificate(schedule.certificate, file.certificate.file)
-    wavelengths = np.array(grid_values(file.wavelength_nm))
-    within = certificate.covers("wavelength_nm", wavelengths)
-    directions, total = certified_directions(certificate, seen), sum(each.directions for each in seen)
-    outside = [
-        *([f"{(~within).sum()} of {within.size} wavelengths"] if not within.all() else []),
-        *([f"{total - directions} of {total} directions"] if directions < total else []),
-    ]
-    if outside:
-        yield (
-            f"the etalon's certificate {file.certificate.file} says nothing of {' and '.join(outside)}, which will have no "
-            f"value (uncertified): it holds for {certificate}; take one that holds for all, or measure less"
-        )
-
-
-SECOND_ORDER_NM = 710.0
-"""Beyond this the grating's second order lets light of half the wavelength through that the lamp's bulb does not absorb."""
-
-
-def plan_warnings(plan: Plan, details: PlanDetails, seen: list[ArcDirections]) -> list[str]:
-    """All of them."""
-    return [
-        *_omitted(plan, details),
-        *_blocked(seen),
-        *_uncertified(plan.schedule, seen),
-        *_no_signal(plan, seen),
-        *_unmonitored(plan, seen),
-        *_overlaps(plan, seen),
-        *_darks(plan, details),
-        *_light(plan),
-        *_estimated(plan),
-    ]
-
-
-def _omitted(plan: Plan, details: PlanDetails) -> Iterator[str]:
-    for name in details.omitted:
-        points = getattr(plan.schedule.file, name).points
-        yield (
-            f"[{name}] points = {points} is left out: the arc would meet the incoming beam on its way to its poses, whatever "
-            "the order; take betas on one side of the beam, or remove it"
-        )
-
-
-def _blocked(seen: list[ArcDirections]) -> Iterator[str]:
-    for each in seen:
-        if each.specular_blocked and not each.transmitted:
-            yield (
-                f"at sigma {each.sigma_deg:g} deg the mirror unit hides the specular direction, "
-                f"{incidence_deg(each.sigma_deg):g} deg from the normal: what is measured there is no value of the sample"
-            )
-        elif each.specular_blocked:
-            yield (
-                f"at sigma {each.sigma_deg:g} deg the mirror unit hides the direction straight through, "
-                f"{incidence_deg(each.sigma_deg):g} deg from the normal, when the etalon is lit from that side: what is "
-                "measured there has no scale; take a sigma at which it is free"
-            )
-
-
-def _overlaps(plan: Plan, seen: list[ArcDirections]) -> Iterator[str]:
-    if any(each.shared for each in seen):
+def _no_overlap(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
+    if any(each.shared for each in arcs):
         return
     base = grid_values(plan.schedule.file.shift_deg)[0]
     step = overlapping_step_deg(plan.rig.file, base)
     if step is not None:
         yield (
-            f"no direction is seen by two photodiodes, so that nothing holds them against each other; "
-            f"[overlap] points = 1 adds poses at shift {base + step:g} deg where they are"
+            f"no direction is measured by two photodiodes, so that they cannot be compared; "
+            f"[overlap] points = 1 adds poses at shift {base + step:g} deg where they overlap"
         )
 
 
-def _darks(plan: Plan, details: PlanDetails) -> Iterator[str]:
+def _old_dark_reading(plan: Plan, details: PlanDetails) -> Iterator[str]:
     every = plan.schedule.file.dark_every_s
     if details.oldest_dark_s > every:
         yield (
-            f"a dark gets {details.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes longer, "
-            "with its move and its readings; allow older darks, or take fewer readings"
+            f"a dark reading gets {details.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes "
+            "longer, with its move and its readings; allow older dark readings, or take fewer readings"
         )
 
 
-def _light(plan: Plan) -> Iterator[str]:
+def _saturated_open_beam(plan: Plan) -> Iterator[str]:
     file, gains = plan.schedule.file, plan.rig.file.photodiodes.gains_v_per_a
     if file.open_beam and file.gains_v_per_a != "automatic" and min(file.gains_v_per_a) > min(gains):
         yield (
-            f"the open beam is the strongest light that there is, and gains_v_per_a leaves out the rig's lowest, "
-            f"{min(gains):g} V/A: it may be clipped"
+            f"the open beam is the strongest signal, and gains_v_per_a does not have the rig's lowest gain, "
+            f"{min(gains):g} V/A: the open beam may be saturated"
         )
-    yield from _second_order(plan)
 
 
 def _second_order(plan: Plan) -> Iterator[str]:
-    """Where no filter of the rig is known to hold it back."""
+    """Wavelengths at which no filter is known to block the second order."""
     wheel = monochromator_settings(plan.rig.file).wheel
     beyond = [each for each in grid_values(plan.schedule.file.wavelength_nm) if each > SECOND_ORDER_NM]
-    open_to_it = [each for each in beyond if (there := wheel.at(each)) is None or not there.blocks(0.5 * each)]
-    if not open_to_it:
+    unblocked = [each for each in beyond if (glass := wheel.at(each)) is None or not glass.blocks(0.5 * each)]
+    if not unblocked:
         return
-    begin = f"above {SECOND_ORDER_NM:g} nm ({len(open_to_it)} wavelengths) light of half the wavelength passes, too"
+    finding = f"above {SECOND_ORDER_NM:g} nm ({len(unblocked)} wavelengths) light of half the wavelength passes as well"
     if not wheel:
         yield (
-            f"{begin}: put order-sorting filters into the wheel, and say in the rig file, in [[monochromator.filters]], which "
-            "stands where and for what: position, name, from_nm, to_nm, cut_on_nm"
+            f"{finding}: put order-sorting filters into the wheel, and describe each in [[monochromator.filters]] of the rig "
+            "file: position, name, from_nm, to_nm, cut_on_nm"
         )
         return
-    names = dict.fromkeys(f"{there.name!r}" for each in open_to_it if (there := wheel.at(each)) is not None)
+    names = dict.fromkeys(f"{glass.name!r}" for each in unblocked if (glass := wheel.at(each)) is not None)
     yield (
-        f"{begin}, for the rig file does not say that {' or '.join(names)} holds it back: in [[monochromator.filters]] give "
-        f"cut_on_nm, above {0.5 * max(open_to_it):g}, or put another filter in for these"
+        f"{finding}, because the rig file has no sufficient cut_on_nm for {' or '.join(names)}: in [[monochromator.filters]] "
+        f"give a cut_on_nm above {0.5 * max(unblocked):g}, or use another filter for these wavelengths"
     )
 
 
-def _estimated(plan: Plan) -> Iterator[str]:
-    """Where the duration depends on the sample or the lamp."""
+def _uncertain_duration(plan: Plan) -> Iterator[str]:
+    """A warning if the duration depends on the sample or the lamp."""
     file = plan.schedule.file
     unknown = [
         *(["how many gains a row needs"] if file.gains_v_per_a == "automatic" else []),
@@ -239,44 +225,44 @@ def _estimated(plan: Plan) -> Iterator[str]:
         *(["when the lamp is steady"] if file.warm_up is not None else []),
     ]
     if unknown:
-        least, most = duration_range(plan)
+        shortest, longest = duration_range(plan)
         yield (
-            f"the duration is a guess, for {' and '.join(unknown)} is known afterwards: it may be from about "
-            f"{duration_text(least)} to {duration_text(most)}; {_basis(plan)}a rehearsal knows better"
+            f"the duration is an estimate, because {' and '.join(unknown)} is not known in advance: about "
+            f"{duration_text(shortest)} to {duration_text(longest)}; {_basis(plan)}a rehearsal is more accurate"
         )
 
 
 def _basis(plan: Plan) -> str:
-    """What the guess is taken from."""
+    """The signal that the estimate of the duration is based on."""
     if plan.details is None or not plan.details.expected_reading_s:
         return ""
-    whose = "the twin" if plan.rig.file.twin is not None else "the twin that the rig's file describes, its samples assumed,"
-    return f"it stands on the light of {whose} in up to {SAMPLED_ROWS} poses and wavelengths of each sample; "
+    twin = "the twin" if plan.rig.file.twin is not None else "the twin that the rig file describes, with assumed samples,"
+    return f"it is based on the expected signal of {twin} at up to {SAMPLED_ROWS} poses and wavelengths of each sample; "
 
 
 def duration_range(plan: Plan) -> tuple[float, float]:
-    """The least and the most that the foretold duration could turn out to be, by what sample and lamp need; about, in s."""
+    """Approximate range of the duration in s: as short and as long as sample and lamp could make it."""
     assert plan.details is not None
     assert isinstance(plan.rows, PlannedRows)
     timing = Timing(plan.rig.file)
     timing.expected_reading_s.update(plan.details.expected_reading_s)
     warm_up = plan.schedule.file.warm_up
     waiting = 0.0 if warm_up is None else warm_up.longest_s - shortest_warm_up_s(warm_up.longest_s)
-    least = most = plan.seconds
+    shortest = longest = plan.seconds
     for sample, rows in _rows_by_sample(plan.rows).items():
         row = plan.details.templates.measurement(sample)
-        likely = timing.typical_reading_s(row)
-        fewest, highest = timing.reading_range_s(row)
-        least, most = least + rows * (fewest - likely), most + rows * (highest - likely)
-    return min(least, plan.seconds), max(most, plan.seconds) + waiting
+        typical = timing.typical_reading_s(row)
+        fastest, slowest = timing.reading_range_s(row)
+        shortest, longest = shortest + rows * (fastest - typical), longest + rows * (slowest - typical)
+    return min(shortest, plan.seconds), max(longest, plan.seconds) + waiting
 
 
 def _rows_by_sample(rows: PlannedRows) -> Counter[str]:
-    """Measurements and drift checks."""
-    counted: Counter[str] = Counter()
+    """Number of measurements and drift checks of each sample."""
+    counts: Counter[str] = Counter()
     for piece in rows.pieces:
         if isinstance(piece, MeasurementBlock):
-            counted[piece.scan_pass.sample] += len(piece.points)
+            counts[piece.scan_pass.sample] += len(piece.points)
         elif piece.kind == "drift":
-            counted[piece.sample] += 1
-    return counted
+            counts[piece.sample] += 1
+    return counts

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
@@ -36,7 +37,6 @@ NOISE_MARGIN = 3.0
 """Standard uncertainties by which a second derivative is reduced before a first derivative is taken from it."""
 CHUNK_POINTS = 20_000
 """Points processed together; more if they are of one wavelength and incidence."""
-DECIMALS = 6
 
 
 @dataclass(frozen=True)

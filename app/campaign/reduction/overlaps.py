@@ -28,9 +28,9 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
+from goniotwin.app.campaign.schedule.grids import HALF_TURN_DEG
 from goniotwin.arrays import Flags, Floats, Ints
 
-HALF_TURN_DEG = 180.0
 RESOLVED = 0.1
 """Largest relative uncertainty of a value whose ratio is used: the logarithm of a less certain value is that of noise."""
 VARIANCE_FLOOR = 1e-12

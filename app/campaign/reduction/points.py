@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from goniotwin.app.campaign.schedule.grids import HALF_TURN_DEG, TURN_DEG
 from goniotwin.arrays import Flags, Floats, Ints
 
 DECIMALS = 3
 """Directions closer than a thousandth of a degree are one direction."""
-HALF_TURN_DEG = 180.0
 FLAG_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
 """Flags by which a tally counts a point: the first one that it has."""
 CHANCE = 1e-6
@@ -169,7 +169,7 @@ def steepness(points: BsdfPoints) -> Floats:
     here = points.where(usable)
     plane = np.mod(here.beta_deg, HALF_TURN_DEG)
     polar = np.minimum(here.zenith_deg, HALF_TURN_DEG - here.zenith_deg)
-    signed = np.where(np.abs(np.mod(here.azimuth_deg, 2.0 * HALF_TURN_DEG) - plane) < 1e-6, polar, -polar)
+    signed = np.where(np.abs(np.mod(here.azimuth_deg, TURN_DEG) - plane) < 1e-6, polar, -polar)
     keys = [here.wavelength_nm, here.sigma_deg, here.gamma_deg, plane, here.transmitted, signed]
     places, which = np.unique(np.round(np.stack(keys, axis=1), DECIMALS), axis=0, return_inverse=True)
     which = which.ravel()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.campaign.geometry.directions import Pose
+from goniotwin.app.campaign.geometry.directions import PoseAngles
 from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.drift_checks import drift_intervals, insensitive_photodiodes
@@ -27,14 +27,13 @@ from goniotwin.app.campaign.reduction.signals import (
 )
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.grids import DECIMALS, HALF_TURN_DEG
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, photodiode_settings
 from goniotwin.arrays import Flags, Floats, Ints
 
-DECIMALS = 6
-HALF_TURN_DEG = 180.0
 PLACE = ("wavelength_nm", "gamma_deg", "sigma_deg", "beta_deg", "shift_deg")
-PoseKey = tuple[float, Pose]
+PoseKey = tuple[float, PoseAngles]
 RowTable = npt.NDArray[np.void]
 
 
@@ -51,7 +50,7 @@ class RowSignal:
     dead: Flags
 
 
-def pose_key(row: Row, pose: Pose) -> PoseKey:
+def pose_key(row: Row, pose: PoseAngles) -> PoseKey:
     """A row's wavelength with a pose, rounded: 180 deg - sigma may differ in the last bits from the planner's sigma."""
     assert row.wavelength_nm is not None
     gamma, sigma, beta, shift = (round(angle, DECIMALS) for angle in pose)

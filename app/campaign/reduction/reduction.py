@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
-from goniotwin.app.campaign.geometry.directions import arc_views
+from goniotwin.app.campaign.geometry.arcs import arc_views, etalon_sigmas_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.directions import ArcView, arc_views
+from goniotwin.app.campaign.geometry.arcs import ArcView, arc_views
+from goniotwin.app.campaign.geometry.directions import incidence_deg
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import PoseKey, RowSignal, pose_key
@@ -68,7 +69,7 @@ def _arc_points(
     assert row.wavelength_nm is not None
     assert etalon.row.pose is not None
     gamma, sigma, beta, shift = row.pose
-    incidence = 180.0 - etalon.row.pose[1] if etalon.row.pose[1] > 90.0 else etalon.row.pose[1]
+    incidence = incidence_deg(etalon.row.pose[1])
     factor, u_factor = certificate.interpolate(row.wavelength_nm, incidence, view.polar, view.azimuth)
     own, at_etalon = (None if each is None else each.signal for each in signature)
     ratio = divide_by_etalon(rig, sample.signal, etalon.signal, own, at_etalon, channels=c)

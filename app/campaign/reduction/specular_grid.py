@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.campaign.reduction.reduction import BsdfPoints
+from goniotwin.app.campaign.schedule.grids import fold_azimuth
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import from_specular
 
@@ -40,7 +41,7 @@ def regrid(points: BsdfPoints) -> SpecularTable:
     if not good.bsdf.size:
         raise ValueError("no direction has a value")
     sigmas = np.unique(points.sigma_deg)
-    azimuths = np.unique(_folded(good.azimuth_deg[good.zenith_deg > 1e-6]))
+    azimuths = np.unique(fold_azimuth(good.azimuth_deg[good.zenith_deg > 1e-6]))
     in_plane = bool(np.all((azimuths < 1e-6) | (azimuths > 180.0 - 1e-6)))
     phi = np.array([0.0, 180.0]) if in_plane else np.arange(0.0, 180.0 + 1e-9, PHI_STEP_DEG)
     theta = np.linspace(0.0, 180.0, 1 + math.ceil(180.0 / _step(good.zenith_deg) - 1e-6))
@@ -54,7 +55,7 @@ def regrid(points: BsdfPoints) -> SpecularTable:
 def _interpolate_sigma(points: BsdfPoints, sigma: float, phi: Floats, theta: Floats) -> tuple[Floats, Flags]:
     directions = from_specular(sigma, theta[None, :], phi[:, None])
     zenith = np.degrees(np.arccos(np.clip(directions[..., 2], -1.0, 1.0)))
-    azimuth = _folded(np.degrees(np.arctan2(directions[..., 1], directions[..., 0])))
+    azimuth = fold_azimuth(np.degrees(np.arctan2(directions[..., 1], directions[..., 0])))
     values = _interpolate(points, zenith, azimuth)
     measured = np.isfinite(values)
     for row, known in zip(values, measured, strict=True):
@@ -88,7 +89,7 @@ def _interpolate(points: BsdfPoints, zenith: Floats, azimuth: Floats) -> Floats:
 
 def _table(points: BsdfPoints) -> tuple[Floats, Floats, Floats]:
     """Zeniths, azimuths (0 to 180), and the means of the values there, NaN where none was measured."""
-    folded = _folded(points.azimuth_deg)
+    folded = fold_azimuth(points.azimuth_deg)
     rows, i = np.unique(np.round(points.zenith_deg, 6), return_inverse=True)
     columns, j = np.unique(np.round(folded, 6), return_inverse=True)
     total, count = np.zeros((rows.size, columns.size)), np.zeros((rows.size, columns.size))
@@ -117,13 +118,6 @@ def _gap(grid: Floats, index: Ints, share: Floats) -> Floats:
     between = (share > 0.0) & (share < 1.0)
     gap: Floats = np.where(between, grid[index + 1] - grid[index], 0.0)
     return gap
-
-
-def _folded(azimuth_deg: Floats) -> Floats:
-    """Azimuths mirrored in the plane of incidence, 0 to 180 deg."""
-    turned = np.mod(azimuth_deg, 360.0)
-    folded: Floats = np.minimum(turned, 360.0 - turned)
-    return folded
 
 
 def _step(zenith_deg: Floats) -> float:

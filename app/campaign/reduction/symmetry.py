@@ -16,13 +16,13 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
-from goniotwin.app.campaign.schedule.refinement import Symmetry
+from goniotwin.app.campaign.schedule.grids import DECIMALS
+from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.arrays import Floats
 
 Columns = dict[str, Floats]
 RESOLVED = 0.05
 """Largest uncertainty of a relative difference that counts for the statement within what a symmetry holds."""
-DECIMALS = 6
 PAIR_KEYS = ("wavelength_nm", "sigma_deg", "shift_deg", "gamma", "beta", "photodiode")
 
 
@@ -35,7 +35,7 @@ class SymmetryResult:
     direction `where`: the largest of the well-known ones, or, where the symmetry does not hold, the worst.
     """
 
-    stated: Symmetry
+    stated: StatedSymmetry
     pairs: int
     chi_square: float
     worst: float
@@ -76,7 +76,7 @@ class SymmetryCheck:
     relative uncertainty that all points share, `monitor` the one that all points of a row share.
     """
 
-    def __init__(self, stated: Symmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
+    def __init__(self, stated: StatedSymmetry, mirrored: Floats, angle_deg: float, *, common: float, monitor: float) -> None:
         self._stated = stated
         self._poses = {tuple(pose) for pose in np.unique(canonical_poses(mirrored, stated), axis=0).tolist()}
         self._angle_deg = angle_deg

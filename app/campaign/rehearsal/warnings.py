@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import observing_arcs, polar_deg
-from goniotwin.app.campaign.geometry.directions import arc_views
+from goniotwin.app.campaign.geometry.arcs import arc_views, observing_arcs, polar_deg
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note
 from goniotwin.app.campaign.reduction.points import FLAG_ORDER, Tally

@@ -1,1 +1,1 @@
-"""What the operator wants measured: the schedule file, its grids, and how its rows are measured."""
+"""The schedule: the file in which the operator states the measurements, its grids, and the certificate of the etalon."""

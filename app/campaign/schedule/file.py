@@ -1,4 +1,4 @@
-"""The schedule: what the operator wants measured, one TOML file a campaign."""
+"""The schedule file: what is measured, where and how; one TOML file for each campaign. See docs/schedule.md."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +19,12 @@ from pydantic import (
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
 from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
-from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, Symmetry, SymmetryCheckTable
+from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, StatedSymmetry, SymmetryCheckTable
 from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
 LOOP_NAMES = ("gamma", "sigma", "beta", "shift", "wavelength")
-"""What the loops of a measurement go over."""
+"""Quantities of the loops of a measurement, in the order of the columns of a point."""
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[^/\s][^/\r\n\t]*$")]
 GainsSetting = Annotated[
@@ -37,26 +37,28 @@ OrderSetting = Annotated[
     | Annotated[list[Literal["gamma", "sigma", "beta", "shift", "wavelength"]], Tag("list")],
     Discriminator(lambda value: "fastest" if isinstance(value, str) else "list"),
 ]
-
-Fraction = Annotated[float, Field(gt=0.0, lt=1.0)]
+PositiveFraction = Annotated[float, Field(gt=0.0, lt=1.0)]
 Policy = Literal["retry", "reconnect", "skip", "ask", "stop"]
 
 KEYWORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_v_per_a": ("automatic", "gains")}
-"""What may stand in place of a list."""
+"""By key, the word that may stand in place of a list, and what the list has."""
 
 
 class AveragingTable(TomlTable):
-    """Each row is read on, at each of its gains, until every photodiode that has light knows it to `relative_uncertainty`
-    (standard, of noise alone), or for `longest_s`. The schedule's `readings` are then the fewest.
+    """`[averaging]`: averaging to a target uncertainty.
+
+    At each gain a row is read until every photodiode with light has the standard uncertainty `relative_uncertainty` (of noise
+    alone), for at most `longest_s`. The schedule's `readings` is then the least number of readings.
     """
 
-    relative_uncertainty: Fraction
+    relative_uncertainty: PositiveFraction
     longest_s: PositiveFloat = 10.0
 
 
 class WarmUpTable(TomlTable):
-    """The campaign begins with a wait for the lamp, with open shutter: until the monitor changes by no more than
-    `percent_per_10min`, or for `longest_s`.
+    """`[warm_up]`: the campaign begins with a wait for the lamp, with open shutter.
+
+    It ends when the monitor changes by no more than `percent_per_10min`, or after `longest_s`.
     """
 
     percent_per_10min: PositiveFloat
@@ -64,8 +66,10 @@ class WarmUpTable(TomlTable):
 
 
 class DriftTable(TomlTable):
-    """Every `every_s` the light at one pose is measured again. Where it, over the monitor's, is another than it was at first
-    by more than `limit` (a share), the rows between the checks are flagged, or the run stops as well.
+    """`[drift]`: drift checks. Every `every_s` the signal at one pose is measured again.
+
+    If the signal over the monitor differs from the first check by more than the fraction `limit`, the rows between the checks
+    are flagged; with `on_excess = "stop"` the run also stops.
     """
 
     every_s: PositiveFloat
@@ -74,29 +78,31 @@ class DriftTable(TomlTable):
     shift_deg: float = 0.0
     gamma_deg: float = 0.0
     wavelength_nm: PositiveFloat
-    limit: Fraction = 0.005
+    limit: PositiveFraction = 0.005
     on_excess: Literal["flag", "stop"] = "flag"
 
 
 class StopTable(TomlTable):
-    """What ends a run before its last row, in good order: it can be gone on with.
+    """`[stop]`: conditions that end a run in good order before its last row; it can be resumed.
 
-    `longest_s` is of the rig's time in one session; `skipped_rows` how many rows of a session may be skipped for faults;
-    `lamp_below` the share to which the monitor's current may fall of what it was at first at that wavelength.
+    `longest_s`: time on the rig's clock in one session. `skipped_rows`: number of rows that a session may skip after faults.
+    `lamp_below`: fraction of its first value at that wavelength to which the monitor's current may fall.
     """
 
     longest_s: PositiveFloat | None = None
     skipped_rows: PositiveInt | None = None
-    lamp_below: Fraction | None = None
+    lamp_below: PositiveFraction | None = None
 
 
 class FaultsTable(TomlTable):
-    """What is done where a device fails in a row, by the kind of fault; without this table the run stops safely.
+    """`[faults]`: what happens to a row where a device fails, by the kind of fault; without this table the run stops safely.
 
-    `wire`: no answer, or a wrong one. `reset`: a device has lost its settings. `refused`: it will not, or cannot. `axis`: it is
-    in doubt where an axis is, or it did not arrive. The policies: `retry`: the row again, after `wait_s`. `reconnect`: the
-    devices are connected again, axes in doubt are homed, and the row is done again. `skip`: the row is left out and flagged.
-    `ask`: somebody is asked to mend it. `stop`. A row is begun `attempts` times at most; `then` is what follows.
+    Kinds. `wire`: no reply, or a wrong one. `reset`: a device has lost its settings. `refused`: a device refuses a command.
+    `axis`: an axis is unreferenced, or did not arrive.
+
+    Policies. `retry`: repeat the row after `wait_s`. `reconnect`: connect the devices again, home unreferenced axes, and repeat
+    the row. `skip`: skip the row and flag it. `ask`: wait until the operator has fixed the fault. `stop`: stop the run.
+    A row has at most `attempts` attempts; after the last one `then` applies.
     """
 
     wire: Policy = "reconnect"
@@ -109,14 +115,14 @@ class FaultsTable(TomlTable):
 
 
 class ScheduleFile(TomlTable):
-    """The whole file. Angles in degrees, wavelengths in nanometres, times in seconds."""
+    """The whole file. Angles are in degrees, wavelengths in nanometres, times in seconds."""
 
     name: Name
     side: Literal["front", "back", "both"] = "front"
     light: Literal["reflected", "transmitted", "both"] = "reflected"
     samples: Annotated[list[Name], Field(min_length=1), AfterValidator(refuse_duplicates)]
     etalon: Name
-    symmetry: Symmetry = "isotropic"
+    symmetry: StatedSymmetry = "isotropic"
     sigma_deg: Grid
     gamma_deg: Grid = [0.0]
     beta_deg: Grid
@@ -143,48 +149,52 @@ class ScheduleFile(TomlTable):
 
     @field_validator("sigma_deg")
     @classmethod
-    def _not_grazing(cls, value: Grid) -> Grid:
+    def _refuse_grazing(cls, value: Grid) -> Grid:
         outside = [each for each in grid_values(value) if not 0.0 <= each <= HIGHEST_SIGMA_DEG]
         if outside:
             raise ValueError(
-                f"{outside[0]:g} deg is not from 0 to {HIGHEST_SIGMA_DEG:g}: beyond, light only grazes the sample; "
-                'for light from behind say side = "back", and count from the back\'s own normal'
+                f"{outside[0]:g} deg is not from 0 to {HIGHEST_SIGMA_DEG:g}: at greater angles the light is grazing; "
+                'for light from behind set side = "back", with sigma from the normal of the back'
             )
         return value
 
     @model_validator(mode="after")
-    def _etalon_is_no_sample(self) -> "ScheduleFile":
+    def _check_names(self) -> "ScheduleFile":
         if self.etalon in self.samples:
-            raise ValueError(f"the etalon {self.etalon!r} stands among the samples; it is measured anyway, so remove it")
+            raise ValueError(
+                f"samples: the etalon {self.etalon!r} is among the samples; it is always measured, so remove it there"
+            )
         if NO_SAMPLE in (self.etalon, *self.samples):
-            raise ValueError(f"{NO_SAMPLE!r} is what an empty sample unit is called; give the sample another name")
+            raise ValueError(f"{NO_SAMPLE!r} is the name of the empty sample unit; give the sample another name")
         return self
 
     @field_validator("order", "gains_v_per_a", mode="before")
     @classmethod
-    def _word_or_list(cls, value: object, info: ValidationInfo) -> object:
-        word, listed = KEYWORDS[str(info.field_name)]
+    def _check_keyword(cls, value: object, info: ValidationInfo) -> object:
+        word, content = KEYWORDS[str(info.field_name)]
         if isinstance(value, str) and value != word:
-            raise ValueError(f"should be {word!r} or a list of {listed}, not {value!r}")
+            raise ValueError(f"should be {word!r} or a list of {content}, not {value!r}")
         return value
 
     @field_validator("order")
     @classmethod
-    def _every_loop_once(cls, value: OrderSetting) -> OrderSetting:
+    def _check_loops(cls, value: OrderSetting) -> OrderSetting:
         if value != "fastest" and sorted(value) != sorted(LOOP_NAMES):
-            raise ValueError(f"must name each of {', '.join(LOOP_NAMES)} once, the innermost first")
+            raise ValueError(f"must list each of {', '.join(LOOP_NAMES)} once, the innermost first")
         return value
 
     @model_validator(mode="after")
-    def _symmetry_to_check(self) -> "ScheduleFile":
+    def _check_symmetry(self) -> "ScheduleFile":
         if self.symmetry_check is not None and self.symmetry == "anisotropic":
-            raise ValueError("symmetry_check: there is nothing to check where symmetry is anisotropic; remove one of them")
+            raise ValueError(
+                "symmetry_check: an anisotropic sample has no symmetry to check; remove [symmetry_check], or change symmetry"
+            )
         return self
 
 
 @dataclass(frozen=True)
 class ScheduleDescription:
-    """A schedule file that has been read: its text, what it says, and the text of the etalon's certificate that it names."""
+    """A schedule: its text, the parsed file, the file's name, and the text of the certificate that it names."""
 
     text: str
     file: ScheduleFile
@@ -193,7 +203,7 @@ class ScheduleDescription:
 
 
 def read_schedule(path: Path) -> ScheduleDescription:
-    """A schedule file. Raises UserError: file, key, reason."""
+    """Read a schedule file, and the certificate that it names. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
     file = validate_table(ScheduleFile, content, str(path))
     certificate = None if file.certificate is None else read_certificate(path.parent, file.certificate)
@@ -201,5 +211,5 @@ def read_schedule(path: Path) -> ScheduleDescription:
 
 
 def parse_schedule(text: str, name: str) -> ScheduleDescription:
-    """A schedule's text, such as a journal holds. Raises UserError."""
+    """Parse the text of a schedule, such as a journal has it; without the certificate. Raises UserError."""
     return ScheduleDescription(text, validate_table(ScheduleFile, parse_toml(text, name), name), name)

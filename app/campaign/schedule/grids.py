@@ -1,27 +1,37 @@
-"""Grids of angles and wavelengths: numbers, evenly spaced ranges, or a list of both."""
+"""Grids of angles and wavelengths: numbers, evenly spaced ranges, or a list of both; and how angles are rounded and folded."""
 
 import math
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, model_validator
 
 from goniotwin.app.toml_file import TomlTable
+from goniotwin.arrays import Floats
 
-MAX_GRID_VALUES = 100_000
+HALF_TURN_DEG = 180.0
+TURN_DEG = 360.0
 DECIMALS = 6
-"""Values that agree to so many decimals are one."""
+"""Angles and wavelengths that agree to this number of decimals are equal."""
+MAX_GRID_VALUES = 100_000
 Item = TypeVar("Item")
 
 
+def fold_azimuth(azimuth_deg: Floats) -> Floats:
+    """Azimuths from 0 to 180 deg: the two sides of the plane of incidence count as one. Not rounded."""
+    wrapped = np.mod(azimuth_deg, TURN_DEG)
+    return np.asarray(np.minimum(wrapped, TURN_DEG - wrapped))
+
+
 class GridRange(TomlTable):
-    """Evenly spaced values, both ends included."""
+    """Evenly spaced values; start and stop are included."""
 
     start: float
     stop: float
     step: PositiveFloat
 
     @model_validator(mode="after")
-    def _fits(self) -> "GridRange":
+    def _check_steps(self) -> "GridRange":
         if self.stop < self.start:
             raise ValueError(f"stop {self.stop:g} is below start {self.start:g}; exchange them")
         steps = (self.stop - self.start) / self.step
@@ -35,7 +45,7 @@ class GridRange(TomlTable):
         return self
 
     def values(self) -> tuple[float, ...]:
-        """Computed from the ends, so that no rounding adds up."""
+        """The values, each computed from `start`, so that rounding errors do not accumulate."""
         steps = round((self.stop - self.start) / self.step)
         return tuple(round(self.start + k * self.step, 9) for k in range(steps + 1))
 
@@ -45,7 +55,7 @@ def _kind(value: object) -> str:
 
 
 def _refuse_duplicate_numbers(grid: Any) -> Any:
-    """Ranges may meet and overlap; a number that stands there by itself twice is a slip of the pen."""
+    """The grid. Ranges may meet and overlap; a single number that is listed twice is a typing error: raises ValueError."""
     if isinstance(grid, list):
         refuse_duplicates([each for each in grid if isinstance(each, float)])
         points = sum(1 if isinstance(each, float) else len(each.values()) for each in grid)
@@ -55,13 +65,13 @@ def _refuse_duplicate_numbers(grid: Any) -> Any:
 
 
 def refuse_duplicates(values: list[Item]) -> list[Item]:
-    """The list. Raises ValueError where something stands in it twice."""
-    seen: set[object] = set()
+    """The list, unchanged. Raises ValueError for a value that is listed twice."""
+    keys: set[object] = set()
     for each in values:
-        kept = round(each, DECIMALS) if isinstance(each, float) else each
-        if kept in seen:
-            raise ValueError(f"{each!r} stands there twice (to six decimals); keep one")
-        seen.add(kept)
+        key = round(each, DECIMALS) if isinstance(each, float) else each
+        if key in keys:
+            raise ValueError(f"{each!r} is listed twice (numbers are compared to six decimals); remove one")
+        keys.add(key)
     return values
 
 
@@ -74,7 +84,7 @@ Grid = Annotated[
 
 
 def grid_values(grid: Grid) -> tuple[float, ...]:
-    """The values of a grid in the order of the file, each once."""
+    """The values of a grid in the order of the file, without duplicates."""
     if isinstance(grid, GridRange):
         return grid.values()
     values: dict[float, float] = {}

@@ -1,4 +1,4 @@
-"""What a schedule says of its poses beyond the grids: finer near the specular direction, mirrored, overlapping."""
+"""Tables of the schedule for poses beside the grids: finer near the specular direction, mirror images, overlaps."""
 
 from typing import Annotated, Literal
 
@@ -8,13 +8,15 @@ from goniotwin.app.campaign.schedule.grids import Grid
 from goniotwin.app.toml_file import TomlTable
 
 DEFAULT_ANGLE_UNCERTAINTY_DEG = 0.05
-"""As far as counter and encoder of an axis may be apart at rest where nobody has said otherwise."""
-Symmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
+"""Default of `angle_deg`: the difference that counter and encoder of an axis at rest may have where no value is given."""
+StatedSymmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
 
 
 class NearSpecularTable(TomlTable):
-    """Further poses wherever some photodiode then looks within `within_deg` of the specular direction, or, for transmitted
-    light, of the one straight through: at the arc shifts `shift_deg`, and at betas every `beta_step_deg` over the whole grid.
+    """`[near_specular]`: more poses wherever a photodiode then looks within `within_deg` of the specular direction or, for
+    transmitted light, of the direction straight through.
+
+    They are at the arc shifts `shift_deg`, and at betas every `beta_step_deg` over the whole range of `beta_deg`.
     """
 
     within_deg: Annotated[float, Field(gt=0.0, le=90.0)]
@@ -22,15 +24,17 @@ class NearSpecularTable(TomlTable):
     beta_step_deg: PositiveFloat | None = None
 
     @model_validator(mode="after")
-    def _finer_somehow(self) -> "NearSpecularTable":
+    def _check_refinement(self) -> "NearSpecularTable":
         if self.shift_deg is None and self.beta_step_deg is None:
-            raise ValueError("says neither shift_deg nor beta_step_deg, so nothing would be finer; add one")
+            raise ValueError("has neither shift_deg nor beta_step_deg, so that it adds no poses; give one of them")
         return self
 
 
 class SymmetryCheckTable(TomlTable):
-    """So many poses are measured at their mirror image by the stated symmetry as well. `angle_deg` is how well the axes know
-    where they are (standard): where a lobe is steep, so much makes a difference that is none of the sample's.
+    """`[symmetry_check]`: `points` poses are also measured at their mirror image by the stated symmetry.
+
+    `angle_deg` is the standard uncertainty of the axes' angles: where a lobe is steep it makes a difference that does not come
+    from the sample.
     """
 
     points: PositiveInt
@@ -38,11 +42,12 @@ class SymmetryCheckTable(TomlTable):
 
 
 class OverlapTable(TomlTable):
-    """At each sigma so many poses at which photodiodes look where their neighbours look at the first shift of the grid.
+    """`[overlap]`: at each sigma `points` poses at which photodiodes look where their neighbours look at the first shift of the
+    grid.
 
-    `calibrate`: the values are brought together by a factor for each photodiode, from all directions that two have seen; else
-    the factors are only told. `angle_deg` is how well it is known where a photodiode looks (standard): a steep lobe says the
-    less of a ratio.
+    `calibrate`: multiply the values by a factor for each photodiode, from all directions that two photodiodes measure; without
+    it the factors are only reported. `angle_deg` is the standard uncertainty of a photodiode's direction: the steeper the lobe,
+    the smaller the weight of an overlap.
     """
 
     points: PositiveInt

@@ -12,7 +12,7 @@ from tests.conftest import Writer
 from tests.drivers.photodiode_bench import SERIAL
 
 
-def test_its_duration_is_foretold_too(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_its_duration_is_predicted_too(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     schedule = read_schedule(write_schedule(("gains_v_per_a = [1e8, 1e10]", "gains_v_per_a = [1e11]")))
     plan = make_plan(schedule, read_rig(write_rig(*SERIAL)))
     outcome = run_campaign(plan, tmp_path / "serial.journal")

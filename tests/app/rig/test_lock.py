@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.lock import RigInUse, RigLock
 from goniotwin.protocols.clock import RealClock
 
 HOLD = """
@@ -59,3 +59,19 @@ def test_a_check_of_the_lock_does_not_keep_another_program_out(tmp_path: Path, m
     probe = RigLock(["COM4"], "checking the lock", tmp_path)
     monkeypatch.setattr(RealClock, "sleep_until", lambda *_: probe.release())
     RigLock(["COM4"], "first", tmp_path).release()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no permissions by user, group and others")
+def test_a_lock_file_is_for_all_users_and_one_without_write_permission_can_be_locked(tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        RigLock(["/dev/ttyUSB0"], "first", tmp_path).release()
+    finally:
+        os.umask(before)
+    (file,) = tmp_path.glob("*.lock")
+    assert file.stat().st_mode & 0o777 == 0o666
+    file.chmod(0o444)
+    held = RigLock(["/dev/ttyUSB0"], "second", tmp_path)
+    with pytest.raises(RigInUse):
+        RigLock(["/dev/ttyUSB0"], "third", tmp_path)
+    held.release()

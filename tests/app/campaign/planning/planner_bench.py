@@ -1,4 +1,4 @@
-"""Schedules that plan and check are held against, here and in `benchmarks/planner.py`: named, great, and to be run."""
+"""Schedules for tests of plan and check, and for `benchmarks/planner.py`: named examples, large ones, and ones to run."""
 
 import json
 from pathlib import Path
@@ -27,7 +27,7 @@ RUN = {
     "beta_deg = { start = 0, stop = 180, step = 10 }\n[warm_up]\npercent_per_10min = 50\n"
     "[drift]\nevery_s = 50\nsigma_deg = 45\nbeta_deg = 90\nwavelength_nm = 550\nlimit = 0.5\n",
 }
-GREAT = {
+LARGE = {
     "100,000 rows": "gains_v_per_a = [1e10]\nsigma_deg = { start = 0, stop = 70, step = 5 }\nwavelength_nm = [450, 550, 650]\n"
     "beta_deg = { start = 0, stop = 180, step = 2.5 }\nshift_deg = { start = 0, stop = 4.2, step = 0.3 }\n",
     "a million rows": "gains_v_per_a = [1e10]\nsigma_deg = { start = 0, stop = 78, step = 2 }\nwavelength_nm = [550]\n"
@@ -35,20 +35,20 @@ GREAT = {
 }
 
 
-def nested_like_the_paper(schedule: ScheduleDescription, *, back_and_forth: bool) -> ScheduleDescription:
+def with_paper_order(schedule: ScheduleDescription, *, back_and_forth: bool) -> ScheduleDescription:
     """The same rows in the order of paper-order.toml."""
     order = read_schedule(EXAMPLES / "schedules" / "paper-order.toml").file.order
     text = f"order = {json.dumps(order)}\nback_and_forth = {json.dumps(back_and_forth)}\n{schedule.text}"
     return parse_schedule(text, schedule.name)
 
 
-def checking(rig: RigDescription, schedules: dict[str, str]) -> list[dict[str, Any]]:
-    """How long a check takes, by its size."""
-    found, clock = [], RealClock()
+def time_checks(rig: RigDescription, schedules: dict[str, str]) -> list[dict[str, Any]]:
+    """Seconds that plan and check take for each schedule, with its number of rows."""
+    results, clock = [], RealClock()
     for name, text in schedules.items():
         schedule = parse_schedule(HEAD + text, name)
-        begun = clock.now()
+        start = clock.now()
         plan = make_plan(schedule, rig)
         check_plan(plan)
-        found.append({"schedule": name, "rows": len(plan.rows), "check_s": clock.now() - begun})
-    return found
+        results.append({"schedule": name, "rows": len(plan.rows), "check_s": clock.now() - start})
+    return results

@@ -1,4 +1,4 @@
-"""The etalon's certificate: a table between whose lines is interpolated, beyond which nothing is said, and which expires."""
+"""Certificate of the etalon: interpolation, range of validity, expiry, and its effect on the BSDF."""
 
 from datetime import date
 from pathlib import Path
@@ -24,7 +24,7 @@ from goniotwin.protocols.clock import calendar_stamp
 from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import RIG, SMALL, Change, Writer
 
-GRID = """# Spectralon, by its maker
+GRID = """# Spectralon, from its manufacturer
 wavelength_nm, incidence_deg, zenith_deg, azimuth_deg, radiance_factor, relative_uncertainty
 500, 0, 0, 0, 1.00, 0.002
 500, 0, 0, 180, 1.00, 0.002
@@ -54,7 +54,7 @@ def at(text: str, wavelength: float, incidence: float, zenith: float, azimuth: f
     return float(factor[0]), float(relative[0])
 
 
-def test_its_lines_come_back_and_between_them_it_is_interpolated() -> None:
+def test_values_between_the_lines_are_interpolated_linearly() -> None:
     assert at(GRID, 500, 0, 80, 180) == pytest.approx((0.90, 0.004))
     assert at(GRID, 600, 60, 80, 180) == pytest.approx((1.40, 0.004))
     assert at(GRID, 550, 0, 0, 0) == pytest.approx((1.2, 0.002))
@@ -66,12 +66,12 @@ def test_both_sides_of_the_plane_of_incidence_are_alike() -> None:
     assert at(GRID, 500, 0, 80, 359) == pytest.approx(at(GRID, 500, 0, 80, 1))
 
 
-@pytest.mark.parametrize("asked", [(499, 0, 0, 0), (601, 0, 0, 0), (550, 61, 0, 0), (550, 0, 81, 0)])
-def test_beyond_its_lines_it_says_nothing(asked: tuple[float, float, float, float]) -> None:
-    assert np.isnan(at(GRID, *asked)).all()
+@pytest.mark.parametrize("point", [(499, 0, 0, 0), (601, 0, 0, 0), (550, 61, 0, 0), (550, 0, 81, 0)])
+def test_there_is_no_value_outside_the_table(point: tuple[float, float, float, float]) -> None:
+    assert np.isnan(at(GRID, *point)).all()
 
 
-def test_what_it_has_no_column_for_it_holds_for_at_all_values() -> None:
+def test_a_certificate_without_a_column_is_valid_at_all_values_of_it() -> None:
     assert at(BY_ZENITH, 300, 77, 30, 123) == pytest.approx((0.95, 0.004))
     assert np.isnan(at(BY_ZENITH, 300, 77, 61, 0)).all()
     factor, relative = constant_certificate(0.99, 0.002).interpolate(550, 30, np.arange(0.0, 90.0), np.zeros(90))
@@ -80,28 +80,28 @@ def test_what_it_has_no_column_for_it_holds_for_at_all_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "is empty"),
         ("zenith_deg, radiance_factor\n0, 1\n", "relative_uncertainty is missing"),
-        (BY_ZENITH.replace("zenith", "polar"), "no column 'polar_deg'"),
-        (BY_ZENITH + "60, 0.8, 0.005\n", "line 4: is the second one"),
+        (BY_ZENITH.replace("zenith", "polar"), "unknown column 'polar_deg'"),
+        (BY_ZENITH + "60, 0.8, 0.005\n", "line 4: is the second line"),
         (BY_ZENITH + "70, 0.8\n", "line 4: has 2 columns, the heading 3"),
         (BY_ZENITH + "70, white, 0.005\n", "line 4: could not convert"),
-        (BY_ZENITH + "70, 0.0, 0.005\n", "line 4: a radiance factor is above 0"),
+        (BY_ZENITH + "70, 0.0, 0.005\n", "line 4: radiance_factor must be above 0"),
         (BY_ZENITH + "45, 98, 0.005\n", "line 4: a radiance factor of 98 is above 1.5.* in percent, write 0.98"),
         (BY_ZENITH + "70, 85, 0.005\n", "line 4: a radiance factor of 85 is above 5"),
         (BY_ZENITH + "70, nan, 0.005\n", "line 4: a number is not finite"),
         (BY_ZENITH.splitlines()[0], "no line below"),
-        ("\n".join(GRID.splitlines()[:-1]), "has 15 lines, and 2 x 2 x 2 x 2 combinations"),
+        ("\n".join(GRID.splitlines()[:-1]), "has 15 lines, but 2 x 2 x 2 x 2 combinations"),
     ],
 )
-def test_what_is_wrong_in_it_is_named(text: str, told: str) -> None:
-    with pytest.raises(UserError, match=rf"^c\.csv: .*{told}"):
+def test_an_error_in_the_file_is_reported_with_its_line(text: str, message: str) -> None:
+    with pytest.raises(UserError, match=rf"^c\.csv: .*{message}"):
         parse_certificate(text, "c.csv")
 
 
-def test_an_expired_one_is_refused_unless_somebody_answers_for_it() -> None:
+def test_an_expired_certificate_is_refused_without_a_responsible_person() -> None:
     table = CertificateTable(file="c.csv", expires=date(2026, 5, 1))
     refuse_expired(table, date(2026, 5, 1), "c.csv")
     with pytest.raises(UserError, match=r"expired on 2026-05-01; .*accept_expired_by"):
@@ -109,7 +109,7 @@ def test_an_expired_one_is_refused_unless_somebody_answers_for_it() -> None:
     refuse_expired(table.model_copy(update={"accept_expired_by": "Ada"}), date(2027, 1, 1), "c.csv")
 
 
-def test_a_schedule_with_an_expired_one_is_refused_before_anything_is_measured(write_schedule: Writer) -> None:
+def test_a_schedule_with_an_expired_certificate_is_refused_when_it_is_read(write_schedule: Writer) -> None:
     schedule = write_schedule(text=SMALL + TABLE.format(expires="2020-01-31"))
     (schedule.parent / "etalon.csv").write_text(BY_ZENITH)
     with pytest.raises(UserError, match=r"etalon\.csv: .*expired on 2020-01-31"):
@@ -128,29 +128,31 @@ def certified(write_schedule: Writer, text: str, *changes: Change) -> ScheduleDe
     return read_schedule(path)
 
 
-def test_what_it_says_nothing_of_is_told_before_anything_is_measured(write_schedule: Writer) -> None:
+def test_check_warns_of_directions_and_wavelengths_outside_the_certificate(write_schedule: Writer) -> None:
     rig = read_rig(RIG)
 
-    def told(text: str, *changes: Change) -> list[str]:
+    def certificate_warnings(text: str, *changes: Change) -> list[str]:
         warnings = check_plan(make_plan(certified(write_schedule, text, *changes), rig))["warnings"]
         return [each for each in warnings if "etalon.csv" in each]
 
-    (found,) = told(BY_ZENITH)
+    (warning,) = certificate_warnings(BY_ZENITH)
     # Of 18 photodiodes at shifts of 0 and 1 deg, those beyond 60 deg: 61, and 65 to 86.
-    assert "says nothing of 11 of 36 directions" in found
-    assert "it holds for zenith_deg 0 to 60" in found
-    (found,) = told(GRID, ("[550]", "[550, 610, 620]"))
-    assert "says nothing of 2 of 3 wavelengths and 3 of 36 directions" in found  # 81, 85 and 86 deg
-    assert not told("radiance_factor, relative_uncertainty\n0.98, 0.005\n")
+    assert "does not cover 11 of 36 directions" in warning
+    assert "it is valid for zenith_deg 0 to 60" in warning
+    (warning,) = certificate_warnings(GRID, ("[550]", "[550, 610, 620]"))
+    assert "does not cover 2 of 3 wavelengths and 3 of 36 directions" in warning  # 81, 85 and 86 deg
+    assert not certificate_warnings("radiance_factor, relative_uncertainty\n0.98, 0.005\n")
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
-    [(("[550]", "[610, 620]"), "any of the schedule's wavelengths"), (("[30]", "[61]"), "any of the schedule's directions")],
+    ("change", "quantity"),
+    [(("[550]", "[610, 620]"), "the schedule's wavelengths"), (("[30]", "[61]"), "the schedule's directions")],
 )
-def test_one_that_says_nothing_of_anything_is_refused(change: Change, told: str, write_schedule: Writer) -> None:
+def test_a_certificate_that_covers_nothing_is_refused(change: Change, quantity: str, write_schedule: Writer) -> None:
     schedule = certified(write_schedule, GRID, change)
-    with pytest.raises(UserError, match=rf"schedule\.toml: certificate\.file: etalon\.csv says nothing of {told}.*500 to 600"):
+    with pytest.raises(
+        UserError, match=rf"schedule\.toml: certificate\.file: etalon\.csv covers none of {quantity}.*500 to 600"
+    ):
         make_plan(schedule, read_rig(RIG))
 
 

@@ -1,4 +1,4 @@
-"""Schedules whose arc could meet the beam: an order that keeps clear is found, cross-checks give way, the key is named."""
+"""Schedules whose arc could collide with the beam: an order without collision, omitted cross-checks, or the key at fault."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def refused(text: str) -> str:
 
 @pytest.mark.parametrize("every_s", [5, 40, 600])
 @pytest.mark.parametrize("checks", ["[overlap]\npoints = 2\n", "[overlap]\npoints = 1\n[symmetry_check]\npoints = 3\n"])
-def test_cross_checks_and_drift_checks_go_together(every_s: float, checks: str) -> None:
+def test_a_plan_with_cross_checks_and_drift_checks_has_no_collision(every_s: float, checks: str) -> None:
     plan = planned(PLANE + checks + DRIFT.format(every_s, 180))
     assert first_collision(plan.rows, CLEARANCE) is None
     assert plan.details is not None
@@ -42,13 +42,15 @@ def test_cross_checks_and_drift_checks_go_together(every_s: float, checks: str) 
     assert ("symmetry_check" in checks) == any(row.identity.endswith("/mirrored") for row in plan.rows)
 
 
-def test_cross_checks_that_cannot_be_reached_are_left_out_and_it_is_said() -> None:
-    """At beta 270 the shift must be low: an overlap at shift 5 there would stand in the beam itself."""
+def test_unreachable_cross_checks_are_omitted_with_a_warning() -> None:
+    """At beta 270 the shift must be low: an overlap at shift 5 would put the arc into the beam."""
     plan = planned("sigma_deg = [30]\nbeta_deg = [270]\n[overlap]\npoints = 1\n")
     assert plan.details is not None
     assert plan.details.omitted == ("overlap",)
     assert {row.pose[3] for row in plan.rows if row.pose is not None} == {0.0}
-    assert any("[overlap] points = 1 is left out: the arc would meet" in each for each in check_plan(plan)["warnings"])
+    assert any(
+        "[overlap] points = 1 is omitted: in any order the arc would collide" in each for each in check_plan(plan)["warnings"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -67,11 +69,11 @@ def test_cross_checks_that_cannot_be_reached_are_left_out_and_it_is_said() -> No
         (
             "sigma_deg = [30]\nbeta_deg = [250, 290]\nshift_deg = [0, 4]\nback_and_forth = false\n"
             'order = ["shift", "beta", "gamma", "sigma", "wavelength"]\n',
-            'change order and back_and_forth: "fastest" and true find a way',
+            'set order = "fastest" and back_and_forth = true',
         ),
     ],
 )
-def test_what_is_at_fault_is_named(text: str, key: str | None) -> None:
+def test_a_collision_is_refused_with_the_key_at_fault(text: str, key: str | None) -> None:
     if key is None:
         planned(text)
         return
@@ -80,15 +82,15 @@ def test_what_is_at_fault_is_named(text: str, key: str | None) -> None:
     assert key in message
 
 
-def test_a_symmetry_that_cannot_be_checked_says_why() -> None:
+def test_an_impossible_symmetry_check_is_refused_with_the_reason() -> None:
     grids = 'symmetry = "plane-symmetric"\nsigma_deg = [30]\n[symmetry_check]\npoints = 1\n'
     assert refused("beta_deg = [0, 180]\n" + grids) == (
-        "x.toml: symmetry_check.points: 1, but the rig reaches the mirror images of 0 poses of 2 (2 are their own); "
-        "leave [symmetry_check] out, or take gammas and betas whose images the rig reaches"
+        "x.toml: symmetry_check.points: 1, but the rig reaches the mirror images of 0 of 2 poses (2 equal their mirror image); "
+        "remove [symmetry_check], or take gammas and betas whose mirror images the rig reaches"
     )
 
 
-def test_no_plan_sweeps_through_the_beam_between_its_passes() -> None:
+def test_there_is_no_collision_between_passes() -> None:
     plan = planned(PLANE + "signature = true\nopen_beam = true\n[overlap]\npoints = 2\n")
     poses = [(*row.pose, 0.0) for row in plan.rows if row.pose is not None]
     assert not crosses_beam(CLEARANCE, np.array(poses)).any()

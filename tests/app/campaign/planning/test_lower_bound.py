@@ -1,4 +1,4 @@
-"""The least time that a plan takes is less than any plan and any rehearsal takes."""
+"""The lower bound of the machine time is below the duration of any plan and of any run; ages of dark readings."""
 
 import json
 from pathlib import Path
@@ -32,19 +32,19 @@ def planned(text: str, rig: RigDescription = VIRTUAL) -> Plan:
     return make_plan(parse_schedule(HEAD + text, "x.toml"), rig)
 
 
-def every(values: list[float], most: int) -> st.SearchStrategy[list[float]]:
-    return st.lists(st.sampled_from(values), min_size=1, max_size=most, unique=True)
+def sublists(values: list[float], longest: int) -> st.SearchStrategy[list[float]]:
+    return st.lists(st.sampled_from(values), min_size=1, max_size=longest, unique=True)
 
 
 @st.composite
 def schedules(draw: st.DrawFn) -> str:
     seconds = st.sampled_from([1e-9, 0.5, 2.0, 5.0, 20.0, 60.0, 600.0])
     keys: dict[str, object] = {
-        "sigma_deg": draw(every([0.0, 10.0, 35.0, 80.0], 3)),
-        "gamma_deg": draw(every([0.0, 15.0, 200.0], 2)),
-        "beta_deg": draw(every([0.0, 20.0, 90.0, 170.0, 180.0], 4)),
-        "shift_deg": draw(every([0.0, 0.5, 2.0], 2)),
-        "wavelength_nm": draw(every([400.0, 410.0, 700.0], 3)),
+        "sigma_deg": draw(sublists([0.0, 10.0, 35.0, 80.0], 3)),
+        "gamma_deg": draw(sublists([0.0, 15.0, 200.0], 2)),
+        "beta_deg": draw(sublists([0.0, 20.0, 90.0, 170.0, 180.0], 4)),
+        "shift_deg": draw(sublists([0.0, 0.5, 2.0], 2)),
+        "wavelength_nm": draw(sublists([400.0, 410.0, 700.0], 3)),
         "gains_v_per_a": draw(st.sampled_from(["automatic", [1e8], [1e6, 1e10]])),
         "symmetry": draw(st.sampled_from(["isotropic", "anisotropic"])),
         "light": draw(st.sampled_from(["reflected", "both"])),
@@ -62,12 +62,12 @@ def schedules(draw: st.DrawFn) -> str:
         "[warm_up]\npercent_per_10min = 50\nlongest_s = 30\n": draw(st.booleans()),
         DRIFT.format(draw(seconds)): draw(st.booleans()),
     }
-    return text + "".join(table for table, there in tables.items() if there)
+    return text + "".join(table for table, chosen in tables.items() if chosen)
 
 
 @settings(deadline=None)
 @given(text=schedules(), rig=st.sampled_from([VIRTUAL, SLOW]))
-def test_no_plan_beats_the_least(text: str, rig: RigDescription) -> None:
+def test_no_plan_is_shorter_than_the_lower_bound(text: str, rig: RigDescription) -> None:
     try:
         plan = planned(text, rig)
     except UserError as error:
@@ -88,7 +88,7 @@ def test_no_plan_beats_the_least(text: str, rig: RigDescription) -> None:
         TWO + "gains_v_per_a = [1e8]\nreadings = 200\n" + DRIFT.format(1.0),
     ],
 )
-def test_a_row_longer_than_a_dark_may_be_old_has_one_dark(text: str) -> None:
+def test_a_row_longer_than_dark_every_s_has_one_dark_reading(text: str) -> None:
     plan = planned(text)
     assert plan.seconds / 1.5 <= plan.lower_bound_s <= plan.seconds
 
@@ -105,13 +105,13 @@ def test_a_row_longer_than_a_dark_may_be_old_has_one_dark(text: str) -> None:
         TWO + "gains_v_per_a = [1e8, 1e10]\ndark_every_s = 5\n[warm_up]\npercent_per_10min = 50\nlongest_s = 5\n",
     ],
 )
-def test_no_run_beats_the_least(text: str, tmp_path: Path) -> None:
+def test_no_run_is_shorter_than_the_lower_bound(text: str, tmp_path: Path) -> None:
     plan = planned(text)
     assert plan.lower_bound_s <= run_campaign(plan, tmp_path / "run.journal").seconds
 
 
 def ages(plan: Plan) -> dict[str, float]:
-    """How old the last dark is at the end of each row."""
+    """Age of the last dark reading at the end of each row."""
     found, age = {}, float("nan")
     for row in plan.rows:
         age = 0.0 if row.kind == "dark" else age + row.seconds
@@ -119,24 +119,24 @@ def ages(plan: Plan) -> dict[str, float]:
     return found
 
 
-def warned(plan: Plan) -> bool:
-    return any("a dark gets" in each for each in check_plan(plan)["warnings"])
+def warns_of_old_dark_reading(plan: Plan) -> bool:
+    return any("a dark reading gets" in each for each in check_plan(plan)["warnings"])
 
 
-def test_before_the_first_dark_none_gets_old() -> None:
-    assert not warned(planned(TWO + "gains_v_per_a = [1e8]\n[warm_up]\npercent_per_10min = 0.5\n"))
+def test_a_warm_up_before_the_first_dark_reading_gives_no_warning() -> None:
+    assert not warns_of_old_dark_reading(planned(TWO + "gains_v_per_a = [1e8]\n[warm_up]\npercent_per_10min = 0.5\n"))
 
 
-def test_a_drift_check_takes_its_dark_first() -> None:
+def test_a_drift_check_comes_after_its_dark_reading() -> None:
     plan = planned(
         "sigma_deg = [30, 60]\nbeta_deg = { start = 0, stop = 180, step = 30 }\nwavelength_nm = [450, 650]\n"
         "gains_v_per_a = [1e8, 1e10]\ndark_every_s = 20\nsignature = true\n" + DRIFT.format(30).replace("45", "30")
     )
     assert max(age for age in ages(plan).values() if age == age) <= 20.0
-    assert not warned(plan)
+    assert not warns_of_old_dark_reading(plan)
 
 
-def test_a_dark_that_gets_too_old_is_warned_of() -> None:
+def test_check_warns_of_a_dark_reading_that_gets_too_old() -> None:
     plan = planned(TWO + "gains_v_per_a = [1e8]\nreadings = 200\ndark_every_s = 5\n")
     assert max(age for age in ages(plan).values() if age == age) > 5.0
-    assert warned(plan)
+    assert warns_of_old_dark_reading(plan)

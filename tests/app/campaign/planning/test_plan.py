@@ -1,4 +1,4 @@
-"""Plans: which rows follow from a schedule, what is between them, and what the rig cannot do."""
+"""Plans: the rows that follow from a schedule, their order and durations, and refusals."""
 
 from collections import Counter
 
@@ -15,7 +15,7 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import arc_direction, specular_direction
-from tests.app.campaign.planning.planner_bench import EXAMPLES, NAMED, nested_like_the_paper
+from tests.app.campaign.planning.planner_bench import EXAMPLES, NAMED, with_paper_order
 from tests.conftest import RIG
 
 VIRTUAL = read_rig(RIG)
@@ -65,9 +65,9 @@ orders = st.one_of(
 
 @settings(deadline=None)
 @given(order=orders, both=st.booleans(), extra=st.sampled_from(["", "repeats = 2\n", "signature = true\nopen_beam = true\n"]))
-def test_the_rows_are_the_same_in_whatever_order(order: str | list[str], both: bool, extra: str) -> None:
-    said = f"order = {order!r}\nback_and_forth = {str(both).lower()}\n".replace("'", '"')
-    plan, usual = planned(said + extra), planned(extra)
+def test_the_rows_do_not_depend_on_the_order(order: str | list[str], both: bool, extra: str) -> None:
+    keys = f"order = {order!r}\nback_and_forth = {str(both).lower()}\n".replace("'", '"')
+    plan, usual = planned(keys + extra), planned(extra)
     names = {row.identity for row in plan.rows if row.kind == "measure"}
     assert names == {row.identity for row in usual.rows if row.kind == "measure"}
     assert len(names) == plan.rows.kinds["measure"]  # type: ignore[attr-defined]
@@ -82,7 +82,7 @@ def test_the_rows_are_the_same_in_whatever_order(order: str | list[str], both: b
         "[averaging]\nrelative_uncertainty = 0.01\n",
     ],
 )  # fmt: skip
-def test_a_rows_duration_is_the_timings(text: str) -> None:
+def test_the_duration_of_each_row_is_that_of_the_timing(text: str) -> None:
     plan, timing = planned(text), Timing(VIRTUAL.file)
     assert plan.details is not None
     timing.expected_reading_s.update(plan.details.expected_reading_s)
@@ -98,11 +98,11 @@ def test_the_named_schedules_are_within_five_percent_of_the_bound_and_never_slow
     least = plan.lower_bound_s
     assert least <= plan.seconds <= 1.05 * least
     for both in (False, True):
-        paper = make_plan(nested_like_the_paper(schedule, back_and_forth=both), VIRTUAL)
+        paper = make_plan(with_paper_order(schedule, back_and_forth=both), VIRTUAL)
         assert least <= plan.seconds <= paper.seconds + 1e-6
 
 
-def test_the_paper_s_order_is_the_file_s_own() -> None:
+def test_the_order_of_paper_order_toml_is_kept() -> None:
     plan = make_plan(read_schedule(EXAMPLES / "schedules" / "paper-order.toml"), VIRTUAL)
     rows = [(row.wavelength_nm, *row.pose) for row in measured(plan) if row.pose is not None]
     assert rows == sorted(rows, key=lambda row: (row[0], row[2], row[1], row[3], row[4]))
@@ -111,7 +111,7 @@ def test_the_paper_s_order_is_the_file_s_own() -> None:
 # ---- sides, light, symmetry ----
 
 
-def test_light_from_behind_turns_the_mirror_unit_beyond_ninety_degrees() -> None:
+def test_for_light_on_the_back_sigma_is_beyond_90_degrees() -> None:
     assert {pose[1] for pose in poses(planned('side = "back"\n'))} == {180.0, 150.0}
     assert {pose[1] for pose in poses(planned('side = "both"\n'))} == {0.0, 30.0, 180.0, 150.0}
 
@@ -142,11 +142,11 @@ def test_a_plane_symmetric_sample_needs_one_of_each_pair_of_mirror_images() -> N
         assert ((gamma, beta) in found) != (image in found) or (gamma, beta) == image
 
 
-def test_an_anisotropic_sample_needs_all_of_them() -> None:
+def test_an_anisotropic_sample_needs_all_poses() -> None:
     assert len(poses(planned('symmetry = "anisotropic"\n', ROUND))) == 20
 
 
-def test_a_check_of_the_symmetry_measures_mirror_images_under_names_of_their_own() -> None:
+def test_a_symmetry_check_measures_mirror_images_as_rows_of_their_own() -> None:
     plan = planned("[symmetry_check]\npoints = 2\n")
     mirrored = [row for row in measured(plan) if row.identity.endswith("/mirrored")]
     assert len(mirrored) == 2 * 2
@@ -166,7 +166,7 @@ COARSE = "sigma_deg = [30]\nbeta_deg = { start = 0, stop = 180, step = 20 }\nwav
 
 
 @pytest.mark.parametrize(("text", "arc"), [("", "upper"), ('light = "transmitted"\n', "lower")])
-def test_finer_poses_are_where_some_photodiode_looks_near_the_peak(text: str, arc: str) -> None:
+def test_finer_poses_are_where_a_photodiode_looks_near_the_specular_direction(text: str, arc: str) -> None:
     base = poses(planned(text, COARSE))
     found = poses(planned(text + NEAR, COARSE))
     assert base < found
@@ -201,14 +201,14 @@ def test_the_open_beam_meets_a_photodiode_of_the_far_arc() -> None:
 
 
 @pytest.mark.parametrize("light", ["reflected", "transmitted", "both"])
-def test_the_signature_is_taken_wherever_the_etalon_is(light: str) -> None:
+def test_the_signature_has_all_poses_of_the_etalon(light: str) -> None:
     plan = planned(f'signature = true\nlight = "{light}"\n')
     assert poses(plan, NO_SAMPLE) == poses(plan, "etalon")
     if light != "transmitted":
         assert poses(plan, NO_SAMPLE) >= poses(plan)
 
 
-def test_the_signature_is_every_pose_with_nothing_mounted_and_repeats_are_whole_passes() -> None:
+def test_the_signature_has_every_pose_without_a_sample_and_repeats_are_whole_passes() -> None:
     plan = planned("signature = true\nrepeats = 2\n")
     assert poses(plan, NO_SAMPLE) == poses(plan)
     rows = measured(plan, NO_SAMPLE)
@@ -220,7 +220,7 @@ def test_the_signature_is_every_pose_with_nothing_mounted_and_repeats_are_whole_
 # ---- between the measurements ----
 
 
-def test_darks_are_as_young_as_the_schedule_says() -> None:
+def test_dark_readings_are_no_older_than_the_schedule_allows() -> None:
     plan = planned("dark_every_s = 15\n")
     age = oldest = 0.0
     for row in plan.rows:
@@ -232,7 +232,7 @@ def test_darks_are_as_young_as_the_schedule_says() -> None:
     assert kinds[-1] == "dark"
 
 
-def test_drift_checks_come_in_time_at_the_beginning_and_at_the_end_of_each_sample() -> None:
+def test_drift_checks_come_at_intervals_and_at_both_ends_of_each_mounting() -> None:
     text = "signature = true\n[drift]\nevery_s = 20\nsigma_deg = 45\nbeta_deg = 90\nwavelength_nm = 550\n"
     plan = planned(text)
     since = 0.0
@@ -248,33 +248,33 @@ def test_drift_checks_come_in_time_at_the_beginning_and_at_the_end_of_each_sampl
     assert NO_SAMPLE not in {row.sample for row in drifts}
 
 
-def test_the_lamp_warms_up_first() -> None:
+def test_the_warm_up_is_the_first_row() -> None:
     first = planned("[warm_up]\npercent_per_10min = 0.5\nlongest_s = 900\n").rows[0]
     assert (first.kind, first.sample, first.target, first.longest_s) == ("warm-up", NO_SAMPLE, 0.005, 900.0)
 
 
-def test_automatic_gains_are_all_that_the_rig_has() -> None:
+def test_auto_range_plans_all_gains_of_the_rig() -> None:
     plan = make_plan(parse_schedule(HEAD.replace("[1e8, 1e10]", '"automatic"') + GRIDS, "small.toml"), VIRTUAL)
     assert {(row.kind, row.automatic, row.gains) for row in plan.rows if row.kind != "mount"} == {
         ("dark", False, (0, 1, 2, 3)), ("measure", True, (0, 1, 2, 3)),
     }  # fmt: skip
 
 
-def test_the_next_sample_begins_where_the_last_one_ended() -> None:
+def test_the_next_sample_starts_at_the_last_point_of_the_one_before() -> None:
     plan = planned()
     ends = [measured(plan, "etalon")[-1], measured(plan)[0]]
     assert (ends[0].pose, ends[0].wavelength_nm) == (ends[1].pose, ends[1].wavelength_nm)
 
 
-# ---- what the rig cannot do ----
+# ---- refusals ----
 
 
-def test_what_the_rig_cannot_do_names_key_reason_and_remedy() -> None:
+def test_a_refusal_has_key_reason_and_remedy() -> None:
     assert "near_specular.shift_deg: 6 deg is outside" in refused("[near_specular]\nwithin_deg = 5\nshift_deg = [6]\n")
     assert "drift.beta_deg: 400 deg is outside" in refused(
         "[drift]\nevery_s = 60\nsigma_deg = 0\nbeta_deg = 400\nwavelength_nm = 550\n"
     )
-    assert "symmetry_check.points: 99, but the rig reaches the mirror images of 6 poses" in refused(
+    assert "symmetry_check.points: 99, but the rig reaches the mirror images of 6 of 6 poses" in refused(
         "[symmetry_check]\npoints = 99\n"
     )
     assert "change beta_deg or shift_deg" in refused("", GRIDS.replace("[0, 90, 180]", "[0, 270]").replace("[0, 2]", "[3, 4]"))
@@ -283,7 +283,7 @@ def test_what_the_rig_cannot_do_names_key_reason_and_remedy() -> None:
     )
 
 
-def test_what_comes_beyond_the_grids_counts_too() -> None:
+def test_poses_beside_the_grids_count_for_the_row_limit() -> None:
     message = refused(
         "[near_specular]\nwithin_deg = 60\nbeta_step_deg = 0.5\nshift_deg = { start = 0, stop = 5, step = 0.01 }\n",
         GRIDS.replace("[0, 30]", "{ start = 0, stop = 80, step = 10 }"),
@@ -292,7 +292,7 @@ def test_what_comes_beyond_the_grids_counts_too() -> None:
     assert "more than 1000000" in message
 
 
-def test_a_plan_that_was_made_equals_its_rows_read_back() -> None:
+def test_planned_rows_behave_like_a_tuple() -> None:
     plan = planned()
     assert plan.rows == tuple(plan.rows)
     assert plan.rows[-1].number == len(plan.rows) - 1

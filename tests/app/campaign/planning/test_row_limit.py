@@ -1,4 +1,4 @@
-"""A campaign has a million rows at most, all kinds of them counted; more are refused before they are built."""
+"""A campaign has at most a million rows of all kinds; more are refused before they are built."""
 
 import re
 
@@ -16,7 +16,7 @@ from tests.conftest import RIG
 VIRTUAL = read_rig(RIG)
 HEAD = 'name = "x"\nsamples = ["gaussian-5"]\netalon = "etalon"\ngains_v_per_a = [1e8]\n'
 SMALL = "sigma_deg = [30]\nbeta_deg = [0, 90, 180]\nwavelength_nm = [550]\n"
-GREAT = (
+LARGE = (
     "sigma_deg = [15, 30, 45, 60, 70]\ngamma_deg = [0, 30]\nbeta_deg = { start = 0, stop = 180, step = 1 }\n"
     'shift_deg = [0, 1, 2, 3, 4]\nwavelength_nm = { start = 400, stop = 700, step = 6.25 }\nsymmetry = "anisotropic"\n'
 )
@@ -25,34 +25,34 @@ DRIFT = "[drift]\nevery_s = {}\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 
 
 def refused(text: str) -> str:
     clock = RealClock()
-    begun = clock.now()
+    start = clock.now()
     with pytest.raises(UserError) as caught:
         make_plan(parse_schedule(HEAD + text, "x.toml"), VIRTUAL)
-    assert clock.now() - begun < 5.0, "before anything is built"
+    assert clock.now() - start < 5.0, "before anything is built"
     return str(caught.value)
 
 
 @pytest.mark.parametrize("points", [4, 300_000_000, 10_000_000_000_000])
-def test_no_more_overlaps_than_there_are_betas(points: int) -> None:
+def test_more_overlaps_than_betas_are_refused(points: int) -> None:
     message = refused(SMALL + f"[overlap]\npoints = {points}\n")
     assert message == f"x.toml: overlap.points: {points} betas at each sigma, but beta_deg has 3; take fewer"
 
 
-def test_darks_and_drift_checks_count() -> None:
-    message = refused(GREAT + "dark_every_s = 0.1\n" + DRIFT.format(0.1))
-    found = re.fullmatch(
-        r"x\.toml: 886900 measurements \+ at least (\d+) darks \(dark_every_s = 0\.1\) \+ "
+def test_dark_readings_and_drift_checks_count_for_the_row_limit() -> None:
+    message = refused(LARGE + "dark_every_s = 0.1\n" + DRIFT.format(0.1))
+    match = re.fullmatch(
+        r"x\.toml: 886900 measurements \+ at least (\d+) dark readings \(dark_every_s = 0\.1\) \+ "
         r"at least (\d+) drift checks \(drift\.every_s = 0\.1\) = (\d+) rows, more than 1000000; "
-        "take them less often, or coarser grids",
+        "take longer intervals or coarser grids",
         message,
     )
-    assert found is not None, message
-    darks, checks, rows = (int(each) for each in found.groups())
-    assert 886_900 + darks + checks == rows
+    assert match is not None, message
+    dark_readings, checks, rows = (int(each) for each in match.groups())
+    assert 886_900 + dark_readings + checks == rows
 
 
 @pytest.mark.parametrize("text", ["", "dark_every_s = 0.1\n", "dark_every_s = 20\nreadings = 100\n" + DRIFT.format(30)])
-def test_the_fewest_rows_are_no_more_than_there_are(text: str) -> None:
+def test_the_least_number_of_rows_is_not_above_the_number_of_rows(text: str) -> None:
     plan = make_plan(parse_schedule(HEAD + SMALL + text, "x.toml"), VIRTUAL)
     assert plan.details is not None
     for kind, count in min_rows(plan.details.mountings, plan.details.templates, Timing(VIRTUAL.file)).items():

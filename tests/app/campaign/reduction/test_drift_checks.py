@@ -139,16 +139,16 @@ def test_a_rehearsal_warns_of_unchecked_photodiodes_with_a_remedy() -> None:
 
 def test_check_warns_of_photodiodes_without_light_at_the_pose_of_the_drift_checks() -> None:
     def warnings(text: str) -> list[str]:
-        return [each for each in check_plan(planned(text))["warnings"] if "a fault of theirs" in each]
+        return [each for each in check_plan(planned(text))["warnings"] if "a fault of these" in each]
 
     assert warnings(TEXT) == []
     through = 'light = "transmitted"\n' + TEXT.replace("gaussian-5", "opal")
     (dark,) = warnings(through)
-    assert "photodiodes 18 to 35 look at" in dark
-    assert "a [drift] sigma_deg of 165 lights them" in dark
+    assert "photodiodes 18 to 35 see" in dark
+    assert "set [drift] sigma_deg = 165, which lights them" in dark
     assert warnings(through.replace("sigma_deg = 15\n", "sigma_deg = 165\n")) == []
     (blocked,) = warnings(TEXT.replace("sigma_deg = 15\nbeta_deg = 180", "sigma_deg = 15\nbeta_deg = 0"))
-    assert "the mirror unit hides photodiodes 3" in blocked
+    assert "the mirror unit blocks photodiodes 3" in blocked
 
 
 def test_lists_of_numbers_are_written_as_ranges() -> None:

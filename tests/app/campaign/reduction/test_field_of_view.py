@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.geometry.directions import arc_views
+from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.reduction.field_of_view import field_uncertainty, field_variance, merge_directions
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.rig import read_rig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.geometry.directions import arc_views
+from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.comparison import compare, theoretical_bsdf

@@ -84,7 +84,7 @@ def test_check_warns_of_samples_of_a_virtual_rig_that_give_no_light() -> None:
     assert warnings(HEAD + COARSE) == []
     bare, opaque = warnings(HEAD.replace("white-tile", "etalon").replace("opal", "gaussian-5") + COARSE)
     assert "etalon reflects nothing when its back is lit, so that transmitted light has no scale" in bare
-    assert "gaussian-5 lets nothing through when its front is lit" in opaque
+    assert "gaussian-5 transmits nothing when its front is lit" in opaque
     assert check_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG)))["shadowed_only_for_etalon"] == 135
 
 

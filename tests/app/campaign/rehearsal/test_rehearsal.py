@@ -181,8 +181,8 @@ def test_a_dark_sample_at_a_low_gain_gives_a_warning(write_rig: Writer, write_sc
 
 
 def test_a_blocked_specular_direction_gives_a_warning(write_rig: Writer, write_schedule: Writer) -> None:
-    assert not warnings_with(run_rehearsal(write_schedule(), write_rig()), "hides the specular")
-    assert warnings_with(run_rehearsal(write_schedule(("[30]", "[0, 30]")), write_rig()), "hides the specular")
+    assert not warnings_with(run_rehearsal(write_schedule(), write_rig()), "blocks the specular")
+    assert warnings_with(run_rehearsal(write_schedule(("[30]", "[0, 30]")), write_rig()), "blocks the specular")
 
 
 def test_saturated_values_give_a_warning(write_rig: Writer, write_schedule: Writer) -> None:
