@@ -17,7 +17,7 @@ test: $(READY)
 	@echo "ruff, mypy and lint-imports on one core, numba's kernels compiled on the other"; \
 	$(BIN)/python -m tests.kernels forward >$(VENV)/kernels.log 2>&1 & kernels=$$!; \
 	{ $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports && $(BIN)/python -m tests.kernels fast; } \
-	  || { kill $$kernels; exit 1; }; \
+	  || { kill $$kernels 2>/dev/null; exit 1; }; \
 	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }
 	$(PYTEST) -m "not long"
 

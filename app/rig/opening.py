@@ -158,6 +158,35 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
         def address(file_address: str) -> str:
             return file_address.replace(f"{TWIN}{file_name}/", f"{TWIN}{name}/", 1)
 
+    try:
+        rig = _rig(description, clock, tap, virtual, address)
+    except UserError:
+        if name is not None:
+            unregister(name)
+        if transcripts is not None:
+            transcripts.close()
+        raise
+    opened = OpenRig(rig, virtual, name, transcripts)
+    try:
+        opened.lock(
+            [each.partition("?")[0] for each in file.addresses if not each.startswith(TWIN)],
+            f"{file.name} ({description.name})",
+        )
+    except UserError:
+        opened.close()
+        raise
+    return opened
+
+
+def _rig(
+    description: RigDescription,
+    clock: Clock,
+    tap: Callable[[str, Explain], Tap],
+    virtual: VirtualRig | None,
+    address: Callable[[str], str],
+) -> Rig:
+    """Drivers of a rig; `address` gives the address in this process of one in the file. Raises UserError for a wrong one."""
+    file = description.file
     settings = axis_settings(file)
     module = TmclModule(
         _serial(address(file.axes.port)),
@@ -171,7 +200,7 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     units = [addresses.unit(address(each)) for each in file.photodiodes.units]
     for k, unit in enumerate(units):
         unit.tap = tap(f"photodiodes-{k}", addresses.explain(unit))
-    rig = Rig(
+    return Rig(
         clock=clock,
         axes_module=module,
         axes={axis: Axis(module, each, clock) for axis, each in settings.items()},
@@ -191,16 +220,6 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
         simulated=description.simulated,
         clearance=arc_clearance(file),
     )
-    opened = OpenRig(rig, virtual, name, transcripts)
-    try:
-        opened.lock(
-            [each.partition("?")[0] for each in file.addresses if not each.startswith(TWIN)],
-            f"{file.name} ({description.name})",
-        )
-    except UserError:
-        opened.close()
-        raise
-    return opened
 
 
 def _serial(address: str) -> PortOpener:

@@ -20,7 +20,7 @@ def test_after_a_reset_between_two_runs_nothing_is_measured_until_the_positions_
     lines = RIG.read_text(encoding="utf-8").splitlines()
     anywhere.write_text("\n".join(line for line in lines if not line.startswith("power_up_at_reference")), encoding="utf-8")
     rig, schedule = tmp_path / "served.toml", write_schedule()
-    _, endpoints = serve(anywhere, "--speed", 20, "--write-rig", rig)
+    _, endpoints = serve(anywhere, "--speed", 10, "--write-rig", rig)
     control = ControlClient(at(endpoints, "control", "port")["port"])
 
     def status(*arguments: object) -> int:

@@ -5,8 +5,13 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.app.rig.addresses import ModbusUnits, canonical_address, rtu_address
 from goniotwin.app.rig.lock import RigLock
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin.doors import NoSuchTwin
+from goniotwin.twin.doors.registry import find
+from tests.conftest import Writer
 
 
 def test_an_rtu_address_has_port_unit_and_baud_rate() -> None:
@@ -81,3 +86,11 @@ def test_a_link_and_its_target_are_locked_together(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="the first"):
         RigLock([f"rtu:{link}?unit=2"], "the second", tmp_path / "locks")
     first.release()
+
+
+def test_a_rig_with_an_invalid_address_leaves_no_virtual_rig_behind(write_rig: Writer) -> None:
+    rig = read_rig(write_rig(('usb = "twin://virtual/monitor"', 'usb = "nonsense"')))
+    with pytest.raises(UserError, match="'nonsense'"):
+        open_rig(rig, VirtualClock())
+    with pytest.raises(NoSuchTwin, match="'virtual'"):
+        find("twin://virtual/axes")
