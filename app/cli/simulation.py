@@ -239,8 +239,7 @@ def table3(
     Noise-free, tilted, and at the worst corner, beside the paper's values; with the assumptions of each column, and what
     explains the paper's values and what does not.
     """
-    from goniotwin.app.simulation.paper.table3 import STEPS
-    from goniotwin.app.simulation.paper.table3 import table3 as compute_table3
+    from goniotwin.app.simulation.paper.table3 import STEPS, compute_table3
     from goniotwin.app.simulation.paper.table3_report import as_dict, print_table3, write_figures
 
     done = 0

@@ -1,5 +1,5 @@
-"""The instrument's BSDF without devices: the paper's scheme of figure 7, and its Table 3 beside ours.
+"""Simulation of BSDF measurements without devices: the paper's scheme of figure 7, and the paper's tables and figures.
 
-`simulate` goes from a sample and grids over throughputs of etalon and sample to files; `table3` holds the virtual
-prototype against the theory of a Gaussian, without deviations and with the worst of them.
+`simulate` computes luminance factors of a sample from throughputs of etalon and sample; `paper` compares the virtual prototype
+with the theory of a Gaussian sample, without deviations and with the worst of them.
 """

@@ -1,9 +1,7 @@
-"""Etalon, sample and their ratio at one sigma, by either estimator, with the standard error of each ratio.
+"""Throughputs of etalon and sample and their ratio at one sigma, by either estimator, with the standard error of each ratio.
 
-A fixed seed gives the same numbers; nothing depends on the time that anything takes. Both estimators are about the same: light
-that was scattered once, by the sample; and where stray light is wanted, both have it in.
-
-How much of an estimator's work is wanted.
+Both estimators compute the same quantity: the light that the sample scatters once and, if wanted, the stray light. A fixed seed
+gives the same numbers; no result depends on the duration of a computation.
 """
 
 import math
@@ -34,14 +32,26 @@ from goniotwin.twin.optics.geometry.scene import scene_at
 Kind = Literal["fast", "forward"]
 MOST_RAYS = 1 << 15
 MOST_PATHS = 1 << 34
+NODE_RAYS, BUNDLE_RAYS = 7, FINE_RULE[-1]
+"""Default number of rays of the fast estimator: for smooth lobes, and for tables and beams that miss a mirror."""
+CHECK_RAYS = 4096
+"""Rays of the comparison that gives the error: more than the default, so that the two are different."""
+STRAY_PATHS = 1 << 20
+"""Paths of a map of stray light, whose relative error is then 3 %; in proportion for more rays than `CHECK_RAYS`."""
+BATCH = 1 << 20
+FEWEST_BATCHES = 2
+SIGNIFICANT = 0.01
+"""The error is evaluated over the values of at least this fraction of the largest."""
+ReportFraction = Callable[[float], None]
+"""Receives the finished fraction of the work, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class EstimatorSettings:
-    """How an estimator is to be run: with so many `rays` a detector, so many `paths`, or to an error in percent.
+    """An estimator and its effort: the number of `rays` per detector, the number of `paths`, or the error in percent.
 
     The error is the median relative standard error of the ratios, over the directions that have at least a hundredth of
-    the largest. Raises UserError for what does not belong to the estimator.
+    the largest. Raises UserError for a setting that the estimator does not have.
     """
 
     kind: Kind = "fast"
@@ -51,45 +61,32 @@ class EstimatorSettings:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        """Checks."""
+        """Check the settings."""
         if self.kind == "fast" and self.paths is not None:
-            raise UserError("--paths: the fast estimator has rays; give --rays, or --estimator forward")
+            raise UserError("--paths: the fast estimator has rays, not paths; give --rays, or --estimator forward")
         if self.kind == "forward" and self.rays is not None:
-            raise UserError("--rays: the forward estimator has paths; give --paths, or --estimator fast")
+            raise UserError("--rays: the forward estimator has paths, not rays; give --paths, or --estimator fast")
         given = [name for name in ("rays", "paths") if getattr(self, name) is not None]
         if given and self.error_percent is not None:
-            raise UserError(f"--error and --{given[0]}: give one of them; the other follows from it")
+            raise UserError(f"--error and --{given[0]}: give only one of them; the other follows from it")
         if self.rays is not None and not (8 <= self.rays <= MOST_RAYS and self.rays % 8 == 0):
-            raise UserError(f"--rays: {self.rays} will not do; give a multiple of 8, from 8 to {MOST_RAYS}")
+            raise UserError(f"--rays: {self.rays} is not possible; give a multiple of 8, from 8 to {MOST_RAYS}")
         if self.paths is not None and not 1000 <= self.paths <= MOST_PATHS:
-            raise UserError(f"--paths: {self.paths} will not do; give 1000 to {MOST_PATHS}")
+            raise UserError(f"--paths: {self.paths} is not possible; give 1000 to {MOST_PATHS}")
         if self.error_percent is not None and not (math.isfinite(self.error_percent) and self.error_percent > 0.0):
-            raise UserError(f"--error: {self.error_percent:g} will not do; give a percentage above 0")
+            raise UserError(f"--error: {self.error_percent:g} is not possible; give a percentage above 0")
         if not 0 <= self.seed < 2**63:
-            raise UserError(f"--seed: {self.seed} will not do; give a whole number from 0")
-
-
-Told = Callable[[float], None]
-"""Told the share of the work that is done."""
-NODE_RAYS, BUNDLE_RAYS = 7, FINE_RULE[-1]
-"""Rays that the fast estimator takes of its own accord: of smooth lobes, and of tables and beams that miss a mirror."""
-CHECK_RAYS = 4096
-"""More than the estimator takes of its own accord, so that it is not held against itself."""
-STRAY_PATHS = 1 << 20
-"""Of a map of stray light, which they tell to 3 %; with more rays than the check's, more in proportion."""
-BATCH = 1 << 20
-FEWEST_BATCHES = 2
-MATTERS = 0.01
-"""Errors are asked for over the values of at least this share of the largest."""
+            raise UserError(f"--seed: {self.seed} is not possible; give a whole number from 0")
 
 
 @dataclass(frozen=True, eq=False)
 class MeasurementSetup:
-    """How the light comes, and who looks: `sigma_deg` of the mirror unit (beyond 90 the light is on the back), detectors in
-    `directions` (n, 3) of the rig, `wavelengths_nm` (w,) or None for a grey table (w = 1).
+    """Instrument, light and detectors of a ratio.
 
-    `stray_map` is whether light of the frames, and light that met something else on its way, counts. A `source` of rays takes
-    the place of the uniform exit pupil, for the forward estimator alone.
+    `sigma_deg` is the angle of the mirror unit; above 90 deg the light is on the back of the sample. The detectors are in
+    `directions` (n, 3) of the rig; `wavelengths_nm` is (w,), or None for a grey table (w = 1). With `stray` the light of the
+    frames, and light that was scattered more than once, counts. A `source` of rays replaces the uniform exit pupil; only the
+    forward estimator has it.
     """
 
     instrument: Instrument
@@ -103,23 +100,28 @@ class MeasurementSetup:
 
     @property
     def back(self) -> bool:
-        """Whether the light is on the sample's back."""
+        """Whether the light is on the back of the sample."""
         return self.sigma_deg > 90.0
 
     @property
+    def incidence_deg(self) -> float:
+        """Angle of incidence on the lit side."""
+        return 180.0 - self.sigma_deg if self.back else self.sigma_deg
+
+    @property
     def etalon(self) -> Scatterer:
-        """The ideal diffuser from the side that is lit to the side that is looked at."""
+        """The ideal diffuser from the lit side to the side of the detectors."""
         side: Side = "back" if self.back else "front"
         return lambertian(0.0, 1.0, side) if self.transmitted else lambertian(side=side)
 
 
 @dataclass(frozen=True, eq=False)
 class Ratio:
-    """At one sigma and w wavelengths, for n detectors, (w, n) each.
+    """Results of n detectors at one sigma and w wavelengths, (w, n) each.
 
-    Throughputs of `sample` and `etalon` in m^2 sr, their ratio `factor` (formula 1: the luminance factor, for the etalon
-    is an ideal diffuser), and its standard error. NaN: of a factor where the etalon gives nothing, of an error where
-    nothing is known of it (no path has met the detector). `count` is the rays a detector, or the paths.
+    Throughputs of `sample` and `etalon` in m^2 sr, their ratio `factor` (formula 1: the luminance factor, because the etalon
+    is an ideal diffuser), and its standard error. A factor is NaN where the etalon gives no light, an error where it is
+    unknown (no path arrived at the detector). `count` is the number of rays per detector, or of paths.
     """
 
     sample_m2sr: Floats
@@ -128,203 +130,208 @@ class Ratio:
     standard_error: Floats
     count: int
 
-    def without(self, hidden: Flags) -> "Ratio":
-        """The same with no value where `hidden` (n,); the throughputs stay as they are."""
-        factor, error = (np.where(hidden, np.nan, each) for each in (self.factor, self.standard_error))
+    def mask(self, obstructed: Flags) -> "Ratio":
+        """The same results, with NaN as factor and error of the detectors in `obstructed` (n,)."""
+        factor, error = (np.where(obstructed, np.nan, each) for each in (self.factor, self.standard_error))
         return replace(self, factor=factor, standard_error=error)
 
     @property
     def relative_error(self) -> Floats:
-        """Relative standard errors, a flat list, of the values that matter; empty where none is known."""
+        """Relative standard errors of the significant values, a flat list; empty if none is known."""
         known = np.isfinite(self.factor) & np.isfinite(self.standard_error) & (self.factor > 0.0)
         if not known.any():
             return np.empty(0)
-        known &= self.factor >= MATTERS * self.factor[known].max()
+        known &= self.factor >= SIGNIFICANT * self.factor[known].max()
         relative: Floats = self.standard_error[known] / self.factor[known]
         return relative
 
     @property
     def median_percent(self) -> float:
-        """Median of `relative_error`, in percent; infinite where none is known."""
+        """Median of `relative_error`, in percent; infinite if none is known."""
         relative = self.relative_error
         return 100.0 * float(np.median(relative)) if relative.size else math.inf
 
 
-def estimate_ratio(stand: MeasurementSetup, sample: Scatterer, effort: EstimatorSettings, told: Told = lambda _: None) -> Ratio:
-    """Etalon first, then the sample (paper, figure 7). Raises UserError."""
-    pair = sample, stand.etalon
-    if effort.kind == "fast":
-        return _fast(stand, pair, effort, told)
-    wavelengths = stand.wavelengths_nm
+def estimate_ratio(
+    setup: MeasurementSetup, sample: Scatterer, settings: EstimatorSettings, report: ReportFraction = lambda _: None
+) -> Ratio:
+    """Estimate the throughputs of etalon and sample, and their ratio (paper, figure 7). Raises UserError."""
+    pair = sample, setup.etalon
+    if settings.kind == "fast":
+        return _fast_ratio(setup, pair, settings, report)
+    wavelengths = setup.wavelengths_nm
     if wavelengths is None:
-        return _forward(stand, pair, None, effort, told)
+        return _forward_ratio(setup, pair, None, settings, report)
     if sample.spectrum is None:
-        return _stacked([_forward(stand, pair, None, effort, told)] * wavelengths.size)
-    count, found = wavelengths.size, []
+        return _stack([_forward_ratio(setup, pair, None, settings, report)] * wavelengths.size)
+    count, ratios = wavelengths.size, []
     for k, wavelength in enumerate(wavelengths.tolist()):
 
-        def of_all(share: float, k: int = k) -> None:
-            told((k + share) / count)
+        def report_all(fraction: float, k: int = k) -> None:
+            report((k + fraction) / count)
 
-        found.append(_forward(stand, pair, wavelength, effort, of_all))
-    return _stacked(found)
+        ratios.append(_forward_ratio(setup, pair, wavelength, settings, report_all))
+    return _stack(ratios)
 
 
-def _fast(stand: MeasurementSetup, pair: tuple[Scatterer, Scatterer], effort: EstimatorSettings, told: Told) -> Ratio:
-    """The standard error is what other sets of rays, and of stray light's paths, differ by: two of them, for one alone may come
-    to nearly the same by chance. It tells the size of the error; for lobes much narrower than the aperture it may be several
+def _fast_ratio(
+    setup: MeasurementSetup, pair: tuple[Scatterer, Scatterer], settings: EstimatorSettings, report: ReportFraction
+) -> Ratio:
+    """The ratio by the fast estimator.
+
+    The standard error is the difference from two other sets of rays, and of paths of the stray light; from one set alone it
+    could be nearly zero by chance. It shows the size of the error; for lobes much narrower than the aperture it can be several
     times too small.
     """
 
-    def with_rays(rays: int | None, other: int = 0) -> tuple[Floats, Floats]:
+    def throughputs(rays: int | None, stream: int = 0) -> tuple[Floats, Floats]:
         paths = STRAY_PATHS * max(1, (rays or 0) // CHECK_RAYS)
-        seed = effort.seed * 2**20 + other
+        seed = settings.seed * 2**20 + stream
         try:
-            flux = [_throughputs(stand, each, rays, paths, (seed + k) % 2**64) for k, each in enumerate(pair)]
+            flux = [_throughput(setup, each, rays, paths, (seed + k) % 2**64) for k, each in enumerate(pair)]
         except ValueError as error:
             raise UserError(f"--estimator fast: {error}") from None
         return flux[0], flux[1]
 
-    rays = effort.rays
+    rays = settings.rays
     first = CHECK_RAYS if rays is None else rays // 2
-    checks = [_over(*with_rays(first, other=2)), _over(*with_rays(first // 2, other=4))]
+    checks = [_divide(*throughputs(first, stream=2)), _divide(*throughputs(first // 2, stream=4))]
     while True:
-        told(0.5)
-        flux = with_rays(rays)
-        factor = _over(*flux)
+        report(0.5)
+        flux = throughputs(rays)
+        factor = _divide(*flux)
         error = np.hypot(*(factor - each for each in checks))
-        found = Ratio(*flux, factor, error, _own_rays(stand, pair[0]) if rays is None else rays)
-        wanted = effort.error_percent
-        if wanted is None or found.median_percent <= wanted:
-            told(1.0)
-            return found
+        ratio = Ratio(*flux, factor, error, _default_rays(setup, pair[0]) if rays is None else rays)
+        wanted = settings.error_percent
+        if wanted is None or ratio.median_percent <= wanted:
+            report(1.0)
+            return ratio
         rays = 2 * CHECK_RAYS if rays is None else 2 * rays
         checks = checks if rays == 2 * CHECK_RAYS else [factor, checks[0]]
         if rays > MOST_RAYS:
-            wrong = f"--error: {wanted:g} % takes more than {MOST_RAYS} rays a detector at sigma {_incidence(stand):g}"
-            raise UserError(f"{wrong}; ask for a larger one")
+            wrong = f"--error: {wanted:g} % takes more than {MOST_RAYS} rays a detector at sigma {setup.incidence_deg:g}"
+            raise UserError(f"{wrong}; give a larger error")
 
 
-def _throughputs(stand: MeasurementSetup, scatterer: Scatterer, rays: int | None, paths: int, seed: int) -> Floats:
-    """(w, n) in m^2 sr."""
-    instrument, sigma, directions, wavelengths = stand.instrument, stand.sigma_deg, stand.directions, stand.wavelengths_nm
+def _throughput(setup: MeasurementSetup, scatterer: Scatterer, rays: int | None, paths: int, seed: int) -> Floats:
+    """Throughput (w, n) in m^2 sr, with stray light if the setup has it."""
+    instrument, sigma, directions, wavelengths = setup.instrument, setup.sigma_deg, setup.directions, setup.wavelengths_nm
     if wavelengths is None:
         flux = throughput(instrument, sigma, directions, scatterer, rays)[None]
     else:
         flux = spectral_throughput(instrument, sigma, directions, scatterer, wavelengths, rays)
-    if not stand.stray:
+    if not setup.stray:
         return flux
     # A grey sample in a grey instrument has one map for all wavelengths.
     grey = wavelengths is None or (scatterer.spectrum is None and instrument.grey)
     maps = [
-        stray_map(instrument, sigma, scatterer, paths, seed, wavelength_nm=each, sample_frames=stand.frames)
+        stray_map(instrument, sigma, scatterer, paths, seed, wavelength_nm=each, sample_frames=setup.frames)
         for each in ([None] if grey or wavelengths is None else wavelengths.tolist())
     ]
-    added: Floats = flux + np.array([stray_throughput(each, directions, instrument) for each in maps])
-    return added
+    total: Floats = flux + np.array([stray_throughput(each, directions, instrument) for each in maps])
+    return total
 
 
-def _own_rays(stand: MeasurementSetup, sample: Scatterer) -> int:
-    """Of each detector, where nothing else is wanted: see `throughput`; not counted are those that a mirror cuts."""
-    scene = scene_at(stand.instrument, stand.sigma_deg)
-    acting = (lobe for lobe in sample.lobes if lobe.incident == scene.incident and lobe.transmits == stand.transmitted)
+def _default_rays(setup: MeasurementSetup, sample: Scatterer) -> int:
+    """Default number of rays per detector: see `throughput`; the rays that a mirror blocks are not counted."""
+    scene = scene_at(setup.instrument, setup.sigma_deg)
+    acting = (lobe for lobe in sample.lobes if lobe.incident == scene.incident and lobe.transmits == setup.transmitted)
     return BUNDLE_RAYS if scene.clipped or any(lobe.kind in TABLE_KINDS for lobe in acting) else NODE_RAYS
 
 
-def _over(sample: Floats, white: Floats) -> Floats:
-    ratio: Floats = np.divide(sample, white, out=np.full_like(sample, np.nan), where=white > 0.0)
+def _divide(sample: Floats, etalon: Floats) -> Floats:
+    ratio: Floats = np.divide(sample, etalon, out=np.full_like(sample, np.nan), where=etalon > 0.0)
     return ratio
 
 
-def _incidence(stand: MeasurementSetup) -> float:
-    return 180.0 - stand.sigma_deg if stand.back else stand.sigma_deg
-
-
-def _forward(
-    stand: MeasurementSetup,
+def _forward_ratio(
+    setup: MeasurementSetup,
     pair: tuple[Scatterer, Scatterer],
     wavelength_nm: float | None,
-    effort: EstimatorSettings,
-    told: Told,
+    settings: EstimatorSettings,
+    report: ReportFraction,
 ) -> Ratio:
-    """Batches of paths, sample and etalon each its own, until there are enough of them or the error is small enough."""
-    wanted = effort.error_percent
-    paths = 4 * BATCH if effort.paths is None else effort.paths
-    count = stand.directions.shape[0]
+    """The ratio by the forward estimator, in batches of paths until the wanted number of paths or error is reached.
+
+    Sample and etalon have different paths.
+    """
+    wanted = settings.error_percent
+    paths = 4 * BATCH if settings.paths is None else settings.paths
+    count = setup.directions.shape[0]
     tallies = _Tally(count), _Tally(count)
     batch = 0
     while True:
         size = BATCH if wanted is not None else min(BATCH, paths - tallies[0].paths)
         for k, (each, tally) in enumerate(zip(pair, tallies, strict=True)):
-            seed = effort.seed * 2**20 + 2 * batch + k
+            seed = settings.seed * 2**20 + 2 * batch + k
             try:
-                done = forward_throughput(
-                    stand.instrument, stand.sigma_deg, stand.directions, each, size, seed % 2**64,
-                    wavelength_nm=wavelength_nm, source=stand.source, sample_frames=stand.frames,
+                result = forward_throughput(
+                    setup.instrument, setup.sigma_deg, setup.directions, each, size, seed % 2**64,
+                    wavelength_nm=wavelength_nm, source=setup.source, sample_frames=setup.frames,
                 )  # fmt: skip
             except ValueError as error:
                 raise UserError(f"--estimator forward: {error}") from None
-            if stand.stray:
-                tally.add(done.throughput_m2sr, done.standard_error, done.paths)
+            if setup.stray:
+                tally.add(result.throughput_m2sr, result.standard_error, result.paths)
             else:
-                tally.add(done.single_m2sr, done.single_error, done.paths)
+                tally.add(result.single_m2sr, result.single_error, result.paths)
         batch += 1
-        found = _counted(tallies[0], tallies[1])
+        ratio = _tally_ratio(tallies[0], tallies[1])
         reached = tallies[0].paths
         if wanted is None:
-            told(min(1.0, reached / paths))
+            report(min(1.0, reached / paths))
             if paths - reached < 2:
-                return found
+                return ratio
             continue
-        median = found.median_percent
+        median = ratio.median_percent
         if batch >= FEWEST_BATCHES and median <= wanted:
-            return found
+            return ratio
         needed = reached * (median / wanted) ** 2
         if math.isfinite(needed):
-            told(min(0.99, reached / needed))
+            report(min(0.99, reached / needed))
         if (math.isfinite(needed) and needed > MOST_PATHS) or reached >= MOST_PATHS:
             raise UserError(
-                f"--error: {wanted:g} % at sigma {_incidence(stand):g} would take about {needed:.2g} paths, more than "
-                f"{MOST_PATHS}; ask for a larger one, or use the fast estimator"
+                f"--error: {wanted:g} % at sigma {setup.incidence_deg:g} would take about {needed:.2g} paths, more than "
+                f"{MOST_PATHS}; give a larger error, or use the fast estimator"
             )
 
 
 class _Tally:
-    """Means of batches, weighted by their paths, and their variance."""
+    """Mean over batches, weighted by their paths, and its variance."""
 
     def __init__(self, count: int) -> None:
         self.paths = 0
         self._sum, self._variance = np.zeros(count), np.zeros(count)
 
     def add(self, mean: Floats, error: Floats, paths: int) -> None:
-        """One more batch."""
+        """Add a batch: mean (n,), its standard error (n,), number of paths."""
         self.paths += paths
         self._sum += paths * mean
         self._variance += (paths * error) ** 2
 
     @property
     def mean(self) -> Floats:
-        """Of all paths, (n,)."""
+        """Mean over all paths, (n,)."""
         mean: Floats = self._sum / self.paths
         return mean
 
     @property
     def variance(self) -> Floats:
-        """Of the mean, (n,)."""
+        """Variance of the mean, (n,)."""
         variance: Floats = self._variance / self.paths**2
         return variance
 
 
-def _counted(sample: _Tally, white: _Tally) -> Ratio:
-    factor = _over(sample.mean, white.mean)
+def _tally_ratio(sample: _Tally, etalon: _Tally) -> Ratio:
+    factor = _divide(sample.mean, etalon.mean)
     with np.errstate(invalid="ignore", divide="ignore"):
-        relative2 = sample.variance / sample.mean**2 + white.variance / white.mean**2
+        relative2 = sample.variance / sample.mean**2 + etalon.variance / etalon.mean**2
         error = np.where(sample.mean > 0.0, factor * np.sqrt(relative2), np.nan)
-    return Ratio(sample.mean[None], white.mean[None], factor[None], error[None], sample.paths)
+    return Ratio(sample.mean[None], etalon.mean[None], factor[None], error[None], sample.paths)
 
 
-def _stacked(ratios: Sequence[Ratio]) -> Ratio:
-    """One for each wavelength, as one."""
+def _stack(ratios: Sequence[Ratio]) -> Ratio:
+    """Ratios of one wavelength each as one."""
     names = ("sample_m2sr", "etalon_m2sr", "factor", "standard_error")
     rows = [np.concatenate([getattr(ratio, name) for ratio in ratios]) for name in names]
     return Ratio(rows[0], rows[1], rows[2], rows[3], max(ratio.count for ratio in ratios))

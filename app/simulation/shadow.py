@@ -1,4 +1,4 @@
-"""The shadow of the mirror unit as a file: a CSV of every direction, or a picture of both arcs."""
+"""Shadow maps of the mirror unit as a file: a CSV of every direction, or a picture of both arcs."""
 
 from pathlib import Path
 
@@ -8,15 +8,15 @@ from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, write_points_csv
-from goniotwin.app.simulation.files import write_figure
+from goniotwin.app.simulation.files import check_suffix, write_figure
 from goniotwin.twin.optics import Instrument, ShadowMap, shadow_map
 
 SUFFIXES = (".csv", ".png")
-DOTS_AN_INCH = 130
+DOTS_PER_INCH = 130
 
 
 def shadow_maps(instrument: Instrument, sigma_deg: list[float], step_deg: float) -> list[ShadowMap]:
-    """Of the upper and the lower arc at each sigma. Raises UserError for a step that makes no grid."""
+    """The maps of the upper and the lower arc at each sigma. Raises UserError for a step that does not divide the range."""
     try:
         return [shadow_map(instrument, sigma, step_deg, lower=lower) for sigma in sigma_deg for lower in (False, True)]
     except ValueError as error:
@@ -24,25 +24,23 @@ def shadow_maps(instrument: Instrument, sigma_deg: list[float], step_deg: float)
 
 
 def write_shadows(maps: list[ShadowMap], path: Path) -> None:
-    """As the name says. Raises UserError."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise UserError(f"{path}: what should be written? give a name that ends with .csv or .png")
+    """Write one file of all maps, in the format of its suffix. Raises UserError."""
+    check_suffix(path, SUFFIXES)
+    if path.suffix.lower() == ".png":
+        _draw(maps, path)
+        return
     try:
-        if path.suffix.lower() == ".csv":
-            write_points_csv(path, about(maps), _columns(maps))
-        else:
-            _draw(maps, path)
+        write_points_csv(path, _heading(maps), _columns(maps))
     except FormatError as error:
         raise UserError(str(error)) from None
 
 
-def about(maps: list[ShadowMap]) -> list[str]:
-    """Lines for the head of a file."""
-    felt = "is felt by the detectors" if maps[0].obstruction else "is switched off: detectors do not feel it"
+def _heading(maps: list[ShadowMap]) -> list[str]:
+    shadow = "blocks light on its way to the detectors" if maps[0].obstruction else "is switched off, and blocks no light"
     return [
-        "SIMULATED: share of each detector's rays that no mirror cuts (1 is free, 0 is hidden)",
-        f"The shadow {felt}.",
-        "polar and azimuth: where the photodiode looks, arc shift and beta included; sigma: the mirror unit; degrees",
+        "SIMULATED: fraction of each detector's rays that no mirror blocks (1 is free, 0 is blocked)",
+        f"The mirror unit {shadow}.",
+        "polar and azimuth: direction of the photodiode, with arc shift and beta; sigma: angle of the mirror unit; degrees",
     ]
 
 
@@ -65,15 +63,15 @@ def _draw(maps: list[ShadowMap], path: Path) -> None:
         mesh = None
         for k, each in enumerate(maps):
             axes = figure.add_subplot(2, count, 1 + k // 2 + (count if each.lower else 0), projection="polar")
-            shown = each.visible[:-1, :-1]
+            visible = each.visible[:-1, :-1]
             mesh = axes.pcolormesh(
-                np.radians(each.azimuth_deg), each.polar_deg, shown, cmap="gray", vmin=0.0, vmax=1.0, rasterized=True
+                np.radians(each.azimuth_deg), each.polar_deg, visible, cmap="gray", vmin=0.0, vmax=1.0, rasterized=True
             )
             axes.set_title(f"{'lower' if each.lower else 'upper'} arc, sigma {each.sigma_deg:g} deg", fontsize=9)
             axes.set_yticks([30.0, 60.0, 90.0], ["30", "60", "90 deg"], fontsize=7, color="#0b5394")
             axes.grid(alpha=0.25)
         assert mesh is not None
-        figure.colorbar(mesh, ax=figure.axes, shrink=0.6, label="share of a detector's rays that no mirror cuts")
+        figure.colorbar(mesh, ax=figure.axes, shrink=0.6, label="fraction of a detector's rays that no mirror blocks")
         off = "" if maps[0].obstruction else ", switched off"
         figure.suptitle(f"SIMULATED: the shadow of the mirror unit{off} (azimuth is the arc's beta)", fontsize=10)
-        write_figure(figure, path, DOTS_AN_INCH)
+        write_figure(figure, path, DOTS_PER_INCH)

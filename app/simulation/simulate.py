@@ -1,9 +1,8 @@
-"""The scheme of the paper's figure 7: etalon and sample at every sigma, their ratio, and the ratio on the output grid.
+"""Simulation of a BSDF measurement (paper, figure 7): etalon and sample at each sigma, their ratio, the output grid.
 
-The regular component of a sample: where it goes, and what detectors make of it.
-
-It has no BSDF that is finite, so no table can have it as it is: its luminance factor is that of the pupil's image, and
-depends on beam, aperture and field. What a file has of it is what its own detectors see.
+The regular component of a sample (a mirror, a clear sheet) has no finite BSDF, so a table cannot represent it by itself: its
+luminance factor is that of the pupil's image, and depends on beam, aperture and field. A table contains what its own detectors
+see of it.
 """
 
 import math
@@ -15,79 +14,28 @@ import numpy as np
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.simulation.detectors import HIGHEST_POLAR_DEG, Detectors, detector_grid, output_phi, output_theta
-from goniotwin.app.simulation.estimate import EstimatorSettings, MeasurementSetup, Ratio, estimate_ratio
+from goniotwin.app.simulation.estimate import EstimatorSettings, MeasurementSetup, Ratio, ReportFraction, estimate_ratio
 from goniotwin.app.simulation.source import Source
 from goniotwin.app.simulation.specular_grid import interpolate_to_specular
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, arc_direction, visible_fraction
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, REGULAR
 
-
-@dataclass(frozen=True)
-class RegularPeak:
-    """At one sigma: the share of the light that goes on regularly, in a direction of the rig's frame, and within which angle
-    of it detectors see any; the largest luminance factor that one sees, None where the mirrors hide all of them.
-    """
-
-    sigma_deg: float
-    share: float
-    polar_deg: float
-    azimuth_deg: float
-    within_deg: float
-    largest_factor: float | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """For programs."""
-        return {
-            "sigma": self.sigma_deg,
-            "share": self.share,
-            "theta": 0.0,
-            "polar_deg": self.polar_deg,
-            "azimuth_deg": self.azimuth_deg,
-            "seen_within_deg": self.within_deg,
-            "largest_luminance_factor": self.largest_factor,
-            "hidden": self.largest_factor is None,
-        }
-
-
-def regular_fraction(sample: Scatterer, sigma_deg: float, back: bool, transmitted: bool) -> float:
-    """Of the light at incidence `sigma_deg`, what goes on regularly to the side that is looked at; 0 without such a lobe."""
-    lobes = [lobe for lobe in sample.lobes if lobe.kind == REGULAR and lobe.transmits == transmitted]
-    return sum(lobe.albedo(sigma_deg) for lobe in lobes if lobe.incident == (-1 if back else 1))
-
-
-def regular_half_angle_deg(instrument: Instrument) -> float:
-    """The angle from its direction beyond which no detector sees the regular component, without deviations."""
-    beam = instrument.pupil_radius_mm + math.sqrt(0.5) * instrument.spot_side_mm
-    return math.degrees(math.atan(beam / instrument.pupil_distance_mm)) + 0.5 * instrument.field_deg
-
-
-def regular_peak(
-    instrument: Instrument, sigma_deg: float, share: float, lower: bool, directions: Floats, factor: Floats
-) -> RegularPeak:
-    """Of a share above 0, for detectors in `directions` (n, 3) with luminance factors (w, n), NaN where hidden."""
-    axis = arc_direction(sigma_deg, 180.0, lower)
-    within = regular_half_angle_deg(instrument)
-    seen = factor[:, directions @ axis >= math.cos(math.radians(within))]
-    largest = float(np.nanmax(seen)) if np.isfinite(seen).any() else None
-    return RegularPeak(sigma_deg, share, sigma_deg, 180.0, within, largest)
-
-
-Progress = Callable[[float, str], None]
-"""Told the share of the work that is done, and what is done now."""
-WHOLE = 1.0 - 1e-9
+UNOBSTRUCTED = 1.0 - 1e-9
+ReportProgress = Callable[[float, str], None]
+"""Receives the finished fraction of the work, 0 to 1, and the name of the present step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is to be simulated.
+    """The definition of a simulation.
 
-    `sigma_deg` (s,), 0 to less than 90, ascending, are incidences on the side that is lit: the front, or with `back` the
-    back, with the mirror unit at 180 deg - sigma. `transmitted` looks at the other side. `wavelengths_nm` (w,), or None for
-    a grey table (a sample with a spectrum then has its own list). `polar_deg` and `azimuth_deg` are the detectors' grid,
-    together or neither; without them it is fine near the specular direction of each sigma. `theta_deg` and `phi_deg` are the
-    output grid. With `stray` the light of the `frames`, and what met anything else on its way, is in it. A `source` takes the
-    uniform exit pupil's place.
+    `sigma_deg` (s,), 0 to less than 90, ascending, are incidences on the lit side: the front, or with `back` the back, with
+    the mirror unit at 180 deg - sigma. With `transmitted` the detectors are on the other side. `wavelengths_nm` is (w,), or
+    None for a grey table (a sample with a spectrum then has its own list). `polar_deg` and `azimuth_deg` are the grid of the
+    detectors, both or neither; the default is fine near the specular direction of each sigma. `theta_deg` and `phi_deg` are
+    the output grid. With `stray` the light of the `frames`, and light that was scattered more than once, counts. A `source`
+    replaces the uniform exit pupil.
     """
 
     sample: Scatterer
@@ -107,16 +55,57 @@ class Task:
 
     @property
     def lower(self) -> bool:
-        """Whether the light that is looked at leaves to the lower arc."""
+        """Whether the detectors are on the lower arc."""
         return self.back != self.transmitted
+
+    @property
+    def acting_lobes(self) -> list[Lobe]:
+        """Lobes of the sample from the lit side to the side of the detectors."""
+        incident = -1 if self.back else 1
+        return [lobe for lobe in self.sample.lobes if lobe.incident == incident and lobe.transmits == self.transmitted]
+
+    def refracted_axes(self, sigma_deg: float) -> list[float | None]:
+        """Polar angles, deg, of the axes of refracted lobes; None in total reflection, where there is no lobe."""
+        ratios = [float(lobe.params[4]) for lobe in self.acting_lobes if lobe.kind == GAUSSIAN and lobe.params[4] != 1.0]
+        sines = [math.sin(math.radians(sigma_deg)) / ratio for ratio in ratios]
+        return [math.degrees(math.asin(sine)) if sine < 1.0 else None for sine in sines]
+
+
+@dataclass(frozen=True)
+class RegularPeak:
+    """The regular component at one sigma.
+
+    `fraction` of the light leaves in the direction `polar_deg`, `azimuth_deg` of the rig's frame; detectors within
+    `half_angle_deg` of it see a part of it. `largest_factor` is the largest luminance factor of a detector, None where the
+    mirror unit blocks all of them, or none is near enough.
+    """
+
+    sigma_deg: float
+    fraction: float
+    polar_deg: float
+    azimuth_deg: float
+    half_angle_deg: float
+    largest_factor: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The peak for JSON."""
+        return {
+            "sigma": self.sigma_deg,
+            "share": self.fraction,
+            "theta": 0.0,
+            "polar_deg": self.polar_deg,
+            "azimuth_deg": self.azimuth_deg,
+            "seen_within_deg": self.half_angle_deg,
+            "largest_luminance_factor": self.largest_factor,
+            "hidden": self.largest_factor is None,
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class SigmaResult:
-    """At one sigma: detectors (n), their ratios (w, n), and which of them (n,) mirrors hide in part or altogether.
+    """The result at one sigma: n detectors, their ratios (w, n), and the flags (n,) of those that the mirror unit blocks.
 
-    `missed` (n,) are those that are not hidden and that no path has met, of the sample or of the etalon. `regular` is where
-    the regular component is, if the sample has one.
+    A detector that is blocked in part is `obstructed`. `regular` is the regular component, if the sample has one.
     """
 
     sigma_deg: float
@@ -128,14 +117,17 @@ class SigmaResult:
 
     @property
     def missed(self) -> Flags:
-        """Of the forward estimator only; where the etalon was not met there is no value, else the value is 0."""
+        """Flags (n,) of detectors without any path of sample or etalon; only the forward estimator has such detectors.
+
+        Without a path of the etalon there is no value, without a path of the sample the value is 0.
+        """
         unknown: Flags = ~np.isfinite(self.ratio.standard_error[0]) & ~self.obstructed
         return unknown
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Luminance factors `table` (w, s, phi, theta) on the output grid; `known` where they rest on detectors all around."""
+    """Luminance factors `table` (w, s, phi, theta) on the output grid; `known` where interpolated between detectors."""
 
     task: Task
     wavelengths_nm: Floats | None
@@ -147,12 +139,12 @@ class Simulation:
 
     @property
     def mirrored(self) -> bool:
-        """Whether the table is of one side of the plane of incidence."""
+        """Whether the table has only one side of the plane of incidence."""
         return bool(self.phi_deg[-1] == 180.0)
 
 
-def simulate(task: Task, progress: Progress = lambda _share, _text: None) -> Simulation:
-    """All of it. Raises UserError for what cannot be simulated."""
+def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None) -> Simulation:
+    """Simulate all sigmas of a task. Raises UserError for a task that is not possible."""
     _check(task)
     wavelengths = task.wavelengths_nm
     if wavelengths is None and task.sample.spectrum is not None:
@@ -164,59 +156,70 @@ def simulate(task: Task, progress: Progress = lambda _share, _text: None) -> Sim
     at, tables = [], []
     for k, sigma in enumerate(task.sigma_deg.tolist()):
 
-        def told(share: float, k: int = k, sigma: float = sigma) -> None:
-            progress((k + share) / count, f"sigma {sigma:g} deg")
+        def report_sigma(fraction: float, k: int = k, sigma: float = sigma) -> None:
+            report((k + fraction) / count, f"sigma {sigma:g} deg")
 
-        told(0.0)
-        found = _at_sigma(task, sigma, wavelengths, mirrored, told)
-        at.append(found)
+        report_sigma(0.0)
+        result = _simulate_sigma(task, sigma, wavelengths, mirrored, report_sigma)
+        at.append(result)
         tables.append(
-            [interpolate_to_specular(found.detectors, row, sigma, phi, theta, task.back) for row in found.ratio.factor]
+            [interpolate_to_specular(result.detectors, row, sigma, phi, theta, task.back) for row in result.ratio.factor]
         )
-    progress(1.0, "done")
+    report(1.0, "done")
     table = np.array([[values for values, _ in each] for each in tables]).swapaxes(0, 1)
     known = np.array([[flags for _, flags in each] for each in tables]).swapaxes(0, 1)
     return Simulation(task, wavelengths, tuple(at), phi, theta, table, known)
 
 
-def _at_sigma(
-    task: Task, sigma: float, wavelengths: Floats | None, mirrored: bool, told: Callable[[float], None]
+def _simulate_sigma(
+    task: Task, sigma: float, wavelengths: Floats | None, mirrored: bool, report: ReportFraction
 ) -> SigmaResult:
     if task.polar_deg is not None and task.azimuth_deg is not None:
         detectors = Detectors(task.polar_deg, task.azimuth_deg, mirrored)
     else:
-        # Near grazing detectors end.
-        near_axes = [min(HIGHEST_POLAR_DEG, axis) for axis in refracted_axes(task, sigma) if axis is not None]
+        # There are no detectors near grazing.
+        near_axes = [min(HIGHEST_POLAR_DEG, axis) for axis in task.refracted_axes(sigma) if axis is not None]
         detectors = detector_grid(sigma, mirrored, near_axes)
     directions, unit_deg = detectors.directions(task.lower), 180.0 - sigma if task.back else sigma
-    stand = MeasurementSetup(
+    setup = MeasurementSetup(
         task.instrument, unit_deg, directions, wavelengths, task.transmitted, task.stray, task.frames,
         None if task.source is None else task.source.rays,
     )  # fmt: skip
-    ratio = estimate_ratio(stand, task.sample, task.estimator, told)
-    hidden = np.zeros(directions.shape[0], dtype=bool)
+    ratio = estimate_ratio(setup, task.sample, task.estimator, report)
+    obstructed = np.zeros(directions.shape[0], dtype=bool)
     if task.instrument.obstruction:
-        # A detector of which a sliver is left looks elsewhere than it stands for.
-        hidden = visible_fraction(task.instrument, unit_deg, directions) < WHOLE
-        ratio = ratio.without(hidden)
+        # The visible part of a partly blocked detector is not centred on the detector's direction.
+        obstructed = visible_fraction(task.instrument, unit_deg, directions) < UNOBSTRUCTED
+        ratio = ratio.mask(obstructed)
     if not np.isfinite(ratio.factor).any():
-        raise UserError(f"sigma {sigma:g}: no detector has a value: all are hidden, or more paths are needed (--paths)")
-    share = regular_fraction(task.sample, sigma, task.back, task.transmitted)
-    peak = regular_peak(task.instrument, sigma, share, task.lower, directions, ratio.factor) if share > 0.0 else None
-    return SigmaResult(sigma, detectors, directions, ratio, hidden, peak)
+        wrong = f"sigma {sigma:g}: no detector has a value: the mirror unit blocks all of them, or there are too few paths"
+        raise UserError(f"{wrong}; give other detectors, or more --paths")
+    fraction = regular_fraction(task.sample, sigma, task.back, task.transmitted)
+    peak = regular_peak(task.instrument, sigma, fraction, task.lower, directions, ratio.factor) if fraction > 0.0 else None
+    return SigmaResult(sigma, detectors, directions, ratio, obstructed, peak)
 
 
-def refracted_axes(task: Task, sigma_deg: float) -> list[float | None]:
-    """Polar angles, deg, of the axes of refracted lobes; None beyond total reflection, where there is no lobe."""
-    ratios = [float(lobe.params[4]) for lobe in acting_lobes(task) if lobe.kind == GAUSSIAN and lobe.params[4] != 1.0]
-    sines = [math.sin(math.radians(sigma_deg)) / ratio for ratio in ratios]
-    return [math.degrees(math.asin(sine)) if sine < 1.0 else None for sine in sines]
+def regular_fraction(sample: Scatterer, sigma_deg: float, back: bool, transmitted: bool) -> float:
+    """Fraction of the light at `sigma_deg` that leaves regularly to the side of the detectors; 0 without such a lobe."""
+    lobes = [lobe for lobe in sample.lobes if lobe.kind == REGULAR and lobe.transmits == transmitted]
+    return sum(lobe.albedo(sigma_deg) for lobe in lobes if lobe.incident == (-1 if back else 1))
 
 
-def acting_lobes(task: Task) -> list[Lobe]:
-    """Lobes of the side that is lit to the side that is looked at."""
-    incident = -1 if task.back else 1
-    return [lobe for lobe in task.sample.lobes if lobe.incident == incident and lobe.transmits == task.transmitted]
+def regular_half_angle_deg(instrument: Instrument) -> float:
+    """Largest angle from its direction at which a detector sees a part of the regular component, without deviations."""
+    beam = instrument.pupil_radius_mm + math.sqrt(0.5) * instrument.spot_side_mm
+    return math.degrees(math.atan(beam / instrument.pupil_distance_mm)) + 0.5 * instrument.field_deg
+
+
+def regular_peak(
+    instrument: Instrument, sigma_deg: float, fraction: float, lower: bool, directions: Floats, factor: Floats
+) -> RegularPeak:
+    """The regular component of detectors in `directions` (n, 3) with luminance factors (w, n), NaN where obstructed."""
+    axis = arc_direction(sigma_deg, 180.0, lower)
+    half_angle = regular_half_angle_deg(instrument)
+    seen = factor[:, directions @ axis >= math.cos(math.radians(half_angle))]
+    largest = float(np.nanmax(seen)) if np.isfinite(seen).any() else None
+    return RegularPeak(sigma_deg, fraction, sigma_deg, 180.0, half_angle, largest)
 
 
 def _check(task: Task) -> None:
@@ -224,21 +227,21 @@ def _check(task: Task) -> None:
         raise UserError("--polar and --azimuth: give both, or neither")
     if task.polar_deg is not None and task.azimuth_deg is not None:
         if min(task.polar_deg.size, task.azimuth_deg.size) < 2:
-            raise UserError("--polar and --azimuth: give at least two angles each, to interpolate between")
-        whole = 180.0 if _is_mirrored(task.sample) else 360.0
-        if task.azimuth_deg[-1] > whole:
-            raise UserError(f"--azimuth: this sample is its own mirror image in the plane of incidence; give 0 to {whole:g}")
+            raise UserError("--polar and --azimuth: the values are interpolated; give at least two angles each")
+        last = 180.0 if _is_mirrored(task.sample) else 360.0
+        if task.azimuth_deg[-1] > last:
+            raise UserError(f"--azimuth: this sample is symmetric about the plane of incidence; give 0 to {last:g}")
     if task.source is not None and task.estimator.kind == "fast":
-        raise UserError("--source: the fast estimator knows the uniform exit pupil alone; give --estimator forward")
-    if not acting_lobes(task):
-        way, other = ("transmits", ".ddr") if task.transmitted else ("reflects", ".ddt")
-        side, turned = ("back", "front") if task.back else ("front", "back")
-        wrong = f"--sample {task.sample.name!r}: {way} nothing of light on its {side}"
+        raise UserError("--source: the fast estimator has only the uniform exit pupil; give --estimator forward")
+    if not task.acting_lobes:
+        act, other = ("transmits", ".ddr") if task.transmitted else ("reflects", ".ddt")
+        side, opposite = ("back", "front") if task.back else ("front", "back")
+        wrong = f"--sample {task.sample.name!r}: {act} no light from its {side}"
         if any(lobe.incident == (-1 if task.back else 1) for lobe in task.sample.lobes):
-            raise UserError(f"{wrong}; write a {other} file for its other way")
-        raise UserError(f"{wrong}; give its models side={side} or side=both, or light its {turned} with --side {turned}")
+            raise UserError(f"{wrong}; write a {other} file instead")
+        raise UserError(f"{wrong}; give its models side={side} or side=both, or light its {opposite} with --side {opposite}")
 
 
 def _is_mirrored(sample: Scatterer) -> bool:
-    """Whether the sample has its mirror image in the plane of incidence."""
+    """Whether the sample is symmetric about the plane of incidence."""
     return all(lobe.psi_deg.size <= 1 and lobe.phi_deg[-1] <= 180.0 for lobe in sample.lobes)

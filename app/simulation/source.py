@@ -1,4 +1,4 @@
-"""The light: the illumination unit that fits an instrument, and a recorded rayset of it as the source."""
+"""The light source: the illumination unit of an instrument, and a recorded rayset of it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +12,10 @@ from goniotwin.twin.optics.geometry.mirrors import pupil
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Rays of a file in place of the uniform exit pupil; `name` is the file's, `geometry` the illumination unit's
-    fingerprint, `wavelength_nm` that of its monochromator."""
+    """Rays of a file, which replace the uniform exit pupil.
+
+    `name` is the file, `geometry` the fingerprint of the illumination unit, `wavelength_nm` that of its monochromator.
+    """
 
     name: str
     rays: RaySource
@@ -21,7 +23,7 @@ class Source:
     wavelength_nm: float
 
     def as_dict(self) -> dict[str, Any]:
-        """For programs."""
+        """The source for JSON."""
         return {
             "file": self.name,
             "rays": int(self.rays.flux.size),
@@ -33,7 +35,7 @@ class Source:
 def illumination_unit(
     instrument: Instrument, wavelength_nm: float, interval_nm: float, bandwidth_nm: float
 ) -> IlluminationUnit:
-    """The illumination unit whose exit pupil, distance and field are the instrument's. Raises UserError."""
+    """The illumination unit with the exit pupil, the distance and the field of the instrument. Raises UserError."""
     try:
         return IlluminationUnit(
             wavelength_nm=wavelength_nm,
@@ -44,13 +46,15 @@ def illumination_unit(
             field_side_mm=instrument.spot_side_mm,
         )
     except ValueError as error:
-        # The unit's name for it, in which only an underscore is not the option's.
+        # The message begins with the name of a field of the unit, which is the option's name with a unit.
         raise UserError(f"--{str(error).replace('_nm', '', 1)}") from None
 
 
 def read_source(path: Path, unit: IlluminationUnit, instrument: Instrument) -> Source:
-    """A rayset of this unit at the instrument's exit pupil. Raises UserError for a file that is none, is damaged, or is of
-    another unit."""
+    """Read a rayset of this unit, at the instrument's exit pupil.
+
+    Raises UserError for a file that is not a rayset, is damaged, or was recorded with another unit.
+    """
     x, y, z = (float(each) for each in pupil(instrument)[0])
     try:
         rayset = read_rayset(path)
@@ -59,8 +63,6 @@ def read_source(path: Path, unit: IlluminationUnit, instrument: Instrument) -> S
     try:
         rays = replay(rayset, unit, (x, y, z))
     except ValueError as error:
-        wanted = f"{unit.wavelength_nm:g} nm, interval {unit.interval_nm:g} nm, bandwidth {unit.bandwidth_nm:g} nm"
-        raise UserError(
-            f"--source: {path}: {error}, or give its --wavelength, --interval, --bandwidth ({wanted} now)"
-        ) from None
+        given = f"{unit.wavelength_nm:g} nm, interval {unit.interval_nm:g} nm, bandwidth {unit.bandwidth_nm:g} nm"
+        raise UserError(f"--source: {path}: {error}, or give its --wavelength, --interval, --bandwidth (now {given})") from None
     return Source(str(path), rays, rayset.geometry, unit.wavelength_nm)

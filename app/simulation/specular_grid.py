@@ -1,7 +1,7 @@
-"""From the detectors' geocentric grid to the output grid of specular coordinates (paper, formulas 2 to 4, corrected).
+"""Interpolation from the detectors' geocentric grid to specular coordinates (paper, formulas 2 to 4, corrected).
 
-A monotone cubic in azimuth, then in polar angle: it passes through the detectors' values, does not overshoot, and is far
-better than a line for a lobe that is only a few detectors wide.
+The interpolation is a monotone cubic in azimuth, then in polar angle: it passes through the detectors' values, does not
+overshoot, and is far better than a linear one for a lobe that is only a few detectors wide.
 """
 
 import itertools
@@ -16,11 +16,11 @@ from goniotwin.twin.optics import from_specular
 def interpolate_to_specular(
     detectors: Detectors, values: Floats, sigma_deg: float, phi_deg: Floats, theta_deg: Floats, back: bool = False
 ) -> tuple[Floats, Flags]:
-    """Values (phi, theta) from those of the detectors (n,), and which rest on detectors all around.
+    """Values (phi, theta) from those of the detectors (n,), and flags (phi, theta) of nodes with detectors all around.
 
-    Where they do not (hidden, below the horizon, beyond the last polar angle) the value is continued along theta: linear
-    between known nodes, held beyond them; a row without any is the mean of the others, and a table without any is 0.
-    For light on the `back` sigma, phi and theta are those of the sample turned about x: azimuths change their sign.
+    The other nodes (obstructed, below the horizon, beyond the last polar angle) are continued along theta: linear between
+    known nodes, held beyond them; a row without known nodes is the mean of the others, a table without any is 0.
+    For light on the `back`, sigma, phi and theta are those of the sample turned about x: azimuths change their sign.
     """
     directions = from_specular(sigma_deg, theta_deg[None, :], phi_deg[:, None])
     polar = np.degrees(np.arctan2(np.hypot(directions[..., 0], directions[..., 1]), directions[..., 2]))
@@ -40,13 +40,13 @@ def interpolate_to_specular(
 
 def interpolate_cubic(polar_axis: Floats, azimuth_axis: Floats, table: Floats, polar: Floats, azimuth: Floats) -> Floats:
     """Values (...) at polar and azimuth (...) from a table (p, a); NaN beyond an axis and where a corner is missing."""
-    i, u, outside_i = _place(polar_axis, polar)
+    i, u, outside_i = _locate(polar_axis, polar)
     slopes = _slopes(azimuth_axis, table)
     rows = [np.clip(i + k, 0, polar_axis.size - 1) for k in (-1, 0, 1, 2)]
     before, left, right, after = (_in_azimuth(azimuth_axis, table, slopes, row, azimuth) for row in rows)
     angles = [polar_axis[row] for row in rows]
     if polar_axis[0] == 0.0:
-        # Before the pole comes the other side of it.
+        # The node before the pole is on its other side.
         beyond = np.abs(180.0 - azimuth) if azimuth_axis[-1] <= 180.0 else (azimuth + 180.0) % 360.0
         across = _in_azimuth(azimuth_axis, table, slopes, np.ones_like(i), beyond)
         before = np.where(i == 0, across, before)
@@ -63,26 +63,26 @@ def interpolate_cubic(polar_axis: Floats, azimuth_axis: Floats, table: Floats, p
 
 def _in_azimuth(axis: Floats, table: Floats, slopes: Floats, row: Ints, azimuth: Floats) -> Floats:
     """Values (...) of rows (...) of the table at azimuth (...)."""
-    j, v, outside = _place(axis, azimuth)
+    j, v, outside = _locate(axis, azimuth)
     width = axis[j + 1] - axis[j]
     left, right = table[row, j], table[row, j + 1]
     curved = _hermite(left, right, width * slopes[row, j], width * slopes[row, j + 1], v)
-    # On a node the neighbour does not matter, be it missing.
+    # On a node the neighbour is not used, so it may be missing.
     value = np.where(v == 0.0, left, np.where(v == 1.0, right, curved))
     return np.where(outside, np.nan, value)
 
 
-def _place(axis: Floats, values: Floats) -> tuple[Ints, Floats, Flags]:
-    """Index of the interval, the share of the way through it, and whether a value is beyond the axis."""
+def _locate(axis: Floats, values: Floats) -> tuple[Ints, Floats, Flags]:
+    """Index of the interval of each value, its fraction within the interval, and whether it is outside the axis."""
     index = np.clip(np.searchsorted(axis, values, side="right") - 1, 0, axis.size - 2)
-    share = (values - axis[index]) / (axis[index + 1] - axis[index])
-    outside = (share < -1e-6) | (share > 1.0 + 1e-6)
-    share = np.where(share < 1e-6, 0.0, np.where(share > 1.0 - 1e-6, 1.0, share))
-    return index, share, outside
+    fraction = (values - axis[index]) / (axis[index + 1] - axis[index])
+    outside = (fraction < -1e-6) | (fraction > 1.0 + 1e-6)
+    fraction = np.where(fraction < 1e-6, 0.0, np.where(fraction > 1.0 - 1e-6, 1.0, fraction))
+    return index, fraction, outside
 
 
 def _slopes(axis: Floats, table: Floats) -> Floats:
-    """Slopes (p, a) in azimuth at its nodes: the list goes on as its mirror image, or once round."""
+    """Slopes (p, a) in azimuth at the nodes; beyond its ends the list is mirrored, or periodic."""
     step = np.diff(axis)
     secant = np.diff(table, axis=1) / step
     if axis[0] == 0.0 and axis[-1] == 180.0:
@@ -97,7 +97,7 @@ def _slopes(axis: Floats, table: Floats) -> Floats:
 
 
 def _limited(first: Floats, second: Floats, step_first: Floats, step_second: Floats) -> Floats:
-    """Slope where two secants meet: their harmonic mean (Fritsch, Butland 1984), 0 at an extremum; or the only one."""
+    """Slope between two secants: their harmonic mean (Fritsch, Butland 1984), 0 at an extremum; or the only secant."""
     one = np.where(np.isfinite(first), first, second)
     two = np.where(np.isfinite(second), second, first)
     near, far = 2.0 * step_second + step_first, step_second + 2.0 * step_first
@@ -107,8 +107,8 @@ def _limited(first: Floats, second: Floats, step_first: Floats, step_second: Flo
     return slope
 
 
-def _hermite(left: Floats, right: Floats, start: Floats, end: Floats, share: Floats) -> Floats:
-    rest = 1.0 - share
-    ends = rest**2 * (1.0 + 2.0 * share) * left + share**2 * (3.0 - 2.0 * share) * right
-    value: Floats = ends + share * rest * (rest * start - share * end)
+def _hermite(left: Floats, right: Floats, start: Floats, end: Floats, fraction: Floats) -> Floats:
+    rest = 1.0 - fraction
+    ends = rest**2 * (1.0 + 2.0 * fraction) * left + fraction**2 * (3.0 - 2.0 * fraction) * right
+    value: Floats = ends + fraction * rest * (rest * start - fraction * end)
     return value

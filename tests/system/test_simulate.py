@@ -70,7 +70,7 @@ def test_table3_is_shown_to_a_person() -> None:
     text = goniotwin("simulate", "table3")
     assert text.returncode == 0
     assert "SIMULATED" in text.stdout
-    assert "what explains the paper's numbers" in text.stdout
+    assert "explanations of the paper's values" in text.stdout
 
 
 @pytest.mark.parametrize("call", CALLS)
@@ -120,7 +120,7 @@ def test_the_output_has_the_lit_side_stray_light_and_the_regular_component(call:
         (["--sample", "gaussian:width_deg=5", "--out", "a.xyz"], "a.xyz"),
         (["--sample", "table:absent.bsdf", "--out", "a.ddr"], "absent.bsdf"),
         (["--sample", "gaussian:width_deg=5", "table3"], "table3"),
-        (["--sample", "gaussian:width_deg=5", "--side", "back", "--out", "a.ddr"], "nothing of light on its back"),
+        (["--sample", "gaussian:width_deg=5", "--side", "back", "--out", "a.ddr"], "reflects no light from its back"),
         (["--sample", "lambertian", "--source", "absent.h5", "--out", "a.ddr"], "absent.h5"),
         (["--sample", "lambertian", "--bandwidth", "5", "--out", "a.ddr"], "--bandwidth"),
         (["illumination", "--out", "a.png", "--rays", "100"], "--rayset"),

@@ -1,6 +1,6 @@
-"""What explains the paper's Table 3, and what does not: each argument as numbers of its own.
+"""Explanation of the paper's Table 3: the numbers of each contribution.
 
-Blur falls as 1/width^2, a shift of the specular direction as 1/width, counting noise not at all; their squares add up.
+Blur falls as 1/width^2 and a shift of the specular direction as 1/width; counting noise does not fall. Their squares add.
 """
 
 import itertools
@@ -35,7 +35,7 @@ NOISES_PERCENT = (0.0, *np.geomspace(0.05, 0.6, 40))
 
 @dataclass(frozen=True, eq=False)
 class ClosestSettings:
-    """The settings that come closest to the paper: `table` (3, 4) in percent, and by which factor it is off, typically."""
+    """The settings whose `table` (3, 4), in percent, is closest to the paper's; `off_by` is its typical factor from it."""
 
     form: Form
     widths: float
@@ -47,7 +47,7 @@ class ClosestSettings:
 
 
 def rms_table(instrument: Instrument, form: Form = "one_over_e", widths: float = 2.0, rays: int | None = None) -> Floats:
-    """Relative RMS (3, 4) in percent, sigma by width."""
+    """Relative RMS (3, 4) in percent, by sigma and width."""
     columns = [
         [cut.relative_rms_percent for cut in gaussian_cuts(instrument, SIGMAS_DEG, width, form, widths, rays)]
         for width in WIDTHS_DEG
@@ -56,12 +56,12 @@ def rms_table(instrument: Instrument, form: Form = "one_over_e", widths: float =
 
 
 def with_tilt(instrument: Instrument, meridional_deg: float, sagittal_deg: float = 0.0) -> Instrument:
-    """The instrument with its sample tilted."""
+    """The instrument with a tilted sample."""
     return replace(instrument, deviations={"sample": Deviation(rx_deg=sagittal_deg, ry_deg=meridional_deg)})
 
 
 def with_divergence(instrument: Instrument, divergence_deg: float) -> Instrument:
-    """The instrument with a beam of another divergence: another exit pupil at the same distance."""
+    """The instrument with another beam divergence: another exit pupil at the same distance."""
     radius = instrument.pupil_distance_mm * math.tan(math.radians(0.5 * divergence_deg))
     return replace(instrument, pupil_radius_mm=radius)
 
@@ -69,11 +69,11 @@ def with_divergence(instrument: Instrument, divergence_deg: float) -> Instrument
 def counting_variance(
     instrument: Instrument, form: Form = "one_over_e", widths: float = 2.0, etalon_alone: bool = False
 ) -> Floats:
-    """Mean over the directions of 1/sample + 1/etalon (3, 4), as a factor of its value at sigma 0, width 30.
+    """Relative variance of the ratio by counting noise (3, 4), relative to its value at sigma 0, width 30.
 
-    A tracer that starts a fixed number of equal rays counts in each detector a number in proportion to its throughput;
-    the relative variance of the ratio is the sum of both inverse counts. The sample reflects 0.9. With `etalon_alone`
-    the sample is taken as known without noise.
+    A tracer that starts a fixed number of equal rays counts rays in proportion to the throughput of each detector. The
+    relative variance of the ratio is the sum of both inverse counts, 1/sample + 1/etalon, here averaged over the directions.
+    The reflectance of the sample is 0.9. With `etalon_alone` the sample has no noise.
     """
     result = np.empty((len(SIGMAS_DEG), len(WIDTHS_DEG)))
     for (i, sigma), (j, width) in itertools.product(enumerate(SIGMAS_DEG), enumerate(WIDTHS_DEG)):
@@ -85,20 +85,20 @@ def counting_variance(
 
 
 def exponents(table: Floats) -> Floats:
-    """By which power of the width the rows of a table (3, 4) fall from column to column, (3, 3)."""
+    """Exponents (3, 3) of the width with which the rows of a table (3, 4) fall from column to column."""
     falls: Floats = -np.diff(np.log(table), axis=1) / np.diff(np.log(WIDTHS_DEG))
     return falls
 
 
 def noise_floor(blur: Floats, variance: Floats) -> tuple[float, Floats]:
-    """Noise in percent that makes sigma 0, width 30 the paper's, and the table (3, 4) that it then makes with the blur."""
+    """Noise in percent that gives the paper's value at sigma 0, width 30, and the table (3, 4) of blur with this noise."""
     square = PAPER[0, -1] ** 2 - blur[0, -1] ** 2
     table: Floats = np.sqrt(blur**2 + square * variance)
     return math.sqrt(square), table
 
 
 def interpolation_error(step_deg: float) -> Floats:
-    """Relative RMS (3, 4) in percent of reading the theory half way between linear nodes of that step."""
+    """Relative RMS (3, 4) in percent of a linear interpolation of the theory half way between nodes of that step."""
     result = np.empty((len(SIGMAS_DEG), len(WIDTHS_DEG)))
     for (i, sigma), (j, width) in itertools.product(enumerate(SIGMAS_DEG), enumerate(WIDTHS_DEG)):
         theta = in_plane_theta(sigma, width)
@@ -108,20 +108,20 @@ def interpolation_error(step_deg: float) -> Floats:
     return result
 
 
-def required_tilt_deg(blur: Floats, with_tilt: Floats, tilt_deg: float) -> Floats:
-    """Tilt of the sample (3, 4), deg, that lifts the blur to the paper's number; its square is taken as proportional.
+def required_tilt_deg(blur: Floats, tilted: Floats, tilt_deg: float) -> Floats:
+    """Tilt of the sample (3, 4), deg, that raises the blur to the paper's value; `tilted` is the table at `tilt_deg`.
 
-    0 where the blur alone is above the paper's.
+    The square of the contribution is in proportion to that of the tilt. 0 where the blur alone is above the paper's value.
     """
-    per_degree = np.sqrt(with_tilt**2 - blur**2) / tilt_deg
+    per_degree = np.sqrt(tilted**2 - blur**2) / tilt_deg
     needed: Floats = np.sqrt(np.maximum(PAPER**2 - blur**2, 0.0)) / per_degree
     return needed
 
 
 def closest_settings(instrument: Instrument, step: Callable[[], None] = lambda: None) -> ClosestSettings:
-    """Of forms, ranges of theta, divergences, tilts of the sample and counting noise, the setting nearest to the paper.
+    """The closest settings to the paper among forms, ranges of theta, divergences, tilts of the sample and counting noises.
 
-    Nearest in the root mean square of the logarithms of the ratios. `step` is called for each form and range.
+    The distance is the root mean square of the logarithms of the ratios. `step` is called for each form and range.
     """
     best: ClosestSettings | None = None
     for form, widths in itertools.product(FORMS, RANGES):
@@ -139,7 +139,7 @@ def closest_settings(instrument: Instrument, step: Callable[[], None] = lambda: 
 
 
 def describe_range(widths: float = 2.0) -> str:
-    """The range of i in formula 5."""
+    """The range of i in formula 5, as text."""
     within = "1 width" if widths == 1.0 else f"{widths:g} widths"
     return (
         f"the plane of incidence, both sides of the specular direction, steps of 0.5 deg, theta up to {within}, "

@@ -25,28 +25,30 @@ from goniotwin.twin.optics import Instrument
 
 CELLS = len(SIGMAS_DEG) * len(WIDTHS_DEG)
 STEPS = CELLS + len(FORMS) * len(RANGES) + 1
-"""How often `table3` calls `step`."""
+"""Number of calls of `report` in `compute_table3`."""
 FAR_MM = 1e6
 POINT_MM = 0.01
-Step = Callable[[str], None]
+ReportStep = Callable[[str], None]
+"""Receives the name of the next step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Table3:
-    """Relative RMS in percent, (3, 4) each: sigma 0, 30, 60 by widths of 2, 5, 15, 30 deg; and what explains them.
+    """Relative RMS in percent, (3, 4) each, sigma 0, 30, 60 by widths of 2, 5, 15, 30 deg; and the data of its explanation.
 
-    `sagittal` is with the sample tilted out of the plane, `point` with a spot as small as a point.
-    `corners` has the worst corner of each cell, row by row. `collimated` is the worst corner at sigma 30, width 5 with the
-    exit pupil at infinity, `shifted` that of this instrument with the shifts of 0.1 mm added. `needed_deg` is the tilt of
-    the sample that supplies each of the paper's numbers, `floor` the noise-free table with counting noise of
-    `floor_percent`, `etalon_rise` the factor (4,) by which the etalon's own counting noise rises from sigma 0 to 60.
+    `tilted` and `sagittal` are with the sample tilted in and out of the plane of incidence, `point_spot` with a spot of nearly
+    no size. `corners` has the worst corner of each cell, row by row. `collimated` is the worst corner at sigma 30, width 5
+    with the exit pupil at infinity, `shifted` that of this instrument with the shifts of 0.1 mm added. `required_tilt_deg` is
+    the tilt of the sample that gives each of the paper's values, `floor` the noise-free table with counting noise of
+    `floor_percent`, `etalon_rise` the factor (4,) of the etalon's counting noise from sigma 0 to 60, `interpolation` the error
+    of a linear interpolation half way between detectors.
     """
 
     instrument: Instrument
     noise_free: Floats
     tilted: Floats
     sagittal: Floats
-    point: Floats
+    point_spot: Floats
     worst: Floats
     corners: tuple[Corner, ...]
     collimated: Corner
@@ -54,28 +56,28 @@ class Table3:
     floor_percent: float
     floor: Floats
     etalon_rise: Floats
-    needed_deg: Floats
-    half_way: Floats
+    required_tilt_deg: Floats
+    interpolation: Floats
     closest: ClosestSettings
 
     def corner(self, sigma_deg: float, width_deg: float) -> Corner:
-        """The worst one of a cell."""
+        """The worst corner of a cell."""
         return self.corners[SIGMAS_DEG.index(sigma_deg) * len(WIDTHS_DEG) + WIDTHS_DEG.index(width_deg)]
 
 
-def table3(step: Step = lambda _: None, rays: int | None = None) -> Table3:
-    """Everything, by the fast estimator and without obstruction; `step` is told what comes next, `STEPS` times.
+def compute_table3(report: ReportStep = lambda _: None, rays: int | None = None) -> Table3:
+    """Compute the table by the fast estimator, without obstruction; `report` is called `STEPS` times.
 
-    `rays` as `twin.optics.throughput` has it, for the noise-free table alone.
+    `rays` is that of `twin.optics.throughput`, for the noise-free table alone.
     """
     instrument = Instrument(obstruction=False)
-    step("noise-free, tilted")
+    report("noise-free, tilted")
     blur, tilted = rms_table(instrument, rays=rays), rms_table(with_tilt(instrument, TILT_DEG))
     sagittal = rms_table(with_tilt(instrument, 0.0, TILT_DEG))
     corners = []
     for sigma in SIGMAS_DEG:
         for width in WIDTHS_DEG:
-            step(f"worst corner at sigma {sigma:g}, width {width:g} deg")
+            report(f"worst corner at sigma {sigma:g}, width {width:g} deg")
             corners.append(worst_corner(instrument, sigma, width, tilts(instrument)))
     far = _collimated(instrument)
     variance, alone = counting_variance(instrument), counting_variance(instrument, etalon_alone=True)
@@ -87,7 +89,7 @@ def table3(step: Step = lambda _: None, rays: int | None = None) -> Table3:
         noise_free=blur,
         tilted=tilted,
         sagittal=sagittal,
-        point=rms_table(replace(instrument, spot_side_mm=POINT_MM)),
+        point_spot=rms_table(replace(instrument, spot_side_mm=POINT_MM)),
         worst=worst,
         corners=tuple(corners),
         collimated=worst_corner(far, 30.0, 5.0, tilts(far)),
@@ -95,14 +97,14 @@ def table3(step: Step = lambda _: None, rays: int | None = None) -> Table3:
         floor_percent=percent,
         floor=floor,
         etalon_rise=np.sqrt(alone[-1] / alone[0]),
-        needed_deg=required_tilt_deg(blur, tilted, TILT_DEG),
-        half_way=interpolation_error(0.5),
-        closest=closest_settings(instrument, lambda: step("what comes closest to the paper")),
+        required_tilt_deg=required_tilt_deg(blur, tilted, TILT_DEG),
+        interpolation=interpolation_error(0.5),
+        closest=closest_settings(instrument, lambda: report("closest settings to the paper")),
     )
 
 
 def _collimated(instrument: Instrument) -> Instrument:
-    """The same divergence from an exit pupil at infinity, with mirrors that do not cut the tilted beam."""
+    """An instrument of the same divergence with its exit pupil at infinity, and mirrors large enough for the tilted beam."""
     distance = FAR_MM + 3.0 * instrument.mirror_distance_mm
     radius = instrument.pupil_radius_mm * distance / instrument.pupil_distance_mm
     return Instrument(pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=60.0, obstruction=False)

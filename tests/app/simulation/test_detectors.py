@@ -1,4 +1,4 @@
-"""Lists that people write, the detectors' grid, and the way from it to the output grid."""
+"""Lists of numbers in options, the detectors' grid, and the interpolation to the output grid."""
 
 import numpy as np
 import pytest
@@ -13,12 +13,12 @@ from goniotwin.twin.optics import arc_direction, from_specular, specular_directi
 
 @settings(deadline=None)
 @given(st.lists(st.integers(0, 890), min_size=1, unique=True).map(sorted))
-def test_a_list_is_read_as_it_is_written(tenths: list[int]) -> None:
+def test_a_list_has_the_numbers_of_its_text(tenths: list[int]) -> None:
     values = [tenth / 10 for tenth in tenths]
     assert parse_list(",".join(map(str, values)), "--sigma", 0.0, 89.0).tolist() == values
 
 
-def test_ranges_have_their_stop() -> None:
+def test_a_range_includes_its_stop() -> None:
     assert parse_list("0:2:0.5,5,10:20:5", "--theta", 0.0, 180.0).tolist() == [0.0, 0.5, 1.0, 1.5, 2.0, 5.0, 10.0, 15.0, 20.0]
     assert parse_list("0:0.3:0.1", "--theta", 0.0, 180.0).size == 4
 
@@ -27,13 +27,13 @@ def test_ranges_have_their_stop() -> None:
     "text",
     ["", "a", "1,,2", "nan", "inf", "-1", "90", "2,1", "1,1", "0:10", "0:10:0", "10:0:1", "0:10:-1", "0:1:1e-9", "0:nan:1"],
 )
-def test_bad_lists_are_refused_by_name(text: str) -> None:
+def test_an_invalid_list_is_refused_with_its_name(text: str) -> None:
     with pytest.raises(UserError, match=r"^--sigma: "):
         parse_list(text, "--sigma", 0.0, 89.0)
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 1.0, 30.0, 60.0, 85.0, 89.0])
-def test_detectors_stand_close_where_the_specular_direction_is(sigma_deg: float) -> None:
+def test_detectors_are_close_together_near_the_specular_direction(sigma_deg: float) -> None:
     for mirrored in (True, False):
         detectors = detector_grid(sigma_deg, mirrored)
         polar, azimuth = detectors.polar_deg, detectors.azimuth_deg
@@ -46,24 +46,24 @@ def test_detectors_stand_close_where_the_specular_direction_is(sigma_deg: float)
         assert np.all(np.diff(polar) <= 5.0)
         assert np.all(np.diff(azimuth) <= 5.0)
         assert polar.size * azimuth.size < 12_000
-        # One of them looks along the specular direction, and the next ones are half a degree away.
+        # One detector is in the specular direction, and the next ones are half a degree away.
         near = np.degrees(np.arccos(np.clip(detectors.directions(False) @ specular_direction(sigma_deg), -1.0, 1.0)))
         assert near.min() < 1e-6
         assert np.unique(np.round(near, 4))[1] <= 0.5
 
 
-@pytest.mark.parametrize(("sigma_deg", "bent_deg"), [(60.0, 35.3), (20.0, 30.9), (0.0, 0.0), (80.0, 87.0), (30.0, 30.2)])
-def test_detectors_stand_close_where_a_refraction_has_bent_a_lobe(sigma_deg: float, bent_deg: float) -> None:
-    polar = detector_grid(sigma_deg, True, [bent_deg]).polar_deg
+@pytest.mark.parametrize(("sigma_deg", "axis_deg"), [(60.0, 35.3), (20.0, 30.9), (0.0, 0.0), (80.0, 87.0), (30.0, 30.2)])
+def test_detectors_are_close_together_near_a_refracted_lobe(sigma_deg: float, axis_deg: float) -> None:
+    polar = detector_grid(sigma_deg, True, [axis_deg]).polar_deg
     assert np.all(np.diff(polar) > 0.0)
     assert polar[0] == 0.0
     assert 87.0 <= polar[-1] < 90.0
-    for centre in (sigma_deg, bent_deg):
+    for centre in (sigma_deg, axis_deg):
         assert np.min(np.abs(polar - centre)) < 1e-9
         assert np.all(np.diff(polar[np.abs(polar - centre) < 3.0]) <= 0.5 + 1e-9)
 
 
-def test_output_nodes_cover_what_readers_of_a_table_expect() -> None:
+def test_output_nodes_cover_the_ranges_that_readers_expect() -> None:
     theta = output_theta(np.array([1.0, 50.0]))
     assert theta.tolist() == [0.0, 1.0, 50.0, 180.0]
     assert output_phi(np.array([90.0]), True).tolist() == [0.0, 90.0, 180.0]
@@ -74,7 +74,7 @@ def test_output_nodes_cover_what_readers_of_a_table_expect() -> None:
 
 @pytest.mark.parametrize("mirrored", [True, False])
 @pytest.mark.parametrize("sigma_deg", [0.0, 7.0, 45.0, 85.0])
-def test_a_smooth_lobe_survives_the_way_to_the_output_grid(sigma_deg: float, mirrored: bool) -> None:
+def test_a_smooth_lobe_is_interpolated_to_the_output_grid(sigma_deg: float, mirrored: bool) -> None:
     def lobe(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
         even = 1.0 + 0.2 * np.cos(np.radians(phi)) * np.sin(np.radians(theta))
         odd = 0.0 if mirrored else 0.2 * np.sin(np.radians(phi)) * np.sin(np.radians(theta))
@@ -87,14 +87,14 @@ def test_a_smooth_lobe_survives_the_way_to_the_output_grid(sigma_deg: float, mir
     table, known = interpolate_to_specular(detectors, values, sigma_deg, phi, theta)
     expected = lobe(theta[None, :], phi[:, None])
     assert np.max(np.abs(table - expected)[known]) < 0.003
-    # Everything above the last detectors is known, and nothing below the horizon.
+    # All nodes above the last detectors are known, and no node below the horizon.
     height = from_specular(sigma_deg, theta[None, :], phi[:, None])[..., 2]
     assert np.all(known[height > np.cos(np.radians(87.0)) + 1e-6])
     assert not np.any(known[height < 0.0])
     assert np.all(table >= 0.0)
 
 
-def test_a_missing_detector_leaves_its_surroundings_open_and_the_rest_as_it_was() -> None:
+def test_a_missing_detector_affects_only_the_nodes_around_it() -> None:
     detectors = detector_grid(30.0, True)
     values = np.ones(detectors.polar_deg.size * detectors.azimuth_deg.size)
     hole = np.flatnonzero(detectors.directions(False) @ arc_direction(50.0, 90.0) > np.cos(np.radians(4.0)))
@@ -110,7 +110,7 @@ def test_a_missing_detector_leaves_its_surroundings_open_and_the_rest_as_it_was(
 
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_between_detectors_the_value_does_not_leave_theirs(seed: int) -> None:
+def test_the_interpolation_does_not_overshoot(seed: int) -> None:
     generator = np.random.default_rng(seed)
     polar = np.sort(generator.choice(88, 6, replace=False)).astype(float)
     azimuth = np.concatenate([[0.0], np.sort(generator.choice(np.arange(1, 180), 4, replace=False)), [180.0]])
@@ -122,7 +122,7 @@ def test_between_detectors_the_value_does_not_leave_theirs(seed: int) -> None:
     np.testing.assert_allclose(nodes, table, rtol=1e-9)
 
 
-def test_a_given_grid_is_used_as_it_is() -> None:
+def test_a_given_grid_is_not_changed() -> None:
     detectors = Detectors(np.array([10.0, 20.0]), np.array([170.0, 180.0]), True)
     assert detectors.directions(False).shape == (4, 3)
     assert np.all(detectors.directions(True)[:, 2] < 0.0)

@@ -1,4 +1,4 @@
-"""The light on the sample: the paper's figure 8 as files, and its rays as a source."""
+"""Illumination of the sample: the paper's figure 8 as files, and its rays as a source."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def rays(light: IlluminationResult, tmp_path: Path) -> Path:
     return tmp_path / "beam.h5"
 
 
-def test_both_estimators_of_the_flux_stand_side_by_side_with_their_errors(light: IlluminationResult) -> None:
+def test_both_estimators_of_the_flux_agree_within_their_errors(light: IlluminationResult) -> None:
     result = summary(light)
     forward, adjoint = result["forward"], result["adjoint"]
     assert 0.0 < forward["standard_error"] <= 0.02 * forward["flux"]
@@ -50,7 +50,7 @@ def test_both_estimators_of_the_flux_stand_side_by_side_with_their_errors(light:
     assert 0.5 < result["full_width_deg"] < 1.0  # the paper's divergence
 
 
-def test_a_wider_passband_brings_more_light() -> None:
+def test_a_wider_passband_has_more_flux() -> None:
     wide = simulate_illumination(illumination_unit(WIDE, 555.0, 20.0, 5.0), 10.0, 1, None)
     narrow = simulate_illumination(UNIT, 10.0, 1, None)
     # A trapezoid of 20 nm with edges of 5 nm over a triangle of 5 nm, of a lamp that changes little.
@@ -68,7 +68,7 @@ def test_the_csv_has_map_and_profile_with_errors_and_units(light: IlluminationRe
     cells, angles = columns["table"] == "irradiance", columns["table"] == "intensity"
     assert set(columns["unit"][cells]) == {"W/m^2"}
     assert set(columns["unit"][angles]) == {"W/sr"}
-    # What the map has in the field is the flux.
+    # The integral of the map over the field is the flux.
     inside = cells & (np.abs(columns["x_mm"]) < 2.5) & (np.abs(columns["z_mm"]) < 2.5)
     assert columns["value"][inside].mean() * 25e-6 == pytest.approx(light.adjoint.flux, rel=5e-3)
     assert np.isfinite(columns["angle_deg"][angles]).all()
@@ -85,7 +85,7 @@ def test_the_picture_is_a_png(light: IlluminationResult, tmp_path: Path) -> None
         write_illumination(light, tmp_path / "absent" / "light.png")
 
 
-def test_a_rayset_replayed_is_the_light_of_the_uniform_pupil_but_for_its_unevenness(rays: Path) -> None:
+def test_a_rayset_gives_the_ratios_of_the_uniform_pupil(rays: Path) -> None:
     def found(source: bool) -> tuple[np.ndarray, np.ndarray]:
         task = Task(
             parse_sample("gaussian:width_deg=15,reflectance=0.5+lambertian:reflectance=0.3"),
@@ -96,13 +96,13 @@ def test_a_rayset_replayed_is_the_light_of_the_uniform_pupil_but_for_its_unevenn
             polar_deg=np.arange(10.0, 80.0, 12.0),
             azimuth_deg=np.array([40.0, 75.0, 110.0, 145.0, 180.0]),
         )
-        done = simulate(task)
-        told = simulated_summary(done, [Path("a.ddr")])["source"]
-        assert (told is not None) == source
+        simulation = simulate(task)
+        stated = simulated_summary(simulation, [Path("a.ddr")])["source"]
+        assert (stated is not None) == source
         if source:
-            assert (told["file"], told["rays"], told["geometry"]) == (str(rays), 50_000, UNIT.fingerprint)
-            assert any(words.startswith(f"source: rayset {rays}") for words in assumptions(done))
-        return done.at[0].ratio.factor[0], done.at[0].ratio.standard_error[0]
+            assert (stated["file"], stated["rays"], stated["geometry"]) == (str(rays), 50_000, UNIT.fingerprint)
+            assert any(line.startswith(f"source: rayset {rays}") for line in assumptions(simulation))
+        return simulation.at[0].ratio.factor[0], simulation.at[0].ratio.standard_error[0]
 
     (factor, error), (uniform, its_error) = found(True), found(False)
     assert not np.array_equal(factor, uniform)
@@ -117,7 +117,7 @@ def test_the_fast_estimator_refuses_a_source(rays: Path) -> None:
         simulate(Task(parse_sample("lambertian"), np.array([30.0]), source=read_source(rays, UNIT, WIDE)))
 
 
-def test_rays_of_another_geometry_and_files_that_are_none_are_one_line(rays: Path, tmp_path: Path) -> None:
+def test_rays_of_another_geometry_and_invalid_files_are_refused_in_one_line(rays: Path, tmp_path: Path) -> None:
     def refusal(path: Path, unit: IlluminationUnit = UNIT) -> str:
         with pytest.raises(UserError) as caught:
             read_source(path, unit, WIDE)
@@ -139,21 +139,21 @@ def test_rays_of_another_geometry_and_files_that_are_none_are_one_line(rays: Pat
 
 
 @pytest.mark.parametrize(
-    ("error", "seed", "count", "named"),
+    ("error", "seed", "count", "message"),
     [(0.0, 1, None, "--error"), (float("nan"), 1, None, "--error"), (1e-7, 1, None, "illumination: "),
      (1.0, -1, None, "--seed"), (1.0, 1, 1, "--rays"), (1.0, 1, 10**9, "--rays")],
 )  # fmt: skip
-def test_what_cannot_be_computed_is_refused(error: float, seed: int, count: int | None, named: str) -> None:
-    with pytest.raises(UserError, match=named):
+def test_impossible_settings_are_refused(error: float, seed: int, count: int | None, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         simulate_illumination(UNIT, error, seed, count)
 
 
-def test_what_no_monochromator_or_name_can_be_is_refused(tmp_path: Path) -> None:
-    for wavelength, interval, bandwidth, named in (
+def test_impossible_monochromators_and_file_names_are_refused(tmp_path: Path) -> None:
+    for wavelength, interval, bandwidth, option in (
         (-1.0, 0.0, 5.0, "--wavelength"), (555.0, -1.0, 5.0, "--interval"), (555.0, 0.0, 0.0, "--bandwidth"),
         (3.0, 0.0, 5.0, "--wavelength"),
     ):  # fmt: skip
-        with pytest.raises(UserError, match=f"^{named} "):
+        with pytest.raises(UserError, match=f"^{option} "):
             illumination_unit(WIDE, wavelength, interval, bandwidth)
     with pytest.raises(UserError, match=r"^--wavelength: no light of the lamp passes at 9000 nm"):
         simulate_illumination(illumination_unit(WIDE, 9000.0, 0.0, 5.0), 1.0, 1, None)

@@ -1,4 +1,4 @@
-"""The regular component: what detectors see of it is in the table, and everything says that this is all."""
+"""The regular component: the table has what the detectors see of it, and files and summary state this."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ def found(sample: str, sigmas: tuple[float, ...] = (30.0,), **settings: Any) -> 
     return simulate(Task(parse_sample(sample), np.array(sigmas), **{"instrument": OPEN, **few, **settings}))
 
 
-def test_alone_it_is_what_a_detector_in_the_mirror_direction_gets_over_the_etalons() -> None:
+def test_its_luminance_factor_is_the_throughput_in_the_mirror_direction_over_the_etalons() -> None:
     mirror = found("regular:reflectance=0.9")
     directions = specular_direction(30.0)[None]
     expected = throughput(OPEN, 30.0, directions, regular(0.9)) / throughput(OPEN, 30.0, directions, lambertian())
@@ -35,7 +35,7 @@ def test_alone_it_is_what_a_detector_in_the_mirror_direction_gets_over_the_etalo
 
 
 @pytest.mark.parametrize("transmitted", [False, True])
-def test_in_a_sum_it_adds_to_the_rest(transmitted: bool) -> None:
+def test_in_a_sum_it_is_added_to_the_other_models(transmitted: bool) -> None:
     way = ",transmits=true" if transmitted else ""
     rest = "lambertian:reflectance=0.4,transmittance=0.3"
     whole = found(f"{rest}+regular:reflectance=0.04{way}", transmitted=transmitted)
@@ -44,23 +44,23 @@ def test_in_a_sum_it_adds_to_the_rest(transmitted: bool) -> None:
     assert whole.table[0, 0, 0, -1] == pytest.approx(0.3 if transmitted else 0.4)
 
 
-def test_it_is_said_where_it_is_and_that_its_factor_is_the_instruments() -> None:
+def test_the_assumptions_give_its_direction_and_that_its_factor_depends_on_the_instrument() -> None:
     mirror = found("lambertian:reflectance=0.5+regular:reflectance=0.04", (0.0, 30.0), instrument=Instrument())
     hidden, seen = summary(mirror, [Path("a.ddr")])["regular"]
-    # At normal incidence mirror 3 stands in the mirror direction.
+    # At normal incidence mirror 3 is in the mirror direction.
     assert (hidden["sigma"], hidden["hidden"], hidden["largest_luminance_factor"]) == (0.0, True, None)
     assert (seen["sigma"], seen["share"], seen["polar_deg"], seen["azimuth_deg"]) == (30.0, 0.04, 30.0, 180.0)
     assert seen["largest_luminance_factor"] == pytest.approx(mirror.table[0, 1, 0, 0], rel=1e-6)
-    told = "\n".join(assumptions(mirror))
-    assert "regular component: 0.04 of the light goes in the mirror direction, theta = 0" in told
-    assert "no property of the sample" in told
-    assert "no detector has it at sigma 0" in told
+    text = "\n".join(assumptions(mirror))
+    assert "regular component: 0.04 of the light leaves in the mirror direction, theta = 0" in text
+    assert "not a property of the sample" in text
+    assert "no detector sees it at sigma 0" in text
     plain = found("lambertian:reflectance=0.5")
     assert summary(plain, [Path("a.ddr")])["regular"] == []
     assert "regular" not in "\n".join(assumptions(plain))
 
 
-def test_a_component_of_the_other_side_is_none_of_this_one() -> None:
+def test_a_component_of_the_other_side_is_not_listed() -> None:
     both = "lambertian:reflectance=0.5,side=both+regular:reflectance=0.04,side=back"
     assert summary(found(both), [Path("a.ddr")])["regular"] == []
     (peak,) = summary(found(both, back=True), [Path("a.ddr")])["regular"]
@@ -68,10 +68,10 @@ def test_a_component_of_the_other_side_is_none_of_this_one() -> None:
     assert peak["largest_luminance_factor"] > 10.0
 
 
-def test_a_bent_lobe_is_where_snells_law_has_it() -> None:
-    bent = found("gaussian:width_deg=3,transmits=true,refraction=1.5", transmitted=True, polar_deg=None, azimuth_deg=None)
+def test_a_refracted_lobe_has_the_direction_of_snells_law() -> None:
+    refracted = found("gaussian:width_deg=3,transmits=true,refraction=1.5", transmitted=True, polar_deg=None, azimuth_deg=None)
     axis = np.degrees(np.arcsin(np.sin(np.radians(30.0)) / 1.5))
-    at = bent.at[0]
+    at = refracted.at[0]
     brightest = at.directions[np.argmax(at.ratio.factor[0])]
     assert np.degrees(np.arccos(-brightest[2])) == pytest.approx(axis, abs=1e-6)
-    assert any(f"polar angles {axis:.2f} at sigma 30" in words for words in assumptions(bent))
+    assert any(f"polar angles {axis:.2f} at sigma 30" in line for line in assumptions(refracted))

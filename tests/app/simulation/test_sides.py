@@ -1,4 +1,4 @@
-"""Light on the front or on the back, looked at from either: each way of a sheet has its own values and its own file."""
+"""Light on the front or the back of a sheet, reflected or transmitted: each case has its own values and its own file."""
 
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from tests.twin.optics.agreement import agree
 OPEN = Instrument(obstruction=False)
 WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)
 WAYS = [(False, False), (False, True), (True, False), (True, True)]
-"""Whether the back is lit, and whether transmitted light is looked at."""
+"""Whether the light is on the back, and whether the detectors are on the other side."""
 MODELS = (
     "gaussian:width_deg=8,reflectance=0.6",
     "gaussian:width_deg=25,reflectance=0.2,transmits=true",
@@ -41,11 +41,11 @@ def found(
 
 @SIGMAS
 @pytest.mark.parametrize(("back", "transmitted"), WAYS)
-def test_each_way_of_the_light_gives_the_values_of_its_own_model(
+def test_each_side_and_direction_gives_the_values_of_its_own_model(
     back: bool, transmitted: bool, sigmas: tuple[float, ...]
 ) -> None:
     sheet = found(SHEET, back, transmitted, sigmas)
-    # The same model alone on the front: what is on the other sides does not matter.
+    # The same model alone on the front: the models of other sides have no influence.
     alone = found(MODELS[2 * back + transmitted].replace(",side=back", ""), False, transmitted, sigmas)
     assert np.array_equal(sheet.known, alone.known)
     np.testing.assert_allclose(sheet.table, alone.table, rtol=1e-6, atol=1e-12)
@@ -61,15 +61,15 @@ def test_front_and_back_agree_for_a_symmetric_sheet(transmitted: bool, sigmas: t
     assert np.array_equal(back.known, front.known)
     for here, there in zip(front.at, back.at, strict=True):
         assert np.array_equal(here.obstructed, there.obstructed)
-        assert here.obstructed.any() == (not transmitted)  # mirror 3 stands on the side of the light
+        assert here.obstructed.any() == (not transmitted)  # mirror 3 is on the side of the light
 
 
 @SIGMAS
 @pytest.mark.parametrize(("back", "transmitted"), WAYS)
-def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(
+def test_a_detector_measures_the_bsdf_in_its_direction(
     back: bool, transmitted: bool, sigmas: tuple[float, ...], tmp_path: Path
 ) -> None:
-    # An isotropic table without a mirror image: phi has its sense too.
+    # An isotropic table that is not symmetric about the plane of incidence, so that the sense of phi matters.
     phi, turn = np.array([0.0, 90.0, 180.0, 270.0, 360.0]), np.array([1.0, 2.0, 1.0, 0.5, 1.0])
     values = np.ones((1, 1, 2, 5, 3)) * turn[:, None] * np.array([0.5, 0.3, 0.1])
     values[..., 0] = 0.5
@@ -91,7 +91,7 @@ def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(
         theta, phi_there = columns["theta_deg"][here], columns["phi_deg"][here]
         np.testing.assert_allclose(np.interp(theta, [0.0, 60.0, 180.0], [0.5, 0.3, 0.1])[phi_there == 0.0],
                                    expected[phi_there == 0.0], rtol=1e-6)  # fmt: skip
-    # And on the output grid, in the sample's own specular coordinates: half way from 0.5 to 0.3 times 2 and 0.5.
+    # On the output grid, in the sample's specular coordinates: half way from 0.5 to 0.3, times 2 and 0.5.
     nodes = {"theta_deg": np.array([30.0]), "phi_deg": np.array([90.0, 270.0])}
     grid = {"polar_deg": np.arange(0.0, 81.0, 5.0), "azimuth_deg": np.arange(0.0, 361.0, 10.0)}
     table = found(sheet, back, transmitted, sigmas, **grid, **nodes).table[0, 0, 1:3, 1]
@@ -99,7 +99,7 @@ def test_a_detector_of_the_rig_reads_the_samples_own_bsdf_there(
 
 
 @pytest.mark.parametrize(("back", "transmitted"), WAYS[2:])
-def test_the_forward_estimator_meets_the_same_back(back: bool, transmitted: bool) -> None:
+def test_the_forward_estimator_agrees_for_light_on_the_back(back: bool, transmitted: bool) -> None:
     grid: dict[str, Any] = {
         "polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE,
     }  # fmt: skip
@@ -111,7 +111,7 @@ def test_the_forward_estimator_meets_the_same_back(back: bool, transmitted: bool
     agree(forward.factor[0, many], forward.standard_error[0, many], fast.factor[0, many], 0.0)
 
 
-def test_files_and_summary_say_which_side(tmp_path: Path) -> None:
+def test_files_and_summary_state_the_side(tmp_path: Path) -> None:
     for back, transmitted in WAYS:
         sheet = found(SHEET, back, transmitted)
         path = tmp_path / f"{back}.{'ddt' if transmitted else 'ddr'}"
@@ -125,13 +125,13 @@ def test_files_and_summary_say_which_side(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sample", "back", "transmitted", "named"),
+    ("sample", "back", "transmitted", "message"),
     [
-        ("gaussian:width_deg=5", True, False, r"nothing of light on its back; give its models side=back or side=both"),
-        ("gaussian:width_deg=5,side=back", False, False, r"on its front; give its models side=front or .* with --side back"),
-        ("gaussian:width_deg=5,side=back", True, True, r"transmits nothing of light on its back; write a .ddr"),
+        ("gaussian:width_deg=5", True, False, r"no light from its back; give its models side=back or side=both"),
+        ("gaussian:width_deg=5,side=back", False, False, r"from its front; give its models side=front or .* with --side back"),
+        ("gaussian:width_deg=5,side=back", True, True, r"transmits no light from its back; write a .ddr"),
     ],
 )
-def test_a_side_on_which_the_sample_does_nothing_is_refused(sample: str, back: bool, transmitted: bool, named: str) -> None:
-    with pytest.raises(UserError, match=named):
+def test_a_side_without_a_model_is_refused(sample: str, back: bool, transmitted: bool, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         found(sample, back, transmitted)

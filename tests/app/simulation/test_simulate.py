@@ -1,4 +1,4 @@
-"""The scheme of figure 7 in one call: both estimators, hidden directions, files."""
+"""Simulations by the scheme of figure 7: both estimators, obstructed directions, files."""
 
 import dataclasses
 from pathlib import Path
@@ -16,12 +16,12 @@ from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
 from tests.twin.optics.agreement import agree
 
-# Wider detectors than the instrument's, so that few paths make many hits.
+# Detectors wider than the instrument's, so that many of few paths arrive at one.
 WIDE = Instrument(detector_diameter_mm=12.0, field_deg=3.0)
 OPEN = Instrument(obstruction=False)
 FEW = {"polar_deg": np.arange(0.0, 86.0, 5.0), "azimuth_deg": np.arange(0.0, 181.0, 10.0)}
 NEAR = {"polar_deg": np.arange(24.0, 36.5, 0.5), "azimuth_deg": np.arange(164.0, 181.0, 1.0)}
-"""Detectors about the specular direction of 30 deg, as close as they are of their own accord."""
+"""Detectors about the specular direction of 30 deg, with the default step."""
 ALL_LONG = pytest.param({}, id="all detectors", marks=pytest.mark.long)
 BROAD = "gaussian:width_deg=25,reflectance=0.4+lambertian:reflectance=0.3"
 
@@ -31,7 +31,7 @@ def task(sample: str = "gaussian:width_deg=5", sigmas: tuple[float, ...] = (30.0
 
 
 def small(sample: str, **settings: Any) -> Task:
-    """A few detectors so far apart that no path meets two."""
+    """A task with a few detectors, so far apart that no path arrives at two."""
     grid = {"polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0])}
     return task(sample, **{**grid, "instrument": WIDE, **settings})
 
@@ -47,20 +47,20 @@ def some(request: pytest.FixtureRequest) -> Simulation:
     return simulate(task(sigmas=request.param))
 
 
-def test_the_table_is_what_detectors_at_its_nodes_would_see(some: Simulation) -> None:
+def test_the_table_has_the_values_of_detectors_at_its_nodes(some: Simulation) -> None:
     for k, sigma in enumerate(some.task.sigma_deg.tolist()):
         nodes = from_specular(sigma, some.theta_deg[None, :], some.phi_deg[:, None])
         near = some.known[0, k] & (some.theta_deg[None, :] <= 10.0)
         assert near.sum() > 220
         expected = luminance_factor(OPEN, sigma, nodes[near], some.task.sample, rays=1024)
-        # The regridding; a linear one would be off by 0.8 % rms for steps of 0.5 deg.
+        # The error of the interpolation; a linear one would have 0.8 % rms for steps of 0.5 deg.
         relative = some.table[0, k][near] / expected - 1.0
         assert np.sqrt(np.mean(relative**2)) < 0.002
         assert np.max(np.abs(relative)) < 0.01
 
 
 @pytest.mark.parametrize("grid", [pytest.param(FEW, id="few detectors"), ALL_LONG])
-def test_hidden_directions_have_no_value_and_are_told(some: Simulation, grid: dict[str, Any]) -> None:
+def test_obstructed_directions_have_no_value_and_are_counted(some: Simulation, grid: dict[str, Any]) -> None:
     result = summary(some, [Path("a.ddr")])
     assert result["hidden_directions"]["0"] > 200  # mirror 3 stands in the specular direction
     assert result["obstruction"] is True
@@ -73,14 +73,14 @@ def test_hidden_directions_have_no_value_and_are_told(some: Simulation, grid: di
     assert "sigma 0, phi 0: theta 0 to 3.5" in text  # the zone of mirror 3 (its 20 mm seen at 200 mm, and the aperture)
     free = simulate(task(sigmas=(0.0,), instrument=OPEN, **grid))
     assert free.known[0, 0, :, 0].all()
-    told = summary(free, [Path("a.ddr")])
-    assert told["hidden_directions"] == {"0": 0}
-    assert told["obstruction"] is False
-    assert any(words.startswith("obstruction: off") for words in told["assumptions"])
+    result = summary(free, [Path("a.ddr")])
+    assert result["hidden_directions"] == {"0": 0}
+    assert result["obstruction"] is False
+    assert any(line.startswith("obstruction: off") for line in result["assumptions"])
 
 
 @pytest.mark.parametrize("grid", [pytest.param(NEAR, id="detectors near the lobe"), ALL_LONG])
-def test_a_ddr_can_be_read_back_and_holds_the_values(some: Simulation, grid: dict[str, Any], tmp_path: Path) -> None:
+def test_a_ddr_can_be_read_and_has_the_values(some: Simulation, grid: dict[str, Any], tmp_path: Path) -> None:
     path = tmp_path / "a.ddr"
     write_simulation(some, path)
     table = read_ddr(path)
@@ -92,7 +92,7 @@ def test_a_ddr_can_be_read_back_and_holds_the_values(some: Simulation, grid: dic
     assert table.channels == (None,)
     np.testing.assert_allclose(table.values[0, 0, :-1], some.table[0], rtol=1e-8, atol=1e-300)
     np.testing.assert_array_equal(table.values[0, 0, -1], table.values[0, 0, -2])
-    # And it can be simulated in turn.
+    # The file can be the sample of another simulation.
     again = simulate(task(f"table:{path}", **grid))
     assert again.table[0, 0, 0, 0] == pytest.approx(some.table[0, 1, 0, 0], rel=0.03)
 
@@ -119,13 +119,13 @@ def test_all_wavelengths_come_from_one_set_of_rays(grid: dict[str, Any], tmp_pat
     np.testing.assert_allclose(found.table[:, 0][:, found.known[0, 0]], 0.5, rtol=1e-9)
     write_simulation(found, tmp_path / "colour.ddr")
     assert read_ddr(tmp_path / "colour.ddr").channels == (450.0, 650.0)
-    # A sample with a spectrum brings its own list.
+    # A sample with a spectrum has its own list of wavelengths.
     spectral = simulate(task(f"table:{tmp_path / 'colour.ddr'}", **grid))
     assert spectral.wavelengths_nm is not None
     assert spectral.wavelengths_nm.tolist() == [450.0, 650.0]
 
 
-def test_forward_goes_wavelength_by_wavelength_where_the_sample_does(tmp_path: Path) -> None:
+def test_the_forward_estimator_simulates_each_wavelength_of_a_spectral_sample(tmp_path: Path) -> None:
     values = np.array([0.25, 0.5])[:, None, None, None, None] * np.ones((1, 2, 2, 2))
     ends = np.array([0.0, 90.0]), np.array([0.0, 180.0]), np.array([0.0, 180.0])
     write_ddr(tmp_path / "a.ddr", DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), *ends, (450.0, 650.0), values))
@@ -138,7 +138,7 @@ def test_forward_goes_wavelength_by_wavelength_where_the_sample_does(tmp_path: P
 
 
 @pytest.mark.parametrize("grid", [pytest.param(NEAR, id="detectors near the lobe"), ALL_LONG])
-def test_transmitted_light_has_a_table_of_its_own(grid: dict[str, Any], tmp_path: Path) -> None:
+def test_transmitted_light_has_its_own_table(grid: dict[str, Any], tmp_path: Path) -> None:
     found = simulate(task("gaussian:width_deg=5,transmits=true", (0.0, 30.0), transmitted=True, instrument=OPEN, **grid))
     # The lobe goes straight through: theta = 0, as in reflection.
     mirrored = simulate(task("gaussian:width_deg=5", (0.0, 30.0), instrument=OPEN, **grid))
@@ -148,7 +148,7 @@ def test_transmitted_light_has_a_table_of_its_own(grid: dict[str, Any], tmp_path
     assert read_ddr(tmp_path / "a.ddt").values.max() == pytest.approx(found.table.max())
 
 
-# The tracer of the two that is slow has few paths here; its long tests are with the optics.
+# The forward estimator is slow, so it has few paths here; its long tests are with the optics.
 @pytest.mark.parametrize("sample", ["lambertian:reflectance=0.8", "gaussian:width_deg=25"])
 @pytest.mark.parametrize("sigma_deg", [0.0, 50.0])
 def test_both_estimators_agree_within_their_errors(sample: str, sigma_deg: float) -> None:
@@ -156,9 +156,9 @@ def test_both_estimators_agree_within_their_errors(sample: str, sigma_deg: float
     settings = EstimatorSettings("forward", paths=1_500_000, seed=3)
     forward = simulate(small(sample, sigmas=(sigma_deg,), estimator=settings)).at[0]
     assert np.array_equal(fast.obstructed, forward.obstructed)
-    # Few hits make an error that is hardly known.
+    # With few paths the error itself is uncertain.
     many = (forward.ratio.standard_error < 0.15 * forward.ratio.factor)[0]
-    # Nor is it where a lobe is nearly nothing, all of which a few paths make.
+    # It is uncertain too where the lobe is nearly zero and a few paths give all of the value.
     many &= fast.ratio.factor[0] > 1e-4
     assert np.count_nonzero(many) >= 15
     agree(forward.ratio.factor[0, many], forward.ratio.standard_error[0, many], fast.ratio.factor[0, many], 0.0)
@@ -175,7 +175,7 @@ def test_the_same_seed_gives_the_same_bits() -> None:
     assert first.table.tobytes() == second.table.tobytes()
 
 
-def test_either_estimator_can_be_asked_for_an_error() -> None:
+def test_either_estimator_reaches_a_given_error() -> None:
     coarse = simulate(small("lambertian", estimator=EstimatorSettings("forward", error_percent=8.0)))
     assert coarse.at[0].ratio.median_percent <= 8.0
     result = summary(coarse, [Path("a.ddr")])
@@ -188,7 +188,7 @@ def test_either_estimator_can_be_asked_for_an_error() -> None:
         simulate(small("gaussian:width_deg=25", estimator=EstimatorSettings(error_percent=1e-9)))
 
 
-def test_what_no_path_met_is_told_and_is_no_number() -> None:
+def test_a_detector_without_paths_is_counted_and_has_no_error() -> None:
     found = simulate(task(sigmas=(60.0,), instrument=OPEN, estimator=EstimatorSettings("forward", paths=20_000)))
     at = found.at[0]
     assert at.missed.sum() > 100
@@ -197,25 +197,25 @@ def test_what_no_path_met_is_told_and_is_no_number() -> None:
     assert np.all(np.isnan(at.ratio.standard_error[0, at.missed]))
 
 
-def test_progress_is_told_from_nothing_to_all() -> None:
-    told: list[float] = []
-    simulate(small("lambertian", sigmas=(0.0, 30.0)), lambda share, text: told.append(share))
-    assert told[0] == 0.0
-    assert told[-1] == 1.0
-    assert told == sorted(told)
+def test_progress_is_reported_from_0_to_1() -> None:
+    fractions: list[float] = []
+    simulate(small("lambertian", sigmas=(0.0, 30.0)), lambda fraction, step: fractions.append(fraction))
+    assert fractions[0] == 0.0
+    assert fractions[-1] == 1.0
+    assert fractions == sorted(fractions)
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("change", "message"),
     [
         ({"polar_deg": np.array([1.0, 2.0])}, "--azimuth: give both"),
         ({"polar_deg": np.array([1.0]), "azimuth_deg": np.array([0.0, 1.0])}, "at least two"),
         ({"polar_deg": np.array([1.0, 2.0]), "azimuth_deg": np.array([0.0, 270.0])}, "--azimuth"),
-        ({"transmitted": True}, "transmits nothing"),
+        ({"transmitted": True}, "transmits no light"),
     ],
 )
-def test_what_cannot_be_simulated_is_refused(change: dict[str, Any], named: str) -> None:
-    with pytest.raises(UserError, match=named):
+def test_an_impossible_task_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
         simulate(dataclasses.replace(task(), **change))
 
 
@@ -226,12 +226,12 @@ def test_what_cannot_be_simulated_is_refused(change: dict[str, Any], named: str)
         {"rays": 8, "error_percent": 1.0}, {"error_percent": 0.0}, {"error_percent": float("nan")}, {"seed": -1},
     ],
 )  # fmt: skip
-def test_what_an_estimator_does_not_have_is_refused(settings: dict[str, Any]) -> None:
+def test_settings_that_an_estimator_does_not_have_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=r"^--"):
         EstimatorSettings(**settings)
 
 
-def test_names_that_will_not_do_are_refused(tmp_path: Path) -> None:
+def test_invalid_file_names_are_refused(tmp_path: Path) -> None:
     own = tmp_path / "a.ddr"
     for names in (["a.txt"], ["absent/a.ddr"], ["a.ddr", "a.ddr"], ["a.ddr", "a.ddt"], ["a.ddr"]):
         with pytest.raises(UserError):
@@ -240,8 +240,8 @@ def test_names_that_will_not_do_are_refused(tmp_path: Path) -> None:
     assert check_file_names([tmp_path / "b.ddt"], [own], False) is True
 
 
-def test_a_broad_sample_reads_as_its_own_bsdf() -> None:
-    # Where a lobe is much wider than the aperture the instrument's ratio is pi times the BSDF.
+def test_a_broad_sample_gives_its_own_bsdf() -> None:
+    # For a lobe much wider than the aperture the ratio of the instrument is pi times the BSDF.
     found = simulate(task(BROAD, instrument=OPEN))
     nodes = from_specular(30.0, found.theta_deg[None, :], found.phi_deg[:, None])
     known = found.known[0, 0] & (found.theta_deg[None, :] <= 30.0)

@@ -1,4 +1,4 @@
-"""Both estimators mean the same quantity: without stray light, and with it."""
+"""Both estimators compute the same quantity, without and with stray light."""
 
 from pathlib import Path
 from typing import Any
@@ -47,8 +47,8 @@ def test_both_estimators_agree_within_their_errors(stray: bool, back: bool) -> N
     agree(forward.factor[0, seen], forward.standard_error[0, seen], fast.factor[0, seen], error)
 
 
-def test_a_lit_frame_makes_a_black_sample_brighter_by_what_it_scatters() -> None:
-    # The beam lights 1.1 x 1.1 times the hole: a fifth of its area is frame, which scatters a half of that, as a diffuser.
+def test_a_lit_frame_adds_its_scattered_light_to_a_black_sample() -> None:
+    # The beam lights 1.1 x 1.1 times the hole: a fifth of its area is frame, which scatters a half of it as a diffuser.
     frame = 0.5 * (1.1**2 - 1.0)
     expected = (0.05 + frame) / (1.0 + frame)
     ratio = found(True).at[0].ratio
@@ -60,18 +60,18 @@ def test_a_lit_frame_makes_a_black_sample_brighter_by_what_it_scatters() -> None
     np.testing.assert_allclose(dark.factor[0][np.isfinite(dark.factor[0])], 0.05, rtol=0.02)
 
 
-def test_files_and_summary_say_whether_it_is_in() -> None:
+def test_files_and_summary_state_whether_stray_light_is_included() -> None:
     for estimator in (EstimatorSettings(), EstimatorSettings("forward", paths=20_000)):
         for stray in (False, True):
             each = found(stray, estimator=estimator)
             assert summary(each, [Path("a.ddr")])["stray"] is stray
-            (told,) = (words for words in assumptions(each) if words.startswith("stray light: "))
-            assert ("in: that of frames" in told) == stray
-            assert ("left out" in told) != stray
+            (line,) = (line for line in assumptions(each) if line.startswith("stray light: "))
+            assert ("stray light: included" in line) == stray
+            assert ("not included" in line) != stray
     assert Task(parse_sample(BLACK), np.array([30.0])).stray is False
 
 
-def test_its_error_is_that_of_its_paths_and_its_seed_gives_the_same_bits() -> None:
+def test_its_error_is_that_of_its_paths_and_its_seed_gives_the_same_numbers() -> None:
     first, again = (found(True).at[0].ratio for _ in range(2))
     assert first.factor.tobytes() == again.factor.tobytes()
     other = found(True, estimator=EstimatorSettings(seed=2)).at[0].ratio

@@ -1,4 +1,4 @@
-"""The paper's Table 3 beside ours: against an independent prototype, and each argument of the explanation on its own."""
+"""The paper's Table 3 beside ours: values of an independent prototype, and each contribution of the explanation."""
 
 import io
 import itertools
@@ -20,9 +20,9 @@ from goniotwin.app.simulation.paper.explanation import (
     with_tilt,
 )
 from goniotwin.app.simulation.paper.gaussian_cut import gaussian_cuts, gaussian_theory, in_plane_theta, relative_rms_percent
-from goniotwin.app.simulation.paper.table3 import STEPS, Table3, table3
+from goniotwin.app.simulation.paper.table3 import STEPS, Table3, compute_table3
 from goniotwin.app.simulation.paper.table3_report import as_dict, assumptions, print_table3, write_figures
-from goniotwin.app.simulation.paper.worst_corner import Component, tilts, with_deviations, worst_corner
+from goniotwin.app.simulation.paper.worst_corner import Tolerance, tilts, with_deviations, worst_corner
 from goniotwin.twin.optics import Instrument
 from tests.sizes import parted
 
@@ -35,19 +35,19 @@ TOPICS = {"spot", "form", "range of i", "divergence", "field", "deviations", "no
 
 @pytest.fixture(scope="module")
 def found() -> Table3:
-    told: list[str] = []
-    result = table3(told.append)
-    assert len(told) == STEPS
+    steps: list[str] = []
+    result = compute_table3(steps.append)
+    assert len(steps) == STEPS
     return result
 
 
 @pytest.mark.parametrize("rays", [None, 1024, 4096])
-def test_the_noise_free_numbers_are_those_of_an_independent_prototype(rays: int | None) -> None:
+def test_the_noise_free_values_are_those_of_an_independent_prototype(rays: int | None) -> None:
     np.testing.assert_allclose(rms_table(OPEN, rays=rays), PROTOTYPE, atol=0.1)
 
 
 @pytest.mark.long
-def test_they_are_so_with_very_many_rays() -> None:
+def test_the_noise_free_values_are_the_same_with_very_many_rays() -> None:
     np.testing.assert_allclose(rms_table(OPEN, rays=1 << 15), PROTOTYPE, atol=0.1)
 
 
@@ -59,7 +59,7 @@ def test_the_range_of_i_is_as_stated() -> None:
     assert (normal[0], normal[-1]) == (-54.5, 60.0)
 
 
-def test_theory_falls_to_what_its_form_says() -> None:
+def test_the_theory_falls_to_the_value_of_its_form_at_the_width() -> None:
     assert gaussian_theory(np.array([5.0]), 5.0, "one_over_e")[0] == pytest.approx(math.exp(-1.0))
     assert gaussian_theory(np.array([5.0]), 5.0, "half_width")[0] == pytest.approx(0.5)
     # A prototype's noise-free numbers at width 5, by the range of theta.
@@ -75,13 +75,13 @@ def test_formula_5_is_symmetric_and_in_percent() -> None:
     assert relative_rms_percent(two, one) == pytest.approx(expected)
 
 
-def test_blur_shift_and_noise_fall_with_the_powers_that_the_explanation_needs(found: Table3) -> None:
+def test_blur_shift_and_noise_fall_with_the_powers_of_the_explanation(found: Table3) -> None:
     assert exponents(found.noise_free)[:, :2] == pytest.approx(2.0, abs=0.06)
     shift = np.sqrt(found.tilted**2 - found.noise_free**2)
     assert exponents(shift) == pytest.approx(1.0, abs=0.1)
     assert np.all(exponents(np.sqrt(counting_variance(OPEN))) <= 0.0)
-    # So the logarithm of their sum is convex over that of the width, but for large shifts, whose powers are not quite 1; the
-    # paper's is not. At sigma 60 the horizon cuts the range of i.
+    # So the logarithm of their sum is convex over the logarithm of the width, except for large shifts, whose powers are not
+    # quite 1; the paper's is not convex. At sigma 60 the horizon limits the range of i.
     for total in (found.noise_free, found.tilted, found.worst, found.floor, found.closest.table):
         falls = exponents(total)
         assert np.all(falls[:2, 0] >= falls[:2, 1] - 0.02)
@@ -89,12 +89,12 @@ def test_blur_shift_and_noise_fall_with_the_powers_that_the_explanation_needs(fo
 
 
 def test_the_etalons_counting_noise_is_that_of_the_cosines() -> None:
-    # At 60 deg a hole of half the height takes half the rays, and half of that goes to the specular direction.
+    # At 60 deg a hole of half the height receives half of the rays, and half of these go to the specular direction.
     alone = counting_variance(OPEN, etalon_alone=True)
     assert math.sqrt(alone[2, 0] / alone[0, 0]) == pytest.approx(2.0, rel=0.12)
 
 
-def test_half_way_between_detectors_a_line_is_off_as_the_second_derivative_says() -> None:
+def test_the_error_of_linear_interpolation_follows_the_second_derivative() -> None:
     # h^2 / 8 times f'' / f, in the root mean square over theta.
     theta = in_plane_theta(0.0, 15.0)
     curvature = 4.0 * theta**2 / 15.0**4 - 2.0 / 15.0**2
@@ -102,45 +102,45 @@ def test_half_way_between_detectors_a_line_is_off_as_the_second_derivative_says(
     assert interpolation_error(0.5)[0, 2] == pytest.approx(expected, rel=0.02)
 
 
-def test_a_tilted_sample_alone_is_the_papers_limit() -> None:
-    # An independent prototype found 4.75 % at sigma 30, width 5.
+def test_the_tilt_of_the_sample_alone_gives_the_papers_limit() -> None:
+    # An independent prototype gives 4.75 % at sigma 30, width 5.
     assert rms_table(with_tilt(OPEN, 0.05))[1, 1] == pytest.approx(4.75, abs=0.1)
 
 
 @parted(64)
-def test_the_worst_corner_is_the_worst_of_all_4096(found: Table3, part: int) -> None:
-    components = tilts(OPEN)
+def test_the_worst_corner_is_the_worst_of_all_4096_corners(found: Table3, part: int) -> None:
+    tolerances = tilts(OPEN)
     corner = found.corner(30.0, 5.0)
     every = [
-        gaussian_cuts(with_deviations(OPEN, components, signs), [30.0], 5.0)[0].relative_rms_percent
+        gaussian_cuts(with_deviations(OPEN, tolerances, signs), [30.0], 5.0)[0].relative_rms_percent
         for signs in (corner.signs, *itertools.islice(itertools.product((-1, 1), repeat=12), 0, None, part))
     ]
     assert corner.relative_rms_percent == max(every)
     assert corner.linear_percent == pytest.approx(corner.relative_rms_percent, rel=0.02)
-    # Specular direction, deg for a degree of each: sample 2, arc 1, beam cos and sin of sigma, mirrors 1.41 times the share
-    # of the way from the pupil that lies before them. 0.05 deg of the sample alone make 4.72 % besides the blur.
+    # Degrees of the specular direction per degree of each tilt: sample 2, arc 1, beam cos and sin of sigma, mirrors 1.41 times
+    # their fraction of the distance from the pupil to the sample. 0.05 deg of the sample alone give 4.72 % besides the blur.
     sum_of_all = 2.0 + 1.0 + math.cos(math.radians(30.0)) + 0.5 + math.sqrt(2.0) * (0.25 + 0.5 + 0.75)
     assert corner.relative_rms_percent == pytest.approx(math.hypot(4.72 * sum_of_all / 2.0, 0.6), rel=0.02)
 
 
-def test_with_a_collimated_beam_it_is_that_of_an_independent_prototype(found: Table3) -> None:
+def test_the_worst_corner_with_a_collimated_beam_is_that_of_an_independent_prototype(found: Table3) -> None:
     assert found.collimated.relative_rms_percent == pytest.approx(20.2, abs=0.1)
 
 
-def test_a_corner_of_one_component_is_its_worse_side() -> None:
-    one = (Component("sample", "ry_deg", 0.05, "sample ry"),)
+def test_a_corner_of_one_tolerance_has_its_worse_sign() -> None:
+    one = (Tolerance("sample", "ry_deg", 0.05, "sample ry"),)
     corner = worst_corner(OPEN, 30.0, 5.0, one)
     sides = [gaussian_cuts(with_deviations(OPEN, one, [sign]), [30.0], 5.0)[0].relative_rms_percent for sign in (-1, 1)]
     assert corner.relative_rms_percent == max(sides)
-    assert corner.in_words() == ("-sample ry" if sides[0] > sides[1] else "+sample ry")
+    assert corner.describe() == ("-sample ry" if sides[0] > sides[1] else "+sample ry")
 
 
 def test_each_column_states_its_assumptions(found: Table3) -> None:
-    told = assumptions(found)
-    assert set(told) == {"paper", "noise_free", "tilted", "worst"}
-    assert all(set(topics) == TOPICS for topics in told.values())
+    columns = assumptions(found)
+    assert set(columns) == {"paper", "noise_free", "tilted", "worst"}
+    assert all(set(topics) == TOPICS for topics in columns.values())
     result = as_dict(found)
-    for name in told:
+    for name in columns:
         assert set(result[name]) == {"0", "30", "60"}
         assert all(len(row) == 4 for row in result[name].values())
     assert result["paper"]["60"] == [3.85, 1.83, 0.74, 0.63]
@@ -149,7 +149,7 @@ def test_each_column_states_its_assumptions(found: Table3) -> None:
     assert np.all(found.tilted > found.noise_free)
 
 
-def test_the_document_has_what_the_command_prints(found: Table3) -> None:
+def test_the_document_contains_the_output_of_the_command(found: Table3) -> None:
     printed = io.StringIO()
     print_table3(Console(width=100, file=printed, highlight=False, color_system=None), found)
     document = DOCUMENT.read_text(encoding="utf-8")
@@ -158,7 +158,7 @@ def test_the_document_has_what_the_command_prints(found: Table3) -> None:
         assert line.rstrip() in document
 
 
-def test_the_figures_are_written_whole(found: Table3, tmp_path: Path) -> None:
+def test_the_figures_are_png_files(found: Table3, tmp_path: Path) -> None:
     written = write_figures(found, tmp_path / "new")
     assert set(written) == {"figure12", "figure13"}
     for path in written.values():
