@@ -97,8 +97,12 @@ def photodiodes_at_poses() -> None:
 
 FIRST_CALLS = """
 import time
-from goniotwin.twin.optics import Instrument, forward, gaussian, luminance_factor
-for name, call in (("fast", luminance_factor), ("forward", lambda *where: forward(*where, paths=2))):
+from goniotwin.twin.optics import Instrument, forward_throughput, gaussian, luminance_factor
+
+def forward(*arguments):
+    return forward_throughput(*arguments, paths=2)
+
+for name, call in (("fast", luminance_factor), ("forward", forward)):
     start = time.perf_counter()
     call(Instrument(), 30.0, [[0.0, 0.0, 1.0]], gaussian(5.0))
     print(f"compilation_{name}_s", time.perf_counter() - start)

@@ -8,7 +8,7 @@ from typing import Any
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
-from goniotwin.app.rig.addresses import RTU, rtu_address
+from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
 from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
@@ -23,7 +23,6 @@ from goniotwin.twin.devices.modbus import TcpStation
 from goniotwin.twin.rig import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
 
 _PHOTODIODES = re.compile(r"photodiodes-(0|[1-9][0-9]{0,3})")
-TWIN = "twin://"
 
 
 @dataclass(frozen=True)

@@ -43,22 +43,22 @@ def tmcl(address: str, abrupt: bool) -> Iterator[None]:
     with open_line(address, 115200) as port:
         port.reset_input_buffer()
         for number in range(QUESTIONS):
-            moved = CommandFrame(1, Command.MVP, 0, 5, 100 * number)
-            asked = (
+            move = CommandFrame(1, Command.MVP, 0, 5, 100 * number)
+            request = (
                 CommandFrame(1, Command.GGP, 254, 2),
                 CommandFrame(1, Command.GAP, AxisParameter.ACTUAL_POSITION, 5),
-                moved,
+                move,
             )[number % 3]
-            port.write(asked.encode())
+            port.write(request.encode())
             answer = port.read(9)
             try:
-                if ReplyFrame.decode(answer).command != asked.command:
-                    raise WrongAnswer(f"{asked}: {answer.hex(' ')}")
+                if ReplyFrame.decode(answer).command != request.command:
+                    raise WrongAnswer(f"{request}: {answer.hex(' ')}")
             except FrameError as error:
-                raise WrongAnswer(f"{asked}: {answer.hex(' ')}: {error}") from None
+                raise WrongAnswer(f"{request}: {answer.hex(' ')}: {error}") from None
             yield
         if abrupt:
-            port.write(asked.encode()[:4])
+            port.write(request.encode()[:4])
 
 
 def cornerstone(address: str, abrupt: bool) -> Iterator[None]:

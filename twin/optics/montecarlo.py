@@ -136,14 +136,14 @@ def run_until(
             needed = 16.0 * done
             if done >= dark_rays:
                 raise ValueError(
-                    f"relative_error {relative_error:g} of no light: none of {done} rays arrived; give rays instead"
+                    f"relative_error {relative_error:g} is undefined without light: none of {done} rays arrived; give rays"
                 )
         elif error <= relative_error * value:
             return result
         else:
             needed = 1.1 * (error / (relative_error * value)) ** 2 * done
         if needed > most_rays:
-            raise ValueError(f"relative_error {relative_error:g} takes {needed:.1e} rays, more than {most_rays:.1e}")
+            raise ValueError(f"relative_error {relative_error:g} needs {needed:.1e} rays, more than {most_rays:.1e}")
         # The error of few rays is itself uncertain: at most sixteen times as many at once.
         more = math.ceil(min(16.0 * done, max(1.25 * done, needed)) / first_rays) * first_rays
         sums = sums + sum_chunks(trace, done, more, chunk)

@@ -35,11 +35,11 @@ from goniotwin.app.desktop.model.messages import (
 from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
+from goniotwin.app.rig.addresses import TWIN
 from goniotwin.drivers import DeviceError
 
 Send = Callable[[Message], None]
 AskOperator = Callable[[str], None]
-TWIN = "twin://"
 NO_RIG = "no rig is open"
 POLL_S = 0.2
 """Real time between two readings of the axis positions."""

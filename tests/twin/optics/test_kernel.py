@@ -40,7 +40,7 @@ def import_anew(folder: Path, name: str, factor: float, changed_s: int) -> Modul
 
 
 def test_a_cache_that_names_a_renamed_class_is_compiled_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As after an update of the program: the index of the old function is there, and its types are not."""
+    """As after an update of the program: the index of the old function exists, and its types do not."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
     assert import_anew(tmp_path, "Before", 3.0, 1_000_000_000).result() == 6.0

@@ -36,21 +36,21 @@ def chi_square(counts: Any) -> float:
 
 @pytest.mark.parametrize("block", [0, 1, 12345])
 def test_the_numbers_of_a_path_are_uniform_and_independent(block: int) -> None:
-    found = numbers(block, COUNT)
-    assert np.all((found >= 0.0) & (found < 1.0))
+    drawn = numbers(block, COUNT)
+    assert np.all((drawn >= 0.0) & (drawn < 1.0))
     for a in range(4):
-        assert abs(chi_square(np.histogram(found[:, a], 4096, (0.0, 1.0))[0])) < 4.5
+        assert abs(chi_square(np.histogram(drawn[:, a], 4096, (0.0, 1.0))[0])) < 4.5
         for b in range(a):
-            assert abs(chi_square(np.histogram2d(found[:, a], found[:, b], 64, [[0, 1], [0, 1]])[0])) < 4.5
+            assert abs(chi_square(np.histogram2d(drawn[:, a], drawn[:, b], 64, [[0, 1], [0, 1]])[0])) < 4.5
         # Neighbouring paths are independent too.
-        assert abs(chi_square(np.histogram2d(found[1:, a], found[:-1, a], 64, [[0, 1], [0, 1]])[0])) < 4.5
+        assert abs(chi_square(np.histogram2d(drawn[1:, a], drawn[:-1, a], 64, [[0, 1], [0, 1]])[0])) < 4.5
 
 
 def test_blocks_are_independent() -> None:
-    found = np.array([numbers(block, 2) for block in range(20_000)])
+    drawn = np.array([numbers(block, 2) for block in range(20_000)])
     for a in range(4):
-        assert abs(chi_square(np.histogram2d(found[:, 0, a], found[:, 1, a], 32, [[0, 1], [0, 1]])[0])) < 4.5
-        assert abs(chi_square(np.histogram2d(found[1:, 0, a], found[:-1, 0, a], 32, [[0, 1], [0, 1]])[0])) < 4.5
+        assert abs(chi_square(np.histogram2d(drawn[:, 0, a], drawn[:, 1, a], 32, [[0, 1], [0, 1]])[0])) < 4.5
+        assert abs(chi_square(np.histogram2d(drawn[1:, 0, a], drawn[:-1, 0, a], 32, [[0, 1], [0, 1]])[0])) < 4.5
 
 
 @njit
@@ -95,6 +95,6 @@ def test_functions_are_accurate_to_single_precision(
 
 
 def test_values_far_below_a_peak_are_zero_instead_of_denormal() -> None:
-    found = applied(3, np.array([55.0, 56.0, 200.0, 1e9, np.inf], dtype=np.float32))
-    assert found[0] == pytest.approx(math.exp(-55.0), rel=1e-5)
-    assert not np.any(found[1:])
+    drawn = applied(3, np.array([55.0, 56.0, 200.0, 1e9, np.inf], dtype=np.float32))
+    assert drawn[0] == pytest.approx(math.exp(-55.0), rel=1e-5)
+    assert not np.any(drawn[1:])

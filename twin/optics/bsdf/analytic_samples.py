@@ -134,7 +134,7 @@ def regular(
     else:
         sigma = check_axis("sigma_deg", sigma_deg, 90.0)
         if shares.shape != sigma.shape:
-            raise ValueError(f"reflectance has the shape {shares.shape}: sigma_deg makes it {sigma.shape}")
+            raise ValueError(f"reflectance has the shape {shares.shape}; with this sigma_deg give {sigma.shape}")
     wrong = np.flatnonzero(~((shares >= 0.0) & (shares <= 1.0)))
     if wrong.size:
         where = f" at sigma {sigma[wrong[0]]:g}" if sigma_deg is not None else ""

@@ -247,7 +247,7 @@ def apply_spectrum(
         )
     wavelengths, factor = freeze(wavelengths_nm), freeze(factors)
     if factor.shape != wavelengths.shape:
-        raise ValueError(f"factors has the shape {factor.shape}: wavelengths_nm makes it {wavelengths.shape}")
+        raise ValueError(f"factors has the shape {factor.shape}; with these wavelengths_nm give {wavelengths.shape}")
     spectrum = SpectralWeights(wavelengths, np.tile(factor, (len(scatterer.lobes), 1)))
     return replace(scatterer, name=name or f"{scatterer.name} in colour", spectrum=spectrum)
 

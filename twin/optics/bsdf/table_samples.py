@@ -104,7 +104,7 @@ def _phi(phi_deg: npt.ArrayLike) -> Floats:
 def _check(table: Floats, axes: dict[str, Floats]) -> None:
     shape = tuple(each.size for each in axes.values())
     if table.shape != shape:
-        raise ValueError(f"values has the shape {table.shape}: its axes ({', '.join(axes)}) make it {shape}")
+        raise ValueError(f"values has the shape {table.shape}: with its axes ({', '.join(axes)}) give {shape}")
     wrong = np.argwhere(~np.isfinite(table) | (table < 0.0))
     if wrong.size:
         index = tuple(int(i) for i in wrong[0])

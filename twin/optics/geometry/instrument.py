@@ -45,7 +45,7 @@ class Reflectance:
                 raise ValueError(f"{name} runs from {axis[0]:g} to {axis[-1]:g}: keep it within 0 and {last:g}")
         shape = (lists["wavelength_nm"].size, lists["angle_deg"].size)
         if self.values.shape != shape:
-            raise ValueError(f"values has the shape {self.values.shape}: wavelengths and angles make it {shape}")
+            raise ValueError(f"values has the shape {self.values.shape}; with these wavelengths and angles give {shape}")
         if not np.all((self.values > 0.0) & (self.values <= 1.0)):
             raise ValueError("values has one that is not above 0 and at most 1: a mirror reflects a share of the light")
 

@@ -41,7 +41,7 @@ class Spectrum:
         if self.unit not in ("W", "lm"):
             raise ValueError(f"unit is {self.unit!r}: give W or lm")
         if wavelength.ndim != 1 or wavelength.size < 2:
-            raise ValueError(f"wavelength_nm has the shape {wavelength.shape}: give at least 2 wavelengths in a row")
+            raise ValueError(f"wavelength_nm has the shape {wavelength.shape}: give a list of at least 2 wavelengths")
         if flux.shape != wavelength.shape:
             raise ValueError(f"flux_per_nm has the shape {flux.shape}, wavelength_nm {wavelength.shape}: give one each")
         if not (np.all(np.isfinite(wavelength)) and wavelength[0] > 0.0 and np.all(np.diff(wavelength) > 0.0)):

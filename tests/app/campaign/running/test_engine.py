@@ -158,7 +158,7 @@ def test_a_rig_with_an_unreferenced_axis_is_refused_and_leaves_no_journal(
     assert not (tmp_path / "unreferenced.journal").exists()
     result = check_plan(unreferenced)
     assert result["unreferenced"] == ["sigma", "beta"]
-    assert "sigma, beta: after each power-up" in describe_check(unreferenced, result)
+    assert "sigma, beta: home it, or set its position, after each power-up" in describe_check(unreferenced, result)
 
 
 def test_a_pause_takes_effect_at_the_next_row_and_repeats_no_row(bench: MakeBench) -> None:

@@ -124,7 +124,7 @@ def test_a_diffuser_scatters_at_most_all_the_light(arguments: dict[str, Any], me
         ({"reflectance": 1.1}, "reflectance is 1.1"),
         ({"reflectance": 0.0}, "reflectance is 0"),
         ({"reflectance": [0.1, 0.2]}, "or sigma_deg for a list"),
-        ({"reflectance": [0.1, 0.2], "sigma_deg": [0.0, 10.0, 20.0]}, "sigma_deg makes it"),
+        ({"reflectance": [0.1, 0.2], "sigma_deg": [0.0, 10.0, 20.0]}, "with this sigma_deg give"),
         ({"reflectance": [0.1, math.nan], "sigma_deg": [0.0, 10.0]}, "reflectance is nan at sigma 10"),
         ({"reflectance": [0.1, 0.2], "sigma_deg": [10.0, 10.0]}, "sigma_deg is not ascending"),
         ({"reflectance": [0.1, 0.2], "sigma_deg": [0.0, 100.0]}, "sigma_deg runs from 0 to 100"),

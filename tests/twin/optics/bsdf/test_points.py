@@ -38,8 +38,8 @@ def test_the_error_decreases_with_the_distance_of_the_points(step_deg: float, wo
         zenith, azimuth = np.degrees(np.arccos(random.random(300))), 360.0 * random.random(300)
         expected = true_value(np.full(300, sigma), zenith, azimuth)
         # Relative to the peak of the lobe: the error is due to the curvature over a step, and decreases as its square.
-        found = evaluate(model, light_direction(sigma), from_specular(0.0, zenith, azimuth))
-        assert np.max(np.abs(found - expected)) < worst * 1.7
+        measured = evaluate(model, light_direction(sigma), from_specular(0.0, zenith, azimuth))
+        assert np.max(np.abs(measured - expected)) < worst * 1.7
 
 
 def test_points_on_a_regular_grid_of_specular_coordinates_are_reproduced() -> None:
@@ -48,8 +48,8 @@ def test_points_on_a_regular_grid_of_specular_coordinates_are_reproduced() -> No
     values = 0.1 + np.exp(-theta / 20.0) * (1.2 + np.sin(np.radians(phi)))
     model = scattered_points(np.full(theta.size, 30.0), theta, phi, values)
     above = from_specular(30.0, theta, phi)[:, 2] > 1e-9
-    found = evaluate(model, light_direction(30.0), from_specular(30.0, theta, phi)[above])
-    assert found == pytest.approx(values[above], rel=1e-6)
+    measured = evaluate(model, light_direction(30.0), from_specular(30.0, theta, phi)[above])
+    assert measured == pytest.approx(values[above], rel=1e-6)
 
 
 def test_a_constant_stays_constant_and_there_is_no_overshoot() -> None:
@@ -74,10 +74,10 @@ def test_half_of_the_directions_are_enough_with_mirror_symmetry() -> None:
     spread = points(SIGMAS, 3.0)
     half = spread[spread[:, 2] <= 180.0]
     model = table_of(half, true_value(*half.T), mirrored=True)
-    there, here = (from_specular(30.0, 25.0, phi) for phi in (70.0, 290.0))
+    one_side, other_side = (from_specular(30.0, 25.0, phi) for phi in (70.0, 290.0))
     light = light_direction(30.0)
-    assert evaluate(model, light, there) == evaluate(model, light, here)
-    assert evaluate(model, light, there) == pytest.approx(float(evaluate(table_at(3.0), light, there)), abs=0.02)
+    assert evaluate(model, light, one_side) == evaluate(model, light, other_side)
+    assert evaluate(model, light, one_side) == pytest.approx(float(evaluate(table_at(3.0), light, one_side)), abs=0.02)
     with pytest.raises(ValueError, match="values has a hole at sigma 0"):
         table_of(half, true_value(*half.T))
 

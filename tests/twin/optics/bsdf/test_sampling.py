@@ -112,8 +112,8 @@ def test_weights_in_each_part_of_the_sphere_sum_to_the_integral_of_the_value(mod
         # The bins' own quadrature is accurate to 0.5 %, at the horizon of a coarse table.
         error = np.sqrt((square / count - mean**2) / count + (5e-3 * expected) ** 2)
         deviations.append((mean - expected)[full] / error[full])
-        found, stated = total.sum() / count, albedo(model, sigma_deg, transmits, gamma_deg=gamma_deg)
-        assert found == pytest.approx(stated, abs=5.0 * math.sqrt(square.sum()) / count + 1e-9)
+        mean_weight, stated = total.sum() / count, albedo(model, sigma_deg, transmits, gamma_deg=gamma_deg)
+        assert mean_weight == pytest.approx(stated, abs=5.0 * math.sqrt(square.sum()) / count + 1e-9)
     every = np.concatenate(deviations)
     if any(lobe.incident == incident for lobe in model.lobes) and every.size:
         assert not too_large(float(np.sum(every**2)), every.size)

@@ -66,8 +66,8 @@ def test_a_turned_sample_with_turned_directions_has_the_same_value(
         return
     if min(abs(light[0]), abs(light[1])) < 1e-9:
         return  # on an axis of symmetry a table of random numbers is discontinuous
-    there = evaluate(model, turn @ light, turn @ observer, gamma_deg=gamma)
-    assert there == pytest.approx(float(evaluate(model, light, observer)), rel=1e-6, abs=1e-9)
+    turned_value = evaluate(model, turn @ light, turn @ observer, gamma_deg=gamma)
+    assert turned_value == pytest.approx(float(evaluate(model, light, observer)), rel=1e-6, abs=1e-9)
 
 
 def test_gamma_changes_anisotropic_samples_only() -> None:

@@ -182,9 +182,9 @@ def test_azimuths_inconsistent_with_the_symmetry_are_refused(psi: list[float], s
 
 
 def test_inconsistent_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"values has the shape \(2,\): its axes \(sigma, phi, theta\)"):
+    with pytest.raises(ValueError, match=r"values has the shape \(2,\): with its axes \(sigma, phi, theta\)"):
         table_sample([10.0], [0.0], [0.0, 1.0], [1.0, 2.0])
-    with pytest.raises(ValueError, match=r"its axes \(psi, sigma, phi, theta\) make it \(2, 1, 1, 2\)"):
+    with pytest.raises(ValueError, match=r"with its axes \(psi, sigma, phi, theta\) give \(2, 1, 1, 2\)"):
         table_sample([10.0], [0.0], [0.0, 1.0], np.ones((1, 1, 2)), psi_deg=[0.0, 90.0])
     with pytest.raises(ValueError, match="values has nan at psi 90, sigma 10, phi 0, theta 1"):
         table_sample([10.0], [0.0], [0.0, 1.0], np.array([1.0, 1.0, 1.0, math.nan]).reshape(2, 1, 1, 2), psi_deg=[0.0, 90.0])

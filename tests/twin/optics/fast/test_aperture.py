@@ -100,9 +100,9 @@ def test_seven_rays_agree_with_a_bundle_for_any_field_and_disc(field_deg: float,
 def test_the_flux_of_a_wide_field_agrees_with_the_forward_estimator(field_deg: float, part: int) -> None:
     instrument = Instrument(field_deg=field_deg, detector_diameter_mm=10.0)
     directions = arc_direction(np.arange(10.0, 86.0, 15.0), 90.0)
-    found = throughput(instrument, 30.0, directions, lambertian(1.0))
+    result = throughput(instrument, 30.0, directions, lambertian(1.0))
     traced = forward_throughput(instrument, 30.0, directions, lambertian(1.0), relative_error=0.01 * math.sqrt(part), seed=3)
-    standard = (found - traced.single_m2sr) / traced.single_error
+    standard = (result - traced.single_m2sr) / traced.single_error
     assert np.abs(standard).max() < 4.5
     assert np.sum(standard**2) < 30.0  # chi-square of 6 degrees of freedom: exceeded once in 25,000
 

@@ -39,15 +39,15 @@ def monte_carlo(
     light /= distance[:, None]
     weight = light[:, 2] * (light @ scene.pupil[3]) / distance**2
     leaving = -light if transmits else light * [-1.0, -1.0, 1.0]
-    found = []
+    result = []
     for centre, axis in zip(*scene.detectors(instrument, directions), strict=True):
         along = leaving @ axis
         reach = ((centre - place) @ axis) / along
         off = np.linalg.norm(place + reach[:, None] * leaving - centre, axis=1)
         inside = (off <= 0.5 * instrument.detector_diameter_mm) & (along >= math.cos(math.radians(0.5 * instrument.field_deg)))
-        found.append(weight * (inside & (reach > 0.0)))
+        result.append(weight * (inside & (reach > 0.0)))
     scale = REFLECTED * math.pi * instrument.pupil_radius_mm**2 * instrument.spot_side_mm**2 * 1e-6 / instrument.spot_side_mm**2
-    values = np.array(found) * scale * instrument.spot_side_mm**2
+    values = np.array(result) * scale * instrument.spot_side_mm**2
     return values.mean(axis=1), values.std(axis=1) / math.sqrt(rays)
 
 

@@ -50,24 +50,24 @@ def test_detectors_with_a_wide_spot_receive_their_own_etendue(sigma_deg: float, 
     wide = Instrument(spot_side_mm=24.0, mirror_side_mm=200.0, obstruction=False, detector_diameter_mm=10.0, field_deg=2.0)
     directions = spread_out(200)
     directions = directions[directions[:, 2] > math.cos(math.radians(45.0))]
-    found = forward_throughput(wide, sigma_deg, directions, lambertian(0.6), 20_000_000 // part, seed=1)
+    result = forward_throughput(wide, sigma_deg, directions, lambertian(0.6), 20_000_000 // part, seed=1)
     # Irradiance pi L sin^2 cos of a round pupil on the axis, f = 0.6 / pi, the disc's area times its projected cone.
     etendue_m2sr = math.pi * 0.005**2 * math.pi * math.sin(math.radians(1.0)) ** 2
     closed = REFLECTED * 0.6 * PUPIL_SINE2 * math.cos(math.radians(sigma_deg)) * etendue_m2sr
-    deviation = (found.single_m2sr - closed) / found.single_error
+    deviation = (result.single_m2sr - closed) / result.single_error
     assert np.max(np.abs(deviation)) < 5.0
     # The detectors overlap slightly; the irradiance decreases off the centre of the spot, by 1e-4.
-    assert found.single_m2sr.mean() == pytest.approx(closed, rel=2e-3 * math.sqrt(part))
+    assert result.single_m2sr.mean() == pytest.approx(closed, rel=2e-3 * math.sqrt(part))
 
 
 @parted(4)
 def test_a_small_detector_in_the_open_beam_receives_the_pupils_radiance(part: int) -> None:
     small = replace(OPEN, detector_diameter_mm=4.0, field_deg=0.1)
-    found = forward_throughput(small, 30.0, [-light_direction(30.0), light_direction(30.0)], None, 4_000_000 // part, seed=2)
+    result = forward_throughput(small, 30.0, [-light_direction(30.0), light_direction(30.0)], None, 4_000_000 // part, seed=2)
     closed = REFLECTED * math.pi * 0.002**2 * math.pi * math.sin(math.radians(0.05)) ** 2
-    assert found.throughput_m2sr[0] == pytest.approx(closed, abs=4.0 * found.standard_error[0])
-    assert found.standard_error[0] < 0.01 * math.sqrt(part) * closed
-    assert found.throughput_m2sr[1] == 0.0
+    assert result.throughput_m2sr[0] == pytest.approx(closed, abs=4.0 * result.standard_error[0])
+    assert result.standard_error[0] < 0.01 * math.sqrt(part) * closed
+    assert result.throughput_m2sr[1] == 0.0
 
 
 @parted(4)
@@ -75,13 +75,13 @@ def test_a_small_detector_in_the_open_beam_receives_the_pupils_radiance(part: in
 @pytest.mark.parametrize("sigma_deg", [25.0, 140.0])
 def test_the_scattered_flux_is_the_albedo_times_the_incident_flux(scatterer: Scatterer, sigma_deg: float, part: int) -> None:
     arriving = forward_throughput(ALL, sigma_deg, [UP, DOWN], None, 300_000 // part, seed=4).single_m2sr.sum()
-    found = forward_throughput(ALL, sigma_deg, [UP, DOWN], scatterer, 400_000 // part, seed=4, gamma_deg=35.0)
+    result = forward_throughput(ALL, sigma_deg, [UP, DOWN], scatterer, 400_000 // part, seed=4, gamma_deg=35.0)
     back = sigma_deg > 90.0
     for k, transmitted in ((0, back), (1, not back)):
         share = albedo(scatterer, sigma_deg, transmitted, gamma_deg=35.0)
-        error = found.single_error[k] / arriving
+        error = result.single_error[k] / arriving
         # Light within 0.05 deg of the horizon is not received; the beam is 0.7 deg wide.
-        assert found.single_m2sr[k] / arriving == pytest.approx(share, abs=5.0 * error + 2e-3 * share + 1e-9)
+        assert result.single_m2sr[k] / arriving == pytest.approx(share, abs=5.0 * error + 2e-3 * share + 1e-9)
 
 
 def test_a_spectral_sample_equals_its_value_at_the_wavelength() -> None:
@@ -90,9 +90,9 @@ def test_a_spectral_sample_equals_its_value_at_the_wavelength() -> None:
     )
     arriving = forward_throughput(ALL, 30.0, [UP, DOWN], None, 300_000, seed=4).single_m2sr.sum()
     for wavelength in (400.0, 500.0, 700.0):
-        found = forward_throughput(ALL, 30.0, [UP], coloured, 300_000, seed=5, wavelength_nm=wavelength)
+        result = forward_throughput(ALL, 30.0, [UP], coloured, 300_000, seed=5, wavelength_nm=wavelength)
         share = albedo(coloured, 30.0, wavelength_nm=wavelength)
-        assert found.single_m2sr[0] / arriving == pytest.approx(share, rel=1e-2)
+        assert result.single_m2sr[0] / arriving == pytest.approx(share, rel=1e-2)
     with pytest.raises(ValueError, match="wavelength_nm is missing"):
         forward_throughput(ALL, 30.0, [UP], coloured, 300_000)
 
@@ -116,12 +116,12 @@ def test_mirrors_with_a_table_reflect_its_value_at_the_wavelength_and_angle() ->
     perfect = replace(instrument, mirror_reflectance=1.0)
     directions = spread_out(10)
     for wavelength, expected in ((400.0, 0.6), (500.0, 0.725), (600.0, 0.85)):
-        found = forward_throughput(
+        result = forward_throughput(
             instrument, 30.0, directions, lambertian(), 500_000, seed=1, wavelength_nm=wavelength
         ).single_m2sr
         whole = forward_throughput(perfect, 30.0, directions, lambertian(), 500_000, seed=1).single_m2sr
         # The beam's 0.7 deg are symmetrical about 45 deg, and the table is linear there.
-        assert found.sum() / whole.sum() == pytest.approx(expected**3, rel=1e-3)
+        assert result.sum() / whole.sum() == pytest.approx(expected**3, rel=1e-3)
 
 
 def test_the_standard_error_is_that_of_repeated_runs() -> None:
@@ -136,35 +136,35 @@ def test_the_standard_error_is_that_of_repeated_runs() -> None:
 
 def test_a_relative_error_can_be_requested() -> None:
     directions = spread_out(30)
-    found = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.01, seed=1)
-    lit = found.throughput_m2sr > 0.0
-    assert np.median(found.standard_error[lit] / found.throughput_m2sr[lit]) < 0.01
-    again = forward_throughput(WIDE, 30.0, directions, lambertian(), paths=found.paths, seed=1)
-    assert np.array_equal(found.throughput_m2sr, again.throughput_m2sr)
+    result = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.01, seed=1)
+    lit = result.throughput_m2sr > 0.0
+    assert np.median(result.standard_error[lit] / result.throughput_m2sr[lit]) < 0.01
+    again = forward_throughput(WIDE, 30.0, directions, lambertian(), paths=result.paths, seed=1)
+    assert np.array_equal(result.throughput_m2sr, again.throughput_m2sr)
     coarse = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.03, seed=1)
-    assert coarse.paths < found.paths
-    with pytest.raises(ValueError, match="of no light"):
+    assert coarse.paths < result.paths
+    with pytest.raises(ValueError, match="undefined without light"):
         forward_throughput(WIDE, 150.0, directions, lambertian(), relative_error=0.01)
 
 
-def fields(found: Any) -> list[Floats]:
-    return [found.throughput_m2sr, found.standard_error, found.stray_m2sr, found.stray_error]
+def fields(result: Any) -> list[Floats]:
+    return [result.throughput_m2sr, result.standard_error, result.stray_m2sr, result.stray_error]
 
 
 @pytest.mark.parametrize("scatterer", [gaussian(5.0), MODELS[-1]], ids=model_name)
 def test_results_are_bit_identical_for_one_seed_and_any_number_of_threads(scatterer: Scatterer) -> None:
     directions, paths = spread_out(100), 4 * CHUNK + 77
-    threads, found = numba.get_num_threads(), []
+    threads, result = numba.get_num_threads(), []
     try:
         for count in (1, threads, threads):
             numba.set_num_threads(count)
-            found.append(fields(forward_throughput(WIDE, 30.0, directions, scatterer, paths, seed=3)))
+            result.append(fields(forward_throughput(WIDE, 30.0, directions, scatterer, paths, seed=3)))
     finally:
         numba.set_num_threads(threads)
-    assert all(np.array_equal(one, other) for run in found[1:] for one, other in zip(found[0], run, strict=True))
-    assert np.any(found[0][2] > 0.0)
+    assert all(np.array_equal(one, other) for run in result[1:] for one, other in zip(result[0], run, strict=True))
+    assert np.any(result[0][2] > 0.0)
     other_seed = forward_throughput(WIDE, 30.0, directions, scatterer, paths, seed=4)
-    assert not np.array_equal(found[0][0], other_seed.throughput_m2sr)
+    assert not np.array_equal(result[0][0], other_seed.throughput_m2sr)
 
 
 def test_detectors_do_not_depend_on_each_other() -> None:
@@ -180,8 +180,8 @@ def test_the_number_of_paths_is_rounded_up_to_blocks_also_without_detectors() ->
 
 
 def test_a_sample_without_a_lobe_for_this_light_gives_zero() -> None:
-    found = forward_throughput(WIDE, 150.0, spread_out(20) * [1.0, 1.0, -1.0], lambertian(), 100_000)
-    assert not np.any(found.single_m2sr)
+    result = forward_throughput(WIDE, 150.0, spread_out(20) * [1.0, 1.0, -1.0], lambertian(), 100_000)
+    assert not np.any(result.single_m2sr)
 
 
 @pytest.mark.parametrize(

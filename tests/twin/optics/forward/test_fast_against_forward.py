@@ -72,14 +72,14 @@ def check_agreement(
     seen = expected > least * expected.max()
     assert np.count_nonzero(seen) >= 15
     assert not np.any(estimate.single_m2sr[expected == 0.0])
-    found, error = estimate.single_m2sr[seen], estimate.single_error[seen]
-    agree(found, error, expected[seen], 20.0 / rays * expected[seen])
+    result, error = estimate.single_m2sr[seen], estimate.single_error[seen]
+    agree(result, error, expected[seen], 20.0 / rays * expected[seen])
     if seven:
         own = throughput(instrument, sigma_deg, directions, sample, gamma_deg=gamma_deg)[seen]
-        agree(found, error, own, 0.0)
-        assert found.sum() == pytest.approx(own.sum(), rel=sum_error)
-    assert found.sum() == pytest.approx(expected[seen].sum(), rel=sum_error)
-    known = math.sqrt(float(np.sum(error**2))) / found.sum()
+        agree(result, error, own, 0.0)
+        assert result.sum() == pytest.approx(own.sum(), rel=sum_error)
+    assert result.sum() == pytest.approx(expected[seen].sum(), rel=sum_error)
+    known = math.sqrt(float(np.sum(error**2))) / result.sum()
     assert known < 0.5 * sum_error
 
 
@@ -193,7 +193,7 @@ def test_both_agree_for_a_mirror_and_the_open_beam(sigma_deg: float, scatterer: 
 def measured_paint() -> Scatterer:
     """Table of the black paint, for light from either side; the data are not in this repository."""
     if not MEASURED.is_file():
-        pytest.skip(f"the measured paint is not there: {MEASURED}")
+        pytest.skip(f"no table of the measured paint: {MEASURED}")
     from goniotwin.app.rig.samples import MeasuredTable, sample_scatterer
 
     return sample_scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")

@@ -52,24 +52,24 @@ def uniform_rays(count: int, side_mm: float = 7.5) -> RaySource:
 def test_rays_of_a_uniform_pupil_give_the_result_of_the_pupil(sigma_deg: float) -> None:
     directions, sample = around(sigma_deg), gaussian(15.0, side="both")
     plain = forward_throughput(WIDE, sigma_deg, directions, sample, 5_000_000, seed=1)
-    found = forward_throughput(WIDE, sigma_deg, directions, sample, 10_000_000, seed=2, source=uniform_rays(400_000))
-    agree(plain.single_m2sr, plain.single_error, found.single_m2sr, found.single_error)
-    error = math.sqrt(float(np.sum(plain.single_error**2 + found.single_error**2)))
-    assert found.single_m2sr.sum() == pytest.approx(plain.single_m2sr.sum(), abs=4.0 * error)
+    result = forward_throughput(WIDE, sigma_deg, directions, sample, 10_000_000, seed=2, source=uniform_rays(400_000))
+    agree(plain.single_m2sr, plain.single_error, result.single_m2sr, result.single_error)
+    error = math.sqrt(float(np.sum(plain.single_error**2 + result.single_error**2)))
+    assert result.single_m2sr.sum() == pytest.approx(plain.single_m2sr.sum(), abs=4.0 * error)
     assert error < 2e-3 * plain.single_m2sr.sum()
     # 400,000 rays, half of them in the hole: the error of the mean flux is 0.2 %.
-    assert found.radiance == pytest.approx(RADIANCE, rel=8e-3)
-    assert (found.unit, plain.unit, plain.radiance) == ("W", None, 1.0)
+    assert result.radiance == pytest.approx(RADIANCE, rel=8e-3)
+    assert (result.unit, plain.unit, plain.radiance) == ("W", None, 1.0)
 
 
 def test_light_beside_the_hole_lights_the_frame() -> None:
     everything = Instrument(obstruction=False, detector_diameter_mm=1e7, field_deg=179.9)
     frames = SampleFrames(reflectance=0.4)
-    found = forward_throughput(
+    result = forward_throughput(
         everything, 0.0, [[0.0, 0.0, 1.0]], lambertian(), 300_000, source=uniform_rays(200_000), sample_frames=frames
     )
-    expected = 0.4 * (7.5**2 / 5.0**2 - 1.0) * found.single_m2sr[0]
-    assert found.stray_m2sr[0] == pytest.approx(expected, rel=0.02)
+    expected = 0.4 * (7.5**2 / 5.0**2 - 1.0) * result.single_m2sr[0]
+    assert result.stray_m2sr[0] == pytest.approx(expected, rel=0.02)
 
 
 def test_a_recorded_rayset_differs_by_the_nonuniformity_of_its_light_at_most() -> None:
@@ -77,20 +77,20 @@ def test_a_recorded_rayset_differs_by_the_nonuniformity_of_its_light_at_most() -
     directions = around(30.0)
     for sample, most in ((lambertian(), 0.01), (gaussian(15.0), 0.02)):
         plain = forward_throughput(WIDE, 30.0, directions, sample, 2_000_000, seed=1)
-        found = forward_throughput(WIDE, 30.0, directions, sample, 2_000_000, seed=2, source=source)
-        error = np.hypot(plain.single_error, found.single_error) / plain.single_m2sr
+        result = forward_throughput(WIDE, 30.0, directions, sample, 2_000_000, seed=2, source=source)
+        error = np.hypot(plain.single_error, result.single_error) / plain.single_m2sr
         # The same flux in the hole; its distribution over the hole and the pupil differs by a few percent.
-        assert np.all(np.abs(found.single_m2sr / plain.single_m2sr - 1.0) < most + 4.5 * error)
+        assert np.all(np.abs(result.single_m2sr / plain.single_m2sr - 1.0) < most + 4.5 * error)
 
 
 def test_the_default_wavelength_is_the_mean_of_the_rays() -> None:
     source = uniform_rays(10_000)
     source = replace(source, wavelength_nm=np.where(np.arange(10_000) % 2, 500.0, 600.0))
     sample = apply_spectrum([500.0, 600.0], [0.2, 0.8], lambertian())
-    found = forward_throughput(WIDE, 30.0, around(30.0), sample, 100_000, source=source)
+    result = forward_throughput(WIDE, 30.0, around(30.0), sample, 100_000, source=source)
     mean = float(np.average(source.wavelength_nm, weights=source.flux))
     same = forward_throughput(WIDE, 30.0, around(30.0), sample, 100_000, source=source, wavelength_nm=mean)
-    assert np.array_equal(found.throughput_m2sr, same.throughput_m2sr)
+    assert np.array_equal(result.throughput_m2sr, same.throughput_m2sr)
 
 
 def test_rays_that_miss_the_hole_are_refused() -> None:

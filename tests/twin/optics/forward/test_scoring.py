@@ -39,7 +39,7 @@ def test_every_ray_is_counted_by_the_detectors_in_whose_cone_and_disc_it_is(fiel
     rays[::2] = axes[np.arange(BLOCK // 2) % count] + 0.6 * math.radians(field_deg) * random_directions(BLOCK // 2, 3)
     rays = (rays / np.linalg.norm(rays, axis=1)[:, None]).astype(np.float32).astype(np.float64)
     places = np.column_stack([np.random.default_rng(4).uniform(-2.5, 2.5, (BLOCK, 2)).astype(np.float32), np.zeros(BLOCK)])
-    found = make_targets(centres, axes, field_deg, diameter_mm)
+    result = make_targets(centres, axes, field_deg, diameter_mm)
     expected = expected_counts(centres, axes, field_deg, diameter_mm, places, rays)
     surely = expected == expected_counts(centres, axes, field_deg * 0.99999, diameter_mm - 1e-3, places, rays)
     surely &= expected == expected_counts(centres, axes, field_deg * 1.00001, diameter_mm + 1e-3, places, rays)
@@ -52,24 +52,24 @@ def test_every_ray_is_counted_by_the_detectors_in_whose_cone_and_disc_it_is(fiel
         buffer[DX + c * BLOCK : DX + (c + 1) * BLOCK] = rays[:, c]
     for c in range(2):
         buffer[PX + c * BLOCK : PX + (c + 1) * BLOCK] = places[:, c]
-    cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(found.starts).max()) + 1
+    cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(result.starts).max()) + 1
     hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
     sums = np.zeros((count, 4))
-    find_cells(buffer, BLOCK, found.cells, cells)
-    score(buffer, BLOCK, cells, found, hit_buffer, sums)
+    find_cells(buffer, BLOCK, result.cells, cells)
+    score(buffer, BLOCK, cells, result, hit_buffer, sums)
     unsure = np.count_nonzero(~surely, axis=0)
     assert np.all(np.abs(sums[:, 0] - expected.sum(axis=0)) <= unsure)
     for k in range(BLOCK):
         (px, py, pz), (dx, dy, dz) = places[k], rays[k]
-        score_segment(found, px, py, pz, dx, dy, dz, math.inf, 1.0, sums)
+        score_segment(result, px, py, pz, dx, dy, dz, math.inf, 1.0, sums)
     assert np.all(np.abs(sums[:, 2] - expected.sum(axis=0)) <= unsure)
 
 
 def test_a_ray_that_is_blocked_before_a_detector_is_not_counted() -> None:
     axes = np.array([[0.0, 0.0, 1.0]])
-    found, sums = make_targets(300.0 * axes, axes, 1.0, 5.0), np.zeros((1, 4))
+    result, sums = make_targets(300.0 * axes, axes, 1.0, 5.0), np.zeros((1, 4))
     for stop, counts in ((299.0, 0.0), (301.0, 1.0)):
-        score_segment(found, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, stop, 1.0, sums)
+        score_segment(result, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, stop, 1.0, sums)
         assert sums[0, 2] == counts
-    score_segment(found, 0.0, 0.0, 310.0, 0.0, 0.0, 1.0, math.inf, 1.0, sums)
+    score_segment(result, 0.0, 0.0, 310.0, 0.0, 0.0, 1.0, math.inf, 1.0, sums)
     assert sums[0, 2] == 1.0

@@ -119,12 +119,14 @@ def test_simple_sensors_agree_with_the_simplified_detectors(
 def test_other_sensors_agree_with_plain_monte_carlo(sensor: RealSensor, scatterer: Scatterer, part: int) -> None:
     instrument = Instrument(sensor=sensor, obstruction=False)
     seen = directions(scatterer, 30.0)
-    found = forward_throughput(instrument, 30.0, seen, scatterer, 10_000_000 // part, seed=3)
-    agree(found.single_m2sr, found.single_error, *plain_monte_carlo(instrument, sensor, 30.0, seen, scatterer, 60_000 // part))
+    result = forward_throughput(instrument, 30.0, seen, scatterer, 10_000_000 // part, seed=3)
+    agree(
+        result.single_m2sr, result.single_error, *plain_monte_carlo(instrument, sensor, 30.0, seen, scatterer, 60_000 // part)
+    )
     # A disc and cone of the same dimensions give another result.
     virtual = forward_throughput(replace(instrument, sensor=None), 30.0, seen, scatterer, 10_000_000 // part, seed=4)
-    error = math.hypot(*(np.linalg.norm(each.single_error) for each in (found, virtual)))
-    assert abs(found.single_m2sr.sum() - virtual.single_m2sr.sum()) > 10.0 * error
+    error = math.hypot(*(np.linalg.norm(each.single_error) for each in (result, virtual)))
+    assert abs(result.single_m2sr.sum() - virtual.single_m2sr.sum()) > 10.0 * error
 
 
 def test_plain_monte_carlo_agrees_with_the_simplified_detectors_too() -> None:
@@ -163,25 +165,25 @@ def test_every_ray_is_counted_by_exactly_the_sensors_that_it_passes(sensor: Real
     assert np.count_nonzero(surely) > 100
     assert unsure.sum() < 10
 
-    found, sums = make_sensor_targets(centres, axes, along, sensor), np.zeros((len(axes), 4))
+    result, sums = make_sensor_targets(centres, axes, along, sensor), np.zeros((len(axes), 4))
     buffer = np.zeros(ROWS * BLOCK, np.float32)
     buffer[WEIGHT : WEIGHT + BLOCK], buffer[STOP : STOP + BLOCK] = 1.0, np.inf
     buffer[DX : DX + 3 * BLOCK], buffer[PX : PX + 2 * BLOCK] = rays.T.ravel(), places[:, :2].T.ravel()
-    cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(found.starts).max()) + 1
+    cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(result.starts).max()) + 1
     hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
-    find_cells(buffer, BLOCK, found.cells, cells)
-    score(buffer, BLOCK, cells, found, hit_buffer, sums)
+    find_cells(buffer, BLOCK, result.cells, cells)
+    score(buffer, BLOCK, cells, result, hit_buffer, sums)
     for (px, py, pz), (dx, dy, dz) in zip(places, rays, strict=True):
-        score_segment(found, px, py, pz, dx, dy, dz, math.inf, 1.0, sums)
+        score_segment(result, px, py, pz, dx, dy, dz, math.inf, 1.0, sums)
     for column in (0, 2):
         assert np.all(np.abs(sums[:, column] - surely.sum(axis=0)) <= unsure)
 
 
 def test_a_ray_that_is_blocked_before_the_lens_is_not_counted() -> None:
     axes, sums = np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 4))
-    found = make_sensor_targets(300.0 * axes, axes, np.array([[1.0, 0.0, 0.0]]), RealSensor())
+    result = make_sensor_targets(300.0 * axes, axes, np.array([[1.0, 0.0, 0.0]]), RealSensor())
     for stop, counts in ((299.0, 0.0), (301.0, 1.0)):
-        score_segment(found, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, stop, 1.0, sums)
+        score_segment(result, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, stop, 1.0, sums)
         assert sums[0, 2] == counts
 
 
@@ -204,24 +206,24 @@ def test_the_sides_of_the_square_lie_along_and_across_the_arc(sigma_deg: float, 
 def test_a_shifted_sensor_sees_another_part_of_the_spot() -> None:
     # By half of the spot and the lens' radius: no light on the axis is left.
     aside = {"sensor": Deviation(x_mm=30.0)}
-    found = forward_throughput(
+    result = forward_throughput(
         Instrument(sensor=SMALL, deviations=aside), 30.0, arc_direction([50.0], [90.0]), lambertian(), 200_000
     )
-    assert found.single_m2sr[0] == 0.0
+    assert result.single_m2sr[0] == 0.0
 
 
 def test_results_are_bit_identical_for_one_seed_and_any_number_of_threads() -> None:
     instrument, seen = Instrument(sensor=SMALL), directions(gaussian(8.0), 30.0)
-    threads, found = numba.get_num_threads(), list[Estimate]()
+    threads, result = numba.get_num_threads(), list[Estimate]()
     try:
         for count in (1, threads):
             numba.set_num_threads(count)
-            found.append(forward_throughput(instrument, 30.0, seen, gaussian(8.0), 4 * CHUNK + 77, seed=3))
+            result.append(forward_throughput(instrument, 30.0, seen, gaussian(8.0), 4 * CHUNK + 77, seed=3))
     finally:
         numba.set_num_threads(threads)
     for name in ("throughput_m2sr", "standard_error", "stray_m2sr", "stray_error"):
-        assert np.array_equal(getattr(found[0], name), getattr(found[1], name))
-    assert np.any(found[0].stray_m2sr > 0.0)
+        assert np.array_equal(getattr(result[0], name), getattr(result[1], name))
+    assert np.any(result[0].stray_m2sr > 0.0)
 
 
 def test_without_detectors_the_result_is_empty() -> None:

@@ -73,14 +73,14 @@ def test_the_flux_is_radiance_times_etendue(estimate: Any, opening_mm: float, pu
         slit_width_mm=opening_mm, height_stop_mm=opening_mm, exit_pupil_radius_mm=pupil_mm, input_condenser_magnification=1.0,
         reflector_reflectance=0.0, bulb_transmittance=1.0, monochromator_transmittance=1.0,
     )  # fmt: skip
-    found = estimate(unit, relative_error=error, cells=1, side_mm=16.0 * opening_mm)
+    result = estimate(unit, relative_error=error, cells=1, side_mm=16.0 * opening_mm)
     # Emission of the arc per volume and solid angle, along its cylinder's chords, averaged over the slit's image in it.
     chord_mm = 2.0 * unit.arc_radius_mm * (1.0 - (0.5 * opening_mm / unit.arc_radius_mm) ** 2 / 6.0)
     radiance_mm2sr = unit.band_flux / (4.0 * math.pi * unit.arc_volume_mm3) * chord_mm
     etendue_mm2sr = opening_mm**2 * math.pi * math.sin(math.atan(pupil_mm / unit.slit_distance_mm)) ** 2
     # The neglected cosines: those of the pupil's rim as seen from the arc.
     left_out = 2.0 * (pupil_mm / unit.slit_distance_mm) ** 2
-    assert found.flux == pytest.approx(radiance_mm2sr * etendue_mm2sr, abs=4.0 * found.flux_error + left_out * found.flux)
+    assert result.flux == pytest.approx(radiance_mm2sr * etendue_mm2sr, abs=4.0 * result.flux_error + left_out * result.flux)
 
 
 def test_the_reflector_adds_its_light_after_all_losses() -> None:
@@ -106,7 +106,7 @@ def test_the_irradiance_of_the_sample_agrees_with_the_signal_estimate() -> None:
 
 
 def test_the_divergence_is_that_of_the_pupil_averaged_over_the_field() -> None:
-    found = adjoint_illumination(UNIT, rays=2_000_000)
+    result = adjoint_illumination(UNIT, rays=2_000_000)
     # Without rays, from evenly spread points (Roberts' sequence) of pupil and field. The radiance of a point of the pupil, seen
     # from a point of the field, follows from the tangents before the condenser, by similar triangles (slit 57.1 mm behind the
     # pupil, condenser 250 mm behind that, arc 50 mm): the fourth power of the cosine, and the oblique chord of an upright arc.
@@ -118,13 +118,13 @@ def test_the_divergence_is_that_of_the_pupil_averaged_over_the_field() -> None:
     square = np.sum(tangent**2, axis=0)
     bright = 1.0 / (1.0 + square) ** 2 / np.sqrt(1.0 - tangent[1] ** 2 / (1.0 + square))
     angle = np.degrees(np.arctan(np.hypot(*(pupil - field)) / 800.0))
-    expected = np.histogram(angle, found.angle_edges_deg, weights=bright)[0]
-    apart = np.abs(found.angular_flux / found.flux - expected / expected.sum())
+    expected = np.histogram(angle, result.angle_edges_deg, weights=bright)[0]
+    apart = np.abs(result.angular_flux / result.flux - expected / expected.sum())
     # The estimator's error, and that of the points.
-    assert np.all(apart < 5.5 * found.angular_flux_error / found.flux + 1e-4)
-    assert replace(found, angular_flux=expected).full_width_deg[0] == pytest.approx(found.full_width_deg[0], abs=0.005)
+    assert np.all(apart < 5.5 * result.angular_flux_error / result.flux + 1e-4)
+    assert replace(result, angular_flux=expected).full_width_deg[0] == pytest.approx(result.full_width_deg[0], abs=0.005)
     # The paper's 0.5 to 1 deg.
-    assert 0.5 < found.full_width_deg[0] < 1.0
+    assert 0.5 < result.full_width_deg[0] < 1.0
 
 
 def test_a_unit_without_deviations_lights_the_field_uniformly_and_symmetrically() -> None:
@@ -148,11 +148,11 @@ def test_the_result_has_the_unit_of_the_lamp() -> None:
 @pytest.mark.parametrize("estimate", BOTH)
 def test_a_relative_error_can_be_requested(estimate: Any) -> None:
     target = 0.02 if estimate is forward_illumination else 0.001
-    found = estimate(UNIT, relative_error=target, cells=3)
-    assert 0.0 < found.flux_error <= target * found.flux
+    result = estimate(UNIT, relative_error=target, cells=3)
+    assert 0.0 < result.flux_error <= target * result.flux
     # The rays are those of a run with their number.
-    again = estimate(UNIT, rays=found.rays, cells=3)
-    assert again.flux == pytest.approx(found.flux, rel=1e-12)
+    again = estimate(UNIT, rays=result.rays, cells=3)
+    assert again.flux == pytest.approx(result.flux, rel=1e-12)
 
 
 def test_the_standard_errors_are_those_of_repeated_runs() -> None:
@@ -202,11 +202,11 @@ def test_invalid_arguments_are_refused(estimate: Any) -> None:
 
 def test_without_light_the_flux_is_zero_and_a_relative_error_is_refused() -> None:
     blocked = replace(UNIT, deviations={"slit": Deviation(x_mm=3.0)})
-    found = adjoint_illumination(blocked, rays=1000)
-    assert (found.flux, found.flux_error) == (0.0, 0.0)
-    assert math.isnan(found.full_width_deg[0])
+    result = adjoint_illumination(blocked, rays=1000)
+    assert (result.flux, result.flux_error) == (0.0, 0.0)
+    assert math.isnan(result.full_width_deg[0])
     for estimate in BOTH:
-        with pytest.raises(ValueError, match="of no light"):
+        with pytest.raises(ValueError, match="undefined without light"):
             estimate(blocked, relative_error=0.1)
         with pytest.raises(ValueError, match="more than"):
             estimate(UNIT, relative_error=1e-7)

@@ -24,8 +24,8 @@ def test_replayed_rays_light_the_sample_as_rays_from_the_arc(unit: IlluminationU
     forward = forward_illumination(unit, rays=8_000_000, seed=5)
     source = replay(record(unit, 100_000, seed=6), unit)
     place, along = source.rays[:, :3], source.rays[:, 3:]
-    there = place + ((800.0 - place[:, 1]) / along[:, 1])[:, None] * along
-    inside = np.all(np.abs(there[:, [0, 2]]) < 2.5, axis=1)
+    landing = place + ((800.0 - place[:, 1]) / along[:, 1])[:, None] * along
+    inside = np.all(np.abs(landing[:, [0, 2]]) < 2.5, axis=1)
     angle = np.degrees(np.arctan2(np.hypot(along[:, 0], along[:, 2]), along[:, 1]))
 
     def spread(values: Any, weights: Any) -> tuple[Any, Any]:
@@ -35,7 +35,7 @@ def test_replayed_rays_light_the_sample_as_rays_from_the_arc(unit: IlluminationU
 
     cell_m2 = 1e-6
     edges = [np.linspace(-2.5, 2.5, 6)] * 2
-    flux, error = spread(there[:, [0, 2]], source.flux)
+    flux, error = spread(landing[:, [0, 2]], source.flux)
     agree(flux / cell_m2, error / cell_m2, forward.irradiance, forward.irradiance_error)
     edges = [forward.angle_edges_deg]
     flux, error = spread(angle[:, None], np.where(inside, source.flux, 0.0))
