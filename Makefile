@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
-PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest -n 2 --dist worksteal
+PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest --dist worksteal
 
 .PHONY: demo test test-long desktop clean
 
@@ -19,11 +19,12 @@ test: $(READY)
 	{ $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports && $(BIN)/python -m tests.kernels fast; } \
 	  || { kill $$kernels 2>/dev/null; exit 1; }; \
 	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }
-	$(PYTEST) -m "not long"
+	@# Three workers for two cores: the one with the endpoints waits most of its time.
+	$(PYTEST) -n 3 -m "not long"
 
 # The slow proofs, in full; run before a change of what they prove is called done.
 test-long: $(READY)
-	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
+	$(PYTEST) -n 2 -m "long or hypothesis" --hypothesis-profile=long
 
 desktop: $(READY)
 	$(BIN)/goniotwin
