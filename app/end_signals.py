@@ -5,6 +5,7 @@ must not break this off with an axis in motion. So later signals are ignored dur
 LONGEST_STOP_S does a later signal end the process.
 """
 
+import atexit
 import contextlib
 import os
 import signal
@@ -41,6 +42,7 @@ class EndSignalHandlers:
         timer = threading.Timer(LONGEST_STOP_S, self._overdue.set)
         timer.daemon = True
         timer.start()
+        atexit.register(_ignore_end_signals)
         with contextlib.suppress(OSError):  # the terminal may be closed
             os.write(2, STOPPING_MESSAGE)
         self._act()
@@ -75,6 +77,14 @@ def call_on_end_signal(act: Callable[[], None]) -> Iterator[EndSignalHandlers]:
         if not handlers.received:
             for number, handler in previous.items():
                 signal.signal(number, handler)
+
+
+def _ignore_end_signals() -> None:
+    """Ignore signals from here to the end of the process: Python restores the system's handlers before it has ended, and a
+    signal would then change the exit status.
+    """
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _raise_interrupt() -> None:

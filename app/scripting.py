@@ -10,8 +10,11 @@ from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.campaign.reduction.reduction import reduce_journal as reduce_open_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation.simulate import Simulation, Task
+from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Simulation, Task
 from goniotwin.app.simulation.simulate import simulate as simulate_task
+from goniotwin.arrays import Floats
+
+SIGMA_LIMITS_DEG = (0.0, 90.0)
 
 
 def open_journal(path: str | Path) -> Journal:
@@ -19,6 +22,8 @@ def open_journal(path: str | Path) -> Journal:
 
     Raises UserError for a file that is not a journal, or is damaged.
     """
+    if not isinstance(path, str | Path):
+        raise UserError(f"journal: {path!r} is not a path; give the name of a journal")
     return Journal.open(Path(path))
 
 
@@ -40,13 +45,26 @@ def simulate(
     """Simulate the luminance factors of a sample as the instrument measures them, by the fast estimator (paper, figure 7).
 
     `sample` is a model as in `goniotwin simulate --sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
-    than 90, ascending; `wavelengths_nm` in nanometres, ascending, or None for a grey table. With `back` the light is on the
-    back of the sample; with `transmitted` the detectors are on the other side of it than the light. Raises UserError for a
-    model or a grid that cannot be simulated.
+    than 90, ascending; `wavelengths_nm` in nanometres, from 200 to 2500, ascending, or None for a grey table. With `back` the
+    light is on the back of the sample; with `transmitted` the detectors are on the other side of it than the light. Raises
+    UserError for a model or a grid that cannot be simulated.
     """
-    sigmas = np.asarray(sigma_deg, dtype=float)
-    if sigmas.ndim != 1 or not sigmas.size or not ((sigmas >= 0.0) & (sigmas < 90.0)).all() or (np.diff(sigmas) <= 0.0).any():
-        raise UserError(f"sigma_deg: {list(sigma_deg)}: give angles from 0 to below 90 deg, ascending")
-    wavelengths = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+    if not isinstance(sample, str):
+        raise UserError(f"sample: {sample!r} is not a text; give a model such as 'gaussian:width_deg=5'")
+    sigmas = _ascending("sigma_deg", sigma_deg, *SIGMA_LIMITS_DEG)
+    wavelengths = None if wavelengths_nm is None else _ascending("wavelengths_nm", wavelengths_nm, *WAVELENGTH_LIMITS_NM)
+    if sigmas[-1] == SIGMA_LIMITS_DEG[1]:
+        raise UserError(f"sigma_deg: {sigmas[-1]:g}: give angles below 90 deg")
     task = Task(parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted)
     return simulate_task(task)
+
+
+def _ascending(name: str, values: Sequence[float], lowest: float, highest: float) -> Floats:
+    """An argument as an array. Raises UserError for anything but ascending numbers within the limits."""
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.ndim != 1 or not array.size or not ((array >= lowest) & (array <= highest)).all() or (np.diff(array) <= 0.0).any():
+        raise UserError(f"{name}: {values!r}: give a list of numbers from {lowest:g} to {highest:g}, ascending")
+    return array

@@ -17,7 +17,7 @@ FORBIDDEN = (
     "foretold", "foretell", "foretells", "foreseen", "foresee", "foresees",
     # words that the field does not have
     "darks", "mend", "mends", "mended", "reckon", "reckoned", "by and by", "gone on with", "begun with", "own light",
-    "in between whiles", "it is its own", "back door", "doubts",
+    "in between whiles", "it is its own", "back door", "doubts", "automatic gains", "left out",
 )  # fmt: skip
 ALLOWED = {
     # names that others read: keys of JSON answers
@@ -25,6 +25,8 @@ ALLOWED = {
     '"told"',
     # the name of a stream of random numbers, which decides the numbers
     "foreseen readings",
+    # a column of the golden files
+    '"automatic gains"',
 }
 WORD = re.compile(rf"(?<![A-Za-z])({'|'.join(FORBIDDEN)})(?![A-Za-z])", re.IGNORECASE)
 HERE = "tests/test_words.py"
@@ -36,7 +38,7 @@ def places(*paths: str) -> list[str]:
     files = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout.split()
     found = []
     for name in files:
-        if Path(name).suffix not in (".py", ".md", ".toml") or name == HERE:
+        if (Path(name).suffix not in (".py", ".md", ".toml") and name not in ("Makefile", ".ci/run")) or name == HERE:
             continue
         for number, line in enumerate((REPOSITORY / name).read_text(encoding="utf-8").splitlines(), 1):
             rest = line

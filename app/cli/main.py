@@ -1,6 +1,7 @@
 """The command `goniotwin`: its groups of commands, the entry point and the last-resort error handler."""
 
 import logging
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -136,15 +137,17 @@ def copy_examples(
 
     sources = sorted(examples.FOLDER.glob("*/*.toml"))
     copies = {source: folder / source.relative_to(examples.FOLDER) for source in sources}
-    for copy in copies.values():
-        if copy.exists():
-            raise UserError(f"{copy}: exists, and nothing is overwritten; choose another folder")
     try:
+        for copy in copies.values():
+            if os.path.lexists(copy):
+                raise UserError(f"{copy}: exists, and nothing is overwritten; choose another folder")
         for source, copy in copies.items():
             copy.parent.mkdir(parents=True, exist_ok=True)
             write_file(copy, source.read_bytes())
-    except (OSError, FormatError) as error:
-        raise UserError(f"{folder}: cannot be written: {error}; choose another folder") from None
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written: {error.strerror}; choose another folder") from None
+    except FormatError as error:
+        raise UserError(str(error)) from None
     copied = list(copies.values())
     answer(as_json, {"files": [str(path) for path in copied]}, lambda: print("\n".join(map(str, copied))))
 

@@ -102,7 +102,7 @@ class RowProgress(ProgressBar):
         if isinstance(event, RowStarted):
             self._update(event.row.identity)
         elif isinstance(event, RowCommitted):
-            self._update(f"instrument: {event.seconds_left:.0f} s left", event.done, event.total)
+            self._update(f"{event.seconds_left:.0f} s left", event.done, event.total)
 
 
 class ShareProgress(ProgressBar):

@@ -124,14 +124,14 @@ def simulate(
     from goniotwin.app.simulation.detectors import parse_list
     from goniotwin.app.simulation.estimate import EstimatorSettings
     from goniotwin.app.simulation.files import check_file_names, summary, write_simulation
-    from goniotwin.app.simulation.simulate import Task
+    from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Task
     from goniotwin.app.simulation.simulate import simulate as simulate_task
 
     def parse(text: str | None, name: str, low: float, high: float) -> "Floats | None":
         return None if text is None else parse_list(text, name, low, high)
 
     instrument, frames = _instrument_and_frames(rig, no_obstruction)
-    wavelengths = parse(wavelength, "--wavelength", 200.0, 2500.0)
+    wavelengths = parse(wavelength, "--wavelength", *WAVELENGTH_LIMITS_NM)
     read = table_files(sample) + ([] if source is None else [source])
     task = Task(
         sample=parse_sample(sample),

@@ -21,6 +21,8 @@ from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, arc_direction, visible_fraction
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, REGULAR
 
+WAVELENGTH_LIMITS_NM = (200.0, 2500.0)
+"""Wavelengths of a simulation."""
 UNOBSTRUCTED = 1.0 - 1e-9
 ReportProgress = Callable[[float, str], None]
 """Receives the finished fraction of the work, 0 to 1, and the name of the present step."""

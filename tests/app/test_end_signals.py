@@ -19,6 +19,20 @@ with end_signals.call_on_end_signal(lambda: print("stopping", flush=True)):
     while True:
         signal.raise_signal(signal.SIGTERM)
 """
+LATE_SIGNAL = """
+import os, signal, sys
+from goniotwin.app.end_signals import call_on_end_signal
+
+class Last:
+    kill, number, process = os.kill, signal.SIGTERM, os.getpid()
+    def __del__(self):  # while the interpreter ends, after it has restored the system's handlers
+        Last.kill(Last.process, Last.number)
+
+last = Last()
+with call_on_end_signal(lambda: None):
+    signal.raise_signal(signal.SIGTERM)
+sys.exit(130)
+"""
 
 
 def test_without_a_signal_the_handlers_are_restored() -> None:
@@ -66,3 +80,8 @@ def test_an_overdue_stop_is_ended_by_a_later_signal() -> None:
     assert done.returncode == -signal.SIGTERM
     assert done.stdout == "stopping\n"
     assert done.stderr == "\ngoniotwin: stopping\n"
+
+
+def test_a_signal_at_the_very_end_of_the_process_leaves_its_exit_status() -> None:
+    done = subprocess.run([sys.executable, "-c", LATE_SIGNAL], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 130

@@ -1,6 +1,7 @@
 """The public API of `import goniotwin`: journals and simulations for scripts."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,11 +33,32 @@ def test_the_luminance_factor_of_a_simulated_diffuser_is_its_reflectance() -> No
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(("mirror", [30.0]), "mirror"), (("lambertian", [90.0]), "sigma_deg"), (("lambertian", [30.0, 0.0]), "sigma_deg")],
+    [
+        ({"sample": "mirror"}, "mirror"),
+        ({"sample": None}, "sample"),
+        ({"sigma_deg": [90.0]}, "sigma_deg"),
+        ({"sigma_deg": [30.0, 0.0]}, "sigma_deg"),
+        ({"sigma_deg": 30.0}, "sigma_deg"),
+        ({"sigma_deg": ["x"]}, "sigma_deg"),
+        ({"sigma_deg": [[0.0, 30.0]]}, "sigma_deg"),
+        ({"sigma_deg": [float("nan")]}, "sigma_deg"),
+        ({"wavelengths_nm": [600.0, 500.0]}, "wavelengths_nm"),
+        ({"wavelengths_nm": []}, "wavelengths_nm"),
+        ({"wavelengths_nm": 550.0}, "wavelengths_nm"),
+        ({"wavelengths_nm": [1e9]}, "wavelengths_nm"),
+    ],
 )
-def test_invalid_arguments_are_refused(arguments: tuple[str, list[float]], message: str) -> None:
+def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(goniotwin.UserError, match=message):
-        goniotwin.simulate(*arguments)
+        goniotwin.simulate(**{"sample": "lambertian", **arguments})
+
+
+@pytest.mark.parametrize("path", [None, 3, b"a.journal"])
+def test_what_is_not_a_path_is_refused(path: Any) -> None:
+    with pytest.raises(goniotwin.UserError, match="journal"):
+        goniotwin.open_journal(path)
+    with pytest.raises(goniotwin.UserError, match="journal"):
+        goniotwin.reduce_journal(path)
 
 
 def test_a_file_that_is_not_a_journal_is_refused(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def moving_lower_bound_s(grid: ScanGrid, moves: Moves) -> float:
         return 0.0
     total, below = 0.0, 0.0
     for level in _levels(np.concatenate(list(gaps.values()))).tolist():
-        # Connected by gaps that cost less than `level`: exact if no level in between was left out, else too few clusters.
+        # Connected by gaps that cost less than `level`: exact if no level in between is omitted, else too few clusters.
         clusters = grid.count_distinct({column: _clusters(costs, level) for column, costs in gaps.items()})
         total += (level - below) * (clusters - 1)
         below = level

@@ -86,7 +86,7 @@ def open_beam_poses(file: ScheduleFile, rig: RigFile) -> Floats:
 
 
 def _side_poses(file: ScheduleFile, rig: RigFile, side: LitSide) -> tuple[Floats, int]:
-    """Poses of one lit side, and the number of poses of the grids that are left out."""
+    """Poses of one lit side, and the number of poses of the grids that are omitted."""
     gammas, betas = np.array(grid_values(file.gamma_deg)), np.array(grid_values(file.beta_deg))
     sigmas, shifts = np.array(grid_values(file.sigma_deg)), np.array(grid_values(file.shift_deg))
     planned = len(gammas) * len(betas) * len(sigmas) * len(shifts)

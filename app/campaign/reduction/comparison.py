@@ -48,7 +48,7 @@ def theoretical_bsdf(rig: RigDescription, sample: str, points: BsdfPoints) -> Fl
 def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:
     """Compare a Gaussian sample with theory at each sigma: plane of incidence, theta <= 2 widths, zenith <= 85 deg.
 
-    Directions blocked by the mirror unit are left out. A direction that two photodiodes measured counts once, with the mean.
+    Directions blocked by the mirror unit are omitted. A direction that two photodiodes measured counts once, with the mean.
     Raises UserError for any other sample.
     """
     table = rig.file.twin.samples.get(sample) if rig.file.twin is not None else None

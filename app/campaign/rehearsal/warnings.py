@@ -24,7 +24,7 @@ from goniotwin.twin.optics.bsdf.models import REGULAR
 NOTICEABLE = 0.01
 """Relative change of a value by the field of view, from which on there is a warning."""
 FAINTEST = 1e-3
-"""Values below this share of a sample's largest are left out: far down a flank the relative change is large but irrelevant."""
+"""Values below this share of a sample's largest are omitted: far down a flank the relative change is large but irrelevant."""
 MAX_POSES = 200
 """Poses examined at each sigma, picked evenly from all."""
 FEW_STEPS = 1000.0

@@ -54,7 +54,7 @@ def relative_rms_percent(measured: Floats, theory: Floats) -> float:
 def in_plane_theta(sigma_deg: float, width_deg: float, widths: float = WIDTHS, step_deg: float = STEP_DEG) -> Floats:
     """Aspecular angles (n,), deg, in steps of `step_deg`: up to `widths` widths on both sides of the specular direction.
 
-    Angles whose zenith angle is 85 deg or more are left out.
+    Angles whose zenith angle is 85 deg or more are omitted.
     """
     count = math.floor(widths * width_deg / step_deg + 1e-9)
     theta = step_deg * np.arange(-count, count + 1, dtype=np.float64)

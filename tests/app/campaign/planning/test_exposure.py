@@ -15,7 +15,7 @@ from tests.conftest import RIG
 VIRTUAL = read_rig(RIG)
 TOLERANCE = 0.05
 LIGHT_DEPENDENT = {
-    "automatic gains": 'sigma_deg = [10, 70]\nbeta_deg = { start = 0, stop = 180, step = 45 }\ngains_v_per_a = "automatic"\n'
+    "auto-range": 'sigma_deg = [10, 70]\nbeta_deg = { start = 0, stop = 180, step = 45 }\ngains_v_per_a = "automatic"\n'
     'wavelength_nm = [400, 700]\nside = "both"\nlight = "both"\n',
     "averaging": "sigma_deg = [30]\nbeta_deg = [0, 90, 180]\nwavelength_nm = { start = 400, stop = 700, step = 10 }\n"
     "gains_v_per_a = [1e10]\n[averaging]\nrelative_uncertainty = 0.003\nlongest_s = 5\n",
@@ -67,7 +67,7 @@ def test_the_expected_exposure_at_a_real_rig_is_from_the_twin_that_its_file_desc
     for name in ("axes", "mono", "adc-0", "adc-1", "adc-2", "adc-3", "adc-4"):
         text = text.replace(f"twin://virtual/{name}", f"/dev/{name}" if name in ("axes", "mono") else f"{name}:502")
     text = text.replace("twin://virtual/monitor", "1313:8078:P0012345")
-    plan = planned(LIGHT_DEPENDENT["automatic gains"], parse_rig(text, RIG.parent, "real"))
+    plan = planned(LIGHT_DEPENDENT["auto-range"], parse_rig(text, RIG.parent, "real"))
     assert plan.details is not None
     assert set(plan.details.expected_reading_s) == {"etalon", "gaussian-5"}
     assert any("with assumed samples" in each for each in check_plan(plan)["warnings"])
