@@ -1,8 +1,9 @@
 """What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers.
 
 Two workers share the tests (`make test`). Those marked `endpoint` open real pseudo-terminals and sockets and wait in real
-time, so that two of them at once would make each other late: they hold a lock from setup to teardown, and come first, so
-that one worker has them all while the other has everything else.
+time, so that two of them at once would make each other late. They hold a lock from setup to teardown, and come first, so
+that one worker has them all while the other has everything else. A fixture that takes seconds has the scope of the
+session: the tests of one module can run in pieces on several workers.
 
 Hypothesis takes its number of examples from a profile: few in `make test`, many in `make test-long`.
 """

@@ -23,7 +23,7 @@ def folders() -> set[str]:
     return {"goniotwin", *(f"goniotwin.{'.'.join(folder.parts)}" for folder in found)}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A wheel built from a copy of the sources alone: a build folder that was left would put deleted files into it."""
     copy = tmp_path_factory.mktemp("sources")
@@ -38,7 +38,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return next(out.glob("*.whl"))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site-packages")
     with zipfile.ZipFile(wheel) as packed:

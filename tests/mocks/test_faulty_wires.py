@@ -15,6 +15,8 @@ from goniotwin.protocols.clock import RealClock
 from tests.conftest import Writer
 
 pytestmark = pytest.mark.endpoint
+SPEED = 5.0
+"""Simulation speed: most of these tests wait for timeouts."""
 
 
 @pytest.fixture
@@ -23,10 +25,10 @@ def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, ControlClie
     description = read_rig(write_rig(("noise = true", "noise = false")))
     model = description.model()
     assert model is not None
-    server = ServedRig(model, 1.0, tmp_path / "ptys")
+    server = ServedRig(model, SPEED, tmp_path / "ptys")
     server.start()
     control = ControlClient(server.endpoints[-1].port or 0)
-    yield served_rig(description, server.endpoints, 1.0), control
+    yield served_rig(description, server.endpoints, SPEED), control
     control.close()
     server.stop()
 
@@ -34,7 +36,7 @@ def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, ControlClie
 @pytest.fixture
 def served(server: tuple[str, ControlClient], tmp_path: Path) -> Iterator[tuple[OpenRig, ControlClient]]:
     """The drivers of a rig, connected over its endpoints, and its simulation control port."""
-    with open_rig(parse_rig(server[0], tmp_path, "served.toml"), RealClock()) as opened:
+    with open_rig(parse_rig(server[0], tmp_path, "served.toml"), RealClock(SPEED)) as opened:
         opened.connect()
         yield opened, server[1]
 

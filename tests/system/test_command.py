@@ -11,7 +11,7 @@ from tests.conftest import RIG, SCHEDULE, Change, Writer
 from tests.system.command import CALLS, Call, goniotwin, invoke, json_result
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("demo")
     return folder, json_result(goniotwin("demo", "--out", folder, "--transcript", folder / "wires", "--json"))

@@ -53,9 +53,9 @@ def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, t
     assert "obstruction is off" in text.stdout
 
 
-@pytest.mark.parametrize("call", CALLS)
-def test_table3_has_the_values_of_the_paper_and_of_the_simulation(call: Call, tmp_path: Path) -> None:
-    result = json_result(call("simulate", "table3", "--out", tmp_path, "--json"))
+def check_table3(call: Call, folder: Path) -> None:
+    """Checks the output of `goniotwin simulate table3`."""
+    result = json_result(call("simulate", "table3", "--out", folder, "--json"))
     for name in ("paper", "noise_free", "tilted", "worst"):
         assert set(result[name]) == {"0", "30", "60"}
         assert all(len(row) == 4 for row in result[name].values())
@@ -63,6 +63,12 @@ def test_table3_has_the_values_of_the_paper_and_of_the_simulation(call: Call, tm
     assert result["noise_free"]["0"] == pytest.approx([4.32, 0.66, 0.07, 0.02], abs=0.1)
     for file in result["files"].values():
         assert Path(file).stat().st_size > 20_000
+
+
+@pytest.mark.long
+def test_table3_has_the_values_of_the_paper_and_of_the_simulation(tmp_path: Path) -> None:
+    """In a process of its own. In process, with the table already computed: `tests/app/simulation/test_table3.py`."""
+    check_table3(goniotwin, tmp_path)
 
 
 @pytest.mark.long

@@ -112,7 +112,14 @@ def check_stopped(window: WindowProcess) -> Path:
     return journal
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(signal.SIGINT, id="SIGINT", marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, id="SIGTERM"),
+        pytest.param(signal.SIGHUP, id="SIGHUP"),
+    ],
+)
 def test_after_a_signal_the_run_is_stopped_and_can_be_resumed(
     start_window: Starter, write_rig: Writer, write_schedule: Writer, tmp_path: Path, number: int
 ) -> None:

@@ -27,7 +27,7 @@ WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 UNIT = illumination_unit(WIDE, 555.0, 0.0, 5.0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def light() -> IlluminationResult:
     return simulate_illumination(UNIT, error_percent=2.0, seed=1, rays=50_000)
 

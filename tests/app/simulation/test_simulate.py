@@ -42,7 +42,7 @@ TWO_OR_THREE = [
 ]
 
 
-@pytest.fixture(scope="module", params=TWO_OR_THREE)
+@pytest.fixture(scope="session", params=TWO_OR_THREE)
 def some(request: pytest.FixtureRequest) -> Simulation:
     return simulate(task(sigmas=request.param))
 

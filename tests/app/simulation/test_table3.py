@@ -25,6 +25,8 @@ from goniotwin.app.simulation.paper.table3_report import as_dict, assumptions, p
 from goniotwin.app.simulation.paper.worst_corner import Tolerance, tilts, with_deviations, worst_corner
 from goniotwin.twin.optics import Instrument
 from tests.sizes import parted
+from tests.system.command import invoke
+from tests.system.test_simulate import check_table3
 
 OPEN = Instrument(obstruction=False)
 # Percent, sigma 0, 30, 60 by widths of 2, 5, 15, 30 deg: from an independent prototype that shared no code with this one.
@@ -33,7 +35,7 @@ DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "table3.md"
 TOPICS = {"spot", "form", "range of i", "divergence", "field", "deviations", "noise", "obstruction"}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def table() -> Table3:
     steps: list[str] = []
     result = compute_table3(steps.append)
@@ -164,6 +166,12 @@ def test_the_figures_are_png_files(table: Table3, tmp_path: Path) -> None:
     for path in written.values():
         assert path.read_bytes().startswith(b"\x89PNG")
         assert path.stat().st_size > 20_000
+
+
+def test_the_command_gives_the_table_and_the_figures(table: Table3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without the time of the computation; with it, in a process of its own: `tests/system/test_simulate.py`."""
+    monkeypatch.setattr("goniotwin.app.simulation.paper.table3.compute_table3", lambda _: table)
+    check_table3(invoke, tmp_path)
 
 
 def test_the_widths_and_sigmas_are_the_papers() -> None:

@@ -34,7 +34,7 @@ JOURNALS = pytest.mark.parametrize(
         pytest.param(MANY, (1, 7, 40, 10**9), id="many rows", marks=pytest.mark.long),
     ],
     indirect=["journal"],
-    scope="module",
+    scope="session",
 )
 EVERYTHING = (
     SMALL + 'side = "both"\nlight = "both"\nsignature = true\nrepeats = 2\n'
@@ -43,7 +43,7 @@ EVERYTHING = (
 )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def journal(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two samples, lit on both sides, in both lights, with every table that the reduction evaluates. Tests only read it."""
     folder = tmp_path_factory.mktemp("blocks")
@@ -101,7 +101,7 @@ def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tu
     assert whole.overlaps["glass"].pairs > 0
 
 
-@pytest.mark.parametrize("steps", [(10.0, 2.5), pytest.param((4.0, 1.0), marks=pytest.mark.long)], ids=["few", "many"])
+@pytest.mark.parametrize("steps", [(20.0, 5.0), pytest.param((4.0, 1.0), marks=pytest.mark.long)], ids=["few", "many"])
 def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
 ) -> None:

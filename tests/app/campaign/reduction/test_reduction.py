@@ -38,7 +38,7 @@ def measure(tmp_path: Path) -> Measure:
     return run
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> BsdfDataset:
     """The reduction of the demo's campaign, with noise."""
     journal = tmp_path_factory.mktemp("demo") / "quick.journal"

@@ -176,7 +176,7 @@ def _positions(path: Path) -> list[tuple[float, float]]:
 # ---- wires that fail ----
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def two_filters() -> Plan:
     return plan_with(("shift_deg = [0, 1]", "shift_deg = [0]"), wavelengths="[500, 600]", tables=POLICIES)
 

@@ -25,7 +25,7 @@ def plan_of(rtu: bool, tables: str = POLICIES) -> Plan:
     return faulty_plan(rtu, tables)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[RunResult, dict[str, int]]]:
     """By whether the photodiodes are on a serial line: the run, and the number of exchanges of each wire."""
     found = {}
