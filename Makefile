@@ -3,7 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
-PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest -n 2 --dist worksteal
+# The tests start the program some hundred times: a shell that forbids Python to keep compiled modules would double their time.
+export PYTHONDONTWRITEBYTECODE :=
+PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest -n 3 --dist worksteal
 
 .PHONY: demo test test-long desktop clean
 

@@ -1,22 +1,49 @@
-"""TOML files: reading, validation against a model, and error messages of one line."""
+"""TOML files: reading, validation against the tables of the program, error messages of one line, and JSON Schema.
+
+A table is a frozen dataclass, often the one that the code uses for the thing itself. Pydantic reads it as any other dataclass;
+this module adds what a file needs: unknown keys are refused, types are strict, arrays become tuples, and a field may have
+another key, or none (`goniotwin.keys`).
+"""
 
 import difflib
+import inspect
+import re
 import tomllib
+from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import CoreSchema, SchemaValidator
 
 from goniotwin.app.errors import UserError
+
+TABLE = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+FILE = ConfigDict(**TABLE, arbitrary_types_allowed=True)
+"""For the dataclass of a whole file: the dataclasses in it inherit this."""
+KEY_FIRST = re.compile(r"([a-z]\w*(?:\.\w+)*): ")
+"""The key that the message of a rule between several keys begins with."""
+SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[^a-z])")
+EXCEPTIONS = re.compile(r"\s*Raises ValueError.*?\.(?=\s|$)", re.DOTALL)
+TYPES = {
+    "dataclass_type": "table",
+    "model_type": "table",
+    "dict_type": "table",
+    "tuple_type": "list",
+    "list_type": "list",
+    "union_tag_not_found": "table",
+}
 
 
 class TomlTable(BaseModel):
     """A table of a file: unknown keys and numbers that are not finite are refused; the fields are frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = TABLE
 
 
-Model = TypeVar("Model", bound=TomlTable)
+Model = TypeVar("Model")
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
@@ -38,16 +65,93 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise UserError(f"{name}: is not TOML: {error}; correct that line") from None
 
 
-def validate_table(model: type[Model], content: dict[str, Any], name: str) -> Model:
-    """The content as a model. Raises UserError with the file, the key, the reason, and the number of further errors."""
+def validate_table(table: type[Model], content: dict[str, Any], name: str) -> Model:
+    """The content as a table. Raises UserError with the file, the key, the reason, and the number of further errors."""
+    schema, validator = _reader(cast(Any, table))
     try:
-        return model.model_validate(content)
+        return cast(Model, validator.validate_python(content))
     except ValidationError as error:
         # A mistyped key is reported as unknown and as missing; the unknown one has the text that was typed.
-        errors = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
+        errors = sorted(error.errors(include_url=False), key=lambda detail: not _is_unknown(detail))
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        where = ".".join(_place(content, errors[0]))
-        raise UserError(f"{name}: {where or 'the file'}: {_reason(model, errors[0])}{more}") from None
+        known = _known_keys(schema)
+        place, reason = _place(content, errors[0]), _reason(known, errors[0])
+        if (key := KEY_FIRST.match(reason)) and key[1].partition(".")[0] in known:
+            place, reason = [*place, key[1]], reason[key.end() :]
+        raise UserError(f"{name}: {'.'.join(place) or 'the file'}: {reason}{more}") from None
+
+
+def json_schema(table: Any, title: str) -> dict[str, Any]:
+    """JSON Schema (2020-12) of a file, with the docstrings of the tables as descriptions of tables and keys."""
+    schema = _FileSchema().generate(_reader(table)[0], mode="validation")
+    for each in (schema, *schema["$defs"].values()):
+        each["description"] = " ".join(EXCEPTIONS.sub("", each["description"]).split())
+        sentences = SENTENCE_END.split(each["description"])
+        for key, value in each["properties"].items():
+            if about := [sentence for sentence in sentences if f"`{key}`" in sentence]:
+                value["description"] = " ".join(about)
+    return {"$schema": _FileSchema.schema_dialect, **schema, "title": title}
+
+
+class _FileSchema(GenerateJsonSchema):
+    """JSON Schema for TOML, which has no null; without fields that are no keys.
+
+    A table that extends another has the descriptions of both, without the exceptions of Python.
+    """
+
+    def field_is_present(self, field: Any) -> bool:
+        return bool(field.get("init", True))
+
+    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
+        return False
+
+    def nullable_schema(self, schema: Any) -> dict[str, Any]:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: Any) -> dict[str, Any]:
+        found = super().default_schema(schema)
+        return {key: value for key, value in found.items() if (key, value) != ("default", None)}
+
+    def dataclass_schema(self, schema: Any) -> dict[str, Any]:
+        documented = dict.fromkeys(inspect.getdoc(each) or "" for each in schema["cls"].__mro__ if is_dataclass(each))
+        return {**super().dataclass_schema(schema), "additionalProperties": False, "description": "\n".join(documented)}
+
+
+@cache
+def _reader(table: Any) -> tuple[CoreSchema, SchemaValidator]:
+    schema = cast(CoreSchema, _as_in_a_file(TypeAdapter(table).core_schema))
+    return schema, SchemaValidator(schema)
+
+
+def _as_in_a_file(node: Any) -> Any:
+    """A part of pydantic's schema, for the values of a TOML file: tables, arrays, and keys by `goniotwin.keys`."""
+    if isinstance(node, list):
+        return [_as_in_a_file(each) for each in node]
+    if not isinstance(node, dict):
+        return node
+    node = {key: _as_in_a_file(value) for key, value in node.items()}
+    if node.get("type") in ("dataclass", "tuple"):
+        node["strict"] = False  # else only instances and tuples of Python are accepted; the values in them stay strict
+    if node.get("type") == "dataclass":
+        keys = {each.name: each.metadata["key"] for each in fields(node["cls"]) if "key" in each.metadata}
+        for field in _parts(node, "dataclass-args")[0]["fields"]:
+            if field["name"] in keys:
+                key = keys[field["name"]]
+                field.update({"init": False} if key is None else {"validation_alias": key})
+    if node.get("type") == "union":  # no file can have an object of Python
+        choices = [each for each in node["choices"] if not _parts(each, "is-instance")]
+        return {**node, "choices": choices} if len(choices) > 1 else choices[0]
+    return node
+
+
+def _parts(node: Any, kind: str) -> list[dict[str, Any]]:
+    """All parts of a kind in a part of pydantic's schema, the outer ones first."""
+    if isinstance(node, list):
+        return [found for each in node for found in _parts(each, kind)]
+    if not isinstance(node, dict):
+        return []
+    inner = [found for each in node.values() for found in _parts(each, kind)]
+    return [node, *inner] if node.get("type") == kind else inner
 
 
 def _place(content: dict[str, Any], detail: Any) -> list[str]:
@@ -64,34 +168,37 @@ def _place(content: dict[str, Any], detail: Any) -> list[str]:
     return place
 
 
-def _reason(model: type[TomlTable], detail: Any) -> str:
-    if detail["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(str(detail["loc"][-1]), _known_keys(model), n=1)
+def _is_unknown(detail: Any) -> bool:
+    return detail["type"] in ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def _reason(known: list[str], detail: Any) -> str:
+    if _is_unknown(detail):
+        close = difflib.get_close_matches(str(detail["loc"][-1]), known, n=1)
         return "there is no such key" + (f"; did you mean {close[0]!r}?" if close else "; remove it, or correct its name")
     if detail["type"] == "missing":
         return "is missing; add it"
     if detail["type"] == "value_error":
         return str(detail["ctx"]["error"])
     given = detail["input"]
+    if detail["type"] == "union_tag_not_found" and isinstance(given, dict):
+        return f"{_tag_names(detail['ctx']['discriminator'])[0]}: is missing; add it"
     if detail["type"] == "union_tag_invalid":
         return f"should be a {' or a '.join(_tag_names(detail['ctx']['expected_tags']))}, not a {detail['ctx']['tag']}"
     if detail["type"].startswith("date_") and isinstance(given, str):
         return f"should be a date, not text: {given} without the quotes"
     shown = "" if isinstance(given, dict | list) else f", not {given!r}"
-    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
+    if detail["type"] in TYPES:
+        return f"should be a {TYPES[detail['type']]}{shown}"
+    message = detail["msg"].replace("Tuple", "List")
+    return f"{message[0].lower()}{message[1:]}{shown}"
 
 
 def _tag_names(tags: str) -> list[str]:
     return [tag.strip(" '") for tag in tags.split(",")]
 
 
-def _known_keys(model: Any, seen: frozenset[Any] = frozenset()) -> list[str]:
-    """All keys of a model and of the models in it: the candidates for a correction of a mistyped key."""
-    if model in seen:
-        return []
-    if isinstance(model, type) and issubclass(model, BaseModel):
-        keys = list(model.model_fields)
-        for field in model.model_fields.values():
-            keys += _known_keys(field.annotation, seen | {model})
-        return keys
-    return [key for part in get_args(model) for key in _known_keys(part, seen)]
+def _known_keys(schema: CoreSchema) -> list[str]:
+    """All keys of a file: the candidates for a correction of a mistyped key."""
+    in_dataclasses = [each.get("validation_alias", each["name"]) for each in _parts(schema, "dataclass-field") if each["init"]]
+    return in_dataclasses + [key for each in _parts(schema, "model-fields") for key in each["fields"]]

@@ -22,8 +22,8 @@ import usb.core
 
 from goniotwin.app.rig import parse_rig
 from goniotwin.app.rig.addresses import ModbusUnits
-from goniotwin.app.rig.file import axis_settings, monitor_settings, monochromator_settings
-from goniotwin.drivers import Axis, Monitor, Monochromator, TmclModule, wait
+from goniotwin.app.rig.file import axis_settings
+from goniotwin.drivers import AxisSettings, Monitor, Monochromator, TmclAxis, TmclModule, wait
 from goniotwin.drivers.photodiodes.adam import AdamModule
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.protocols import adam
@@ -69,7 +69,9 @@ def axis(tap: Tap) -> Call:
     bench = BenchmarkRig(tap)
     module = TmclModule(bench.serial("axes"), bench.clock, tap=tap)
     module.connect()
-    each = Axis(module, axis_settings(bench.file)["sigma"], bench.clock)
+    settings = axis_settings(bench.file)["sigma"]
+    assert isinstance(settings, AxisSettings)
+    each = TmclAxis("sigma", module, settings, bench.clock)
     each.connect()
     return each.position_deg
 
@@ -77,7 +79,7 @@ def axis(tap: Tap) -> Call:
 def cornerstone(tap: Tap) -> Call:
     """Wavelength of the monochromator."""
     bench = BenchmarkRig(tap)
-    monochromator = Monochromator(bench.serial("mono"), monochromator_settings(bench.file), bench.clock, tap)
+    monochromator = Monochromator(bench.serial("mono"), bench.file.monochromator, bench.clock, tap)
     monochromator.connect()
     return monochromator.wavelength_nm
 
@@ -104,7 +106,7 @@ def usbtmc(tap: Tap) -> Call:
     """A mean of 30 samples of a PM100D."""
     bench = BenchmarkRig(tap)
     backend = TwinUsbBackend(bench.virtual)
-    monitor = Monitor(lambda: usb.core.find(backend=backend), monitor_settings(bench.file), bench.clock, tap)
+    monitor = Monitor(lambda: usb.core.find(backend=backend), bench.file.monitor, bench.clock, tap)
     monitor.connect()
     return lambda: wait(bench.clock, [monitor.start_mean(MEAN_S)])
 

@@ -39,7 +39,7 @@ from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.rehearsal.warnings import relevant_photodiodes
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
-from goniotwin.app.rig import photodiode_settings, read_rig
+from goniotwin.app.rig import read_rig
 from goniotwin.drivers.photodiodes.modbus import ModbusBus
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -132,7 +132,7 @@ def row_seconds(plan: Plan) -> list[float]:
         run_on_twin(
             plan,
             Path(folder) / "rehearsal.journal",
-            RowStatistics(photodiode_settings(plan.rig.file), partial(relevant_photodiodes, plan)),
+            RowStatistics(plan.rig.file.photodiodes, partial(relevant_photodiodes, plan)),
             [rows],
         )
     return rows.seconds

@@ -5,15 +5,16 @@ name: they are given openers. `Rig` has all devices; `DeviceError` is the base o
 bytes on their wires.
 """
 
-from goniotwin.drivers.device import Pending, Poll, Until, wait
+from goniotwin.drivers.device import Device, Pending, Poll, Until, wait
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
 from goniotwin.drivers.monitor.monitor import Monitor, MonitorSettings
 from goniotwin.drivers.monochromator.monochromator import Monochromator
 from goniotwin.drivers.monochromator.settings import FilterWheel, MonochromatorSettings, OrderFilter
-from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion.axis import Axis, AxisDescription, check_limits
 from goniotwin.drivers.motion.clearance import ArcClearance
+from goniotwin.drivers.motion.controller import MotionController
 from goniotwin.drivers.motion.settings import AxisSettings, Homing
-from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.motion.tmcl import TmclAxis, TmclController, TmclModule
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray, PhotodiodeSettings
 from goniotwin.drivers.rig import Rig
 from goniotwin.drivers.tap import Transcript
@@ -21,8 +22,10 @@ from goniotwin.drivers.tap import Transcript
 __all__ = [
     "ArcClearance",
     "Axis",
+    "AxisDescription",
     "AxisSettings",
     "BadAnswer",
+    "Device",
     "DeviceError",
     "FilterWheel",
     "Forgotten",
@@ -32,6 +35,7 @@ __all__ = [
     "MonitorSettings",
     "Monochromator",
     "MonochromatorSettings",
+    "MotionController",
     "NoAnswer",
     "OrderFilter",
     "Pending",
@@ -40,8 +44,11 @@ __all__ = [
     "Poll",
     "Refused",
     "Rig",
+    "TmclAxis",
+    "TmclController",
     "TmclModule",
     "Transcript",
     "Until",
+    "check_limits",
     "wait",
 ]

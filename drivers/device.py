@@ -17,6 +17,25 @@ PortOpener = Callable[[int, float], Serial]
 """Opens a serial port: baud rate, timeout in s."""
 
 
+class Device(Protocol):
+    """A device of the rig. `name` is that in errors, transcripts and lists; errors may also name one of its `parts`."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def parts(self) -> tuple[str, ...]: ...
+
+    def connect(self) -> str:
+        """Open the wire, identify the device, write its settings; return its identity. Nothing moves. Raises DeviceError."""
+
+    def reconnect(self) -> object:
+        """Restore the connection and the settings after a fault. Nothing moves. Raises DeviceError."""
+
+    def close(self) -> None:
+        """Close the wire. Nothing moves."""
+
+
 class Pending(Protocol):
     """An action in progress. `due` is the time of the next poll, s."""
 

@@ -1,16 +1,17 @@
 """The rig: all devices of one goniophotometer, connected, started and stopped together."""
 
 import contextlib
-from collections.abc import Callable
+import threading
 from dataclasses import dataclass, field
 
-from goniotwin.drivers.device import Pending
+from goniotwin.drivers.device import Device
 from goniotwin.drivers.errors import BadAnswer, DeviceError, LimitError
 from goniotwin.drivers.monitor.monitor import Monitor
 from goniotwin.drivers.monochromator.monochromator import Monochromator
-from goniotwin.drivers.motion.axis import Axis
+from goniotwin.drivers.motion.axis import Axis, PendingMove
 from goniotwin.drivers.motion.clearance import ArcClearance
-from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.motion.controller import MotionController
+from goniotwin.drivers.motion.stop import driver_failure, request_stop, stop_all
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import Clock
 
@@ -28,10 +29,10 @@ class _Path:
 
 @dataclass
 class Rig:
-    """The devices. `axes` have the keys gamma, sigma, beta and shift."""
+    """The devices. `axes` are those of all controllers, with the keys gamma, sigma, beta and shift in this order."""
 
     clock: Clock
-    axes_module: TmclModule
+    controllers: tuple[MotionController, ...]
     axes: dict[str, Axis]
     monochromator: Monochromator
     photodiodes: PhotodiodeArray
@@ -40,32 +41,41 @@ class Rig:
     clearance: ArcClearance | None = None
     identities: dict[str, str] = field(default_factory=dict)
     _paths: dict[str, "_Path"] = field(default_factory=dict)
+    _stopping: threading.RLock = field(default_factory=threading.RLock)
+
+    @property
+    def devices(self) -> tuple[Device, ...]:
+        """All devices, in the order in which they are connected and listed."""
+        return (*self.controllers, self.monochromator, self.photodiodes, self.monitor)
+
+    def device(self, name: str) -> Device:
+        """The device that an error names: by its name, or by one of its axes or modules. Raises KeyError."""
+        for device in self.devices:
+            if name == device.name or name in device.parts:
+                return device
+        raise KeyError(name)
+
+    def controller(self, axis: str) -> MotionController:
+        """The controller of an axis."""
+        return next(each for each in self.controllers if axis in each.axes)
 
     def connect(self) -> dict[str, DeviceError | None]:
         """Open every device and write its settings; nothing moves. Returns the error, or None, of each device."""
         self.identities = {}
-        outcome: dict[str, DeviceError | None] = {}
-        for device, connect in (
-            ("axes", self._connect_axes),
-            ("monochromator", self.monochromator.connect),
-            ("photodiodes", lambda: f"{len(self.photodiodes.connect())} modules {self.photodiodes.settings.model.title}"),
-            ("monitor", self._connect_monitor),
-        ):
-            outcome[device] = self._attempt(device, connect)
-        return outcome
+        return {device.name: self._connect(device) for device in self.devices}
 
     def close(self) -> None:
         """Close every device. Nothing moves."""
-        for device in (self.axes_module, self.monochromator, self.photodiodes, self.monitor):
+        for device in self.devices:
             with contextlib.suppress(DeviceError):
                 device.close()
 
-    def start(self, name: str, target_deg: float) -> Pending:
+    def start(self, name: str, target_deg: float) -> PendingMove:
         """Start a move of an axis, unless the arc would collide. Raises LimitError before anything is sent, DeviceError."""
         axis = self.axes[name]
-        stop_count = self.axes_module.stop_count  # a stop from now on prevents the move
+        stop_count = self.controller(name).stop_count  # a stop from now on prevents the move
         if self.clearance is not None and name in ("beta", "shift"):
-            axis.check_limits(axis.settings, target_deg)
+            axis.check_limits(target_deg)
             angles = {each: self._possible_angles(each) for each in ("beta", "shift")}
             angles[name] = (*angles[name], target_deg)
             collision = self.clearance.collision(angles["beta"], angles["shift"])
@@ -90,46 +100,44 @@ class Rig:
         return (path.target_deg,) if self.clock.now() >= path.due else (path.from_deg, path.target_deg)
 
     def stop(self) -> list[DeviceError]:
-        """Stop every axis over its ramp, then the grating; return the failures. Thread-safe."""
+        """Stop every axis over its ramp, then the grating; return the failures. Thread-safe.
+
+        The stop frames of each controller are on its wire within 200 ms, whatever the other controllers do.
+        """
         self._paths.clear()  # the rest positions have to be read
-        requests = [each for axis in self.axes.values() for each in axis.stop_requests()]
         failures: list[DeviceError] = []
 
         def stop_the_rest() -> None:
             try:
                 self.monochromator.stop()
-            except DeviceError as error:
-                failures.append(error)
+            except Exception as error:  # noqa: BLE001  (the second attempt for the axes must follow)
+                failures.append(driver_failure(self.monochromator.name, error))
 
-        return [*self.axes_module.stop(requests, stop_the_rest), *failures]
+        stops = {each.name: request_stop(each.begin_stop) for each in self.controllers}
+        with self._stopping:  # two stops at once, each with one of two lines, would wait for each other
+            return [*stop_all(stops, stop_the_rest), *failures]
 
-    def _attempt(self, device: str, connect: Callable[[], str]) -> DeviceError | None:
+    def reconnect(self, name: str) -> None:
+        """Restore the connection of the device that an error names; an axis whose controller has reset becomes unreferenced.
+
+        No other device is touched, and nothing moves. Raises DeviceError.
+        """
+        device = self.device(name)
+        if device in self.controllers:
+            self._paths.clear()
+        device.reconnect()
+
+    def _connect(self, device: Device) -> DeviceError | None:
         try:
-            self.identities[device] = connect()
+            identity = device.connect()
+            if SIMULATED_SERIAL in identity and not self.simulated:
+                device.close()
+                raise BadAnswer(
+                    device.name, "identify it",
+                    f"{identity} is a simulated instrument, but the rig file has no [simulated] table",
+                    "add a [simulated] table to the rig file, or connect the real instrument",
+                )  # fmt: skip
         except DeviceError as error:
             return error
+        self.identities[device.name] = identity
         return None
-
-    def reconnect_axes(self) -> str:
-        """Open the axes' port again and restore their settings; an axis whose module has reset becomes unreferenced.
-
-        Returns the identity. Nothing moves. Raises DeviceError.
-        """
-        self._paths.clear()
-        return self._connect_axes()
-
-    def _connect_axes(self) -> str:
-        module = self.axes_module.connect()
-        for axis in self.axes.values():
-            axis.connect()
-        return f"TMCM-{module}"
-
-    def _connect_monitor(self) -> str:
-        identity = self.monitor.connect()
-        if SIMULATED_SERIAL in identity and not self.simulated:
-            self.monitor.close()
-            raise BadAnswer(
-                "monitor", "identify it", f"{identity} is a simulated instrument, but the rig file has no [simulated] table",
-                "add a [simulated] table to the rig file, or connect the real instrument",
-            )  # fmt: skip
-        return identity

@@ -21,7 +21,6 @@ from goniotwin.twin import VirtualRig
 
 LONGEST_LINE = 65_536
 STEEPEST_TILT_DEG = 10.0
-AXES = ("gamma", "sigma", "beta", "shift")
 
 
 class OrderRefused(ValueError):
@@ -95,7 +94,7 @@ class ControlPort:
         plant = self._rig.plant
         return {
             "t_s": now,
-            "angles_deg": {axis: plant.angle_deg(axis, now) for axis in AXES},
+            "angles_deg": {axis: plant.angle_deg(axis, now) for axis in plant.shafts},
             "wavelength_nm": plant.wavelength_nm.at(now),
             "shutter_open": plant.shutter_open.at(now),
             "sample": plant.sample.at(now),

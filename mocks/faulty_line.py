@@ -23,7 +23,6 @@ ForeignReply = Callable[[bytes], bytes]
 """Turns a reply into one of another address, with a correct checksum."""
 ExceptionReply = Callable[[bytes, int], bytes]
 """The exception response of a code to a request."""
-MBAP = 7
 CODES = (adam.ILLEGAL_FUNCTION, adam.ILLEGAL_ADDRESS, adam.ILLEGAL_VALUE, adam.DEVICE_FAILURE, adam.BUSY)
 
 
@@ -163,7 +162,7 @@ def foreign_tmcl(reply: bytes) -> bytes:
 
 def foreign_tcp(reply: bytes) -> bytes:
     """The same reply, of the next unit."""
-    return reply[: MBAP - 1] + bytes((reply[MBAP - 1] + 1,)) + reply[MBAP:]
+    return reply[: adam.MBAP - 1] + bytes((reply[adam.MBAP - 1] + 1,)) + reply[adam.MBAP :]
 
 
 def foreign_rtu(reply: bytes) -> bytes:
@@ -173,7 +172,7 @@ def foreign_rtu(reply: bytes) -> bytes:
 
 def exception_tcp(request: bytes, code: int) -> bytes:
     """An exception response over TCP."""
-    return request[:4] + b"\0\3" + bytes((request[MBAP - 1], request[MBAP] | 0x80, code))
+    return request[:4] + b"\0\3" + bytes((request[adam.MBAP - 1], request[adam.MBAP] | 0x80, code))
 
 
 def exception_rtu(request: bytes, code: int) -> bytes:

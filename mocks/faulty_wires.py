@@ -38,13 +38,13 @@ from goniotwin.mocks.faulty_line import (
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices import RtuStation, TmclLine
 from goniotwin.twin.devices.line import SerialDevice
-from goniotwin.twin.rig import AXES, CONVERTER_LINE
 
 NAMES = {fault.name.lower(): fault for fault in Fault}
-BY_LINE: dict[str, tuple[tuple[Fault, ...], float, ForeignReply | None, ExceptionReply | None]] = {
-    AXES: (ON_A_SERIAL_LINE, 0.1, foreign_tmcl, None),
-    CONVERTER_LINE: (ON_MODBUS_RTU, 1.05, foreign_rtu, exception_rtu),
+BY_LINE: dict[type, tuple[tuple[Fault, ...], float, ForeignReply | None, ExceptionReply | None]] = {
+    TmclLine: (ON_A_SERIAL_LINE, 0.1, foreign_tmcl, None),
+    RtuStation: (ON_MODBUS_RTU, 1.05, foreign_rtu, exception_rtu),
 }
 AWAY_S = 1.0
 LATE_S = 1.5
@@ -91,7 +91,7 @@ class FaultyWires:
 
     def line(self, name: str, device: SerialDevice, unplug: Callable[[], None], replug: Callable[[], None]) -> SerialDevice:
         """A serial line, to be served in the place of `device`."""
-        kinds, late_s, foreign, refusal = BY_LINE.get(name, (ON_A_TEXT_LINE, LATE_S, None, None))
+        kinds, late_s, foreign, refusal = BY_LINE.get(type(device), (ON_A_TEXT_LINE, LATE_S, None, None))
         wire = self._wires[name] = ServedWire(kinds, unplug, self._powered(device, replug), late_s)
         return self._faulty(wire, device, foreign, refusal)
 

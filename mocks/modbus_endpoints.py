@@ -18,6 +18,7 @@ from pymodbus.server.base import ModbusBaseServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from goniotwin.mocks.loopback import LOOPBACK
 from goniotwin.mocks.serial_ends import HEARD_AT_ONCE, OWED_AT_MOST, owed
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
@@ -26,7 +27,6 @@ from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.modbus import RtuStation, TcpStation
 from goniotwin.twin.rig import CONVERTER_LINE
 
-LOOPBACK = "127.0.0.1"
 GAP_S = 0.02
 """What ends a frame on an endpoint: its bytes come when the system brings them, not when the baud rate would."""
 UNREAD_LIMIT = 4096

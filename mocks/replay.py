@@ -9,9 +9,8 @@ from typing import Protocol
 
 from goniotwin.mocks.replay_difference import Difference, compare_exchanges, describe_differences
 from goniotwin.mocks.transcript import Transfer, exchanges
-from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
 
-BITS_A_BYTE = 10.0
 ROUNDING_S = 2.0e-6
 """Times are written to the microsecond: what was read at once must not come too late for that."""
 

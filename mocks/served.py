@@ -8,17 +8,18 @@ from typing import Any
 
 from goniotwin.mocks.control import ControlPort, ControlServer
 from goniotwin.mocks.faulty_wires import FaultyWires
+from goniotwin.mocks.loopback import LOOPBACK
 from goniotwin.mocks.modbus_endpoints import GAP_S, ModbusEndpoints
-from goniotwin.mocks.serial_endpoints import LOOPBACK, SerialEndpoints, ptys_exist
+from goniotwin.mocks.serial_endpoints import SerialEndpoints, ptys_exist
 from goniotwin.mocks.usb_endpoints import UsbEndpoints
 from goniotwin.protocols.clock import RealClock
 from goniotwin.twin import TwinModel, VirtualRig
-from goniotwin.twin.devices import RtuStation, TmclLine
+from goniotwin.twin.devices import Cornerstone260, RtuStation, TmclLine
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.tmcl_line import IDLE_GAP_S
 from goniotwin.twin.rig import CONVERTER_LINE
 
-KINDS = {"axes": "tmcl", "mono": "cornerstone"}
+KINDS: dict[type, str] = {TmclLine: "tmcl", Cornerstone260: "cornerstone"}
 CONTROL = "control"
 
 
@@ -93,7 +94,11 @@ class ServedRig:
                     for module, each in self.rig.modbus.items():
                         yield Endpoint(module, "adam-4117", **place, unit=each.unit)
                 else:
-                    yield Endpoint(name, KINDS.get(name, name), **place)
+                    yield Endpoint(name, self._kind(name, device), **place)
+
+    def _kind(self, name: str, device: SerialDevice) -> str:
+        further = self.rig.plant.model.devices.get(name)
+        return KINDS.get(type(device), name if further is None else further.kind)
 
     def _heard(self, name: str, device: SerialDevice) -> SerialDevice:
         """On an endpoint bytes come when the system brings them, so that a frame's end is a longer pause."""

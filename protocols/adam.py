@@ -9,12 +9,19 @@ shunt of the current ranges.
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from goniotwin.arrays import Counts, Flags, Floats, Ints
 
 CHANNELS = 8
 UNIT = 1
 LAST_UNIT = 247
 FULL_SCALE = 65535
 BAUDRATE = 9600
+MBAP = 7
+"""Bytes of the header of a Modbus TCP frame, the unit included."""
 RTU_EXCHANGE_S = 0.04
 """Reading eight registers at 9600 baud: 8 and 21 characters of ten bits, two gaps, and the module's thinking."""
 
@@ -48,6 +55,14 @@ BUSY = 6
 SHUNT_OHM = 120.0
 
 
+Value = TypeVar("Value", float, Floats)
+
+
+def quantise(volts: Floats | float, low_v: Floats | float, lsb_v: Floats | float) -> Ints:
+    """The raw values of voltages with a converter's step `lsb_v` from `low_v`: rounded, and clipped at the ends."""
+    return np.minimum(np.maximum(np.rint((volts - low_v) / lsb_v), 0.0), FULL_SCALE).astype(np.int64)
+
+
 @dataclass(frozen=True, slots=True)
 class Range:
     """An input range: raw 0 is `low_v`, raw 65535 is `high_v`.
@@ -65,13 +80,18 @@ class Range:
         """The step of the converter, V."""
         return (self.high_v - self.low_v) / FULL_SCALE
 
-    def volts(self, raw: float) -> float:
-        """The voltage of a raw value (or of a mean of raw values)."""
+    def volts(self, raw: Value) -> Value:
+        """The voltages of raw values (or of means of raw values)."""
         return self.low_v + raw * self.lsb_v
 
-    def raw(self, volts: float) -> int:
-        """The raw value that the converter gives for a voltage: rounded, and clipped at the ends."""
-        return round(min(max((volts - self.low_v) / self.lsb_v, 0.0), float(FULL_SCALE)))
+    @property
+    def zero(self) -> float:
+        """The raw value of 0 V."""
+        return -self.low_v / self.lsb_v
+
+    def raw(self, volts: Floats | float) -> Ints:
+        """The raw values that the converter gives for voltages."""
+        return quantise(volts, self.low_v, self.lsb_v)
 
     def shown(self, raw: float) -> float:
         """The number in the float registers: V, mV in the ranges below 1 V, mA in those of currents."""
@@ -134,6 +154,6 @@ def firmware(words: list[int]) -> str:
     return f"{words[0] >> 8:x}.{words[0] & 0xFF:02x}"
 
 
-def clipped(raw: int) -> bool:
-    """Whether the converter stands at an end of its range: the value is then a bound, not a reading."""
-    return raw <= 0 or raw >= FULL_SCALE
+def saturated(counts: Counts) -> Flags:
+    """Raw counts at an end of the converter's range, shape of `counts`: they are bounds, not readings."""
+    return np.asarray((counts == 0) | (counts == FULL_SCALE))

@@ -1,14 +1,16 @@
 """What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers.
 
-Two workers share the tests (`make test`). Those marked `endpoint` open real pseudo-terminals and sockets and wait in real
-time, so that two of them at once would make each other late. They hold a lock from setup to teardown, and come first, so
-that one worker has them all while the other has everything else. A fixture that takes seconds has the scope of the
-session: the tests of one module can run in pieces on several workers.
+Three workers share the tests (`make test`) on two cores: one of them mostly waits. Those marked `endpoint` open real
+pseudo-terminals and sockets and wait in real time, so that two of them at once would make each other late. They hold a lock
+from setup to teardown, and come first, so that one worker has them all while the others have everything else. A fixture that
+takes seconds has the scope of the session: the tests of one module can run in pieces on several workers.
 
 Hypothesis takes its number of examples from a profile: few in `make test`, many in `make test-long`.
 """
 
 import contextlib
+import gc
+import os
 import sys
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -17,7 +19,9 @@ import hypothesis
 import pytest
 
 from goniotwin import examples
-from goniotwin.app.rig import OpenRig, open_rig, read_rig
+from goniotwin.app.rig import OpenRig, RigFile, open_rig, read_rig
+from goniotwin.drivers import Rig, TmclAxis
+from goniotwin.drivers.motion.tmcl import TmclSettings, exchange_seconds
 from goniotwin.protocols.clock import Clock, VirtualClock
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -44,6 +48,23 @@ dark_readings = 4
 hypothesis.settings.register_profile("quick", max_examples=20, deadline=None)
 hypothesis.settings.register_profile("long", max_examples=200, deadline=None)
 hypothesis.settings.load_profile("quick")  # `pytest --hypothesis-profile=long` takes the other
+
+
+def pytest_configure() -> None:
+    """Gives way to the first worker, and leaves out what collecting the tests does not need.
+
+    The first worker has the tests that wait in real time, and starts programs for them: three workers on two cores must not
+    make their answers late. The tests' modules stay, so that searching them for garbage is a third of the time for nothing.
+    """
+    if os.environ.get("PYTEST_XDIST_WORKER", "gw0") != "gw0" and sys.platform != "win32":
+        os.nice(10)
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """From here on garbage is collected again, and only among what the tests make."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -119,6 +140,20 @@ def opened(write_rig: Writer) -> Iterator[RigOpener]:
     yield open_changed
     for rig in rigs:
         rig.close()
+
+
+def tmcl_axis(rig: Rig, name: str) -> TmclAxis:
+    """An axis of a TMCL module, with what other makes may not have."""
+    axis = rig.axes[name]
+    assert isinstance(axis, TmclAxis)
+    return axis
+
+
+def tmcl_exchange_s(file: RigFile) -> float:
+    """Duration of an exchange with the controller of `[axes]`."""
+    table = file.axes.controllers[0].table
+    assert isinstance(table, TmclSettings)
+    return exchange_seconds(table.baudrate)
 
 
 @pytest.fixture(scope="session", autouse=True)

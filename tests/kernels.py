@@ -1,4 +1,4 @@
-"""Compiles the kernels once, into numba's cache, so that two workers of the tests do not compile each of them twice.
+"""Compiles the kernels once, into numba's cache, so that the workers of the tests do not compile each of them again.
 
     python -m tests.kernels [fast] [forward]
 

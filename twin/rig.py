@@ -41,14 +41,16 @@ class VirtualRig:
     def build(cls, model: TwinModel, clock: Clock) -> "VirtualRig":
         """Build the rig of a model.
 
-        Addresses are `axes`, `mono`, `adc-0` and so on, and `monitor`; with an RTU line of converters also `adcs`. On a real
+        Addresses are `axes`, `mono`, `adc-0` and so on, and `monitor`; with an RTU line of converters also `adcs`. Further
+        devices of the model have their own addresses. On a real
         clock the kernels are compiled here, so that the first answers are as fast as all others.
         """
         plant = Plant(model)
         if isinstance(clock, RealClock):
             plant.warm_up()
         rig = cls(plant, clock)
-        rig.serial[AXES] = TmclLine(plant)
+        if model.controller_axes or not model.devices:
+            rig.serial[AXES] = TmclLine(plant)
         rig.serial[MONOCHROMATOR] = Cornerstone260(plant)
         electronics = model.electronics
         if electronics.module == "adam-4117":
@@ -58,7 +60,18 @@ class VirtualRig:
         else:
             rig.modbus = {CONVERTER.format(index): Adam6017(plant, index) for index in range(plant.modules)}
         rig.usb[MONITOR] = UsbTmcDevice(Pm100d(plant), model.monitor.latency_s)
+        for address, further in model.devices.items():
+            rig._add(address, further.build(plant))
         return rig
+
+    def _add(self, address: str, device: SerialDevice | ConverterModule | UsbTmcDevice) -> None:
+        """Add a device at an address, or replace the one there."""
+        if isinstance(device, UsbTmcDevice):
+            self.usb[address] = device
+        elif isinstance(device, ConverterModule):
+            self.modbus[address] = device
+        else:
+            self.serial[address] = device
 
     def mount(self, sample: str | None) -> None:
         """Mount a sample now (simulation control). Raises KeyError for a sample that is not in the model."""

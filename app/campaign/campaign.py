@@ -38,9 +38,9 @@ class Outcome:
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
     """The clock of a rig: virtual for a virtual rig in this process, else real; at the simulation speed of a served rig."""
-    if file.twin is not None and all(address.startswith("twin://") for address in file.addresses):
+    if file.in_process:
         return VirtualClock(start_s)
-    return RealClock(file.simulated.speed if file.simulated is not None else 1.0, start_s)
+    return RealClock(file.speed, start_s)
 
 
 def run_campaign(

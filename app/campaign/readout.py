@@ -46,9 +46,8 @@ def shows_light(counts: Counts, dark: Floats) -> bool:
 
 
 def saturation(counts: Counts) -> Flags:
-    """Flags of the photodiodes that are at an end of the converter's range in any of the readings (readings, photodiodes)."""
-    ends: Flags = np.any((counts == 0) | (counts == adam.FULL_SCALE), axis=0)
-    return ends
+    """Flags of the photodiodes that are saturated in any of the readings (readings, photodiodes)."""
+    return np.asarray(np.any(adam.saturated(counts), axis=0))
 
 
 def gain_order(row: Row, current: int | None) -> tuple[int, ...]:
@@ -91,6 +90,17 @@ class GainSequence:
         return (SATURATED,) if self._row.gains and self.saturated.any() else ()
 
 
+def min_readings(row: Row) -> int:
+    """Least number of readings at each gain; a target uncertainty needs enough of them to estimate the scatter."""
+    return row.readings if row.target is None else max(row.readings, MIN_AVERAGED_READINGS)
+
+
+def max_readings(row: Row, period_s: float) -> int:
+    """Greatest number of readings at each gain, `period_s` apart: with a target uncertainty the time limit decides."""
+    least = min_readings(row)
+    return least if row.target is None else max(least, int(row.longest_s / period_s))
+
+
 def readings_needed(counts: Counts, dark: Floats, selected: Flags, target: float, max_readings: int) -> int:
     """Total number of readings after which the mean signal has the relative standard uncertainty `target`.
 
@@ -107,6 +117,14 @@ def readings_needed(counts: Counts, dark: Floats, selected: Flags, target: float
         needed = variance / (target * signal) ** 2
     reachable = needed[selected & (needed <= max_readings)]
     return min(max(taken, math.ceil(float(reachable.max()))), MAX_GROWTH * taken) if reachable.size else taken
+
+
+def further_readings(row: Row, counts: Counts, dark: Floats, selected: Flags, period_s: float) -> int:
+    """Number of readings, `period_s` apart, that follow `counts` at one gain of a row; 0 at its end (see `readings_needed`)."""
+    if row.target is None:
+        return 0
+    needed = readings_needed(counts, dark, selected & ~saturation(counts), row.target, max_readings(row, period_s))
+    return needed - len(counts)
 
 
 @dataclass

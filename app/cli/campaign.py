@@ -8,12 +8,21 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from goniotwin.app.cli.output import Json, RigOption, RowProgress, TranscriptOption, answer, errors, print_error
+from goniotwin.app.cli.output import (
+    CommandWithFormats,
+    Json,
+    RigOption,
+    RowProgress,
+    TranscriptOption,
+    answer,
+    errors,
+    print_error,
+)
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
     from goniotwin.app.campaign.journal.summary import CampaignSummary
-    from goniotwin.app.campaign.planning.plan import Plan
+    from goniotwin.app.campaign.planning.plan import NewPlan
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
@@ -37,7 +46,7 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     answer(as_json, result, lambda: print(describe_check(plan, result)))
 
 
-@app.command()
+@app.command(cls=CommandWithFormats)
 def rehearse(
     schedule: Schedule,
     rig: RigOption,
@@ -46,7 +55,8 @@ def rehearse(
         typer.Option(
             "--sample",
             metavar="NAME=MODEL",
-            help="Model of a sample of the schedule, such as paper=lambertian:reflectance=0.8; may be repeated.",
+            help="Model of a sample of the schedule, such as paper=lambertian:reflectance=0.8 or paper=table:FILE; may be "
+            "repeated.",
             show_default=False,
         ),
     ] = None,
@@ -212,6 +222,7 @@ def _check_writable(points: Path | None, out: Path | None) -> None:
     """Check, before a long rehearsal, that its files can be written after it. Raises UserError."""
     from goniotwin.app.formats import FormatError
     from goniotwin.app.formats.file import check_writable
+    from goniotwin.app.formats.registry import Holds, format_for
 
     if out is not None and out.exists():
         raise UserError(f"--out {out}: exists, and a journal is never overwritten; choose another name")
@@ -221,6 +232,8 @@ def _check_writable(points: Path | None, out: Path | None) -> None:
         if path is not None:
             try:
                 check_writable(path)
+                if path == points:
+                    format_for(path, {Holds.COLUMNS})
             except FormatError as error:
                 raise UserError(f"{option} {error}") from None
 
@@ -240,7 +253,7 @@ def _check_arguments(schedule: Path | None, rig: Path | None, out: Path | None, 
             )
 
 
-def _make_plan(schedule: Path, rig: Path) -> "Plan":
+def _make_plan(schedule: Path, rig: Path) -> "NewPlan":
     from goniotwin.app.campaign.planning.plan import make_plan
     from goniotwin.app.campaign.schedule.file import read_schedule
     from goniotwin.app.rig import read_rig

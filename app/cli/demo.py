@@ -13,7 +13,7 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut_figure
-from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
+from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -46,8 +46,8 @@ def run_demo(
         ideal, _ = _measure(quiet_plan, Path(folder) / "noise-free.journal", None, console, "noise-free")
     measured = compare(rig, SAMPLE, reduced.samples[SAMPLE])
     noise_free = compare(rig, SAMPLE, ideal.samples[SAMPLE])
-    export_ddr(reduced, SAMPLE, files["ddr"])
-    export_csv(reduced, SAMPLE, files["csv"])
+    for name in ("ddr", "csv"):
+        export(reduced, SAMPLE, files[name], export_format(name))
     cut_figure(reduced, SAMPLE, measured, files["png"])
     result = {
         "rows": len(plan.rows),
@@ -79,7 +79,7 @@ def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Consol
 def _without_noise(rig: RigDescription) -> RigDescription:
     """The same virtual rig without random processes."""
     assert rig.file.twin is not None
-    return replace(rig, file=rig.file.model_copy(update={"twin": rig.file.twin.model_copy(update={"noise": False})}))
+    return replace(rig, file=replace(rig.file, twin=replace(rig.file.twin, noise=False)))
 
 
 def _by_sigma(comparisons: list[Comparison]) -> dict[str, float]:

@@ -3,7 +3,7 @@
 Only identities are read, so nothing moves.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ from serial.tools import list_ports
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, read_rig
+from goniotwin.app.rig.kinds import kinds
 from goniotwin.app.rig.lock import RigLock
-from goniotwin.drivers import DeviceError, Monochromator, MonochromatorSettings, TmclModule
+from goniotwin.drivers import DeviceError
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import INTERFACE_CLASS
 
-AXES_BAUDRATES = (115200, 9600)
 RIG_BUS = "rig"
 
 
@@ -86,42 +86,16 @@ def _serial_ports(clock: Clock) -> Iterator[PortStatus]:
 def _probe_port(device: str, clock: Clock) -> PortStatus:
     """Ask for the identity with each protocol in turn."""
     tried = []
-    probes: list[tuple[str, Callable[[], str]]] = [
-        *((f"TMCL at {rate} Bd", _tmcl(device, rate, clock)) for rate in AXES_BAUDRATES),
-        ("Cornerstone at 9600 Bd", _cornerstone(device, clock)),
-    ]
-    for name, probe in probes:
+
+    def opener(baudrate: int, timeout_s: float) -> serial.Serial:
+        return serial.serial_for_url(device, baudrate=baudrate, timeout=timeout_s)
+
+    for name, probe in [each for kind in kinds() for each in kind.probes]:
         try:
-            return PortStatus("serial", device, probe())
+            return PortStatus("serial", device, probe(opener, clock))
         except DeviceError as error:
             tried.append(f"{name}: {error.happened}")
     return PortStatus("serial", device, None, "; ".join(tried))
-
-
-def _opener(device: str) -> Callable[[int, float], serial.Serial]:
-    return lambda baudrate, timeout_s: serial.serial_for_url(device, baudrate=baudrate, timeout=timeout_s)
-
-
-def _tmcl(device: str, baudrate: int, clock: Clock) -> Callable[[], str]:
-    def ask() -> str:
-        module = TmclModule(_opener(device), clock, baudrate)
-        try:
-            return f"TMCM-{module.identify()}"
-        finally:
-            module.close()
-
-    return ask
-
-
-def _cornerstone(device: str, clock: Clock) -> Callable[[], str]:
-    def ask() -> str:
-        monochromator = Monochromator(_opener(device), MonochromatorSettings(), clock)
-        try:
-            return monochromator.connect()
-        finally:
-            monochromator.close()
-
-    return ask
 
 
 def _usb_instruments() -> Iterator[PortStatus]:

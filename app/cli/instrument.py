@@ -94,7 +94,7 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
             f"{path}: no axis has a [homing] table; add them, or set the position of each axis: "
             f"goniotwin here --rig {path} AXIS DEG"
         )
-    with _connected_axes(path) as rig:
+    with _connected_axes(path, chosen) as rig:
         for name in chosen:
             _home(rig, rig.axes[name])
             previous_deg = rig.axes[name].last_reference_deg
@@ -105,7 +105,7 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
 def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -> None:
     """Set the current position of an axis; nothing moves. Raises UserError, DeviceError."""
     _check_axis(path, name)
-    with _connected_axes(path) as rig:
+    with _connected_axes(path, [name]) as rig:
         axis = rig.axes[name]
         limits = axis.settings
         if not limits.lower_deg <= angle_deg <= limits.upper_deg:
@@ -125,8 +125,8 @@ def _check_axis(path: Path, name: str) -> None:
 
 
 @contextlib.contextmanager
-def _connected_axes(path: Path) -> "Iterator[Rig]":
-    """A rig with connected axes, locked against other programs."""
+def _connected_axes(path: Path, names: list[str]) -> "Iterator[Rig]":
+    """A rig, locked against other programs, with the controllers of these axes connected."""
     from goniotwin.app.campaign.campaign import clock_for
     from goniotwin.app.rig import open_rig, read_rig
     from goniotwin.drivers import DeviceError
@@ -134,7 +134,9 @@ def _connected_axes(path: Path) -> "Iterator[Rig]":
     description = read_rig(path)
     with open_rig(description, clock_for(description.file)) as opened:
         try:
-            opened.rig.reconnect_axes()
+            for controller in opened.rig.controllers:
+                if not controller.axes.keys().isdisjoint(names):
+                    controller.connect()
         except DeviceError as error:
             raise UserError(str(error)) from None
         yield opened.rig

@@ -1,10 +1,11 @@
 """The command `goniotwin`: its groups of commands, the entry point and the last-resort error handler."""
 
+import json
 import logging
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -22,7 +23,7 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 COMMANDS = (
     "devices", "home", "here", "check", "rehearse", "run", "runs", "export", "simulate",
-    "demo", "examples", "serve", "usb", "replay", "desktop",
+    "demo", "examples", "schema", "serve", "usb", "replay", "desktop",
 )  # fmt: skip
 """In the order of an operator's day; then what is needed less often."""
 
@@ -167,3 +168,37 @@ def main() -> None:
     except UserError as error:
         print_error(error)
         sys.exit(2)
+
+
+@app.command()
+def schema(
+    kind: Annotated[
+        Literal["rig", "schedule"], typer.Argument(metavar="rig|schedule", help="Kind of file.", show_default=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="File to write, instead of printing.", show_default=False)
+    ] = None,
+) -> None:
+    """Print JSON Schema of rig files or schedules, for editors.
+
+    With it an editor completes and checks these files. A first line `#:schema ./rig.schema.json` in them names the schema.
+    """
+    from goniotwin.app.campaign.schedule.file import ScheduleFile
+    from goniotwin.app.formats import FormatError
+    from goniotwin.app.formats.file import write_file
+    from goniotwin.app.rig import rig_file_table
+    from goniotwin.app.rig.kinds import load_all_plugins
+    from goniotwin.app.toml_file import json_schema
+
+    for fault in load_all_plugins():
+        errors.print(f"goniotwin: {fault}; the schema does not have it", markup=False)
+    text = json.dumps(
+        json_schema({"rig": rig_file_table(), "schedule": ScheduleFile}[kind], f"goniotwin {kind} file"), indent=2
+    )
+    if out is None:
+        print(text)
+        return
+    try:
+        write_file(out, f"{text}\n".encode())
+    except FormatError as error:
+        raise UserError(str(error)) from None

@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
+import typer.core
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -38,6 +39,26 @@ TranscriptOption = Annotated[
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 """Standard error."""
+
+
+class _WithFormats:
+    """A command whose help ends with the file formats of the registry, those of other packages included."""
+
+    def format_epilog(self, _context: Any, formatter: Any) -> None:
+        """Write the list (the command-line library calls this)."""
+        from goniotwin.app.formats.registry import Holds, formats
+
+        with formatter.section("Formats"):
+            rows = [(str(each), each.title) for each in formats() if Holds.RAYS not in each.holds]
+            formatter.write_dl(rows)
+
+
+class CommandWithFormats(_WithFormats, typer.core.TyperCommand):
+    """A command that reads or writes tables."""
+
+
+class GroupWithFormats(_WithFormats, typer.core.TyperGroup):
+    """A group of commands, itself a command that reads or writes tables."""
 
 
 def answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> None:

@@ -1,6 +1,5 @@
 """Replay of recorded transcripts on the devices of the twin, and the differences in their answers."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +7,9 @@ from typing import Any
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
-from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
-from goniotwin.drivers.motion import tmcl
-from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
-from goniotwin.drivers.tap import Explain, as_text
-from goniotwin.drivers.usb import usbtmc
+from goniotwin.app.rig.addresses import RTU, rtu_address
+from goniotwin.drivers.photodiodes.modbus import explain_rtu
+from goniotwin.drivers.tap import Explain
 from goniotwin.mocks.replay import LineReplay, Replay, replay_all
 from goniotwin.mocks.replay_difference import Difference
 from goniotwin.mocks.replay_usb import UsbReplay
@@ -20,9 +17,7 @@ from goniotwin.mocks.transcript import TO_DEVICE, TranscriptError, Transfer, mer
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.modbus import TcpStation
-from goniotwin.twin.rig import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
-
-_PHOTODIODES = re.compile(r"photodiodes-(0|[1-9][0-9]{0,3})")
+from goniotwin.twin.rig import CONVERTER_LINE
 
 
 @dataclass(frozen=True)
@@ -100,19 +95,19 @@ def replay_transcripts(paths: Sequence[Path], rig: RigDescription, device: str |
 def _wires(rig: RigDescription, virtual: VirtualRig, transcripts: dict[str, list[Transfer]]) -> list[tuple[Replay, Explain]]:
     wires: list[tuple[Replay, Explain]] = []
     on_line: list[list[Transfer]] = []
+    devices = {device.name: device for device in rig.file.devices}
     for name, transcript in transcripts.items():
-        if name == "axes":
-            wires.append((LineReplay(virtual.serial[AXES], transcript), tmcl.explain))
-        elif name == "monochromator":
-            wires.append((LineReplay(virtual.serial[MONOCHROMATOR], transcript), as_text))
-        elif name == "monitor":
-            wires.append((UsbReplay(virtual.usb[MONITOR], transcript), usbtmc.explain))
+        device = devices[name]
+        if device.twin in virtual.usb:
+            wires.append((UsbReplay(virtual.usb[device.twin], transcript), device.explain))
+        elif device.twin in virtual.serial:
+            wires.append((LineReplay(virtual.serial[device.twin], transcript), device.explain))
         else:
-            module = virtual.modbus[_converter(name, rig)]
+            module = virtual.modbus[device.twin]
             if module.model.serial:
                 on_line.append(transcript)
             else:
-                wires.append((LineReplay(TcpStation(module), transcript, 0.5 * module.latency_s), explain))
+                wires.append((LineReplay(TcpStation(module), transcript, 0.5 * module.latency_s), device.explain))
     if on_line:
         # One serial line has a file for each of its units.
         wires.append((LineReplay(virtual.serial[CONVERTER_LINE], merge_transcripts(on_line)), explain_rtu))
@@ -122,27 +117,18 @@ def _wires(rig: RigDescription, virtual: VirtualRig, transcripts: dict[str, list
 
 def _address_units(rig: RigDescription, virtual: VirtualRig) -> None:
     """Give the twin's modules the unit numbers that the rig file has for a real line."""
-    for index, address in enumerate(rig.file.photodiodes.units):
-        if address.startswith(RTU) and CONVERTER.format(index) in virtual.modbus:
-            virtual.modbus[CONVERTER.format(index)].unit = rtu_address(address)[1]
-
-
-def _converter(name: str, rig: RigDescription) -> str:
-    """The twin's module of `photodiodes-K` in the rig file; an empty string for another name."""
-    match = _PHOTODIODES.fullmatch(name)
-    units = rig.file.photodiodes.units
-    if match is None or int(match[1]) >= len(units):
-        return ""
-    address = units[int(match[1])]
-    return address.rsplit("/", 1)[1] if address.startswith(TWIN) else CONVERTER.format(int(match[1]))
+    for device in rig.file.devices:
+        if device.address.startswith(RTU) and device.twin in virtual.modbus:
+            virtual.modbus[device.twin].unit = rtu_address(device.address)[1]
 
 
 def _check_device(name: str, rig: RigDescription, virtual: VirtualRig, path: Path, *, from_file_name: bool) -> None:
     """Check that the rig has a device. Raises UserError."""
-    if name in ("axes", "monochromator", "monitor") or _converter(name, rig) in virtual.modbus:
+    there = {*virtual.serial, *virtual.modbus, *virtual.usb}
+    devices = [device.name for device in rig.file.devices if device.twin in there]
+    if name in devices:
         return
-    converters = [f"photodiodes-{k}" for k in range(len(rig.file.photodiodes.units))]
-    known = ", ".join(["axes", "monochromator", *converters, "monitor"])
+    known = ", ".join(devices)
     if from_file_name:
         raise UserError(f"{path}: the file name is not a device of {rig.name}; give it with --device: {known}")
     raise UserError(f"{rig.name}: has no device {name!r}; it has {known}")

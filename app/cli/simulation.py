@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.console import Console
 
-from goniotwin.app.cli.output import Json, ShareProgress, answer
+from goniotwin.app.cli.output import GroupWithFormats, Json, ShareProgress, answer
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the optics are compiled code, which a command's help does not need
@@ -25,7 +25,7 @@ Rig = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the random numbers.")]
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = typer.Typer(cls=GroupWithFormats, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @app.callback(invoke_without_command=True)
@@ -37,9 +37,9 @@ def simulate(
             "--sample",
             metavar="MODEL",
             show_default=False,
-            help="gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE (.bsdf, .ddr), or a "
-            "sum of these with +. More keys after commas: transmits=true (gaussian, regular), refraction=1.5 (a gaussian "
-            "that transmits), side=back or both.",
+            help="gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE (a table in a format "
+            "of the list below), or a sum of these with +. More keys after commas: transmits=true (gaussian, regular), "
+            "refraction=1.5 (a gaussian that transmits), side=back or both.",
         ),
     ] = None,
     sigma: Annotated[
@@ -52,7 +52,7 @@ def simulate(
             "--out",
             metavar="FILE",
             show_default=False,
-            help=".ddr (reflected light), .ddt (transmitted light), or .csv of all detectors; may be repeated.",
+            help="The suffix names a format of the list below: a table, or the points of all detectors; may be repeated.",
         ),
     ] = None,
     estimator: Annotated[Literal["fast", "forward"], typer.Option("--estimator", help="Ray-tracing method.")] = "fast",
@@ -105,7 +105,7 @@ def simulate(
 
     Steps: etalon, sample, ratio, output grid, file. Lists are numbers with commas, or start:stop:step. By default the
     detectors are 0.5 deg apart near the specular direction and up to 5 deg elsewhere. Directions that the mirrors block have
-    no value; a .ddr lists them.
+    no value; the comments of a table list them. The standard errors of FILE.ddr are in FILE.u.ddr, on the same grid.
 
     Both estimators count light that was scattered once, by the sample; with --stray all light that arrives.
     """
@@ -123,7 +123,7 @@ def simulate(
     from goniotwin.app.rig.samples import parse_sample, table_files
     from goniotwin.app.simulation.detectors import parse_list
     from goniotwin.app.simulation.estimate import EstimatorSettings
-    from goniotwin.app.simulation.files import check_file_names, summary, write_simulation
+    from goniotwin.app.simulation.files import check_file_names, check_formats, summary, write_simulation
     from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Task
     from goniotwin.app.simulation.simulate import simulate as simulate_task
 
@@ -149,11 +149,11 @@ def simulate(
         theta_deg=parse(theta, "--theta", 0.0, 180.0),
         phi_deg=parse(phi, "--phi", 0.0, 360.0),
     )
+    check_formats(task, out)
     with ShareProgress(Console(stderr=True), "simulating") as progress:
         simulation = simulate_task(task, progress)
-    for path in out:
-        write_simulation(simulation, path)
-    result = summary(simulation, out)
+    files = [file for path in out for file in write_simulation(simulation, path)]
+    result = summary(simulation, files)
     answer(as_json, result, lambda: _print_summary(result))
 
 
@@ -189,7 +189,8 @@ def illumination(
     if rays is not None and rayset is None:
         raise UserError("--rays: is the number of rays in a rayset; give --rayset FILE.h5 too")
 
-    from goniotwin.app.formats import FormatError, write_rayset
+    from goniotwin.app.formats.registry import Holds
+    from goniotwin.app.simulation.files import write_content
     from goniotwin.app.simulation.illumination import (
         check_file_names,
         format_estimate,
@@ -207,10 +208,7 @@ def illumination(
         light = simulate_illumination(unit, error, seed, count, progress)
     write_illumination(light, out)
     if rayset is not None and light.rayset is not None:
-        try:
-            write_rayset(rayset, light.rayset)
-        except FormatError as fault:
-            raise UserError(str(fault)) from None
+        write_content(rayset, Holds.RAYS, light.rayset)
     result = {"file": str(out), "rayset_file": None if rayset is None else str(rayset), **summary(light)}
 
     def show() -> None:

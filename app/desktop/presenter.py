@@ -201,6 +201,7 @@ class Presenter(QObject):
 
     def _show_end(self, end: RunEnded) -> None:
         self.state = end.state
+        self._live_plot.finish()
         self._view.axes.set_targets(None)
         done, of = self._progress
         if self._stop_error:

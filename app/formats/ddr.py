@@ -10,12 +10,14 @@ extrapolate linearly outside the lists, so a table should cover sigma 0..90 and 
 
 import difflib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.formats.file import FormatError, StrPath, quote_word
+from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.numerals import NUMBER, ascending_array, finite_array, format_angles, format_number, format_row
-from goniotwin.app.formats.text import Words, comment_lines, mark_comments, write_text
+from goniotwin.app.formats.table import BsdfTable
+from goniotwin.app.formats.text import Words, comment_lines, header_words, mark_comments, write_text
 from goniotwin.arrays import Floats
 
 SOURCES = ("Measured", "Generated", "Edited", "Morphed")
@@ -69,6 +71,44 @@ class DdrTable:
         keep(self, "comments", tuple(self.comments))
 
 
+def recognise(head: bytes) -> bool:
+    """Whether a file that begins with `head` is a .ddr or a .ddt file."""
+    return not {"typesym", "typecolormodel", "typedata"}.isdisjoint(header_words(head, ";;", BLOCKS))
+
+
+def read(path: Path) -> BsdfTable:
+    """Read a .ddr file, or a .ddt file, which is of transmitted light by its suffix alone. Raises FormatError."""
+    table = read_ddr(path)
+    return BsdfTable(
+        sigma_deg=table.sigma_deg,
+        phi_deg=table.phi_deg,
+        theta_deg=table.theta_deg,
+        values=bsdf(table),
+        wavelengths_nm=tuple(nm for nm in table.channels if nm is not None) or None,
+        psi_deg=table.psi_deg,
+        transmitted=path.suffix.lower() == ".ddt",
+        generated=table.source == "Generated",
+        comments=table.comments,
+    )
+
+
+def write(path: Path, table: BsdfTable) -> None:
+    """Write a .ddr or .ddt file, completely or not at all. Raises FormatError."""
+    symmetry = "PlaneSymmetrical" if table.phi_deg[-1] <= 180.0 else "ASymmetrical"
+    written = DdrTable(
+        source="Generated" if table.generated else "Measured",
+        symmetry=symmetry if table.psi_deg.size == 1 else "ASymmetrical 4D",
+        psi_deg=table.psi_deg,
+        sigma_deg=table.sigma_deg,
+        phi_deg=table.phi_deg,
+        theta_deg=table.theta_deg,
+        channels=table.wavelengths_nm or (None,),
+        values=np.pi * table.values,
+        comments=table.comments,
+    )
+    write_ddr(path, written)
+
+
 def bsdf(table: DdrTable) -> Floats:
     """The BSDF in 1/sr, [channel, psi, sigma, phi, theta]."""
     return table.values / np.pi
@@ -116,12 +156,8 @@ def read_ddr(path: StrPath) -> DdrTable:
     Raises FormatError for anything else, and for any inconsistency in the file: wrong counts, too few or too many numbers,
     a missing or an extra block, lists that do not ascend, unknown words.
     """
-    try:
+    with name_file(path):
         return _Reader(Words(path, ";;")).table()
-    except FormatError:
-        raise
-    except ValueError as error:
-        raise FormatError(path, str(error), "correct the file") from error
 
 
 class _Reader:

@@ -4,11 +4,12 @@ import contextlib
 import os
 import tempfile
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
+SQLITE = b"SQLite format 3\0"
 
 
 class FormatError(ValueError):
@@ -35,15 +36,37 @@ def quote_word(word: str) -> str:
     return ascii(word if len(word) <= LONGEST_WORD else word[:LONGEST_WORD] + "...")
 
 
-def read_file(path: StrPath) -> bytes:
-    """The bytes of a file. Raises FormatError if it is absent, not a regular file, or unreadable."""
+@contextlib.contextmanager
+def name_file(path: StrPath, remedy: str = "correct the file") -> Iterator[None]:
+    """Raise a ValueError about the values of a file as FormatError, which names the file."""
     try:
-        file = Path(path)
-        if not file.exists():
+        yield
+    except FormatError:
+        raise
+    except ValueError as error:
+        raise FormatError(path, str(error), remedy) from error
+
+
+def _file_at(path: StrPath) -> Path:
+    """The file behind all links, which need not exist. Raises FormatError for an impossible name, a folder or a device."""
+    try:
+        with contextlib.suppress(OSError):
+            Path(path).stat()
+        file = Path(os.path.realpath(path))
+    except ValueError as error:
+        raise FormatError(path, "is not a possible file name", "check the name") from error
+    if file.exists() and not file.is_file():
+        raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+    return file
+
+
+def read_file(path: StrPath, most: int = -1) -> bytes:
+    """The bytes of a file, at most `most`. Raises FormatError if it is absent, not a regular file, or unreadable."""
+    try:
+        if not Path(path).exists():
             raise FormatError(path, "there is no such file", "check the name and the folder")
-        if not file.is_file():
-            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
-        return file.read_bytes()
+        with _file_at(path).open("rb") as content:
+            return content.read(most)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
 
@@ -51,12 +74,12 @@ def read_file(path: StrPath) -> bytes:
 def check_writable(path: StrPath) -> None:
     """Check that `write_file` can write to `path`, so that a long computation does not end without its result.
 
-    Raises FormatError if the name, the folder or its permissions do not permit it. The file is not touched.
+    Raises FormatError if the name, the folder or its permissions do not permit it, or if the file is a database such as a
+    journal. The file is not touched.
     """
     try:
-        file = Path(os.path.realpath(path))
-        if file.exists() and not file.is_file():
-            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+        file = _file_at(path)
+        _refuse_database(path, file)
         if not file.parent.is_dir():
             raise FormatError(path, f"there is no folder {file.parent}", "make it first")
         with tempfile.TemporaryFile(dir=file.parent):
@@ -64,23 +87,18 @@ def check_writable(path: StrPath) -> None:
     except OSError as error:
         wrong = f"the folder {file.parent} cannot be written to ({error.strerror})"
         raise FormatError(path, wrong, "check its permissions and the free space of the disk") from error
-    except ValueError as error:
-        if isinstance(error, FormatError):
-            raise
-        raise FormatError(path, "is not a possible file name", "check the name") from error
 
 
 def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
     """Write a file atomically: under another name in the same folder, synced to the disk, then renamed to `path`.
 
     A large content may be an iterable of parts; an error raised by the iterable is passed on, and no file is left. Raises
-    FormatError if the file cannot be written; an earlier file at `path` is then unchanged.
+    FormatError if the file cannot be written, or is a database such as a journal; an earlier file at `path` is then unchanged.
     """
     spare = None
     try:
-        file = Path(os.path.realpath(path))  # a link stays a link
-        if file.exists() and not file.is_file():
-            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+        file = _file_at(path)  # a link stays a link
+        _refuse_database(path, file)
         spare = file.parent / f".{os.getpid()}-{threading.get_ident()}.tmp"
         with spare.open("wb") as out:
             for part in [content] if isinstance(content, bytes) else content:
@@ -92,14 +110,16 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
     except OSError as error:
         wrong = f"cannot be written ({error.strerror})"
         raise FormatError(path, wrong, "check the folder, its permissions and the free space of the disk") from error
-    except ValueError as error:
-        if isinstance(error, FormatError):
-            raise
-        raise FormatError(path, "is not a possible file name", "check the name") from error
     finally:
         if spare is not None:
             with contextlib.suppress(OSError):  # after the renaming there is nothing left to remove
                 spare.unlink(missing_ok=True)
+
+
+def _refuse_database(path: StrPath, file: Path) -> None:
+    if file.exists() and read_file(file, len(SQLITE)) == SQLITE:
+        wrong = "is a data file (journal) or another database, and is not overwritten"
+        raise FormatError(path, wrong, "choose another name")
 
 
 def _sync_folder(folder: Path) -> None:

@@ -9,6 +9,7 @@ import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,30 @@ class Points:
 
     comments: tuple[str, ...]
     columns: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class PointStream:
+    """Points to write: comments, and columns of equal length in parts, at least one, each with the same names.
+
+    All points have the columns wavelength_nm, sigma_deg, theta_deg, phi_deg, luminance_factor and flags, except in formats that
+    hold columns of any names.
+    """
+
+    comments: Sequence[str]
+    parts: Iterable[Mapping[str, ArrayLike]]
+
+
+def recognise(head: bytes) -> bool:
+    """Whether a file that begins with `head` has a header row with several names, after comments."""
+    lines = (line for line in head.decode("utf-8", "replace").splitlines() if not line.startswith("#"))
+    names = next(lines, "").split(",")
+    return len(names) > 1 and all(re.fullmatch(r'\s*"?[A-Za-z]\w*"?\s*', name) for name in names)
+
+
+def write(path: Path, points: PointStream) -> None:
+    """Write a CSV file of points, completely or not at all. Raises FormatError."""
+    write_points_csv(path, points.comments, points.parts)
 
 
 def write_points_csv(
@@ -134,3 +159,7 @@ def _column(fields: Sequence[str]) -> NDArray[Any]:
         return np.array([np.nan if field == "" else parse_number(field) for field in fields], dtype=np.float64)
     except NotANumber:
         return np.array(fields, dtype=np.str_)
+
+
+read = read_points_csv
+"""The reader of the registry."""

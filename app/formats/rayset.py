@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_file, write_file
+from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word, read_file, write_file
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.rayset import Rayset
 
@@ -53,6 +53,11 @@ HEADING = "goniotwin rayset, simulated; HDF5 from byte 512 on, of which sha256="
 HEADING_PATTERN = re.compile(re.escape(HEADING).encode() + rb"([0-9a-f]{64})\n *\n")
 
 
+def recognise(head: bytes) -> bool:
+    """Whether a file that begins with `head` is a rayset."""
+    return head.startswith(HEADING.encode())
+
+
 def write_rayset(path: StrPath, rayset: Rayset) -> None:
     """Write a rayset, marked as simulated, completely or not at all. Raises FormatError."""
     content = io.BytesIO()
@@ -81,12 +86,8 @@ def read_rayset(path: StrPath) -> Rayset:
     if hashlib.sha256(content[BLOCK:]).hexdigest().encode() != heading[1]:
         raise FormatError(path, "is damaged: its content does not match the sha256 in its first line", RECORD_AGAIN)
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
+        with name_file(path, RECORD_AGAIN), h5py.File(io.BytesIO(content), "r") as file:
             return Rayset(**_fields(path, file))
-    except FormatError:
-        raise
-    except ValueError as error:
-        raise FormatError(path, str(error), RECORD_AGAIN) from error
     except (OSError, KeyError, RuntimeError, TypeError) as error:
         raise FormatError(path, "cannot be read as HDF5", RECORD_AGAIN) from error
 
@@ -131,3 +132,7 @@ def _column(path: StrPath, file: h5py.File, name: str, column: RaysetColumn, flu
             path, f"the column {name} is in {quote_word(str(unit))}, not {column.unit or flux_unit}", RECORD_AGAIN
         )
     return np.asarray(data[()], dtype=np.float64)
+
+
+read, write = read_rayset, write_rayset
+"""The codec of the registry."""

@@ -5,6 +5,7 @@ begins a comment, which ends with the line.
 """
 
 import codecs
+import itertools
 import re
 import unicodedata
 from array import array
@@ -20,6 +21,8 @@ from goniotwin.arrays import Floats
 # C0 control characters other than tab, line ends, vertical tab, form feed and DOS's end-of-file mark.
 CONTROL_CHARACTER = re.compile("[\x00-\x08\x0e-\x19\x1b-\x1f]")
 LINE_END = re.compile(r"\r\n|\r|\n")
+HEADER_WORDS = 5000
+"""The keywords of a table are among so many words: a list of angles can be long."""
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -86,6 +89,16 @@ def _safe(line: str, *, ascii_only: bool) -> str:
 def mark_comments(lines: Iterable[str], mark: str) -> list[str]:
     """The lines with the format's comment mark in front of each."""
     return [f"{mark} {line}".rstrip() for line in lines]
+
+
+def header_words(head: bytes, mark: str, stop: Collection[str] = ()) -> set[str]:
+    """The first `HEADER_WORDS` words, in lower case, of a text that begins with `head`, up to a word in `stop`; no comments."""
+    words = (
+        word
+        for line in head.decode("latin-1").splitlines()
+        for word in itertools.takewhile(lambda word: not word.startswith(mark), line.lower().split())
+    )
+    return set(itertools.islice(itertools.takewhile(lambda word: word not in stop, words), HEADER_WORDS))
 
 
 class Words:

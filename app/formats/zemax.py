@@ -7,13 +7,16 @@ zero in the plane of incidence towards the normal. Values are BSDF in 1/sr (no f
 import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.formats.file import FormatError, StrPath, quote_word
+from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.numerals import ascending_array, finite_array, format_angles, format_number, format_row
-from goniotwin.app.formats.text import Words, comment_lines, mark_comments, write_text
+from goniotwin.app.formats.table import BsdfTable
+from goniotwin.app.formats.text import Words, comment_lines, header_words, mark_comments, write_text
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics import from_specular
 
 SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D")
 LISTS = ("sample_rotation_deg", "incidence_deg", "azimuth_deg", "radial_deg")
@@ -64,14 +67,59 @@ class ZemaxBsdf:
         keep(self, "comments", tuple(self.comments))
 
 
+def recognise(head: bytes) -> bool:
+    """Whether a file that begins with `head` is a tabular .bsdf file; LightTools states the scatter type in its blocks."""
+    return {"spectralcontent", "scattertype"} <= header_words(head, "#", ("databegin",))
+
+
+def read(path: Path) -> BsdfTable:
+    """Read a .bsdf file with one sample rotation. Raises FormatError."""
+    table = read_zemax(path)
+    if (count := table.sample_rotation_deg.size) != 1:
+        raise FormatError(path, f"it has {count} sample rotations", "give a table with exactly one")
+    return BsdfTable(
+        sigma_deg=table.incidence_deg,
+        phi_deg=table.azimuth_deg,
+        theta_deg=table.radial_deg,
+        values=table.values[None],
+        transmitted=table.scatter_type == "BTDF",
+        generated=table.source.lower() == "generated",
+        comments=table.comments,
+    )
+
+
+def write(path: Path, table: BsdfTable) -> None:
+    """Write a .bsdf file of one wavelength, which is in its comments, completely or not at all. Raises FormatError."""
+    wavelength = [] if table.wavelengths_nm is None else [f"wavelength: {format_number(table.wavelengths_nm[0])} nm"]
+    mirrored = bool(table.phi_deg[-1] <= 180.0)
+    written = ZemaxBsdf(
+        source="Generated" if table.generated else "Measured",
+        symmetry="PlaneSymmetrical" if mirrored else "ASymmetrical",
+        scatter_type="BTDF" if table.transmitted else "BRDF",
+        sample_rotation_deg=np.zeros(1),
+        incidence_deg=table.sigma_deg,
+        azimuth_deg=table.phi_deg,
+        radial_deg=table.theta_deg,
+        values=table.values[0],
+        tis=_total_scatter(table)[None] * (2.0 if mirrored else 1.0),
+        comments=(*wavelength, *table.comments),
+    )
+    write_zemax(path, written)
+
+
+def _total_scatter(table: BsdfTable) -> Floats:
+    """Share of the light (sigma,) that is scattered within the list of phi, by the trapezoidal rule."""
+    angles = np.meshgrid(table.sigma_deg, table.phi_deg, table.theta_deg, indexing="ij")
+    cosine = np.maximum(from_specular(angles[0], angles[2], angles[1])[..., 2], 0.0)
+    along_theta = np.trapezoid(table.values[0, 0] * cosine * np.sin(np.radians(angles[2])), np.radians(table.theta_deg), axis=2)
+    total: Floats = np.trapezoid(along_theta, np.radians(table.phi_deg), axis=1)
+    return total
+
+
 def read_zemax(path: StrPath) -> ZemaxBsdf:
     """Read a .bsdf file with SpectralContent Monochrome. Raises FormatError for anything else."""
-    try:
+    with name_file(path):
         return _Reader(Words(path, "#")).table()
-    except FormatError:
-        raise
-    except ValueError as error:
-        raise FormatError(path, str(error), "correct the file") from error
 
 
 class _Reader:

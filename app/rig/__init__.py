@@ -5,9 +5,9 @@ from goniotwin.app.rig.file import (
     RigFile,
     arc_clearance,
     axis_settings,
-    monochromator_settings,
+    axis_timings,
     nominal_instrument,
-    photodiode_settings,
+    rig_file_table,
 )
 from goniotwin.app.rig.opening import OpenRig, RigDescription, open_rig, parse_rig, read_rig
 
@@ -18,10 +18,10 @@ __all__ = [
     "RigFile",
     "arc_clearance",
     "axis_settings",
-    "monochromator_settings",
+    "axis_timings",
     "nominal_instrument",
     "open_rig",
     "parse_rig",
-    "photodiode_settings",
     "read_rig",
+    "rig_file_table",
 ]

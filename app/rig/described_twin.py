@@ -13,18 +13,32 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AbstractTable
 
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
-from goniotwin.app.rig.file import AXES, AxisTable, RigFile
+from goniotwin.app.rig.file import AXES, DEFAULT_KIND, RigFile, set_addresses
+from goniotwin.app.rig.kinds import OWN_KINDS, ROLES, device_kind
 from goniotwin.app.rig.opening import RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
+from goniotwin.drivers import AxisSettings
+from goniotwin.keys import values_of
+from goniotwin.twin.optics import Dimensions
 from goniotwin.twin.plant import Electronics, MonitorPhotodiode, MonochromatorDrive, WheelFilter
 from goniotwin.twin.plant.converter import SETTLED
+from goniotwin.twin.rig import AXES as AXES_LINE
 
 NAME = "described"
 DEFAULT_SAMPLE = "gaussian:width_deg=5,reflectance=0.9"
-SWITCHES_BEYOND_DEG = 1.0
 RANGE_MARGIN = 2.0
 """Range of the monitor over its current, at least."""
+
+
+class NoDescription(UserError):
+    """A twin of a device cannot be described from the operator's part."""
+
+    def __init__(self, place: str, kind: str) -> None:
+        super().__init__(
+            f"{place}: there is no description of a twin for the kind {kind!r}; describe the virtual rig in a [twin] table"
+        )
 
 
 @dataclass(frozen=True)
@@ -39,12 +53,13 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
     """The virtual rig in this process for a rig file; a file that describes such a rig already is not changed.
 
     `etalon` and `samples` are the names in the schedule. `models` has samples in one line (see `app.rig.samples`) by name; they
-    replace those of the file. Raises UserError for an invalid model.
+    replace those of the file. Raises NoDescription, and UserError for an invalid model or a controller without a twin.
     """
     document = tomlkit.parse(real.text)
     assumptions: list[str] = []
-    if not all(address.startswith(TWIN) for address in real.file.addresses):
-        _set_twin_addresses(document, real.file)
+    if not real.file.in_process:
+        _check_controllers(real)
+        set_addresses(document, real.file, lambda device: f"{TWIN}{NAME}/{device.twin}")
     if real.file.simulated is None:
         document["simulated"] = {"seed": 1}
     if real.file.twin is None:
@@ -62,14 +77,21 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
     return DescribedTwin(parse_rig(tomlkit.dumps(document), real.folder, real.name), tuple(assumptions))
 
 
-def _set_twin_addresses(document: tomlkit.TOMLDocument, file: RigFile) -> None:
-    _table(document, "axes")["port"] = f"{TWIN}{NAME}/axes"
-    _table(document, "monochromator")["port"] = f"{TWIN}{NAME}/mono"
-    _table(document, "photodiodes")["units"] = [f"{TWIN}{NAME}/adc-{k}" for k in range(len(file.photodiodes.units))]
-    _table(document, "monitor")["usb"] = f"{TWIN}{NAME}/monitor"
+def _check_controllers(real: RigDescription) -> None:
+    """Raise UserError if two controllers of the rig would be one device of its `[twin]`."""
+    of_twin: dict[str, str] = {}
+    for device in real.file.devices[: len(real.file.axes.controllers)]:
+        other = of_twin.setdefault(device.twin, device.name)
+        if other != device.name:
+            wrong = f"{real.name}: twin.controllers: has no table for {device.name}, which has a port of its own"
+            raise UserError(f"{wrong}; add one with the axes of {device.name}")
 
 
 def _twin_table(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
+    for role in ROLES[1:]:
+        kind = device_kind(role, getattr(file, role).kind)
+        if kind not in OWN_KINDS:
+            raise NoDescription(role, kind.name)
     drive = file.monochromator
     assumptions.append(
         "lamp, monitor, dark currents, noise of the amplifiers, exit pupil and reflectance of the mirrors are the defaults of "
@@ -81,11 +103,9 @@ def _twin_table(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
             f"filters with a cut_on_nm transmit {WheelFilter.transmittance:g} of the light from there on, and the grating has "
             "no second order for them to block"
         )
-    geometry = file.geometry.model_dump(exclude={"shadow_margin_deg"})
     return {
-        "axes": {name: _mechanics(name, getattr(file.axes, name), assumptions) for name in AXES},
-        "controller": _controller(file),
-        "optics": geometry,
+        **_motion(file, assumptions),
+        "optics": values_of(file.geometry, Dimensions),
         "photodiodes": {"upper_deg": file.photodiodes.upper_deg, "lower_deg": file.photodiodes.lower_deg},
         "electronics": _electronics(file, assumptions),
         "monochromator": {
@@ -97,30 +117,19 @@ def _twin_table(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _mechanics(name: str, axis: AxisTable, assumptions: list[str]) -> dict[str, Any]:
-    mechanics: dict[str, Any] = {
-        "motor": axis.motor, "module": axis.module, "gear": axis.gear, "sense": axis.sense, "zero_deg": axis.zero_offset_deg,
-        "full_steps": axis.full_steps, "encoder": axis.encoder, "backlash_deg": axis.backlash_deg,
-    }  # fmt: skip
-    if axis.encoder and axis.encoder_counts is not None:
-        mechanics["encoder_counts"] = axis.encoder_counts
-    if axis.switches:
-        mechanics["lower_switch_deg"] = axis.lower_deg - SWITCHES_BEYOND_DEG
-        mechanics["upper_switch_deg"] = axis.upper_deg + SWITCHES_BEYOND_DEG
-        assumptions.append(f"{name}'s limit switches are {SWITCHES_BEYOND_DEG:g} deg beyond its soft limits")
-    return mechanics
-
-
-def _controller(file: RigFile) -> dict[str, Any]:
-    """One module with six motors; for several module addresses, several modules on one bus."""
-    axes = [getattr(file.axes, name) for name in AXES]
-    several = len({axis.module for axis in axes}) > 1
-    single_motors = several and all(axis.motor == 0 for axis in axes)
-    return {
-        "kind": "tmcm-1240" if single_motors else "tmcm-6214",
-        "wire": "rs485" if several else "usb",
-        "baudrate": file.axes.baudrate,
-    }
+def _motion(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
+    """The axes of the virtual rig and their controllers. Raises NoDescription."""
+    axes, tables, further = dict[str, Any](), dict[str, Any](), dict[str, Any]()
+    for controller in file.axes.controllers:
+        if controller.kind.describe is None:
+            raise NoDescription(".".join(controller.places[0]), controller.kind.name)
+        table, mechanics = controller.kind.describe(controller.table, controller.axes, assumptions)
+        axes |= mechanics
+        if controller.kind.name == DEFAULT_KIND and controller.name == AXES_LINE:
+            tables["controller"] = table
+        else:
+            further[controller.name] = {**table, "axes": list(controller.axes)}
+    return {"axes": {name: axes[name] for name in AXES}, **tables, **({"controllers": further} if further else {})}
 
 
 def _electronics(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
@@ -152,9 +161,8 @@ def _set_twin_devices(document: tomlkit.TOMLDocument, file: RigFile, assumptions
         _table(document, "monitor")["range_a"] = lowest_range_a
         current = f"{MonitorPhotodiode.current_a:g} A"
         assumptions.append(f"the monitor's range is {lowest_range_a:g} A, because the twin's monitor gives {current}")
-    for name in AXES:
-        axis = getattr(file.axes, name)
-        if axis.switches and (axis.right_polarity or axis.left_polarity):
+    for name, axis in file.axes.by_name.items():
+        if isinstance(axis, AxisSettings) and axis.switches and (axis.right_polarity or axis.left_polarity):
             table = _table(_table(document, "axes"), name)
             table["right_polarity"] = table["left_polarity"] = 0
             assumptions.append(f"{name}'s limit switches close at the end of its travel, like the twin's")

@@ -1,318 +1,163 @@
-"""The rig file: its tables, and the drivers' settings that they give.
+"""The rig file: its tables, which are the settings of the drivers with the addresses of the devices.
 
 The operator's part has the addresses of the devices and their nominal properties (gears, offsets, limits, gains, geometry).
 `[twin]` is the description of a virtual rig: see `twin_file`.
 """
 
-from collections.abc import Sequence
-from itertools import pairwise
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, make_dataclass, replace
+from functools import cache
+from types import GenericAlias
+from typing import Annotated, Any, Literal, Union, get_args, get_type_hints
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
+from annotated_types import Ge, Le
+from pydantic import BeforeValidator, Discriminator, Tag, with_config
 
 from goniotwin.app.rig.addresses import TWIN
-from goniotwin.app.rig.twin_file import FilterPosition, Fraction, PolarAngle, TwinTable, refuse_repeated_positions
-from goniotwin.app.toml_file import TomlTable
+from goniotwin.app.rig.kinds import (
+    ROLES,
+    DeviceKind,
+    Kind,
+    MonitorTable,
+    MonochromatorTable,
+    MotionKind,
+    PhotodiodesTable,
+    Role,
+    device_kind,
+    kinds,
+    motion_kind,
+    unknown_kind,
+)
+from goniotwin.app.rig.twin_file import TwinTable, one_kind_of_detectors
+from goniotwin.app.toml_file import FILE
 from goniotwin.drivers import (
     ArcClearance,
-    AxisSettings,
-    FilterWheel,
-    Homing,
-    MonitorSettings,
-    MonochromatorSettings,
-    OrderFilter,
-    PhotodiodeSettings,
+    AxisDescription,
 )
-from goniotwin.protocols import adam
-from goniotwin.twin.optics import Instrument
+from goniotwin.drivers.motion import AxisTiming
+from goniotwin.drivers.tap import Explain
+from goniotwin.keys import Fraction, Positive, values_of
+from goniotwin.twin.optics import Dimensions, Instrument
+from goniotwin.twin.rig import AXES as AXES_LINE
+from goniotwin.twin.rig import CONVERTER, MONITOR, MONOCHROMATOR
 
 AXES = ("gamma", "sigma", "beta", "shift")
-TINY_NM = 1e-6
+DEFAULT_KIND, SHARED, OWN_KINDS = "tmcl", "that of [axes]", "those of the axes"
+OWN_CONTROLLER = "An axis with a motion controller of its own: its `kind` and `port`."
 HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
 """The ideal diffuser has 1 in every direction; a broad lobe has somewhat more, and a lobe near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
 
 
-class SimulatedTable(TomlTable):
-    """The mark of a simulated rig, with the seed of the virtual rig.
+@dataclass(frozen=True)
+class SimulatedTable:
+    """The mark of a simulated rig, with the `seed` of the virtual rig.
 
-    A rig that another process serves has no [twin] in its file. Its table has the hash of the model (`old_model` is the hash
-    in its first version, which older journals have), the simulation speed, and the simulation control port, through which
+    A rig that another process serves has no [twin] in its file. Its table has the hash of the `model` (`old_model` is the hash
+    in its first version, which older journals have), the simulation `speed`, and the simulation `control_port`, through which
     samples are mounted.
     """
 
     seed: int = 1
     model: str | None = None
     old_model: str | None = None
-    speed: PositiveFloat = 1.0
-    control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    speed: Positive = 1.0
+    control_port: Annotated[int, Ge(1), Le(65535)] | None = None
 
 
-class HomingTable(TomlTable):
-    """A reference search: its mode by Trinamic's numbers (1 to 8, plus 64 or 128), and the angle of the reference.
+@dataclass(frozen=True)
+class Controller:
+    """A motion controller of a rig file: its name, its kind, the table with its own keys, and its axes.
 
-    Without `angle_deg` the reference is at microstep 0 of the axis.
+    `places` are the paths of the tables that have its keys.
     """
 
-    mode: Annotated[int, Field(ge=1, le=136)]
-    speed_deg_s: PositiveFloat
-    switch_speed_deg_s: PositiveFloat
-    angle_deg: float | None = None
-    longest_s: PositiveFloat = 180.0
+    name: str
+    kind: MotionKind
+    table: Any
+    axes: Mapping[str, AxisDescription]
+    places: tuple[tuple[str, ...], ...]
 
-    @field_validator("mode")
-    @classmethod
-    def _known_mode(cls, mode: int) -> int:
-        if mode not in (*range(1, 9), *range(65, 69), *range(133, 137)):
-            raise ValueError(f"{mode} is not a reference search; give 1 to 8, 65 to 68 (64 added) or 133 to 136 (128 added)")
-        return mode
+    @property
+    def port(self) -> str:
+        """The address of its port."""
+        return str(self.table.port)
 
 
-class AxisTable(TomlTable):
-    """The nominal properties of an axis; `gear` is in motor turns per turn of the axis.
+@dataclass(frozen=True, kw_only=True)
+class AxesTable:
+    """The axes and their motion controllers.
 
-    With a backlash every move arrives from the side `approach_from`, for which the zero offset holds. The motor is stopped by
-    the limit switches (`switches`), by a deviation of the encoder (`max_deviation_deg`), or by a stall above
-    `stall_speed_deg_s`; 0 is off. `encoder_tolerance_deg` is the permitted difference of counter and encoder at rest (0 is
-    off; the default is 0.05 deg plus the backlash).
-
-    `power_up_at_reference`: after power-up or a reset of the controller the axis is at microstep 0, kept there by a parking
-    position or a brake. Without it the axis is then unreferenced, and does not move until it is homed or its position is set.
+    `kind` and `port` of this table are of the controller of all axes that have no `kind` and `port` of their own. `gamma` and
+    `sigma` turn the sample, `beta` turns the arc, and `shift` is the arc's polar shift.
     """
 
-    motor: Annotated[int, Field(ge=0, le=5)]
-    gear: PositiveFloat
-    lower_deg: float
-    upper_deg: float
-    speed_deg_s: PositiveFloat
-    acceleration_deg_s2: PositiveFloat
-    sense: Literal[1, -1] = 1
-    zero_offset_deg: float = 0.0
-    module: Annotated[int, Field(ge=1, le=255)] = 1
-    full_steps: PositiveInt = 200
-    microsteps: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256] = 256
-    run_current: Annotated[int, Field(ge=0, le=255)] = 128
-    standby_current: Annotated[int, Field(ge=0, le=255)] = 8
-    power_down_s: Annotated[float, Field(ge=0.01, le=655.0)] = 2.0
-    settling_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.1
-    encoder: bool = True
-    encoder_counts: PositiveInt | None = None
-    max_deviation_deg: NonNegativeFloat = 0.0
-    stall_speed_deg_s: NonNegativeFloat = 0.0
-    switches: bool = False
-    swap_switches: bool = False
-    right_polarity: Literal[0, 1] = 0
-    left_polarity: Literal[0, 1] = 0
-    soft_stop: bool = False
-    backlash_deg: NonNegativeFloat = 0.0
-    approach_from: Literal["below", "above"] = "below"
-    homing: HomingTable | None = None
-    homing_required: bool = False
-    power_up_at_reference: bool = False
-    encoder_tolerance_deg: NonNegativeFloat | None = None
+    gamma: AxisDescription
+    sigma: AxisDescription
+    beta: AxisDescription
+    shift: AxisDescription
 
-    @model_validator(mode="after")
-    def _limits_in_order(self) -> "AxisTable":
-        if not self.lower_deg < self.upper_deg:
-            raise ValueError(f"lower_deg {self.lower_deg:g} is not below upper_deg {self.upper_deg:g}; exchange them")
-        return self
+    def __post_init__(self) -> None:
+        controllers = self.controllers
+        if hasattr(self, "port") and not any(("axes",) in each.places for each in controllers):
+            raise ValueError("port: every axis has a controller of its own, so there is none of [axes]; remove kind and port")
+        for controller in controllers:
+            controller.kind.check_axes(controller.axes)
 
-    @model_validator(mode="after")
-    def _one_way_to_the_reference(self) -> "AxisTable":
-        if self.homing_required and self.power_up_at_reference:
-            raise ValueError("homing_required and power_up_at_reference contradict each other; remove one")
-        return self
+    @property
+    def by_name(self) -> dict[str, AxisDescription]:
+        """The tables of the axes, by name."""
+        return {name: getattr(self, name) for name in AXES}
 
+    @property
+    def controllers(self) -> tuple[Controller, ...]:
+        """The motion controllers: that of all axes without one of their own, `axes`, then the others, such as `axes-shift`.
 
-class AxesTable(TomlTable):
-    """The motion controller and its axes."""
-
-    kind: Literal["tmcl"]
-    port: str
-    baudrate: PositiveInt = 115200
-    heartbeat_s: Annotated[float, Field(ge=0.0, le=65.0)] = 2.0
-    gamma: AxisTable
-    sigma: AxisTable
-    beta: AxisTable
-    shift: AxisTable
-
-    @model_validator(mode="after")
-    def _one_motor_each(self) -> "AxesTable":
-        wired: dict[tuple[int, int], str] = {}
-        for name in AXES:
-            axis: AxisTable = getattr(self, name)
-            motor = (axis.module, axis.motor)
-            if motor in wired:
-                wrong = f"{wired[motor]} and {name} are both motor {axis.motor} of module {axis.module}"
-                raise ValueError(f"{wrong}; correct one of them")
-            wired[motor] = name
-        return self
+        Raises ValueError for two tables of one port that contradict each other.
+        """
+        found: list[Controller] = []
+        for name, axis in self.by_name.items():
+            own = hasattr(axis, "port")
+            table: Any = axis if own else self
+            place = ("axes", name) if own else ("axes",)
+            kind = motion_kind(table.kind)
+            same = next((each for each in found if each.port == table.port), None)
+            if same is None:
+                found.append(Controller(f"axes-{name}" if own else "axes", kind, table, {name: axis}, (place,)))
+                continue
+            for key in ("kind", *(each.name for each in fields(kind.controller))):
+                if getattr(same.table, key, None) != getattr(table, key):
+                    other = ".".join(same.places[0])
+                    raise ValueError(f"{name}.{key}: differs from that of {other}, which has the same port; correct one")
+            places = same.places if place in same.places else (*same.places, place)
+            shared = "axes" if ("axes",) in places else same.name
+            found[found.index(same)] = replace(same, name=shared, axes={**same.axes, name: axis}, places=places)
+        return tuple(sorted(found, key=lambda each: each.name != "axes"))
 
 
-class OrderFilterTable(TomlTable):
-    """An order-sorting filter: its position in the wheel, and the wavelengths from `from_nm` (included) to `to_nm` for it.
+@dataclass(frozen=True)
+class DeviceAddress:
+    """An address in a rig file. `name` is that of the wire's transcript, `places` are the keys with it, as paths.
 
-    `to_nm` is included if no other band begins there. The filter transmits from `cut_on_nm` on; without `cut_on_nm`, as for
-    an empty position, it is assumed to block nothing.
+    `twin` is the device of the virtual rig that stands for it; `explain` gives bytes on its wire as text.
     """
 
-    position: FilterPosition
-    name: Annotated[str, Field(min_length=1)]
-    from_nm: PositiveFloat
-    to_nm: PositiveFloat
-    cut_on_nm: PositiveFloat | None = None
-
-    @model_validator(mode="after")
-    def _transmits_its_band(self) -> "OrderFilterTable":
-        if not self.from_nm < self.to_nm:
-            raise ValueError(f"from_nm {self.from_nm:g} is not below to_nm {self.to_nm:g}; exchange them")
-        if self.cut_on_nm is not None and self.cut_on_nm > self.from_nm:
-            raise ValueError(
-                f"cut_on_nm {self.cut_on_nm:g} is above from_nm {self.from_nm:g}, so the filter blocks a part of its own band; "
-                "let the band begin higher, or use another filter"
-            )
-        return self
-
-    def __str__(self) -> str:
-        return f"{self.name!r} ({self.from_nm:g} to {self.to_nm:g} nm)"
+    name: str
+    address: str
+    twin: str
+    places: tuple[tuple[str | int, ...], ...]
+    explain: Explain
 
 
-def check_filter_bands(filters: Sequence[OrderFilterTable], lowest_nm: float, highest_nm: float) -> None:
-    """Check that the bands do not overlap and leave no gap from `lowest_nm` to `highest_nm`.
+@dataclass(frozen=True)
+class GeometryTable(Dimensions):
+    """The nominal dimensions; directions within `shadow_margin_deg` of a blocked one count as blocked by the mirror unit."""
 
-    Raises ValueError with the keys to correct.
-    """
-    ordered = sorted(filters, key=lambda each: each.from_nm)
-    for below, above in pairwise(ordered):
-        if above.from_nm < below.to_nm - TINY_NM:
-            raise ValueError(f"filters: the bands of {below} and {above} overlap; make to_nm of one the from_nm of the other")
-    ends = [(0.0, ordered[0].from_nm), *((a.to_nm, b.from_nm) for a, b in pairwise(ordered)), (ordered[-1].to_nm, float("inf"))]
-    for end, begin in ends:
-        missing = max(end, lowest_nm), min(begin, highest_nm)
-        if missing[1] - missing[0] > TINY_NM:
-            raise ValueError(
-                f"filters: there is no filter for {missing[0]:g} to {missing[1]:g} nm; widen a band with from_nm or to_nm, "
-                "give the empty position for it, or narrow lowest_nm and highest_nm"
-            )
+    shadow_margin_deg: Annotated[float, Ge(0.0), Le(10.0)] = 0.2
 
 
-class MonochromatorTable(TomlTable):
-    """The monochromator and its times; `filter_s` is the time of the filter wheel from one position to the next.
-
-    With `filters` the wheel turns with the wavelength; without filters it does not turn.
-    """
-
-    kind: Literal["cornerstone"]
-    port: str
-    baudrate: PositiveInt = 9600
-    lowest_nm: PositiveFloat = 380.0
-    highest_nm: PositiveFloat = 780.0
-    slew_nm_per_s: PositiveFloat = 175.0
-    slew_settle_s: NonNegativeFloat = 0.1
-    shutter_s: NonNegativeFloat = 0.15
-    filter_s: NonNegativeFloat = 1.0
-    grating_s: NonNegativeFloat = 8.0
-    slit_um_per_s: PositiveFloat = 500.0
-    tolerance_nm: PositiveFloat = 0.05
-    filters: list[OrderFilterTable] = []
-
-    @model_validator(mode="after")
-    def _one_filter_at_every_wavelength(self) -> "MonochromatorTable":
-        if self.filters:
-            refuse_repeated_positions([each.position for each in self.filters])
-            check_filter_bands(self.filters, self.lowest_nm, self.highest_nm)
-        return self
-
-
-class PhotodiodesTable(TomlTable):
-    """The converters, their amplifiers, and the polar angles of the photodiodes on the two arcs.
-
-    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is the duration of one request.
-    """
-
-    kind: Literal["adam-6017", "adam-4117"]
-    units: Annotated[list[str], Field(min_length=1)]
-    upper_deg: Annotated[list[PolarAngle], Field(min_length=1)]
-    lower_deg: list[PolarAngle]
-    gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)]
-    gain_uncertainty: Fraction = 1.0e-3
-    range_code: int = adam.PLUS_MINUS_10_V
-    conversions_per_s: PositiveFloat = 100.0
-    settling_s: Annotated[float, Field(gt=0.0, le=600.0)] = 0.25
-    exchange_s: PositiveFloat = 4.0e-4
-
-    @field_validator("range_code")
-    @classmethod
-    def _known_range(cls, code: int) -> int:
-        if code not in adam.VOLTAGE_RANGES:
-            known = ", ".join(f"0x{each:04X}" for each in adam.VOLTAGE_RANGES)
-            raise ValueError(f"0x{code:04X} is not the code of a voltage range; give one of {known}")
-        return code
-
-    @field_validator("gains_v_per_a")
-    @classmethod
-    def _each_gain_once(cls, gains: list[float]) -> list[float]:
-        if sorted(set(gains)) != gains:
-            raise ValueError("the gains do not ascend; list each once, the lowest first, in the order of the outputs' numbers")
-        return gains
-
-    @model_validator(mode="after")
-    def _enough_units(self) -> "PhotodiodesTable":
-        diodes = len(self.upper_deg) + len(self.lower_deg)
-        needed = -(-diodes // adam.CHANNELS)
-        if len(self.units) != needed:
-            wrong = f"{diodes} photodiodes need {needed} units of {adam.CHANNELS} channels, not {len(self.units)}"
-            raise ValueError(f"{wrong}; correct units, upper_deg or lower_deg")
-        return self
-
-    @model_validator(mode="after")
-    def _gain_can_be_set(self) -> "PhotodiodesTable":
-        model = adam.MODELS[self.kind]
-        if len(self.gains_v_per_a) > 1 << model.outputs:
-            raise ValueError(f"an {model.title} has no outputs to select a gain; list the one fixed gain")
-        return self
-
-
-class MonitorTable(TomlTable):
-    """The instrument of the monitor photodiode."""
-
-    kind: Literal["pm100d"]
-    usb: str
-    dialect: Literal["pm100d", "b2980"] = "pm100d"
-    wavelength_nm: PositiveFloat = 550.0
-    range_a: PositiveFloat = 500e-9
-    samples_per_s: PositiveFloat = 3000.0
-    relative_uncertainty: Fraction = 3.0e-4
-
-
-class GeometryTable(TomlTable):
-    """The nominal dimensions that decide which directions the mirror unit blocks, and over which directions a value is a mean.
-
-    `field_deg` is the full width of a photodiode's acceptance cone, 0.5 to 2.5 deg in the paper; `pupil_radius_mm`, the radius
-    of the exit pupil, seen over the mirrors, is half of the beam's divergence (5 mm: 0.7 deg, assumed).
-    """
-
-    mirror_distance_mm: PositiveFloat = 200.0
-    mirror_side_mm: PositiveFloat = 20.0
-    mirror_mount_mm: NonNegativeFloat = 0.0
-    spot_side_mm: PositiveFloat = 5.0
-    arc_radius_mm: PositiveFloat = 300.0
-    detector_diameter_mm: PositiveFloat = 5.0
-    field_deg: PositiveFloat = 0.5
-    pupil_radius_mm: PositiveFloat = 5.0
-    shadow_margin_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.2
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> "GeometryTable":
-        self.instrument()
-        return self
-
-    def instrument(self) -> Instrument:
-        """The instrument with these dimensions. Raises ValueError for impossible dimensions."""
-        return Instrument(**self.model_dump(exclude={"shadow_margin_deg"}))
-
-
-class SampleUnitTable(TomlTable):
+@dataclass(frozen=True)
+class SampleUnitTable:
     """The sample holder. `signature_uncertainty` is the relative standard uncertainty of the instrument signature with a sample
     mounted, because it is measured without: the sample blocks a part of it, and scatters light onto the frames. The default
     is for frames 0.5 mm off the sample (2 mm: 0.5); for frames that lie on the sample 0.01 is more than enough.
@@ -331,21 +176,27 @@ def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
         )
 
 
-class EtalonTable(TomlTable):
-    """The etalon's certificate: radiance factor (1 is the ideal diffuser) and its relative standard uncertainty."""
+@dataclass(frozen=True)
+class EtalonTable:
+    """The etalon's certificate: `radiance_factor` (1 is the ideal diffuser) and its `relative_uncertainty` (standard)."""
 
-    radiance_factor: PositiveFloat = 1.0
+    radiance_factor: Positive = 1.0
     relative_uncertainty: Fraction = 0.0
 
-    @field_validator("radiance_factor")
-    @classmethod
-    def _no_percentage(cls, factor: float) -> float:
-        refuse_percentage(factor)
-        return factor
+    def __post_init__(self) -> None:
+        try:
+            refuse_percentage(self.radiance_factor)
+        except ValueError as error:
+            raise ValueError(f"radiance_factor: {error}") from None
 
 
-class RigFile(TomlTable):
-    """All tables of a rig file."""
+@dataclass(frozen=True, kw_only=True)
+class RigFile:
+    """All tables of the rig `name`. The fields of devices are tables of their kinds: see `rig_file_table`.
+
+    The operator's part has the devices (`axes`, `monochromator`, `photodiodes`, `monitor`), the nominal `geometry`, the
+    `sample_unit` and the `etalon`. `simulated` marks a simulated rig, and `twin` describes the virtual one.
+    """
 
     name: str
     simulated: SimulatedTable | None = None
@@ -353,18 +204,49 @@ class RigFile(TomlTable):
     monochromator: MonochromatorTable
     photodiodes: PhotodiodesTable
     monitor: MonitorTable
-    geometry: GeometryTable = GeometryTable()
-    sample_unit: SampleUnitTable = SampleUnitTable()
-    etalon: EtalonTable = EtalonTable()
+    geometry: GeometryTable = field(default_factory=GeometryTable)
+    sample_unit: SampleUnitTable = field(default_factory=SampleUnitTable)
+    etalon: EtalonTable = field(default_factory=EtalonTable)
     twin: TwinTable | None = None
+
+    @property
+    def devices(self) -> tuple[DeviceAddress, ...]:
+        """The addresses of all devices, in the order in which they are listed: those of photodiodes one for each module."""
+        twins = {} if self.twin is None else {axis: name for name, each in self.twin.controllers.items() for axis in each.axes}
+        found: list[DeviceAddress] = []
+        for controller in self.axes.controllers:
+            at = twins.get(next(iter(controller.axes)), controller.name if self.twin is None else AXES_LINE)
+            places = tuple((*place, "port") for place in controller.places)
+            found.append(DeviceAddress(controller.name, controller.port, at, places, controller.kind.explain))
+
+        def add(role: Role, name: str, address: str, at: str, *key: str | int) -> None:
+            explain = device_kind(role, getattr(self, role).kind).explain
+            found.append(DeviceAddress(name, address, at, ((role, *key),), explain))
+
+        add("monochromator", "monochromator", self.monochromator.port, MONOCHROMATOR, "port")
+        for k, unit in enumerate(self.photodiodes.units):
+            add("photodiodes", f"photodiodes-{k}", unit, CONVERTER.format(k), "units", k)
+        add("monitor", "monitor", self.monitor.usb, MONITOR, "usb")
+        return tuple(
+            replace(each, twin=each.address.rsplit("/", 1)[1]) if each.address.startswith(TWIN) else each for each in found
+        )
 
     @property
     def addresses(self) -> list[str]:
         """Addresses of all devices."""
-        return [self.axes.port, self.monochromator.port, *self.photodiodes.units, self.monitor.usb]
+        return [each.address for each in self.devices]
 
-    @model_validator(mode="after")
-    def _virtual_rig_is_complete(self) -> "RigFile":
+    @property
+    def in_process(self) -> bool:
+        """Whether all devices are those of a virtual rig in this process."""
+        return all(address.startswith(TWIN) for address in self.addresses)
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the rig's time per second: the simulation speed of a served rig."""
+        return 1.0 if self.simulated is None else self.simulated.speed
+
+    def __post_init__(self) -> None:
         virtual = [address for address in self.addresses if address.startswith(TWIN)]
         if virtual and self.simulated is None:
             raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table; add it")
@@ -373,65 +255,147 @@ class RigFile(TomlTable):
         names = {address.split("/")[2] for address in virtual}
         if len(names) > 1:
             raise ValueError(f"its twin:// addresses have several virtual rigs: {', '.join(sorted(names))}; use one name")
-        return self
+        known = {each.twin: None for each in self.devices[len(self.axes.controllers) :]}
+        for name in self.twin.devices if self.twin is not None else ():
+            if name not in known:
+                raise ValueError(f"twin.devices: no device has the address {name!r}; give {' or '.join(known)}, or remove it")
 
 
-def axis_settings(file: RigFile) -> dict[str, AxisSettings]:
+def set_addresses(document: Any, file: RigFile, address_of: Callable[[DeviceAddress], str]) -> None:
+    """Set the address of each device in the tables of a rig file, or in the document of its text."""
+    for device in file.devices:
+        for *path, key in device.places:
+            table = document
+            for part in path:
+                table = table[part]
+            table[key] = address_of(device)
+
+
+def rig_file_table() -> type[RigFile]:
+    """The tables of a rig file with the tables of all registered kinds in them."""
+    return _rig_file_table(kinds())
+
+
+@cache
+def _rig_file_table(known: tuple[Kind, ...]) -> type[RigFile]:
+    """`RigFile` where each device is one of the tables of its kinds, chosen by `kind`."""
+    makes = [kind for kind in known if isinstance(kind, MotionKind)]
+    own = {kind.name: _own_axis_table(kind) for kind in makes}
+    tables = {kind.name: _axes_table(kind, own) for kind in makes}
+    tables[OWN_KINDS] = _table("AxesTable", AxesTable, AxesTable.__doc__, {name: _axis_choice({}, own) for name in AXES})
+    types: dict[str, Any] = {"axes": Annotated[_choice("axes", tables, _axes_kind), BeforeValidator(_own_kinds_alone)]}
+    for role in ROLES[1:]:
+        of_role = {kind.name: kind.table for kind in known if isinstance(kind, DeviceKind) and kind.role == role}
+        types[role] = _choice(role, of_role, _kind)
+    twins: dict[str, Any] = {}
+    for key, of_axes in (("controllers", True), ("devices", False)):
+        models = [model for kind in known if isinstance(kind, MotionKind) == of_axes for model in kind.twins]
+        choices = {name: model for model in models for name in get_args(get_type_hints(model)["kind"])}
+        choice = _choice(None, choices, _kind)
+        twins[key] = GenericAlias(dict, (str, choice)), field(default_factory=dict)
+    twin = _table("TwinTable", TwinTable, TwinTable.__doc__, twins)
+    types["twin"] = Annotated[twin, BeforeValidator(one_kind_of_detectors)] | None, None
+    table: type[RigFile] = _table("RigFile", RigFile, RigFile.__doc__, types)
+    return with_config(FILE)(table)
+
+
+def _axes_table(kind: MotionKind, own: Mapping[str, type]) -> Any:
+    """`[axes]` with a controller of a kind."""
+    axes = {name: _axis_choice({SHARED: kind.axis}, own) for name in AXES}
+    name_and_port = {"kind": Literal[kind.name], "port": str}
+    return _table("AxesTable", (AxesTable, kind.controller), kind.controller.__doc__, {**name_and_port, **axes})
+
+
+def _own_axis_table(kind: MotionKind) -> Any:
+    """`[axes.NAME]` with a controller of its own."""
+    name_and_port = {"kind": Literal[kind.name], "port": str}
+    return _table("OwnController", (kind.axis, kind.controller), OWN_CONTROLLER, name_and_port)
+
+
+def _table(name: str, bases: type | tuple[type, ...], text: str | None, types: Mapping[str, Any]) -> Any:
+    """A table that extends others with fields: types, or pairs of type and default."""
+    of = bases if isinstance(bases, tuple) else (bases,)
+
+    def check(table: object) -> None:
+        for base in of:
+            if (rule := getattr(base, "__post_init__", None)) is not None:
+                rule(table)
+
+    entries = [(key, *each) if isinstance(each, tuple) else (key, each) for key, each in types.items()]
+    namespace = {"__doc__": text, "__post_init__": check, "__module__": __name__}
+    return make_dataclass(name, entries, bases=of, namespace=namespace, frozen=True, kw_only=True)
+
+
+def _axis_choice(shared: Mapping[str, type], own: Mapping[str, type]) -> Any:
+    of_own = _controller_keys() - {key.name for table in shared.values() for key in fields(table)}
+
+    def check(value: Any) -> Any:
+        if isinstance(value, dict) and "kind" not in value and (key := next(filter(of_own.__contains__, value), None)):
+            raise ValueError(f"kind: is missing; add it, because {key} is a key of an axis with a controller of its own")
+        return value
+
+    choice = _choice("axes", {**shared, **own}, lambda value: value.get("kind", SHARED) if isinstance(value, dict) else None)
+    return Annotated[choice, BeforeValidator(check)] if shared else choice
+
+
+def _choice(role: Role | None, tables: Mapping[str, Any], kind_of: Callable[[Any], str | None]) -> Any:
+    """One of several tables, by the kind of a value."""
+
+    def check(value: Any) -> Any:
+        if isinstance(value, dict) and ((kind := kind_of(value)) is not None or len(distinct) != 1) and kind not in [*tables]:
+            raise ValueError("kind: is missing; add it" if kind is None else f"kind: {unknown_kind(kind, role, tables)}")
+        return value
+
+    distinct = dict.fromkeys(tables.values())
+    if len(distinct) < 2:
+        return Annotated[next(iter(distinct), dict[str, Any]), BeforeValidator(check)]
+    choices = tuple(Annotated[table, Tag(kind)] for kind, table in tables.items())
+    return Annotated[Union[choices], Discriminator(kind_of), BeforeValidator(check)]  # noqa: UP007
+
+
+def _kind(value: Any) -> str | None:
+    return value.get("kind") if isinstance(value, dict) else None
+
+
+def _axes_kind(value: Any) -> str | None:
+    """The kind of the controller of `[axes]`; without one, whether each axis has its own."""
+    if not isinstance(value, dict) or "kind" in value:
+        return _kind(value)
+    return OWN_KINDS if all(_kind(value.get(name)) for name in AXES) else DEFAULT_KIND
+
+
+def _controller_keys() -> set[str]:
+    """The keys of motion controllers of all kinds, beside `kind`."""
+    return {"port", *(key.name for kind in kinds() if isinstance(kind, MotionKind) for key in fields(kind.controller))}
+
+
+def _own_kinds_alone(value: Any) -> Any:
+    """The content of `[axes]`. Raises ValueError for a port, or a key of a controller, that is of no axis."""
+    if _axes_kind(value) == OWN_KINDS and (key := next(filter(_controller_keys().__contains__, value), None)):
+        raise ValueError(f"{key}: every axis has a controller of its own, so there is none of [axes]; remove {key}")
+    return value
+
+
+def axis_settings(file: RigFile) -> dict[str, AxisDescription]:
     """The settings of each axis, by its name."""
-    return {name: _axis_settings(name, getattr(file.axes, name)) for name in AXES}
+    return file.axes.by_name
 
 
-def monochromator_settings(file: RigFile) -> MonochromatorSettings:
-    """The settings of the monochromator."""
-    table = file.monochromator
-    return MonochromatorSettings(**table.model_dump(exclude={"kind", "port", "filters"}), wheel=filter_wheel(table.filters))
-
-
-def photodiode_settings(file: RigFile) -> PhotodiodeSettings:
-    """The settings of the photodiodes and their converters."""
-    table = file.photodiodes
-    values = table.model_dump(exclude={"units", "upper_deg", "lower_deg", "gains_v_per_a"})
-    if adam.MODELS[table.kind].serial and "exchange_s" not in table.model_fields_set:
-        values["exchange_s"] = adam.RTU_EXCHANGE_S
-    return PhotodiodeSettings(
-        upper_deg=tuple(table.upper_deg),
-        lower_deg=tuple(table.lower_deg),
-        gains_v_per_a=tuple(table.gains_v_per_a),
-        **values,
-    )
-
-
-def monitor_settings(file: RigFile) -> MonitorSettings:
-    """The settings of the monitor."""
-    return MonitorSettings(**file.monitor.model_dump(exclude={"kind", "usb"}))
+def axis_timings(file: RigFile) -> dict[str, AxisTiming]:
+    """The durations of the moves of each axis, by its name."""
+    timings = {
+        name: controller.kind.timing(controller.table, axis)
+        for controller in file.axes.controllers
+        for name, axis in controller.axes.items()
+    }
+    return {name: timings[name] for name in AXES}
 
 
 def nominal_instrument(file: RigFile) -> Instrument:
     """The instrument with the operator's nominal dimensions, for the directions blocked by the mirror unit."""
-    return file.geometry.instrument()
+    return Instrument(**values_of(file.geometry, Dimensions))
 
 
 def arc_clearance(file: RigFile) -> ArcClearance:
     """The clearance of the arc for this rig's photodiodes."""
     return ArcClearance(top_polar_deg=max(*file.photodiodes.upper_deg, *file.photodiodes.lower_deg, 0.0))
-
-
-def _axis_settings(name: str, table: AxisTable) -> AxisSettings:
-    homing = table.homing
-    return AxisSettings(
-        name=name,
-        speed=table.speed_deg_s,
-        acceleration=table.acceleration_deg_s2,
-        microstep_exponent=table.microsteps.bit_length() - 1,
-        stall_speed=table.stall_speed_deg_s,
-        homing=None
-        if homing is None
-        else Homing(homing.mode, homing.speed_deg_s, homing.switch_speed_deg_s, homing.angle_deg, homing.longest_s),
-        **table.model_dump(exclude={"speed_deg_s", "acceleration_deg_s2", "microsteps", "stall_speed_deg_s", "homing"}),
-    )
-
-
-def filter_wheel(filters: Sequence[OrderFilterTable]) -> FilterWheel:
-    """The filter wheel for the driver, its filters by ascending wavelength."""
-    ordered = sorted(filters, key=lambda each: each.from_nm)
-    return FilterWheel(tuple(OrderFilter(each.position, each.name, each.from_nm, each.cut_on_nm) for each in ordered))

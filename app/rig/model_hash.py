@@ -25,7 +25,9 @@ VERSION = 2
 
 def model_hash(model: TwinModel) -> str:
     """The hash of a model, with the tables of its samples, but without the seed and the names of the samples."""
-    parts = {entry.name: getattr(model, entry.name) for entry in fields(model) if entry.name != "seed"}
+    parts = {entry.name: getattr(model, entry.name) for entry in fields(model) if entry.name not in ("seed", "devices")}
+    if model.devices:  # a later field: a model without further devices keeps its hash
+        parts["devices"] = model.devices
     parts["samples"] = {
         key: {entry.name: getattr(sample, entry.name) for entry in fields(sample) if entry.name != "name"}
         for key, sample in model.samples.items()
@@ -156,7 +158,9 @@ def old_model_hash(model: TwinModel) -> str | None:
 
 
 def _digest(model: TwinModel) -> str:
-    _refuse_later_fields(model, _MODEL)
+    if model.devices:
+        raise _Unknown
+    _refuse_later_fields(model, (*_MODEL, "devices"))
     digest = hashlib.sha256()
     text = {name: _text(getattr(model, name), former) for name, former in _PARTS.items()}
     for name in ("axes", "instrument", "frames", "light", "photodiodes", "electronics", "monitor"):

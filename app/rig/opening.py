@@ -1,37 +1,23 @@
-"""Opening of a rig file: drivers on their wires. Only this module opens ports and devices by name."""
+"""Opening of a rig file: drivers on their wires, and the virtual rig behind them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import serial
-import usb.core
-
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import TWIN, USBIP, ModbusUnits, usbip_address
-from goniotwin.app.rig.file import (
-    RigFile,
-    arc_clearance,
-    axis_settings,
-    monitor_settings,
-    monochromator_settings,
-    photodiode_settings,
-)
+from goniotwin.app.rig.addresses import TWIN, canonical_address
+from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table
+from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
+from goniotwin.app.rig.wires import Wires
 from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
-from goniotwin.drivers import Axis, Monitor, Monochromator, PhotodiodeArray, Rig, TmclModule, Transcript
-from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.motion import tmcl
-from goniotwin.drivers.tap import Explain, Tap, as_text, no_tap
-from goniotwin.drivers.usb import usbtmc as usbtmc_driver
-from goniotwin.drivers.usb.usbip import find_usbip
-from goniotwin.drivers.usb.usbtmc import UsbOpener
+from goniotwin.drivers import Device, Rig, Transcript
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import TwinModel, VirtualRig
-from goniotwin.twin.doors import TwinUsbBackend, register, unregister
+from goniotwin.twin.doors import register, unregister
 
 
 @dataclass(frozen=True)
@@ -80,12 +66,17 @@ class RigDescription:
 def read_rig(path: Path) -> RigDescription:
     """Read a rig file. Raises UserError with the file, the key and the reason."""
     text, content = read_toml(path)
-    return RigDescription(text, validate_table(RigFile, content, str(path)), path.parent, str(path))
+    return RigDescription(text, _file(content, str(path)), path.parent, str(path))
 
 
 def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
     """Parse the text of a rig file, such as a journal contains. Raises UserError."""
-    return RigDescription(text, validate_table(RigFile, parse_toml(text, name), name), folder, name)
+    return RigDescription(text, _file(parse_toml(text, name), name), folder, name)
+
+
+def _file(content: dict[str, Any], name: str) -> RigFile:
+    load_plugins(content, name)
+    return validate_table(rig_file_table(), content, name)
 
 
 @dataclass
@@ -144,22 +135,19 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     except OSError as error:
         raise UserError(f"{transcript}: cannot hold transcripts: {error.strerror}; give another folder") from None
 
-    def tap(device: str, explain: Explain) -> Tap:
-        return transcripts.tap(device, explain) if transcripts is not None else no_tap
-
     virtual, name = None, None
     model = description.model()
-    address: Callable[[str], str] = str
+    in_this_process: Callable[[str], str] = str
     if model is not None and any(each.startswith(TWIN) for each in file.addresses):
         virtual = VirtualRig.build(model, clock)
         file_name = next(each for each in file.addresses if each.startswith(TWIN)).split("/")[2]
         name = register(file_name, virtual)  # another one if this process has a virtual rig of that name already
 
-        def address(file_address: str) -> str:
+        def in_this_process(file_address: str) -> str:
             return file_address.replace(f"{TWIN}{file_name}/", f"{TWIN}{name}/", 1)
 
     try:
-        rig = _rig(description, clock, tap, virtual, address)
+        rig = _rig(description, Wires(clock, virtual, transcripts, in_this_process))
     except UserError:
         if name is not None:
             unregister(name)
@@ -178,87 +166,29 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     return opened
 
 
-def _rig(
-    description: RigDescription,
-    clock: Clock,
-    tap: Callable[[str, Explain], Tap],
-    virtual: VirtualRig | None,
-    address: Callable[[str], str],
-) -> Rig:
-    """Drivers of a rig; `address` gives the address in this process of one in the file. Raises UserError for a wrong one."""
+def _rig(description: RigDescription, wires: Wires) -> Rig:
+    """Drivers of a rig. Raises UserError for an address that is not valid."""
     file = description.file
-    settings = axis_settings(file)
-    module = TmclModule(
-        _serial(address(file.axes.port)),
-        clock,
-        file.axes.baudrate,
-        tap("axes", tmcl.explain),
-        [each.module for each in settings.values()],
-        file.axes.heartbeat_s,
-    )
-    addresses = ModbusUnits(virtual)
-    units = [addresses.unit(address(each)) for each in file.photodiodes.units]
-    for k, unit in enumerate(units):
-        unit.tap = tap(f"photodiodes-{k}", addresses.explain(unit))
+    lines: dict[str, Controller] = {}
+    for each in file.axes.controllers:
+        other = lines.setdefault(each.port if each.port.startswith(TWIN) else canonical_address(each.port), each)
+        if other is not each:
+            place = f"{description.name}: {'.'.join(each.places[0])}.port"
+            raise UserError(
+                f"{place}: {each.port} is the same line as {other.port} of {'.'.join(other.places[0])}; write both alike"
+            )
+    controllers = tuple(each.kind.open(wires, each.name, each.table, each.axes) for each in file.axes.controllers)
+    axes = {name: axis for controller in controllers for name, axis in controller.axes.items()}
+    devices: dict[str, Any] = {role: _open(wires, role, getattr(file, role)) for role in ROLES[1:]}
     return Rig(
-        clock=clock,
-        axes_module=module,
-        axes={axis: Axis(module, each, clock) for axis, each in settings.items()},
-        monochromator=Monochromator(
-            _serial(address(file.monochromator.port)),
-            monochromator_settings(file),
-            clock,
-            tap("monochromator", as_text),
-        ),
-        photodiodes=PhotodiodeArray(units, photodiode_settings(file), clock),
-        monitor=Monitor(
-            _usb(address(file.monitor.usb), virtual),
-            monitor_settings(file),
-            clock,
-            tap("monitor", usbtmc_driver.explain),
-        ),
+        clock=wires.clock,
+        controllers=controllers,
+        axes={name: axes[name] for name in AXES},
         simulated=description.simulated,
         clearance=arc_clearance(file),
+        **devices,
     )
 
 
-def _serial(address: str) -> PortOpener:
-    """An opener for the name of a port, or for any URL of pyserial."""
-
-    def opener(baudrate: int, timeout_s: float) -> serial.Serial:
-        return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s)
-
-    return opener
-
-
-def _usb(address: str, virtual: VirtualRig | None) -> UsbOpener:
-    """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.
-
-    Raises UserError for another form.
-    """
-    if address.startswith(TWIN):
-        wanted = address.rsplit("/", 1)[1]
-
-        def twin_opener() -> Any:
-            if virtual is None or wanted not in virtual.usb:
-                raise LookupError(f"nothing at {address}")
-            return usb.core.find(backend=TwinUsbBackend(virtual), serial_number=virtual.usb[wanted].serial_number)
-
-        return twin_opener
-    if address.startswith(USBIP):
-        host, port, bus_id = usbip_address(address)
-        return lambda: find_usbip(host, port, bus_id)
-    parts = address.split(":")
-    try:
-        vendor, product = int(parts[0], 16), int(parts[1], 16)
-    except (ValueError, IndexError):
-        wrong = f"monitor.usb: {address!r} is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID"
-        raise UserError(f"{wrong}; correct it in the rig file") from None
-    serial_number = {"serial_number": parts[2]} if len(parts) > 2 else {}
-
-    def opener() -> Any:
-        import libusb_package
-
-        return usb.core.find(backend=libusb_package.get_libusb1_backend(), idVendor=vendor, idProduct=product, **serial_number)
-
-    return opener
+def _open(wires: Wires, role: Role, table: Any) -> Device:
+    return device_kind(role, table.kind).open(wires, table)

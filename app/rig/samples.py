@@ -7,32 +7,40 @@ lambertian:reflectance=0.5+gaussian:width_deg=3,reflectance=0.3
 lambertian:reflectance=0.5+regular:reflectance=0.04
 table:paint.bsdf,side=back
 
-A model acts on light from the front; with `side=back` on light from the back, with `side=both` on both.
+A model acts on light from the front; with `side=back` on light from the back, with `side=both` on both. A text is turned into
+the table of a rig file, so that both have the same keys, bounds and error messages.
 """
 
+import inspect
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import DdrTable, FormatError, bsdf, read_ddr
-from goniotwin.app.formats.zemax import ZemaxBsdf, read_zemax
+from goniotwin.app.formats import BsdfTable, FormatError, registry
+from goniotwin.app.formats.registry import Holds
 from goniotwin.app.toml_file import TomlTable, validate_table
 from goniotwin.twin.optics import Scatterer, gaussian, lambertian, regular, spectral_table, sum_samples, table_sample
+from goniotwin.twin.optics.bsdf.analytic_samples import Form, Side
+from goniotwin.twin.optics.bsdf.lobes import GaussianQuantity
 
-Side = Literal["front", "back", "both"]
+
+def default_of(sample: Callable[..., Scatterer], key: str) -> Any:
+    """The default of an argument of the function that makes a sample: a key of the same name has no default of its own."""
+    return inspect.signature(sample).parameters[key].default
 
 
 class LambertianTable(TomlTable):
-    """An ideal diffuser, with a reflectance and a transmittance."""
+    """The `model` of an ideal diffuser, with its `reflectance` and `transmittance`, lit on the `side`."""
 
     model: Literal["lambertian"]
-    reflectance: float = 1.0
-    transmittance: float = 0.0
-    side: Side = "front"
+    reflectance: float = default_of(lambertian, "reflectance")
+    transmittance: float = default_of(lambertian, "transmittance")
+    side: Side = default_of(lambertian, "side")
 
     @model_validator(mode="after")
     def _is_possible(self) -> "LambertianTable":
@@ -41,21 +49,26 @@ class LambertianTable(TomlTable):
 
     def scatterer(self) -> Scatterer:
         """The diffuser. Raises ValueError for an impossible reflectance or transmittance."""
-        return lambertian(self.reflectance, self.transmittance, self.side)
+        return lambertian(**self.model_dump(exclude={"model"}))
 
 
 class GaussianTable(TomlTable):
-    """A Gaussian lobe about the specular direction (paper, formula 6), or about the transmitted one."""
+    """The `model` of a Gaussian lobe about the specular direction (paper, formula 6), or the transmitted one.
+
+    It acts on light from `side`. `form` is the meaning of `width_deg`, `quantity` what is Gaussian. The height is the `peak`
+    in 1/sr, or follows from the `reflectance`. With `transmits` the lobe is behind the sample; `refraction` is the index there
+    over that in front.
+    """
 
     model: Literal["gaussian"]
     width_deg: float
-    form: Literal["one_over_e", "half_width"] = "one_over_e"
-    quantity: Literal["luminance", "intensity"] = "luminance"
-    peak: float | None = None
-    reflectance: float | None = None
-    transmits: bool = False
-    refraction: float = 1.0
-    side: Side = "front"
+    form: Form = default_of(gaussian, "form")
+    quantity: GaussianQuantity = default_of(gaussian, "quantity")
+    peak: float | None = default_of(gaussian, "peak")
+    reflectance: float | None = default_of(gaussian, "reflectance")
+    transmits: bool = default_of(gaussian, "transmits")
+    refraction: float = default_of(gaussian, "refraction")
+    side: Side = default_of(gaussian, "side")
 
     @model_validator(mode="after")
     def _is_possible(self) -> "GaussianTable":
@@ -64,19 +77,20 @@ class GaussianTable(TomlTable):
 
     def scatterer(self) -> Scatterer:
         """The lobe. Raises ValueError for an impossible width or height."""
-        return gaussian(
-            self.width_deg, self.form, self.quantity, self.peak, self.reflectance, self.transmits, self.refraction, self.side
-        )
+        return gaussian(**self.model_dump(exclude={"model"}))
 
 
 class RegularTable(TomlTable):
-    """A mirror or a clear sheet: its reflectance (or transmittance), or a list of them over the incidences `sigma_deg`."""
+    """The `model` of a mirror, or of a clear sheet (`transmits`), lit on the `side`.
+
+    `reflectance` is its reflectance or transmittance, or a list of them over the incidences `sigma_deg`.
+    """
 
     model: Literal["regular"]
-    reflectance: float | list[float] = 1.0
-    sigma_deg: list[float] | None = None
-    transmits: bool = False
-    side: Side = "front"
+    reflectance: float | list[float] = default_of(regular, "reflectance")
+    sigma_deg: list[float] | None = default_of(regular, "sigma_deg")
+    transmits: bool = default_of(regular, "transmits")
+    side: Side = default_of(regular, "side")
 
     @model_validator(mode="after")
     def _is_possible(self) -> "RegularTable":
@@ -85,13 +99,16 @@ class RegularTable(TomlTable):
 
     def scatterer(self) -> Scatterer:
         """The mirror. Raises ValueError for an impossible reflectance, or a list that does not fit `sigma_deg`."""
-        return regular(self.reflectance, self.transmits, self.side, self.sigma_deg)
+        return regular(**self.model_dump(exclude={"model"}))
 
 
 class MeasuredTable(TomlTable):
-    """A table of a Zemax `.bsdf` file; its path is relative to the rig file. A BTDF transmits."""
+    """A table on specular coordinates, of a `file` in any format of the registry; its path is relative to the rig file.
 
-    model: Literal["zemax"]
+    It acts on light from the `side`. A BTDF transmits. "zemax" is an older name of the `model`.
+    """
+
+    model: Literal["table", "zemax"]
     file: str
     side: Side = "front"
 
@@ -100,7 +117,7 @@ LobeTable = Annotated[LambertianTable | GaussianTable | RegularTable | MeasuredT
 
 
 class SumTable(TomlTable):
-    """A sum of several models."""
+    """The `model` that is the sum of the models `lobes`."""
 
     model: Literal["sum"]
     lobes: Annotated[list[LobeTable], Field(min_length=1)]
@@ -108,24 +125,24 @@ class SumTable(TomlTable):
 
 SampleTable = Annotated[LambertianTable | GaussianTable | RegularTable | MeasuredTable | SumTable, Field(discriminator="model")]
 
-FORMULAS: dict[str, type[GaussianTable] | type[LambertianTable] | type[RegularTable]] = {
+MODELS: dict[str, type[GaussianTable] | type[LambertianTable] | type[RegularTable] | type[MeasuredTable]] = {
     "gaussian": GaussianTable,
     "lambertian": LambertianTable,
     "regular": RegularTable,
+    "table": MeasuredTable,
 }
-MODELS = (
-    "gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE (.bsdf or .ddr), "
-    "and sums of them with +"
-)
+"""Models that a text can have."""
 # A plus that separates models, not one in a number (1e+1) or in a file name.
-PLUS = re.compile(rf"\+(?=\s*(?:[A-Za-z_-]+\s*:|(?:{'|'.join(FORMULAS)}|table)\s*(?:\+|$)))")
+PLUS = re.compile(rf"\+(?=\s*(?:[A-Za-z_-]+\s*:|(?:{'|'.join(MODELS)})\s*(?:\+|$)))")
 # The side after a file name, which may itself contain commas.
 FILE_SIDE = re.compile(r",\s*side\s*=\s*(\w*)\s*$")
-FILE_ONLY_KEYS = {"gaussian": ("model",), "lambertian": ("model",), "regular": ("model", "sigma_deg")}
-"""Keys of a rig file that have no form in one line of text, because their values are lists."""
+FILE_ONLY_KEYS = ("model", "sigma_deg")
+"""Keys of a rig file that have no form in one line of text: the model itself, and those whose values are lists."""
 HIGHEST_ALBEDO = 1.001
 HIGHEST_MEASURED_ALBEDO = 1.5
 """A measured table may be wrong by much, and can be simulated; above this limit it is not a reflectance at all."""
+NOISE = 0.01
+"""Values of a measured table may be below zero by so much of the largest one: noise."""
 
 
 def sample_scatterer(sample: SampleTable, folder: Path, place: str) -> Scatterer:
@@ -137,10 +154,16 @@ def sample_scatterer(sample: SampleTable, folder: Path, place: str) -> Scatterer
         return sum_samples(*[sample_scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
     if not isinstance(sample, MeasuredTable):
         return sample.scatterer()
+    path = folder / sample.file
     try:
-        return _zemax_sample(read_zemax(folder / sample.file), sample.side)
-    except (FormatError, ValueError) as error:
+        table: BsdfTable = registry.read(path, Holds.GRID)
+        if (described := registry.described_table(table)) is not None:
+            raise FormatError(path, f"it has the uncertainties of {described}, not values", "give the table itself")
+        return _measured_sample(table, path.name, sample.side)
+    except FormatError as error:
         raise UserError(f"{place}: {error}") from None
+    except ValueError as error:
+        raise UserError(f"{place}: {path}: {error}") from None
 
 
 def parse_sample(text: str) -> Scatterer:
@@ -149,77 +172,64 @@ def parse_sample(text: str) -> Scatterer:
     Raises UserError of one line for an unknown model, key or value, for a file that cannot be read, and for a sample that
     returns more light than it receives.
     """
-    parts = _parts(text)
-    sample = sum_samples(*[_model(part) for part in parts], name=text.strip())
-    _check_albedo(sample, HIGHEST_MEASURED_ALBEDO if any(part.startswith("table") for part in parts) else HIGHEST_ALBEDO)
+    lobes = [_lobe(entries) for entries in _entries(text)]
+    sample = sum_samples(*lobes, name=text.strip())
+    _check_albedo(sample, HIGHEST_MEASURED_ALBEDO if table_files(text) else HIGHEST_ALBEDO)
     return sample
 
 
 def sample_table(text: str) -> dict[str, Any]:
-    """The entries of `[twin.samples.NAME]` for a sample in one line.
-
-    Raises UserError for an invalid sample, and for a table file that a rig file cannot have.
-    """
+    """The entries of `[twin.samples.NAME]` for a sample in one line; paths are absolute. Raises UserError as `parse_sample`."""
     parse_sample(text)
-    lobes = [_lobe_table(part) for part in _parts(text)]
+    lobes = _entries(text)
+    for entries in lobes:
+        if "file" in entries:
+            entries["file"] = str(Path(entries["file"]).absolute())
     return lobes[0] if len(lobes) == 1 else {"model": "sum", "lobes": lobes}
 
 
 def table_files(text: str) -> list[Path]:
-    """The files of a sample in one line."""
-    return [_file_and_side(part)[0] for part in _parts(text) if part.partition(":")[0].strip() == "table"]
+    """The files of a sample in one line. Raises UserError as `parse_sample`."""
+    return [Path(entries["file"]) for entries in _entries(text) if "file" in entries]
 
 
-def _parts(text: str) -> list[str]:
-    return [part.strip() for part in PLUS.split(text)]
+def _lobe(entries: dict[str, Any]) -> Scatterer:
+    place = f"--sample {entries['model']}"
+    try:
+        table = validate_table(MODELS[entries["model"]], entries, place)
+    except UserError as error:
+        raise UserError(str(error).replace(": the file: ", ": ", 1)) from None
+    return sample_scatterer(table, Path(), place)
 
 
-def _model(part: str) -> Scatterer:
+def _entries(text: str) -> list[dict[str, Any]]:
+    """The entries of each model of a text, as in a rig file, not yet validated."""
+    return [_model_entries(part.strip()) for part in PLUS.split(text)]
+
+
+def _model_entries(part: str) -> dict[str, Any]:
     name, colon, rest = (word.strip() for word in part.partition(":"))
     place = f"--sample {name or part!r}"
+    if name not in MODELS:
+        tables = ", ".join(registry.suffixes(registry.readers(Holds.GRID)))
+        known = "gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE"
+        raise UserError(f"--sample: there is no model {name!r}; give {known} ({tables}), and sums of them with +")
     if name == "table":
         if not rest:
             raise UserError(f"{place}: has no file; write table:FILE")
-        path, given = _file_and_side(part)
-        side = "front" if given is None else given
-        if side not in get_args(Side):
-            raise UserError(f"{place}: side is {side!r}; give {', '.join(get_args(Side))}: the side that the light is on")
-        return _table_sample(path, cast(Side, side), place)
-    if name not in FORMULAS:
-        raise UserError(f"--sample: there is no model {name!r}; give {MODELS}")
+        side = FILE_SIDE.search(rest)
+        file = rest if side is None else rest[: side.start()].strip()
+        return {"model": name, "file": file, **({} if side is None else {"side": side[1]})}
+    keys = [key for key in MODELS[name].model_fields if key not in FILE_ONLY_KEYS]
     if colon and not rest:
-        raise UserError(f"{place}: nothing follows the colon; keys are {_keys(name)}")
-    entries = _entries(rest, name, place)
-    try:
-        return validate_table(FORMULAS[name], {"model": name, **entries}, place).scatterer()
-    except UserError as error:
-        raise UserError(str(error).replace(": the file: ", ": ", 1)) from None
-
-
-def _lobe_table(part: str) -> dict[str, Any]:
-    name, _, rest = (word.strip() for word in part.partition(":"))
-    if name != "table":
-        return {"model": name, **_entries(rest, name, f"--sample {name}")}
-    path, side = _file_and_side(part)
-    if path.suffix.lower() in (".ddr", ".ddt"):
-        raise UserError(f"--sample table:{path}: a virtual rig reads only .bsdf tables; convert the table, or give a formula")
-    return {"model": "zemax", "file": str(path.absolute()), **({} if side is None else {"side": side})}
-
-
-def _file_and_side(part: str) -> tuple[Path, str | None]:
-    rest = part.partition(":")[2].strip()
-    side = FILE_SIDE.search(rest)
-    return (Path(rest), None) if side is None else (Path(rest[: side.start()].strip()), side[1])
-
-
-def _entries(text: str, name: str, place: str) -> dict[str, Any]:
-    entries: dict[str, Any] = {}
-    for entry in text.split(",") if text else ():
+        raise UserError(f"{place}: nothing follows the colon; keys are {', '.join(keys)}")
+    entries: dict[str, Any] = {"model": name}
+    for entry in rest.split(",") if rest else ():
         key, equals, value = (word.strip() for word in entry.partition("="))
         if not equals or not value:
-            raise UserError(f"{place}: {entry.strip()!r} is not key=value; keys are {_keys(name)}")
-        if key in FILE_ONLY_KEYS[name] or key not in FORMULAS[name].model_fields:
-            raise UserError(f"{place}: there is no key {key!r}; keys are {_keys(name)}")
+            raise UserError(f"{place}: {entry.strip()!r} is not key=value; keys are {', '.join(keys)}")
+        if key not in keys:
+            raise UserError(f"{place}: there is no key {key!r}; keys are {', '.join(keys)}")
         if key in entries:
             raise UserError(f"{place}: {key} is given twice; remove one of them")
         entries[key] = _value(value)
@@ -235,41 +245,17 @@ def _value(text: str) -> bool | float | str:
         return text
 
 
-def _keys(name: str) -> str:
-    return ", ".join(key for key in FORMULAS[name].model_fields if key not in FILE_ONLY_KEYS[name])
-
-
-def _table_sample(path: Path, side: Side, place: str) -> Scatterer:
-    if path.suffix.lower() not in (".ddr", ".ddt"):
-        return sample_scatterer(MeasuredTable(model="zemax", file=str(path), side=side), Path(), place)
-    try:
-        return _ddr_sample(read_ddr(path), path, side)
-    except FormatError as error:
-        raise UserError(f"{place}: {error}") from None
-    except ValueError as error:
-        raise UserError(f"{place}: {path}: {error}") from None
-
-
-def _zemax_sample(table: ZemaxBsdf, side: Side) -> Scatterer:
-    """An isotropic sample of a Zemax table. Raises ValueError for a table with several sample rotations."""
-    if len(table.sample_rotation_deg) != 1:
-        raise ValueError(f"it has {len(table.sample_rotation_deg)} sample rotations; give a table with exactly one")
-    transmits = table.scatter_type.upper() == "BTDF"
-    axes = (table.incidence_deg, table.azimuth_deg, table.radial_deg)
-    return table_sample(*axes, table.values[0], side=side, transmits=transmits)
-
-
-def _ddr_sample(table: DdrTable, path: Path, side: Side) -> Scatterer:
-    values = bsdf(table)
+def _measured_sample(table: BsdfTable, name: str, side: Side) -> Scatterer:
+    """The sample of a table, with 0 in place of noise below zero. Raises ValueError for values that no sample has."""
+    noise = (table.values < 0.0) & (table.values >= -NOISE * np.max(table.values))
+    values = np.where(noise, 0.0, table.values)
     psi = table.psi_deg if table.psi_deg.size > 1 else None
     if psi is None:
         values = values[:, 0]
-    transmits = path.suffix.lower() == ".ddt"
     axes = (table.sigma_deg, table.phi_deg, table.theta_deg)
-    if table.channels == (None,):
-        return table_sample(*axes, values[0], path.name, psi, side=side, transmits=transmits)
-    wavelengths = [nm or 0.0 for nm in table.channels]
-    return spectral_table(wavelengths, *axes, values, path.name, psi, side=side, transmits=transmits)
+    if table.wavelengths_nm is None:
+        return table_sample(*axes, values[0], name, psi, side=side, transmits=table.transmitted)
+    return spectral_table(table.wavelengths_nm, *axes, values, name, psi, side=side, transmits=table.transmitted)
 
 
 def _check_albedo(sample: Scatterer, limit: float) -> None:

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import tomlkit
-from tomlkit.items import Table
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.file import set_addresses
 from goniotwin.app.rig.opening import RigDescription
 from goniotwin.mocks.served import CONTROL, Endpoint
 
@@ -27,11 +27,7 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
             addresses.setdefault(endpoint.device, endpoint_address(endpoint))  # a pseudo-terminal comes before its TCP port
     document = tomlkit.parse(description.text)
     document.remove("twin")
-    _table(document, "axes")["port"] = addresses["axes"]
-    _table(document, "monochromator")["port"] = addresses["mono"]
-    units = _table(document, "photodiodes")["units"]
-    _table(document, "photodiodes")["units"] = [addresses[f"adc-{k}"] for k in range(len(units))]
-    _table(document, "monitor")["usb"] = addresses["monitor"]
+    set_addresses(document, description.file, lambda device: addresses[device.twin])
     simulated = tomlkit.table()
     hashes = zip(("model", "old_model"), description.model_hashes(), strict=False)  # not every model has an old hash
     simulated.update({"seed": description.seed, **dict(hashes), "speed": speed})
@@ -78,9 +74,3 @@ def write_served_rig(path: Path, text: str) -> None:
 
 def _unwritable(path: Path, error: OSError) -> UserError:
     return UserError(f"{path}: cannot be written: {error.strerror}; choose another name")
-
-
-def _table(document: tomlkit.TOMLDocument, name: str) -> Table:
-    table = document[name]
-    assert isinstance(table, Table)  # the file was validated before
-    return table

@@ -1,283 +1,92 @@
 """`[twin]` of a rig file: mechanics, optics, noise and samples of the virtual rig, and the model that they give.
 
-Nothing here is taken from the operator's part of the file: a wrong sign there must show as a wrong angle.
+Its tables are the parts of the model. Nothing here is taken from the operator's part of the file: a wrong sign there must show
+as a wrong angle.
 """
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from typing import Any
 
 from goniotwin.app.rig.samples import SampleTable, sample_scatterer
-from goniotwin.app.toml_file import TomlTable
-from goniotwin.twin.optics import Deviation, Instrument, RealSensor, SampleFrames
+from goniotwin.drivers.monochromator.settings import refuse_repeated_positions
+from goniotwin.keys import values_of
+from goniotwin.twin.devices import MODULE_KINDS
+from goniotwin.twin.optics import Deviation, Instrument, RealSensor
 from goniotwin.twin.plant import (
     AxisController,
-    Electronics,
+    ControllerModel,
+    DeviceModel,
     Estimator,
-    LightSource,
     Mechanics,
-    MonitorPhotodiode,
     MonochromatorDrive,
     OrderSorting,
-    Photodiodes,
+    Parts,
+    SecondOrder,
     TwinModel,
     WheelFilter,
 )
+from goniotwin.twin.rig import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
 
-Fraction = Annotated[float, Field(ge=0.0, lt=1.0)]
-
-PolarAngle = Annotated[float, Field(ge=0.0, le=90.0)]
-FilterPosition = Annotated[int, Field(ge=1, le=6)]
+NAME = re.compile(r"[A-Za-z0-9_-]+")
+"""The name of a device in an address `twin://RIG/NAME`."""
 
 
-class OpticsTable(TomlTable):
-    """Dimensions of the instrument; with `obstruction` off the mirror unit blocks no light on its way to the photodiodes.
+@dataclass(frozen=True)
+class OpticsTable(Instrument, Estimator):
+    """The optics of the virtual rig, and the `estimator` of the light on its photodiodes."""
 
-    `estimator` computes the light of the photodiodes. `forward` traces all light until the median relative standard error of
-    the photodiodes with light is `forward_error`: with photodiodes of 0.5 deg that takes some seconds a pose for 3 %, and a
-    hundred times as long for 0.3 %; wider ones take less. `rays` is the number of rays per photodiode of `fast`, in place of
-    the few that it places itself. `stray` adds, with either estimator, the light of the frames and the light that was
-    scattered more than once: see `[twin.frames]`.
+
+@dataclass(frozen=True)
+class AxesMechanicsTable:
+    """The real properties of all four axes: `gamma` and `sigma` of the sample, `beta` and `shift` of the arc."""
+
+    gamma: Mechanics
+    sigma: Mechanics
+    beta: Mechanics
+    shift: Mechanics
+
+
+@dataclass(frozen=True)
+class DriveTable(MonochromatorDrive, SecondOrder):
+    """The monochromator of the virtual rig, and the second order of its grating."""
+
+
+def one_kind_of_detectors(content: Any) -> Any:
+    """The content of `[twin]`. Raises ValueError for dimensions of virtual detectors beside a sensor, even the default ones."""
+    optics = content.get("optics") if isinstance(content, dict) and "sensor" in content else None
+    if given := sorted(set(optics or ()) & {"detector_diameter_mm", "field_deg"}):
+        raise ValueError(f"optics.{given[0]} is of virtual detectors, which [twin.sensor] replaces; remove one of them")
+    return content
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwinTable(Parts):
+    """The virtual rig: its `axes` and `optics`, the `sensor` of real detectors, the `deviations` of elements by name.
+
+    `samples` are by name, too. `monochromator` has the times of the drive, `filters` are those in its wheel. `controllers` are
+    further motion controllers, `devices` others that replace those of the program; both by the name in their address.
     """
-
-    pupil_radius_mm: PositiveFloat = 5.0
-    mirror_distance_mm: PositiveFloat = 200.0
-    mirror_side_mm: PositiveFloat = 20.0
-    mirror_mount_mm: NonNegativeFloat = 0.0
-    mirror_reflectance: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
-    spot_side_mm: PositiveFloat = 5.0
-    arc_radius_mm: PositiveFloat = 300.0
-    detector_diameter_mm: PositiveFloat = 5.0
-    field_deg: PositiveFloat = 0.5
-    obstruction: bool = True
-    estimator: Literal["fast", "forward"] = "fast"
-    rays: Annotated[int, Field(ge=16, le=1 << 20, multiple_of=4)] | None = None
-    forward_error: Annotated[float, Field(gt=1e-5, lt=0.5)] = 0.03
-    stray: bool = False
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> "OpticsTable":
-        twin_instrument(self, {})
-        return self
-
-    def estimator_settings(self) -> Estimator:
-        """The estimator and its settings, for the model."""
-        return Estimator(self.estimator, self.rays, self.forward_error, self.stray)
-
-
-class FramesTable(TomlTable):
-    """The two sheets (frames) that hold the sample: see `twin.optics.SampleFrames`."""
-
-    gap_mm: float = 0.0
-    side_mm: float = 60.0
-    reflectance: float = 0.05
-    lit: float = 1.1
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> "FramesTable":
-        self.frames()
-        return self
-
-    def frames(self) -> SampleFrames:
-        """The frames, for the model. Raises ValueError with the key of an impossible value."""
-        return SampleFrames(**self.model_dump())
-
-
-class SensorTable(TomlTable):
-    """The real sensor unit, in place of the virtual detectors of `[twin.optics]`: see `twin.optics.RealSensor`."""
-
-    lens_diameter_mm: PositiveFloat = RealSensor.lens_diameter_mm
-    focal_length_mm: PositiveFloat = RealSensor.focal_length_mm
-    aperture_mm: PositiveFloat = RealSensor.aperture_mm
-    diaphragm_mm: PositiveFloat = RealSensor.diaphragm_mm
-    detector_mm: PositiveFloat = RealSensor.detector_mm
-    detector_side_mm: PositiveFloat = RealSensor.detector_side_mm
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> "SensorTable":
-        self.sensor()
-        return self
-
-    def sensor(self) -> RealSensor:
-        """The sensor, for the model. Raises ValueError with the key of an impossible value."""
-        return RealSensor(**self.model_dump())
-
-
-class DeviationTable(TomlTable):
-    """Deviation of an element from its nominal pose: three angles, three shifts; axes: twin.optics.geometry.instrument."""
-
-    rx_deg: float = 0.0
-    ry_deg: float = 0.0
-    rz_deg: float = 0.0
-    x_mm: float = 0.0
-    y_mm: float = 0.0
-    z_mm: float = 0.0
-
-
-def twin_instrument(
-    optics: OpticsTable, deviations: Mapping[str, DeviationTable], sensor_table: SensorTable | None = None
-) -> Instrument:
-    """The instrument of the virtual rig.
-
-    Raises ValueError for impossible dimensions, for a deviation of an unknown element, for a sensor table beside dimensions
-    of virtual detectors, and for a sensor that the estimator cannot compute.
-    """
-    sensor = None if sensor_table is None else sensor_table.sensor()
-    if sensor is not None:
-        if given := sorted(optics.model_fields_set & {"detector_diameter_mm", "field_deg"}):
-            raise ValueError(f"optics.{given[0]} is of virtual detectors, which [twin.sensor] replaces; remove one of them")
-        if optics.estimator == "fast" and sensor.departure is not None:
-            raise ValueError(
-                f"sensor: {sensor.departure}, so it is not a disc with an acceptance cone, and the fast estimator computes "
-                'only such discs; set optics.estimator = "forward", or correct the sensor'
-            )
-    dimensions = optics.model_dump(exclude={"estimator", "rays", "forward_error", "stray"})
-    given_deviations = {element: Deviation(**deviation.model_dump()) for element, deviation in deviations.items()}
-    return Instrument(**dimensions, deviations=given_deviations, sensor=sensor)
-
-
-class MechanicsTable(TomlTable):
-    """The real properties of an axis."""
-
-    motor: Annotated[int, Field(ge=0, le=5)]
-    gear: PositiveFloat
-    sense: Literal[1, -1] = 1
-    zero_deg: float = 0.0
-    full_steps: PositiveInt = 200
-    encoder: bool = True
-    module: Annotated[int, Field(ge=1, le=255)] = 1
-    backlash_deg: NonNegativeFloat = 0.0
-    lower_switch_deg: float | None = None
-    upper_switch_deg: float | None = None
-    home_deg: float | None = None
-    home_width_deg: Annotated[float, Field(gt=0.0, lt=360.0)] = 1.0
-    encoder_counts: PositiveInt = 51_200
-    encoder_error_deg: NonNegativeFloat = 0.0
-
-
-class ControllerTable(TomlTable):
-    """The motion modules and their wire: one module for each address that the axes have as `module`."""
-
-    kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
-    wire: Literal["usb", "rs485"] = "usb"
-    baudrate: PositiveInt = 115200
-    latency_s: NonNegativeFloat = 3.0e-4
-    encoder_noise_microsteps: NonNegativeFloat = 1.0
-
-
-class AxesMechanicsTable(TomlTable):
-    """The real properties of all four axes."""
-
-    gamma: MechanicsTable
-    sigma: MechanicsTable
-    beta: MechanicsTable
-    shift: MechanicsTable
-
-    @model_validator(mode="after")
-    def _one_motor_each(self) -> "AxesMechanicsTable":
-        motors = [(each.module, each.motor) for each in (self.gamma, self.sigma, self.beta, self.shift)]
-        for module, motor in motors:
-            if (count := motors.count((module, motor))) > 1:
-                raise ValueError(f"motor {motor} turns {count} axes of module {module}; give each axis its own motor")
-        return self
-
-
-class LightTable(TomlTable):
-    """The lamp: radiance, throughput to the sample, drift and noise."""
-
-    radiance: PositiveFloat = 2.0e3
-    throughput: Annotated[float, Field(gt=0.0, le=1.0)] = 0.18
-    drift_per_hour: float = 0.0
-    flicker: Fraction = 5.0e-4
-    wander: Fraction = 2.0e-3
-
-
-class DiodesTable(TomlTable):
-    """The polar angles of the photodiodes, and their dark currents."""
-
-    upper_deg: Annotated[list[PolarAngle], Field(min_length=1)] = [5.0 * k for k in range(18)]
-    lower_deg: list[PolarAngle] = [5.0 * k for k in range(18)]
-    dark_a: NonNegativeFloat = 2.0e-12
-    dark_spread: Fraction = 0.05
-    dark_wander: Fraction = 2.0e-3
-
-
-class ElectronicsTable(TomlTable):
-    """Amplifiers and converters; `gain_spread` is the relative deviation of the real gains from the nominal ones."""
-
-    gains_v_per_a: Annotated[list[PositiveFloat], Field(min_length=1, max_length=4)] = [1e6, 1e8, 1e10, 1e11]
-    gain_spread: Fraction = 1.0e-3
-    offset_v: float = 1.0e-3
-    noise_v: NonNegativeFloat = 1.5e-4
-    settling_s: PositiveFloat = 0.02
-    module: Literal["adam-6017", "adam-4117"] = "adam-6017"
-    baudrate: PositiveInt = 9600
-    conversions_per_s: Literal[10, 100] = 100
-
-
-class DriveTable(TomlTable):
-    """The monochromator: its times, whether its line echoes, whether it has the handshake mode.
-
-    `filters` is the number of positions of its filter wheel, `filter_s` the time from one to the next. `second_order` is the
-    fraction of light of half the wavelength that passes as well (second order); the lamp has no such light up to 710 nm.
-    """
-
-    echo: bool = True
-    handshake: bool = True
-    slew_nm_per_s: PositiveFloat = 175.0
-    settle_s: NonNegativeFloat = 0.1
-    shutter_s: NonNegativeFloat = 0.15
-    filter_s: NonNegativeFloat = 1.0
-    filters: Annotated[int, Field(ge=0, le=6)] = 6
-    grating_s: NonNegativeFloat = 8.0
-    second_order: Fraction = 0.0
-
-
-class WheelFilterTable(TomlTable):
-    """A filter in the wheel of the virtual rig: see `twin.plant.WheelFilter`. A position without a filter is open."""
-
-    position: FilterPosition
-    cut_on_nm: PositiveFloat
-    transmittance: Annotated[float, Field(gt=0.0, le=1.0)] = WheelFilter.transmittance
-
-    def filter(self) -> WheelFilter:
-        """The filter, for the model."""
-        return WheelFilter(**self.model_dump())
-
-
-def refuse_repeated_positions(positions: Sequence[int]) -> None:
-    """Raise ValueError if a position of a filter wheel is given twice."""
-    for position in positions:
-        if (count := positions.count(position)) > 1:
-            raise ValueError(f"filters: position {position} is given {count} times; keep one, a position has one filter")
-
-
-class TwinTable(TomlTable):
-    """The virtual rig. With `noise` off there are no random processes; the quantisation remains."""
 
     axes: AxesMechanicsTable
     samples: dict[str, SampleTable]
-    noise: bool = True
-    optics: OpticsTable = OpticsTable()
-    sensor: SensorTable | None = None
-    deviations: dict[str, DeviationTable] = {}
-    frames: FramesTable = FramesTable()
-    light: LightTable = LightTable()
-    photodiodes: DiodesTable = DiodesTable()
-    electronics: ElectronicsTable = ElectronicsTable()
-    monochromator: DriveTable = DriveTable()
-    filters: list[WheelFilterTable] = []
-    controller: ControllerTable = ControllerTable()
+    optics: OpticsTable = field(default_factory=OpticsTable)
+    sensor: RealSensor | None = None
+    deviations: dict[str, Deviation] = field(default_factory=dict)
+    monochromator: DriveTable = field(default_factory=DriveTable)
+    filters: tuple[WheelFilter, ...] = ()
+    controllers: Mapping[str, ControllerModel] = field(default_factory=dict)
+    devices: Mapping[str, DeviceModel] = field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _is_possible(self) -> "TwinTable":
-        twin_instrument(self.optics, self.deviations, self.sensor)
-        return self
-
-    @model_validator(mode="after")
-    def _filters_fit_the_wheel(self) -> "TwinTable":
+    def __post_init__(self) -> None:
+        if self.sensor is not None and self.optics.kind == "fast" and self.sensor.departure is not None:
+            raise ValueError(
+                f"sensor: {self.sensor.departure}, so it is not a disc with an acceptance cone, and the fast estimator "
+                'computes only such discs; set optics.estimator = "forward", or correct the sensor'
+            )
+        self.instrument()
         refuse_repeated_positions([each.position for each in self.filters])
         for each in self.filters:
             if each.position > self.monochromator.filters:
@@ -285,17 +94,56 @@ class TwinTable(TomlTable):
                     f"filters: a wheel of {self.monochromator.filters} positions has no position {each.position}; choose "
                     "another, or correct monochromator.filters"
                 )
-        return self
+        self._check_controllers()
 
-    @model_validator(mode="after")
-    def _motors_exist(self) -> "TwinTable":
-        motors = {"tmcm-6214": 6, "tmcm-1240": 1}[self.controller.kind]
-        for name in type(self.axes).model_fields:
-            axis: MechanicsTable = getattr(self.axes, name)
-            if axis.motor >= motors:
-                wrong = f"axes.{name}: a {self.controller.kind} has {motors} motors, so there is no motor {axis.motor}"
-                raise ValueError(f"{wrong}; correct the motor, or controller.kind")
-        return self
+    @property
+    def further_devices(self) -> dict[str, DeviceModel]:
+        """The devices at addresses of their own, or in place of the usual ones, by address."""
+        return {**self.controllers, **self.devices}
+
+    def _check_controllers(self) -> None:
+        """Raise ValueError for a name of another device, and axes with several controllers or a motor that is not there."""
+        axes, left = vars(self.axes), list(vars(self.axes))
+        for name, controller in self.controllers.items():
+            if not NAME.fullmatch(name):
+                raise ValueError(f"controllers: {name!r} is no name of a device; give one of letters, digits, - and _")
+            if name in (MONOCHROMATOR, MONITOR, CONVERTER_LINE) or name.startswith(CONVERTER.format("")):
+                raise ValueError(f"controllers: {name} is the name of another device; give the controller another one")
+            if not controller.axes:
+                raise ValueError(f"controllers.{name}.axes: a controller needs an axis; name one, or remove this table")
+            for axis in controller.axes:
+                if axis not in left:
+                    happened = f"has a second controller, {name}" if axis in axes else "is no axis"
+                    raise ValueError(f"controllers.{name}.axes: {axis} {happened}; correct axes")
+                left.remove(axis)
+        if left and AXES in self.controllers:
+            raise ValueError(f"controllers: {AXES} is the controller of {', '.join(left)}; give this one another name")
+        self._check_motors(self.controller, left, "controller")
+        for name, controller in self.controllers.items():
+            if isinstance(controller, AxisController):
+                self._check_motors(controller, controller.axes, f"controllers.{name}")
+
+    def _check_motors(self, controller: AxisController, names: Sequence[str], place: str) -> None:
+        """Raise ValueError for a motor of several axes, or one that a module of this line does not have."""
+        axes = vars(self.axes)
+        used: list[tuple[int, int]] = [(axes[name].module, axes[name].motor) for name in names]
+        for module, motor in used:
+            if (count := used.count((module, motor))) > 1:
+                raise ValueError(f"axes: motor {motor} turns {count} axes of module {module}; give each axis its own motor")
+        motors = MODULE_KINDS[controller.kind].motors
+        for name in names:
+            if axes[name].motor >= motors:
+                having = f"{motors} motor" if motors == 1 else f"{motors} motors"
+                wrong = f"axes.{name}: a {controller.kind} has {having}, so there is no motor {axes[name].motor}"
+                raise ValueError(f"{wrong}; correct the motor, or {place}.kind")
+
+    def instrument(self) -> Instrument:
+        """The instrument, with sensor and deviations. Raises ValueError for a deviation of an unknown element."""
+        return replace(Instrument(**values_of(self.optics, Instrument)), deviations=self.deviations, sensor=self.sensor)
+
+    def estimator(self) -> Estimator:
+        """The estimator of the light on the photodiodes."""
+        return Estimator(**values_of(self.optics, Estimator))
 
 
 def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinModel:
@@ -305,21 +153,12 @@ def twin_model(table: TwinTable, seed: int, folder: Path, name: str) -> TwinMode
     """
     return TwinModel(
         seed=seed,
-        axes={axis: Mechanics(**mechanics) for axis, mechanics in table.axes.model_dump().items()},
+        axes=dict(vars(table.axes)),
         samples={key: sample_scatterer(sample, folder, f"{name}: twin.samples.{key}") for key, sample in table.samples.items()},
-        instrument=twin_instrument(table.optics, table.deviations, table.sensor),
-        frames=table.frames.frames(),
-        light=LightSource(**table.light.model_dump()),
-        photodiodes=Photodiodes(**_tuples(table.photodiodes)),
-        electronics=Electronics(**_tuples(table.electronics)),
-        monitor=MonitorPhotodiode(),
-        monochromator=MonochromatorDrive(**table.monochromator.model_dump(exclude={"second_order"})),
-        controller=AxisController(**table.controller.model_dump()),
-        noise=table.noise,
-        estimator=table.optics.estimator_settings(),
-        order_sorting=OrderSorting(table.monochromator.second_order, tuple(each.filter() for each in table.filters)),
+        instrument=table.instrument(),
+        monochromator=MonochromatorDrive(**values_of(table.monochromator, MonochromatorDrive)),
+        estimator=table.estimator(),
+        order_sorting=OrderSorting(table.monochromator.second_order, table.filters),
+        devices=table.further_devices,
+        **values_of(table, Parts),
     )
-
-
-def _tuples(table: TomlTable) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in table.model_dump().items()}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats.specular_grid import PolarGrid
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction
 
@@ -70,6 +71,12 @@ class Detectors:
     polar_deg: Floats
     azimuth_deg: Floats
     mirrored: bool
+
+    def grid(self, values: Floats, u: Floats) -> PolarGrid:
+        """Values and standard uncertainties (n,) of the detectors, for the resampling."""
+        shape = self.polar_deg.size, self.azimuth_deg.size
+        none = np.zeros(shape)
+        return PolarGrid(self.polar_deg, self.azimuth_deg, values.reshape(shape), u.reshape(shape), none, self.mirrored)
 
     def directions(self, lower: bool) -> Floats:
         """Unit vectors (n, 3); those of the `lower` arc are those of the upper one mirrored in the sample's plane."""

@@ -27,6 +27,7 @@ from goniotwin.twin.optics import (
 )
 from goniotwin.twin.optics.bsdf.analytic_samples import Side
 from goniotwin.twin.optics.fast.lobe_sums import FINE_RULE, TABLE_KINDS
+from goniotwin.twin.optics.geometry.coordinates import incidence_deg, is_lit_from_behind
 from goniotwin.twin.optics.geometry.scene import scene_at
 
 Kind = Literal["fast", "forward"]
@@ -101,12 +102,12 @@ class MeasurementSetup:
     @property
     def back(self) -> bool:
         """Whether the light is on the back of the sample."""
-        return self.sigma_deg > 90.0
+        return is_lit_from_behind(self.sigma_deg)
 
     @property
     def incidence_deg(self) -> float:
         """Angle of incidence on the lit side."""
-        return 180.0 - self.sigma_deg if self.back else self.sigma_deg
+        return incidence_deg(self.sigma_deg)
 
     @property
     def etalon(self) -> Scatterer:

@@ -1,11 +1,11 @@
-"""Files of a simulation: .ddr or .ddt of the output grid, CSV of all detectors, pictures; and the assumptions in them.
+"""Files of a simulation: tables of the output grid, points of all detectors, pictures; and the assumptions in them.
 
 Every file states that it is simulated.
 """
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -14,75 +14,105 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
+from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
 from goniotwin.app.formats.file import write_file
+from goniotwin.app.formats.registry import Format, Holds
+from goniotwin.app.formats.specular_grid import SpecularCut, specular_table
 from goniotwin.app.simulation.simulate import Simulation, Task
-from goniotwin.arrays import Floats
 from goniotwin.twin.optics import to_specular
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN
+from goniotwin.twin.optics.geometry.coordinates import mirror_in_plane_of_incidence, mirror_in_sample_plane
 
-SUFFIXES = (".ddr", ".ddt", ".csv")
-LONGEST_LIST = 2000
+KINDS = (Holds.GRID, Holds.POINTS)
+"""A simulation is written as a table of the output grid, or as points of all detectors."""
 
 
-def check_suffix(path: Path, suffixes: Sequence[str]) -> None:
-    """Raise UserError for a file name whose suffix is not one of `suffixes`, or whose folder does not exist."""
+def check_suffix(path: Path, kind: Holds, *others: str) -> None:
+    """Raise UserError for a file name whose suffix is neither of a format of this kind nor of `others`, or without a folder."""
+    suffixes = [*registry.suffixes(registry.writers(kind)), *others]
     if path.suffix.lower() not in suffixes:
-        raise UserError(f"{path}: the format is unknown; give a name that ends with {_list_words(suffixes)}")
+        raise UserError(f"{path}: the format is unknown; give a name that ends with {registry.join_words(suffixes)}")
+    _check_folder(path)
+
+
+def _check_folder(path: Path) -> None:
     if not path.parent.is_dir():
         raise UserError(f"{path}: there is no folder {path.parent}; make it, or choose another name")
 
 
-def _list_words(words: Sequence[str]) -> str:
-    return f"{', '.join(words[:-1])} or {words[-1]}"
-
-
 def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -> bool:
-    """Whether the files are of transmitted light: with `transmitted`, or if one is a .ddt.
+    """Whether the files are of transmitted light: with `transmitted`, or if the format of one holds no other.
 
     `tables` are the files that the sample is read from. Raises UserError for a name that cannot be written.
     """
+    found = {path: _format(path) for path in paths}
+    reflecting = [each for each in found.values() if Holds.TRANSMITTED not in each.holds]
+    transmitting = [each for each in found.values() if Holds.REFLECTED not in each.holds]
+    written = [path.resolve() for path in paths]
+    written += [registry.uncertainty_path(path).resolve() for path in paths if Holds.UNCERTAINTY not in found[path].holds]
     for path in paths:
-        check_suffix(path, SUFFIXES)
-        if any(path.resolve() == table.resolve() for table in tables):
+        _check_folder(path)
+        try:
+            registry.check_files(path, found[path])
+        except FormatError as error:
+            raise UserError(str(error)) from None
+    for path in written:
+        if any(path == table.resolve() for table in tables):
             raise UserError(f"{path}: is a table of the sample; choose another name")
-    if len({path.resolve() for path in paths}) < len(paths):
-        raise UserError(f"{paths[0]}: is given twice; give each file its own name")
-    suffixes = {path.suffix.lower() for path in paths}
-    if ".ddr" in suffixes and (".ddt" in suffixes or transmitted):
-        raise UserError("a .ddr is of reflected light, a .ddt of transmitted: simulate them one after the other")
-    return transmitted or ".ddt" in suffixes
+        if written.count(path) > 1:
+            raise UserError(f"{path}: is given twice; give each file its own name")
+    if reflecting and (transmitting or transmitted):
+        wrong = f"a {reflecting[0].suffixes[0]} is of reflected light only, and transmitted light is asked for"
+        raise UserError(f"{wrong}: simulate them one after the other")
+    return transmitted or bool(transmitting)
 
 
-def write_simulation(simulation: Simulation, path: Path) -> None:
-    """Write one file, in the format of its suffix. Raises UserError."""
+def check_formats(task: Task, paths: list[Path]) -> None:
+    """Raise UserError, before a long computation, if a file cannot hold the result of a task."""
+    spectrum = task.sample.spectrum
+    given = task.wavelengths_nm if task.wavelengths_nm is not None or spectrum is None else spectrum.wavelengths_nm
+    several = given is not None and given.size > 1 and task.source is None
+    light = Holds.TRANSMITTED if task.transmitted else Holds.REFLECTED
+    for path in paths:
+        _format(path, {light, Holds.SIGMAS, *([Holds.WAVELENGTHS] if several else [])})
+
+
+def write_content(path: Path, kind: Holds, content: Any) -> None:
+    """Write a file in the format of this kind and its suffix; see `registry.Codec`. Raises UserError."""
     try:
-        if path.suffix.lower() == ".csv":
-            write_points_csv(path, _heading(simulation, every_detector=True), _columns(simulation))
-        else:
-            write_ddr(path, ddr_table(simulation))
+        registry.format_for(path, {kind}).write(path, content)
     except FormatError as error:
         raise UserError(str(error)) from None
 
 
-def ddr_table(simulation: Simulation) -> DdrTable:
-    """Luminance factors over the full ranges that readers expect: the first and the last sigma are held to 0 and 90."""
-    sigma, values = simulation.task.sigma_deg, simulation.table
-    if sigma[0] > 0.0:
-        sigma, values = np.concatenate([[0.0], sigma]), np.concatenate([values[:, :1], values], axis=1)
-    sigma, values = np.concatenate([sigma, [90.0]]), np.concatenate([values, values[:, -1:]], axis=1)
-    wavelengths = simulation.wavelengths_nm
-    return DdrTable(
-        source="Generated",
-        symmetry="PlaneSymmetrical" if simulation.mirrored else "ASymmetrical",
-        psi_deg=np.zeros(1),
-        sigma_deg=sigma,
-        phi_deg=simulation.phi_deg,
-        theta_deg=simulation.theta_deg,
-        channels=(None,) if wavelengths is None else tuple(wavelengths.tolist()),
-        values=values[:, None],
-        comments=(*_heading(simulation, every_detector=False), *_continued_nodes(simulation)),
-    )
+def _format(path: Path, needs: Collection[Holds] = ()) -> Format:
+    try:
+        return registry.format_for(path, KINDS, needs)
+    except FormatError as error:
+        raise UserError(str(error)) from None
+
+
+def write_simulation(simulation: Simulation, path: Path) -> tuple[Path, ...]:
+    """Write one file, in the format of its suffix, and the uncertainties of a table beside it. Raises UserError."""
+    found = _format(path)
+    if Holds.POINTS in found.holds:
+        write_content(path, Holds.POINTS, PointStream(_heading(simulation, every_detector=True), [_columns(simulation)]))
+        return (path,)
+    try:
+        return registry.write_table(path, bsdf_table(simulation), found)
+    except FormatError as error:
+        raise UserError(str(error)) from None
+
+
+def bsdf_table(simulation: Simulation) -> BsdfTable:
+    """The output grid over the full ranges that readers expect, with the standard errors as uncertainties; 1/sr."""
+    cuts = [[SpecularCut(cut.values / np.pi, cut.u / np.pi, cut.known) for cut in each] for each in simulation.cuts]
+    return specular_table(
+        simulation.task.sigma_deg, simulation.phi_deg, simulation.theta_deg, cuts,
+        None if simulation.wavelengths_nm is None else tuple(simulation.wavelengths_nm.tolist()),
+        transmitted=simulation.task.transmitted, generated=True, comments=_heading(simulation, every_detector=False),
+        done="simulated",
+    )  # fmt: skip
 
 
 def summary(simulation: Simulation, paths: list[Path]) -> dict[str, Any]:
@@ -254,29 +284,6 @@ def _heading(simulation: Simulation, every_detector: bool) -> list[str]:
     return lines
 
 
-def _continued_nodes(simulation: Simulation) -> list[str]:
-    """Lines for the heading about the nodes of the table without detectors around them."""
-    lines = [
-        f"simulated at sigma {', '.join(f'{sigma:g}' for sigma in simulation.task.sigma_deg)} deg only; held to sigma 0 and 90",
-        "nodes without detectors around them (blocked by the mirror unit, beyond the last polar angle, below the horizon) are",
-        "interpolated along theta, or hold the nearest value, or the mean of the other rows; these nodes are, in degrees:",
-    ]
-    gaps = [
-        f"sigma {sigma:g}, phi {phi:g}: theta {start:g} to {stop:g}"
-        for k, sigma in enumerate(simulation.task.sigma_deg)
-        for m, phi in enumerate(simulation.phi_deg)
-        for start, stop in _runs(simulation.theta_deg, np.logical_not(simulation.known[:, k, m].all(axis=0)))
-    ]
-    more = [f"and {len(gaps) - LONGEST_LIST} more such ranges"] if len(gaps) > LONGEST_LIST else []
-    return [*lines, *gaps[:LONGEST_LIST], *more]
-
-
-def _runs(values: Floats, chosen: npt.NDArray[Any]) -> list[tuple[float, float]]:
-    """First and last value of each run of chosen values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
-    return [(float(values[start]), float(values[stop - 1])) for start, stop in edges.reshape(-1, 2)]
-
-
 def _columns(simulation: Simulation) -> dict[str, npt.NDArray[Any]]:
     blocks = [_block(simulation, k, row) for k in range(len(simulation.at)) for row in range(simulation.table.shape[0])]
     return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
@@ -286,8 +293,8 @@ def _block(simulation: Simulation, k: int, row: int) -> dict[str, npt.NDArray[An
     at = simulation.at[k]
     count = at.obstructed.size
     # In the frame of the sample with its lit side in front; directions of transmitted light are mirrored in its plane.
-    turned = -1.0 if simulation.task.back else 1.0
-    theta, phi = to_specular(at.sigma_deg, at.directions * [1.0, turned, -1.0 if simulation.task.lower else 1.0])
+    directions = mirror_in_plane_of_incidence(at.directions) if simulation.task.back else at.directions
+    theta, phi = to_specular(at.sigma_deg, mirror_in_sample_plane(directions) if simulation.task.lower else directions)
     wavelength = np.nan if simulation.wavelengths_nm is None else simulation.wavelengths_nm[row]
     return {
         "wavelength_nm": np.full(count, wavelength),

@@ -16,8 +16,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import FormatError, write_points_csv
-from goniotwin.app.simulation.files import check_suffix, write_figure
+from goniotwin.app.formats import PointStream
+from goniotwin.app.formats.registry import Holds
+from goniotwin.app.simulation.files import check_suffix, write_content, write_figure
 from goniotwin.app.simulation.simulate import ReportProgress
 from goniotwin.twin.optics import (
     Illumination,
@@ -32,7 +33,6 @@ from goniotwin.twin.optics import (
 ADJOINT_ERROR = 1e-4
 """Relative standard error of the adjoint flux: it costs little, and makes the profile smooth."""
 FEWEST_RAYS, MOST_RAYS = 2, 5_000_000
-SUFFIXES = (".csv", ".png")
 DOTS_PER_INCH = 130
 MARK_COLOUR = "#a93226"
 
@@ -154,9 +154,9 @@ def _as_dict(result: Illumination) -> dict[str, Any]:
 
 def check_file_names(out: Path, rayset: Path | None) -> None:
     """Check the names of the files before anything is computed. Raises UserError for a name that cannot be written."""
-    check_suffix(out, SUFFIXES)
+    check_suffix(out, Holds.COLUMNS, ".png")
     if rayset is not None:
-        check_suffix(rayset, (".h5", ".hdf5"))
+        check_suffix(rayset, Holds.RAYS)
 
 
 def write_illumination(result: IlluminationResult, path: Path) -> None:
@@ -164,10 +164,7 @@ def write_illumination(result: IlluminationResult, path: Path) -> None:
     if path.suffix.lower() == ".png":
         write_figure(_draw(result), path, DOTS_PER_INCH)
         return
-    try:
-        write_points_csv(path, _heading(result), _columns(result))
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    write_content(path, Holds.COLUMNS, PointStream(_heading(result), [_columns(result)]))
 
 
 def _heading(result: IlluminationResult) -> list[str]:

@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import FormatError, write_points_csv
-from goniotwin.app.simulation.files import check_suffix, write_figure
+from goniotwin.app.formats import PointStream
+from goniotwin.app.formats.registry import Holds
+from goniotwin.app.simulation.files import check_suffix, write_content, write_figure
 from goniotwin.twin.optics import Instrument, ShadowMap, shadow_map
 
-SUFFIXES = (".csv", ".png")
 DOTS_PER_INCH = 130
 
 
@@ -25,14 +25,11 @@ def shadow_maps(instrument: Instrument, sigma_deg: list[float], step_deg: float)
 
 def write_shadows(maps: list[ShadowMap], path: Path) -> None:
     """Write one file of all maps, in the format of its suffix. Raises UserError."""
-    check_suffix(path, SUFFIXES)
+    check_suffix(path, Holds.COLUMNS, ".png")
     if path.suffix.lower() == ".png":
         _draw(maps, path)
         return
-    try:
-        write_points_csv(path, _heading(maps), _columns(maps))
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    write_content(path, Holds.COLUMNS, PointStream(_heading(maps), [_columns(maps)]))
 
 
 def _heading(maps: list[ShadowMap]) -> list[str]:

@@ -8,18 +8,22 @@ see of it.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats import registry
+from goniotwin.app.formats.registry import Holds
+from goniotwin.app.formats.specular_grid import SpecularCut, resample
 from goniotwin.app.simulation.detectors import HIGHEST_POLAR_DEG, Detectors, detector_grid, output_phi, output_theta
 from goniotwin.app.simulation.estimate import EstimatorSettings, MeasurementSetup, Ratio, ReportFraction, estimate_ratio
 from goniotwin.app.simulation.source import Source
-from goniotwin.app.simulation.specular_grid import interpolate_to_specular
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, arc_direction, visible_fraction
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, REGULAR
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, opposite_sigma_deg
 
 WAVELENGTH_LIMITS_NM = (200.0, 2500.0)
 """Wavelengths of a simulation."""
@@ -129,20 +133,24 @@ class SigmaResult:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Luminance factors `table` (w, s, phi, theta) on the output grid; `known` where interpolated between detectors."""
+    """Luminance factors on the output grid: `cuts` by wavelength (w,) and sigma (s,), with their standard errors."""
 
     task: Task
     wavelengths_nm: Floats | None
     at: tuple[SigmaResult, ...]
     phi_deg: Floats
     theta_deg: Floats
-    table: Floats
-    known: Flags
+    cuts: tuple[tuple[SpecularCut, ...], ...]
 
-    @property
-    def mirrored(self) -> bool:
-        """Whether the table has only one side of the plane of incidence."""
-        return bool(self.phi_deg[-1] == 180.0)
+    @cached_property
+    def table(self) -> Floats:
+        """The luminance factors (w, s, phi, theta)."""
+        return np.array([[cut.values for cut in each] for each in self.cuts])
+
+    @cached_property
+    def known(self) -> Flags:
+        """The nodes (w, s, phi, theta) that are interpolated between detectors."""
+        return np.array([[cut.known for cut in each] for each in self.cuts])
 
 
 def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None) -> Simulation:
@@ -155,7 +163,7 @@ def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None)
     mirrored = _is_mirrored(task.sample)
     phi, theta = output_phi(task.phi_deg, mirrored), output_theta(task.theta_deg)
     count = task.sigma_deg.size
-    at, tables = [], []
+    at, cuts = [], []
     for k, sigma in enumerate(task.sigma_deg.tolist()):
 
         def report_sigma(fraction: float, k: int = k, sigma: float = sigma) -> None:
@@ -164,13 +172,10 @@ def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None)
         report_sigma(0.0)
         result = _simulate_sigma(task, sigma, wavelengths, mirrored, report_sigma)
         at.append(result)
-        tables.append(
-            [interpolate_to_specular(result.detectors, row, sigma, phi, theta, task.back) for row in result.ratio.factor]
-        )
+        grids = map(result.detectors.grid, result.ratio.factor, result.ratio.standard_error)
+        cuts.append([resample(grid, sigma, phi, theta, back=task.back) for grid in grids])
     report(1.0, "done")
-    table = np.array([[values for values, _ in each] for each in tables]).swapaxes(0, 1)
-    known = np.array([[flags for _, flags in each] for each in tables]).swapaxes(0, 1)
-    return Simulation(task, wavelengths, tuple(at), phi, theta, table, known)
+    return Simulation(task, wavelengths, tuple(at), phi, theta, tuple(zip(*cuts, strict=True)))
 
 
 def _simulate_sigma(
@@ -182,7 +187,7 @@ def _simulate_sigma(
         # There are no detectors near grazing.
         near_axes = [min(HIGHEST_POLAR_DEG, axis) for axis in task.refracted_axes(sigma) if axis is not None]
         detectors = detector_grid(sigma, mirrored, near_axes)
-    directions, unit_deg = detectors.directions(task.lower), 180.0 - sigma if task.back else sigma
+    directions, unit_deg = detectors.directions(task.lower), opposite_sigma_deg(sigma) if task.back else sigma
     setup = MeasurementSetup(
         task.instrument, unit_deg, directions, wavelengths, task.transmitted, task.stray, task.frames,
         None if task.source is None else task.source.rays,
@@ -217,11 +222,11 @@ def regular_peak(
     instrument: Instrument, sigma_deg: float, fraction: float, lower: bool, directions: Floats, factor: Floats
 ) -> RegularPeak:
     """The regular component of detectors in `directions` (n, 3) with luminance factors (w, n), NaN where obstructed."""
-    axis = arc_direction(sigma_deg, 180.0, lower)
+    axis = arc_direction(sigma_deg, SPECULAR_AZIMUTH_DEG, lower)
     half_angle = regular_half_angle_deg(instrument)
     seen = factor[:, directions @ axis >= math.cos(math.radians(half_angle))]
     largest = float(np.nanmax(seen)) if np.isfinite(seen).any() else None
-    return RegularPeak(sigma_deg, fraction, sigma_deg, 180.0, half_angle, largest)
+    return RegularPeak(sigma_deg, fraction, sigma_deg, SPECULAR_AZIMUTH_DEG, half_angle, largest)
 
 
 def _check(task: Task) -> None:
@@ -236,11 +241,11 @@ def _check(task: Task) -> None:
     if task.source is not None and task.estimator.kind == "fast":
         raise UserError("--source: the fast estimator has only the uniform exit pupil; give --estimator forward")
     if not task.acting_lobes:
-        act, other = ("transmits", ".ddr") if task.transmitted else ("reflects", ".ddt")
+        act, other = ("transmits", Holds.REFLECTED) if task.transmitted else ("reflects", Holds.TRANSMITTED)
         side, opposite = ("back", "front") if task.back else ("front", "back")
         wrong = f"--sample {task.sample.name!r}: {act} no light from its {side}"
         if any(lobe.incident == (-1 if task.back else 1) for lobe in task.sample.lobes):
-            raise UserError(f"{wrong}; write a {other} file instead")
+            raise UserError(f"{wrong}; write a {registry.writers(Holds.GRID, other)[0].suffixes[0]} file instead")
         raise UserError(f"{wrong}; give its models side={side} or side=both, or light its {opposite} with --side {opposite}")
 
 

@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import FormatError, read_rayset
+from goniotwin.app.formats import FormatError, registry
+from goniotwin.app.formats.registry import Holds
 from goniotwin.twin.optics import IlluminationUnit, Instrument, RaySource, replay
 from goniotwin.twin.optics.geometry.mirrors import pupil
+from goniotwin.twin.optics.illumination.rayset import Rayset
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ def read_source(path: Path, unit: IlluminationUnit, instrument: Instrument) -> S
     """
     x, y, z = (float(each) for each in pupil(instrument)[0])
     try:
-        rayset = read_rayset(path)
+        rayset: Rayset = registry.read(path, Holds.RAYS)
     except FormatError as error:
         raise UserError(f"--source: {error}") from None
     try:

@@ -21,11 +21,16 @@ from goniotwin.drivers.device import Pending, Poll
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.drivers.usb.usbtmc import UsbOpener, UsbTmc
+from goniotwin.keys import Fraction, Positive
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.scpi import ScpiError, decode_error, decode_number, overloaded
 
 NAME = "monitor"
 ANSWER_MARGIN_S = 2.0e-3
+TRANSFER_S = 0.8e-3
+"""Typical duration of a USB transfer."""
+TRANSFERS_AT_END = 5
+"""Number of USB transfers at the end of a mean: request and reply of the value; query, request and reply of the canary."""
 LONGEST_READING_S = 1.0
 OVERRANGE = 1.1
 NEXT_ERROR = "SYST:ERR?"
@@ -87,20 +92,28 @@ DIALECTS = {each.name: each for each in (PM100D, B2980)}
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """The monitor, as configured by the operator: range in A, sampling rate, relative uncertainty of one reading.
+    """The instrument of the monitor photodiode: range `range_a`, rate `samples_per_s`, `relative_uncertainty` of one reading.
 
     `wavelength_nm` is the wavelength at which it gives power. `dialect` is a key of DIALECTS.
     """
 
-    range_a: float = 500e-9
-    samples_per_s: float = 3000.0
-    relative_uncertainty: float = 3.0e-4
-    wavelength_nm: float = 550.0
-    dialect: str = "pm100d"
+    range_a: Positive = 500e-9
+    samples_per_s: Positive = 3000.0
+    relative_uncertainty: Fraction = 3.0e-4
+    wavelength_nm: Positive = 550.0
+    dialect: Literal["pm100d", "b2980"] = "pm100d"
+
+    @property
+    def fetching_seconds(self) -> float:
+        """From the end of a mean until it is read and checked, s."""
+        return ANSWER_MARGIN_S + TRANSFERS_AT_END * TRANSFER_S
 
 
 class Monitor:
     """The instrument on USB."""
+
+    name = NAME
+    parts: tuple[str, ...] = ()
 
     def __init__(self, opener: UsbOpener, settings: MonitorSettings, clock: Clock, tap: Tap = no_tap) -> None:
         self._wire = UsbTmc(NAME, opener, tap=tap)
@@ -127,6 +140,10 @@ class Monitor:
         self._quantity = "current"
         self._write_settings()
         return identity
+
+    def reconnect(self) -> None:
+        """Connect again after a fault. Raises DeviceError."""
+        self.connect()
 
     def close(self) -> None:
         """Release the USB interface."""

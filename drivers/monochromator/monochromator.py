@@ -26,16 +26,17 @@ from goniotwin.drivers.device import Pending, PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Refused
 from goniotwin.drivers.monochromator.line import CHECK_LINE, NAME, CornerstoneLine
 from goniotwin.drivers.monochromator.settings import MonochromatorSettings
-from goniotwin.drivers.monochromator.statement import ABORT, STATUS_MARGIN_S, PendingStatement
+from goniotwin.drivers.monochromator.statement import ABORT, PendingStatement
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import NO_ERROR, Grating, Statement, StatementError, decode_number, encode_nm
 
-__all__ = ["STATUS_MARGIN_S", "Monochromator"]
-
 
 class Monochromator:
     """The monochromator on its serial line."""
+
+    name = NAME
+    parts: tuple[str, ...] = ()
 
     def __init__(self, open_port: PortOpener, settings: MonochromatorSettings, clock: Clock, tap: Tap = no_tap) -> None:
         self._wire = CornerstoneLine(open_port, settings.baudrate, clock, tap)
@@ -59,6 +60,10 @@ class Monochromator:
             identity = self._wire.open()
             self.wavelength_nm()
             return identity
+
+    def reconnect(self) -> None:
+        """Connect again after a fault. Raises DeviceError."""
+        self.connect()
 
     def close(self) -> None:
         """Close the port. Nothing is sent."""
@@ -110,7 +115,7 @@ class Monochromator:
         def arrived() -> bool:
             return abs(self.wavelength_nm() - wavelength_nm) <= self.settings.tolerance_nm
 
-        seconds = self.settings.slew_seconds(distance)
+        seconds = float(self.settings.slew_seconds(distance))
         return self._start(Statement("GOWAVE", parameter=target), seconds, "WAVE", target, arrived)
 
     def start_shutter(self, *, opened: bool) -> Pending:
@@ -166,8 +171,8 @@ class Monochromator:
         target = self.step() + steps
         self._known.pop("WAVE", None)
         distance = self.settings.highest_nm - self.settings.lowest_nm
-        statement = Statement("STEP", parameter=str(steps))
-        return self._start(statement, self.settings.slew_seconds(distance), "STEP", str(target), lambda: self.step() == target)
+        statement, seconds = Statement("STEP", parameter=str(steps)), float(self.settings.slew_seconds(distance))
+        return self._start(statement, seconds, "STEP", str(target), lambda: self.step() == target)
 
     def abort(self) -> None:
         """Abort the motion in progress; its position is then unknown until it is queried. Thread-safe."""
@@ -205,8 +210,7 @@ class Monochromator:
                     self._known.pop(word, None)
                 return good
 
-            text = str(statement)
-            on_the_wire = self.settings.statement_seconds(text) + STATUS_MARGIN_S
+            on_the_wire = self.settings.statement_seconds(str(statement))
             motion = PendingStatement(
                 self._wire, self._clock, statement, seconds, on_the_wire, confirmed, before, lambda: self._stop_count, ask_first
             )

@@ -13,7 +13,6 @@ from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode, Statement
 
 POLL_S = 0.02
-STATUS_MARGIN_S = 3.0e-3
 OVERDUE_S = 2.0
 LONGEST_S = 30.0
 STB = Statement("STB", query=True)

@@ -1,264 +1,138 @@
-"""An axis of the goniophotometer: angles in degrees, microsteps on the line."""
+"""What an axis of any motion controller is to the rig, the engine and the planner."""
 
-import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
 
-from goniotwin.drivers.errors import DeviceError, Interrupted, LimitError, Refused, Unreferenced
-from goniotwin.drivers.motion.homing import HomingSearch
-from goniotwin.drivers.motion.move import Move
-from goniotwin.drivers.motion.reference import REMEDY, Reference
-from goniotwin.drivers.motion.registers import Registers, Switches
-from goniotwin.drivers.motion.settings import AxisSettings
-from goniotwin.drivers.motion.tmcl.module import TmclModule
-from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.tmcl import Command, CommandFrame
-from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
-from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag, SearchCommand
+import numpy as np
+
+from goniotwin.arrays import Flags, Floats
+from goniotwin.drivers.device import Pending
+from goniotwin.drivers.errors import LimitError
 
 
-class Axis:
-    """One motor of a motion module, as an angle.
+class AxisDescription(Protocol):
+    """An axis as its driver knows it without a wire: the operator's table of it. Angles in degrees.
 
-    The axis is *referenced* while its counter is known to give its angle. It becomes unreferenced by a reset of its module,
-    a stall, a deviation of the encoder, a limit switch, or a motion command of which the delivery is unknown. An
-    unreferenced axis moves to no angle until it is homed or its position is set.
+    Every move arrives from `approach_from`, if necessary after an overshoot of `overshoot_deg` (signed; 0 without backlash).
+    `homing` is the reference search, None for an axis that cannot home.
     """
 
-    def __init__(self, module: TmclModule, settings: AxisSettings, clock: Clock) -> None:
-        self._module = module
-        self._clock = clock
-        self.settings = settings
-        self.name = settings.name
-        self.last_reference_deg: float | None = None
-        self._registers = Registers(module, settings)
-        self._reference = Reference(module, self._registers)
-        self._taken_up = False
-        self._searching = False
+    @property
+    def lower_deg(self) -> float: ...
+    @property
+    def upper_deg(self) -> float: ...
+    @property
+    def speed_deg_s(self) -> float: ...
+    @property
+    def settling_s(self) -> float: ...
+    @property
+    def encoder(self) -> bool: ...
+    @property
+    def backlash_deg(self) -> float: ...
+    @property
+    def overshoot_deg(self) -> float: ...
+    @property
+    def approach_from(self) -> Literal["below", "above"]: ...
+    @property
+    def homing(self) -> object | None: ...
+    @property
+    def homing_required(self) -> bool: ...
+    @property
+    def power_up_at_reference(self) -> bool: ...
 
-    # ---- reference ----
+
+@dataclass(frozen=True)
+class AxisTiming:
+    """Durations of the moves of an axis of any make, s.
+
+    While a move starts and ends (`starting_s`, `ending_s`) the computer exchanges with the controller and does nothing else;
+    in between other devices move too. `travel_seconds` gives the time (n,) in between from the starts (n,) and targets (n,) in
+    degrees; NaN is an unknown start. `settling_s` follows. `read_back_s`: to read the position back. `approach`: direction of
+    the last leg of each move, +1 or -1, or 0 where it does not matter.
+    """
+
+    starting_s: float
+    ending_s: float
+    settling_s: float
+    read_back_s: float
+    approach: int
+    travel_seconds: Callable[[Floats, Floats], Floats]
+
+
+class PendingMove(Pending, Protocol):
+    """A move in progress. `arrival` is its estimated end, s."""
+
+    arrival: float
+
+
+class Axis(Protocol):
+    """An axis. It moves to an angle only while it is *referenced*: while its counter is known to give its angle.
+
+    All methods raise DeviceError. No call lasts longer than a few exchanges on the wire.
+    """
+
+    name: str
+    last_reference_deg: float | None
+    """The reference by the counter before the last homing: the error of the old reference; None if it was not homed."""
+
+    @property
+    def settings(self) -> AxisDescription: ...
 
     @property
     def unreferenced_reason(self) -> str:
         """Why the axis is unreferenced; empty if it is referenced."""
-        return self._reference.unreferenced_reason
 
-    @property
-    def referenced(self) -> bool:
-        """True if the axis may move to an angle."""
-        return not self.unreferenced_reason
+    def check_limits(self, target_deg: float) -> None:
+        """Raise LimitError for a target outside the soft limits; nothing is sent."""
+
+    def start(self, target_deg: float, stop_count: int | None = None) -> PendingMove:
+        """Start a move to an angle, unless a stop was requested after `stop_count` of the controller was read.
+
+        Raises LimitError or Unreferenced before anything is sent.
+        """
+
+    def start_homing(self) -> Pending:
+        """Start the reference search; at its end the axis is referenced."""
 
     def set_position(self, angle_deg: float | None = None) -> None:
-        """Set the current position of an axis at rest (manual referencing); None accepts its counter. Raises DeviceError."""
-        if angle_deg is not None:
-            self._check_finite(angle_deg, "set its position to")
-            self._registers.set_counter(self.settings.microsteps(angle_deg))
-        self._registers.check_canary()
-        self._reference.mark_referenced()
-        self._taken_up = False
-
-    @property
-    def errors(self) -> ErrorFlag:
-        """Error flags of the module since connecting or homing, as far as they have been read."""
-        return self._reference.errors
-
-    def read_errors(self) -> ErrorFlag:
-        """Read and latch the error flags; a stall or a deviation makes the axis unreferenced. Raises DeviceError."""
-        return self._reference.read_errors()
-
-    # ---- connection ----
-
-    def connect(self) -> None:
-        """Write the settings to the module. The axis does not move. Raises DeviceError."""
-        for parameter, value in self._parameters():
-            self._registers.write(parameter, value)
-        try:
-            earlier = self._registers.error_flags()  # reading clears them
-        except (Refused, Interrupted):
-            raise
-        except DeviceError:
-            earlier = self._registers.error_flags()
-        self._reference.restore(earlier)
-        if self.settings.encoder and self.referenced and not self.is_moving():
-            self._read_and_compare()
-        self._reference.errors = ErrorFlag(0)
-        self._taken_up = False
-
-    def _parameters(self) -> list[tuple[Parameter, int]]:
-        """Axis parameters by the settings, in the order in which they are written."""
-        settings, each = self.settings, abs(self.settings.microsteps_per_deg)
-        deviation = settings.encoder_value(settings.max_deviation_deg * each)
-        parameters = [
-            (Parameter.UNIT_MODE, 1),
-            (Parameter.MICROSTEP_RESOLUTION, settings.microstep_exponent),
-            (Parameter.MAX_VELOCITY, settings.pps(settings.speed)),
-            (Parameter.MAX_ACCELERATION, settings.pps(settings.acceleration)),
-            (Parameter.MAX_DECELERATION, settings.pps(settings.acceleration)),
-            (Parameter.RUN_CURRENT, settings.run_current),
-            (Parameter.STANDBY_CURRENT, settings.standby_current),
-            (Parameter.POWER_DOWN_DELAY, max(1, round(settings.power_down_s * 100.0))),
-            (Parameter.SWAP_SWITCHES, int(settings.swap_switches)),
-            (Parameter.RIGHT_SWITCH_POLARITY, settings.right_polarity),
-            (Parameter.LEFT_SWITCH_POLARITY, settings.left_polarity),
-            (Parameter.SOFT_STOP, int(settings.soft_stop)),
-            (Parameter.RIGHT_SWITCH_DISABLED, int(not settings.switches)),
-            (Parameter.LEFT_SWITCH_DISABLED, int(not settings.switches)),
-            (Parameter.STALL_VELOCITY, settings.pps(settings.stall_speed)),
-            (Parameter.RELATIVE_REFERENCE, 1),
-        ]
-        if settings.encoder:
-            if settings.encoder_counts is not None:
-                parameters.append((Parameter.ENCODER_RESOLUTION, settings.encoder_counts))
-            parameters.append((Parameter.MAX_ENCODER_DEVIATION, deviation))
-        if settings.homing is not None:
-            parameters += [
-                (Parameter.REFERENCE_SEARCH_MODE, settings.homing.mode),
-                (Parameter.REFERENCE_SEARCH_SPEED, settings.pps(settings.homing.speed)),
-                (Parameter.REFERENCE_SWITCH_SPEED, settings.pps(settings.homing.switch_speed)),
-            ]
-        return parameters
-
-    # ---- motion ----
-
-    def start(self, target_deg: float, stop_count: int | None = None) -> Move:
-        """Start a move to an angle, unless a stop was requested after `stop_count` was read (default: now).
-
-        Raises LimitError or Unreferenced before anything is sent, DeviceError after that.
-        """
-        self.check_limits(self.settings, target_deg)
-        if self.unreferenced_reason:
-            raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.unreferenced_reason, REMEDY)
-        stop_count = self._registers.stop_count if stop_count is None else stop_count
-        here = self._registers.read(Parameter.ACTUAL_POSITION)
-        self._registers.check_canary()
-        legs = self.settings.legs(self.settings.angle_deg(here), target_deg, taken_up=self._taken_up)
-        move = self._new_move(f"move to {target_deg:g} deg", legs, here, stop_count)
-        move.begin()
-        return move
-
-    def start_relative(self, distance_deg: float) -> Move:
-        """Start a turn by an angle, referenced or not. The command is never sent twice. Raises as `start` does."""
-        self._check_finite(distance_deg, "turn by")
-        stop_count = self._registers.stop_count
-        here = self._registers.read(Parameter.ACTUAL_POSITION)
-        self._registers.check_canary()
-        target_deg = self.settings.angle_deg(here) + distance_deg
-        if self.referenced:
-            self.check_limits(self.settings, target_deg)
-        move = self._new_move(f"turn by {distance_deg:g} deg", (target_deg,), here, stop_count)
-        move.begin(relative=round(distance_deg * self.settings.microsteps_per_deg))
-        return move
-
-    def _new_move(self, doing: str, legs: tuple[float, ...], here: int, stop_count: int) -> Move:
-        self._taken_up = False
-        return Move(self._registers, self._reference, self._clock, doing, legs, here, stop_count, self._note_arrival)
-
-    def _note_arrival(self) -> None:
-        self._taken_up = True
-
-    def start_homing(self) -> HomingSearch:
-        """Start the reference search of the settings; at its end the axis is referenced. Raises DeviceError."""
-        homing = self.settings.homing
-        if homing is None:
-            raise DeviceError(
-                self.name, "home", "the rig file has no [homing] for it", "add [homing], or set its position (goniotwin here)"
-            )
-        stop_count = self._registers.stop_count
-        self._registers.check_canary()
-        self._reference.mark_unreferenced("its reference search has not ended")
-        self._searching = True
-        self._reference.send_motion_command(self._registers.request(Command.RFS, SearchCommand.START), stop_count)
-        return HomingSearch(self._registers, self._reference, homing, self._clock, self._note_homed)
-
-    def _note_homed(self, old_reference_deg: float) -> None:
-        self._searching = False
-        self._reference.mark_referenced()
-        self.last_reference_deg = old_reference_deg
-        self._reference.errors = ErrorFlag(0)
-        self._taken_up = False
-
-    def stop_requests(self) -> list[tuple[str, CommandFrame]]:
-        """Requests that stop the axis over its ramp: MST, and the end of a reference search in progress."""
-        searching = [(self.name, self._registers.request(Command.RFS, SearchCommand.STOP))] if self._searching else []
-        return [(self.name, self._registers.request(Command.MST, 0)), *searching]
-
-    def stop(self) -> None:
-        """Stop the axis over its ramp. Thread-safe. Raises DeviceError if the module does not confirm it."""
-        for failure in self._module.stop(self.stop_requests()):
-            raise failure
-
-    @staticmethod
-    def check_limits(settings: AxisSettings, target_deg: float) -> None:
-        """Raise LimitError for a target outside the soft limits, the approach against backlash included."""
-        lower, upper = settings.lower_deg, settings.upper_deg
-        remedy = "change the schedule, or the limits in the rig file"
-        if not lower <= target_deg <= upper:
-            raise LimitError(
-                settings.name, f"move to {target_deg:g} deg", f"outside its soft limits {lower:g} to {upper:g} deg", remedy
-            )
-        approach_deg = target_deg + settings.overshoot_deg
-        if not lower <= approach_deg <= upper:
-            raise LimitError(
-                settings.name, f"move to {target_deg:g} deg",
-                f"against backlash it approaches from {settings.approach_from}, starting at {approach_deg:g} deg, which is "
-                f"outside its soft limits {lower:g} to {upper:g} deg", remedy,
-            )  # fmt: skip
-
-    # ---- reading ----
+        """Set the current position of an axis at rest (manual referencing); None accepts its counter."""
 
     def position_deg(self) -> float:
-        """Position by the motor's counter, confirmed by the canary. Raises DeviceError."""
-        return self._registers.position_deg()
+        """Position by the motor's counter. Raises Forgotten if the controller has reset."""
 
     def encoder_deg(self) -> float | None:
-        """Position by the encoder, confirmed by the canary; None for an axis without encoder. Raises DeviceError."""
-        return self._registers.encoder_deg()
+        """Position by the encoder; None for an axis without encoder. Raises Forgotten if the controller has reset."""
 
     def is_moving(self) -> bool:
-        """True while the motor turns. Raises DeviceError."""
-        return self._registers.read_confirmed(Parameter.ACTUAL_VELOCITY) != 0
-
-    def deviation_deg(self) -> float | None:
-        """Encoder minus counter; None for an axis without encoder. Raises DeviceError."""
-        encoder = self.encoder_deg()
-        return None if encoder is None else encoder - self.position_deg()
+        """True while the motor turns."""
 
     def read_back(self) -> tuple[float, float | None]:
-        """Counter and encoder of a referenced axis at rest. Raises DeviceError, Unreferenced included.
+        """Counter and encoder of a referenced axis at rest; an axis where they disagree becomes unreferenced.
 
-        If they disagree in two readings, the axis becomes unreferenced.
+        Raises Unreferenced, and Forgotten if the controller has reset.
         """
-        here, encoder = self._read_and_compare()
-        if self.unreferenced_reason:
-            raise Unreferenced(self.name, f"read back its position {here:.3f} deg", self.unreferenced_reason, REMEDY)
-        return here, encoder
 
-    def _read_and_compare(self) -> tuple[float, float | None]:
-        here, encoder = self.position_deg(), self.encoder_deg()
-        if self._reference.encoder_disagrees(here, encoder):
-            here, encoder = self.position_deg(), self.encoder_deg()
-            self._reference.compare(here, encoder)
-        return here, encoder
 
-    def read_parameter(self, parameter: Parameter) -> int:
-        """Value of an axis parameter. Raises DeviceError."""
-        return self._registers.read(parameter)
+def within_limits(axis: AxisDescription, target_deg: Floats | float) -> Flags:
+    """Whether moves to angles (n,) stay within the soft limits of an axis, the approach against backlash included."""
+    approach_deg = target_deg + axis.overshoot_deg
+    low, high = np.minimum(target_deg, approach_deg), np.maximum(target_deg, approach_deg)
+    return np.asarray((axis.lower_deg <= low) & (high <= axis.upper_deg))
 
-    def switches(self) -> Switches:
-        """Limit switches and home switch, as the module reads them. Raises DeviceError."""
-        return self._registers.switches()
 
-    def driver_flags(self) -> DriverFlag:
-        """Status flags of the motor driver (*). Raises DeviceError."""
-        return self._registers.driver_flags()
+def limit_violation(axis: AxisDescription, target_deg: float) -> str | None:
+    """What is outside the soft limits in a move to an angle; None if nothing is."""
+    if within_limits(axis, target_deg):
+        return None
+    limits = f"outside its soft limits {axis.lower_deg:g} to {axis.upper_deg:g} deg"
+    if not axis.lower_deg <= target_deg <= axis.upper_deg:
+        return limits
+    start = f"starting at {target_deg + axis.overshoot_deg:g} deg, which is {limits}"
+    return f"against backlash it approaches from {axis.approach_from}, {start}"
 
-    def check_canary(self) -> None:
-        """Raise Forgotten if the module has reset."""
-        self._registers.check_canary()
 
-    def set_currents(self, run: int, standby: int) -> None:
-        """Set the motor current while moving and at rest, of 255, until the next connection. Raises DeviceError."""
-        self._registers.write(Parameter.RUN_CURRENT, run)
-        self._registers.write(Parameter.STANDBY_CURRENT, standby)
-
-    def _check_finite(self, angle_deg: float, doing: str) -> None:
-        if not math.isfinite(angle_deg) or not abs(self.settings.microsteps(angle_deg)) < 2**31:
-            raise LimitError(self.name, f"{doing} {angle_deg:g} deg", "its counter cannot hold this angle")
+def check_limits(name: str, axis: AxisDescription, target_deg: float) -> None:
+    """Raise LimitError for a target outside the soft limits of an axis, the approach against backlash included."""
+    if (violation := limit_violation(axis, target_deg)) is not None:
+        raise LimitError(name, f"move to {target_deg:g} deg", violation, "change the schedule, or the limits in the rig file")

@@ -1,97 +1,129 @@
 """Settings of an axis in degrees, their values in microsteps, and the durations of its moves."""
 
-import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+import numpy as np
+from annotated_types import Ge, Le
+
+from goniotwin.arrays import Floats
+from goniotwin.keys import Address, Count, MotorNumber, NonNegative, Positive
+
+WHOLE_TURN_DEG = 360.0
 OVERSHOOT = 2.0
 """Overshoot of a move against backlash, as a multiple of the stated backlash."""
 ENCODER_TOLERANCE_DEG = 0.05
+SEARCH_MODES = (*range(1, 9), *range(65, 69), *range(133, 137))
 ENCODER_MICROSTEPS = 256
 """Microsteps per full step in the encoder position of a module (*)."""
 
 
-def move_seconds(distance: float, speed: float, acceleration: float, deceleration: float | None = None) -> float:
-    """Seconds from rest to rest over `distance` (any sign) with the trapezoidal ramp of motion controllers.
+def move_seconds(distance: Floats | float, speed: float, acceleration: float, deceleration: float | None = None) -> Floats:
+    """Seconds (n,) from rest to rest over distances (n,) of any sign with the trapezoidal ramp of motion controllers.
 
     Distance, speed and accelerations have consistent units.
     """
-    distance = abs(distance)
+    distance = np.abs(distance)
     down = acceleration if deceleration is None else deceleration
     ramps = 0.5 * speed * speed * (1.0 / acceleration + 1.0 / down)
-    if distance >= ramps:
-        return speed / acceleration + speed / down + (distance - ramps) / speed
-    peak = math.sqrt(2.0 * distance * acceleration * down / (acceleration + down))
-    return peak / acceleration + peak / down
+    peak = np.where(distance >= ramps, speed, np.sqrt(2.0 * distance * acceleration * down / (acceleration + down)))
+    rising = peak / acceleration
+    falling = rising if deceleration is None else peak / down
+    return np.asarray(rising + falling + np.maximum(distance - ramps, 0.0) / speed)
 
 
 @dataclass(frozen=True)
 class Homing:
-    """A reference search: its mode (TMCL axis parameter 193), its speeds in deg/s, and the angle of the reference.
+    """A reference search: its `mode` by Trinamic's numbers (1 to 8, plus 64 or 128), and the angle of the reference.
 
-    Without `angle_deg` the reference is at microsteps 0.
+    It searches at `speed_deg_s`, then finds the switch at `switch_speed_deg_s`, and fails after `longest_s`. Without
+    `angle_deg` the reference is at microstep 0 of the axis. Raises ValueError for an unknown mode.
     """
 
     mode: int
-    speed: float
-    switch_speed: float
+    speed_deg_s: Positive
+    switch_speed_deg_s: Positive
     angle_deg: float | None = None
-    longest_s: float = 180.0
+    longest_s: Positive = 180.0
+
+    def __post_init__(self) -> None:
+        if self.mode not in SEARCH_MODES:
+            raise ValueError(
+                f"mode: {self.mode} is not a reference search; give 1 to 8, 65 to 68 (64 added) or 133 to 136 (128 added)"
+            )
 
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """An axis, as configured by the operator. `module` and `motor` are its address.
+    """The nominal properties of an axis. `module` and `motor` are its address; `gear` is in motor turns per turn of the axis.
 
-    `sense` is +1 if positive microsteps turn the axis to greater angles, else -1; microsteps 0 are at `zero_offset_deg`.
-    Speeds in deg/s, accelerations in deg/s^2. With `backlash_deg` every move arrives from `approach_from`, if necessary
-    after an overshoot. The motor is stopped by its limit switches (`switches`), by an encoder that deviates from the counter
-    by more than `max_deviation_deg` (0: never), and by a stall above `stall_speed` in deg/s (0: never). `encoder_counts`
-    per turn of the motor are written to the module if given (*).
-    After a power-up of its module the axis is unreferenced until it is homed or its position is set. With
-    `power_up_at_reference` it is referenced: it is always parked at microsteps 0 when the module is switched on;
-    `homing_required` overrides this. `encoder_tolerance_deg` is the largest difference of counter and encoder at rest
-    (0: unlimited; None: 0.05 deg plus the backlash).
+    `sense` is +1 if positive microsteps turn the axis to greater angles, else -1; microstep 0 is at `zero_offset_deg`.
+    With a backlash every move arrives from the side `approach_from`, for which the zero offset holds, if necessary after an
+    overshoot. The motor is stopped by the limit switches (`switches`), by a deviation of the encoder (`max_deviation_deg`), or
+    by a stall above `stall_speed_deg_s`; 0 is off. `encoder_counts` per turn of the motor are written to the module if given
+    (*). `encoder_tolerance_deg` is the permitted difference of counter and encoder at rest (0 is off; the default is 0.05 deg
+    plus the backlash).
+
+    `lower_deg` and `upper_deg` are the soft limits; moves have `speed_deg_s`, `acceleration_deg_s2` and rest after
+    `settling_s`. The motor has `full_steps` per turn and `microsteps` per full step, `run_current` and, after `power_down_s` at
+    rest, `standby_current`, of 255. With `encoder` the axis is read back. `swap_switches`, `right_polarity` and `left_polarity`
+    are the wiring of the limit switches; with `soft_stop` they stop the motor with a ramp. `backlash_deg` is the play. `homing`
+    is the reference search; with `homing_required` the axis is unreferenced from each connection until it is homed.
+
+    `power_up_at_reference`: after power-up or a reset of the controller the axis is at microstep 0, kept there by a parking
+    position or a brake. Without it the axis is then unreferenced, and does not move until it is homed or its position is set.
+
+    Raises ValueError for limits that are not in order, and for two contradicting references.
     """
 
-    name: str
-    motor: int
-    gear: float
+    motor: MotorNumber
+    gear: Positive
     lower_deg: float
     upper_deg: float
-    speed: float
-    acceleration: float
-    sense: int = 1
+    speed_deg_s: Positive
+    acceleration_deg_s2: Positive
+    sense: Literal[1, -1] = 1
     zero_offset_deg: float = 0.0
-    module: int = 1
-    full_steps: int = 200
-    microstep_exponent: int = 8
-    run_current: int = 128
-    standby_current: int = 8
-    power_down_s: float = 2.0
-    settling_s: float = 0.1
+    module: Address = 1
+    full_steps: Count = 200
+    microsteps: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256] = 256
+    run_current: Annotated[int, Ge(0), Le(255)] = 128
+    standby_current: Annotated[int, Ge(0), Le(255)] = 8
+    power_down_s: Annotated[float, Ge(0.01), Le(655.0)] = 2.0
+    settling_s: Annotated[float, Ge(0.0), Le(600.0)] = 0.1
     encoder: bool = True
-    encoder_counts: int | None = None
-    max_deviation_deg: float = 0.0
-    stall_speed: float = 0.0
+    encoder_counts: Count | None = None
+    max_deviation_deg: NonNegative = 0.0
+    stall_speed_deg_s: NonNegative = 0.0
     switches: bool = False
     swap_switches: bool = False
-    right_polarity: int = 0
-    left_polarity: int = 0
+    right_polarity: Literal[0, 1] = 0
+    left_polarity: Literal[0, 1] = 0
     soft_stop: bool = False
-    backlash_deg: float = 0.0
+    backlash_deg: NonNegative = 0.0
     approach_from: Literal["below", "above"] = "below"
     homing: Homing | None = None
     homing_required: bool = False
     power_up_at_reference: bool = False
-    encoder_tolerance_deg: float | None = None
+    encoder_tolerance_deg: NonNegative | None = None
+
+    def __post_init__(self) -> None:
+        if not self.lower_deg < self.upper_deg:
+            raise ValueError(f"lower_deg {self.lower_deg:g} is not below upper_deg {self.upper_deg:g}; exchange them")
+        if self.homing_required and self.power_up_at_reference:
+            raise ValueError("homing_required and power_up_at_reference contradict each other; remove one")
+
+    @property
+    def microstep_exponent(self) -> int:
+        """Binary logarithm of `microsteps`, as a module wants it."""
+        return self.microsteps.bit_length() - 1
 
     @property
     def microsteps_per_deg(self) -> float:
         """Microsteps per degree, signed by `sense`."""
-        return self.sense * self.full_steps * float(1 << self.microstep_exponent) * self.gear / 360.0
+        return self.sense * self.full_steps * float(self.microsteps) * self.gear / WHOLE_TURN_DEG
 
-    def microsteps(self, angle_deg: float) -> int:
+    def counter(self, angle_deg: float) -> int:
         """Counter at an angle, to the nearest microstep."""
         return round((angle_deg - self.zero_offset_deg) * self.microsteps_per_deg)
 
@@ -101,11 +133,11 @@ class AxisSettings:
 
     def encoder_angle_deg(self, value: float) -> float:
         """Angle at an encoder value."""
-        return self.angle_deg(value * (1 << self.microstep_exponent) / ENCODER_MICROSTEPS)
+        return self.angle_deg(value * self.microsteps / ENCODER_MICROSTEPS)
 
     def encoder_value(self, microsteps: float) -> int:
         """Encoder value at a counter value."""
-        return round(microsteps * ENCODER_MICROSTEPS / (1 << self.microstep_exponent))
+        return round(microsteps * ENCODER_MICROSTEPS / self.microsteps)
 
     def pps(self, speed: float) -> int:
         """Microsteps per s (or s^2) of deg/s (or deg/s^2); at least 1 unless it is 0."""
@@ -118,28 +150,28 @@ class AxisSettings:
         return ENCODER_TOLERANCE_DEG + self.backlash_deg if given is None else given
 
     @property
+    def approach(self) -> int:
+        """Direction of the last leg of each move, +1 or -1, against backlash; 0 without backlash."""
+        return 0 if self.backlash_deg == 0.0 else 1 if self.approach_from == "below" else -1
+
+    @property
     def overshoot_deg(self) -> float:
         """Signed distance from a target to the start of its approach; 0 without backlash."""
-        overshoot = OVERSHOOT * self.backlash_deg
-        return -overshoot if self.approach_from == "below" else overshoot
+        return -self.approach * OVERSHOOT * self.backlash_deg
+
+    def first_target_deg(self, here_deg: Floats | float, target_deg: Floats | float, *, taken_up: bool = True) -> Floats:
+        """Target (n,) of the first leg of moves (n,): beyond the target where the last leg has to come from its other side.
+
+        `taken_up`: the backlash is taken up, by a last move in the direction of approach.
+        """
+        direct = (target_deg - here_deg) * self.approach >= (0.0 if taken_up else self.backlash_deg)
+        return np.where(direct, target_deg, target_deg + self.overshoot_deg)
 
     def legs(self, here_deg: float, target_deg: float, *, taken_up: bool = True) -> tuple[float, ...]:
-        """Targets of the legs of a move; `taken_up`: the backlash is taken up, by a last move from the approach side."""
-        if self.backlash_deg == 0.0:
-            return (target_deg,)
-        distance = (target_deg - here_deg) * (1.0 if self.approach_from == "below" else -1.0)
-        if distance >= (0.0 if taken_up else self.backlash_deg):
-            return (target_deg,)
-        return (target_deg + self.overshoot_deg, target_deg)
+        """Targets of the legs of a move."""
+        first_deg = float(self.first_target_deg(here_deg, target_deg, taken_up=taken_up))
+        return (target_deg,) if first_deg == target_deg else (first_deg, target_deg)
 
-    def seconds(self, distance_deg: float) -> float:
-        """Duration of a move without settling, s."""
-        return move_seconds(distance_deg, self.speed, self.acceleration)
-
-    def seconds_between(self, here_deg: float, target_deg: float, *, taken_up: bool = True) -> float:
-        """Duration of all legs of a move without settling and communication, s."""
-        seconds, place = 0.0, here_deg
-        for leg in self.legs(here_deg, target_deg, taken_up=taken_up):
-            seconds += self.seconds(leg - place)
-            place = leg
-        return seconds
+    def ramp_seconds(self, distance_deg: Floats | float) -> Floats:
+        """Seconds (n,) of moves over distances (n,), without communication and settling."""
+        return move_seconds(distance_deg, self.speed_deg_s, self.acceleration_deg_s2)

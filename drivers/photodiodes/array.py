@@ -7,40 +7,70 @@ fixed gain, and the settings list only this one.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Gt, Le, MaxLen, MinLen
 
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers.device import Pending, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
 from goniotwin.drivers.photodiodes.adam import AdamModule, SettingsCheck
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit, explain, explain_rtu
+from goniotwin.keys import Fraction, PolarAngle, Positive
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
 
 __all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
+NAME = "photodiodes"
 PERIOD_MARGIN = 1.01
+ELEMENTARY_CHARGE_C = 1.602176634e-19
+TCP_EXCHANGE_S = 4.0e-4
 
 
 @dataclass(frozen=True)
 class PhotodiodeSettings:
-    """Photodiodes and their modules, as configured by the operator.
+    """The converters, their amplifiers, and the polar angles of the photodiodes on the two arcs at shift 0.
 
-    `upper_deg` and `lower_deg` are the polar angles on the two arcs at shift 0; channels are numbered through the upper arc
-    first. A module makes `conversions_per_s` for all its channels, so that each channel is converted once per `period_s`.
-    After a change of gain or pose the first reading follows after `wait_s`. `exchange_s` is the duration of an exchange.
+    The angles are `upper_deg` and `lower_deg`, the nominal gains `gains_v_per_a` with a relative `gain_uncertainty`. `kind` is
+    the model of the converters, `range_code` their input range, `settling_s` the time in which the amplifiers settle.
+
+    Channels are numbered through the upper arc first. A module makes `conversions_per_s` for all its channels, so that each
+    channel is converted once per `period_s`. After a change of gain or pose the first reading follows after `wait_s`.
+    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is the duration of one request; without it
+    that of the model (`request_s`).
+
+    Raises ValueError for an unknown range, gains that do not ascend, and gains that the model cannot select.
     """
 
-    upper_deg: tuple[float, ...]
-    lower_deg: tuple[float, ...]
-    gains_v_per_a: tuple[float, ...]
-    gain_uncertainty: float = 1.0e-3
+    upper_deg: Annotated[tuple[PolarAngle, ...], MinLen(1)]
+    lower_deg: tuple[PolarAngle, ...]
+    gains_v_per_a: Annotated[tuple[Positive, ...], MinLen(1), MaxLen(4)]
+    kind: Literal["adam-6017", "adam-4117"]
+    gain_uncertainty: Fraction = 1.0e-3
     range_code: int = adam.PLUS_MINUS_10_V
-    conversions_per_s: float = 100.0
-    settling_s: float = 0.25
-    exchange_s: float = 4.0e-4
-    kind: str = "adam-6017"
+    conversions_per_s: Positive = 100.0
+    settling_s: Annotated[float, Gt(0.0), Le(600.0)] = 0.25
+    exchange_s: Positive | None = None
+
+    def __post_init__(self) -> None:
+        if self.range_code not in adam.VOLTAGE_RANGES:
+            known = ", ".join(f"0x{each:04X}" for each in adam.VOLTAGE_RANGES)
+            raise ValueError(f"range_code: 0x{self.range_code:04X} is not the code of a voltage range; give one of {known}")
+        if tuple(sorted(set(self.gains_v_per_a))) != self.gains_v_per_a:
+            raise ValueError(
+                "gains_v_per_a: the gains do not ascend; list each once, the lowest first, in the order of the outputs' numbers"
+            )
+        if len(self.gains_v_per_a) > 1 << self.model.outputs:
+            raise ValueError(f"an {self.model.title} has no outputs to select a gain; list the one fixed gain")
+
+    @property
+    def request_s(self) -> float:
+        """Duration of one request, s."""
+        if self.exchange_s is not None:
+            return self.exchange_s
+        return adam.RTU_EXCHANGE_S if self.model.serial else TCP_EXCHANGE_S
 
     @property
     def count(self) -> int:
@@ -63,7 +93,7 @@ class PhotodiodeSettings:
 
         On a slow line it is the time to read all modules.
         """
-        return PERIOD_MARGIN * max(adam.CHANNELS / self.conversions_per_s, self.modules * self.exchange_s)
+        return PERIOD_MARGIN * max(adam.CHANNELS / self.conversions_per_s, self.modules * self.request_s)
 
     @property
     def wait_s(self) -> float:
@@ -77,11 +107,15 @@ class PhotodiodeSettings:
     @property
     def gain_seconds(self) -> float:
         """Duration of setting the gain of all modules, s; 0 for a fixed gain."""
-        return self.modules * self.exchange_s if self.model.outputs else 0.0
+        return self.modules * self.request_s if self.model.outputs else 0.0
 
     def fetching_seconds(self, *, after_change: bool) -> float:
         """Duration of the last reading and its checks, of all modules, s; one exchange more after a change of gain."""
-        return (3 if after_change and self.model.outputs else 2) * self.modules * self.exchange_s
+        return (3 if after_change and self.model.outputs else 2) * self.modules * self.request_s
+
+    def shot_variance_a2(self, current_a: Floats) -> Floats:
+        """Variance (n,) of one reading by the shot noise of photocurrents (n,), A^2."""
+        return 2.0 * ELEMENTARY_CHARGE_C * np.abs(current_a) * (0.5 / self.period_s)
 
     @property
     def range(self) -> adam.Range:
@@ -92,6 +126,8 @@ class PhotodiodeSettings:
 class PhotodiodeArray:
     """All modules of the arc, as one row of counts (photodiodes,)."""
 
+    name = NAME
+
     def __init__(self, units: list[ModbusUnit], settings: PhotodiodeSettings, clock: Clock) -> None:
         self._clock = clock
         self.settings = settings
@@ -101,15 +137,25 @@ class PhotodiodeArray:
         ]
         self._connected = False
 
-    def connect(self) -> list[str]:
-        """Open and identify all modules, write their settings; return their identities. Raises DeviceError.
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the modules."""
+        return tuple(module.name for module in self._modules)
+
+    @property
+    def identities(self) -> list[str]:
+        """Identities of the modules, once connected."""
+        return [module.identity for module in self._modules]
+
+    def connect(self) -> str:
+        """Open and identify all modules, write their settings; return their number and model. Raises DeviceError.
 
         Every module is tried; the error is that of the first failed one, and names the others.
         """
         self.close()
         self._each(AdamModule.connect)
         self._connected = True
-        return [module.identity for module in self._modules]
+        return f"{len(self._modules)} modules {self.settings.model.title}"
 
     def reconnect(self) -> list[str]:
         """After a fault: identify each module and restore its settings; return what was restored.
@@ -133,7 +179,7 @@ class PhotodiodeArray:
         """
         if not 0 <= gain < len(self.settings.gains_v_per_a):
             gains = len(self.settings.gains_v_per_a)
-            raise Refused("photodiodes", f"set gain {gain}", f"the rig file has {gains} gains", "correct the schedule")
+            raise Refused(self.name, f"set gain {gain}", f"the rig file has {gains} gains", "correct the schedule")
         outputs = [bool(gain >> bit & 1) for bit in range(self.settings.model.outputs)]
         if not outputs:
             return Until(self._clock, self._clock.now())
@@ -147,7 +193,7 @@ class PhotodiodeArray:
 
     def _connected_modules(self, doing: str) -> list[AdamModule]:
         if not self._connected:
-            raise NoAnswer("photodiodes", doing, "not connected", "connect them first")
+            raise NoAnswer(self.name, doing, "not connected", "connect them first")
         return self._modules
 
     def _each(self, action: Callable[[AdamModule], list[str] | str]) -> list[list[str]]:
@@ -210,15 +256,13 @@ class Readings:
     @property
     def saturated(self) -> Flags:
         """Counts at an end of the range, shape of `counts`; they are bounds, not readings."""
-        ends: Flags = (self.counts == 0) | (self.counts == adam.FULL_SCALE)
-        return ends
+        return adam.saturated(self.counts)
 
     def mean_volts(self) -> Floats:
-        """Mean of the readings, V, shape (photodiodes,); NaN if one of them is clipped or none was taken."""
+        """Mean of the readings, V, shape (photodiodes,); NaN if one of them is saturated or none was taken."""
         if not self._taken:
             return np.full(self._settings.count, np.nan)
-        scale = self._settings.range
-        mean = scale.low_v + scale.lsb_v * self.counts.mean(axis=0)
+        mean = self._settings.range.volts(self.counts.mean(axis=0))
         return np.where(self.saturated.any(axis=0), np.nan, mean)
 
     def poll(self) -> bool:

@@ -142,14 +142,13 @@ FUNCTIONS = {
     15: "write coils",
     16: "write registers",
 }
-MBAP = 7
 
 
 def explain(direction: str, data: bytes) -> str:
     """A Modbus TCP frame as text, for transcripts."""
-    if len(data) < MBAP + 2:
+    if len(data) < adam.MBAP + 2:
         return "too short for a Modbus TCP frame"
-    return _explain_pdu(direction, f", transaction {int.from_bytes(data[:2], 'big')}", data[MBAP - 1 :])
+    return _explain_pdu(direction, f", transaction {int.from_bytes(data[:2], 'big')}", data[adam.MBAP - 1 :])
 
 
 def explain_rtu(direction: str, data: bytes) -> str:

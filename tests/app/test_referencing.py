@@ -1,13 +1,14 @@
 """Referencing of the axes: `goniotwin home` and `goniotwin here`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from goniotwin.app.cli.instrument import home_axes, set_axis_position
 from goniotwin.app.errors import UserError
-from goniotwin.drivers import Axis, DeviceError, TmclModule
+from goniotwin.drivers import DeviceError, TmclAxis, TmclModule
+from goniotwin.drivers.motion import StopSteps
 from goniotwin.protocols.tmcl import CommandFrame
 from tests.conftest import Change, Writer
 
@@ -47,17 +48,17 @@ def test_homing_that_finds_no_reference_is_a_fault(write_rig: Writer) -> None:
 
 def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     stopped: list[str] = []
-    stop = TmclModule.stop
+    begin_stop = TmclModule.begin_stop
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    def record(module: TmclModule, targets: Sequence[tuple[str, CommandFrame]], then: Callable[[], None]) -> list[DeviceError]:
+    def record(module: TmclModule, targets: Sequence[tuple[str, CommandFrame]]) -> StopSteps:
         stopped.extend(name for name, _ in targets)
-        return stop(module, targets, then)
+        return begin_stop(module, targets)
 
     monkeypatch.setattr("goniotwin.drivers.wait", interrupt)
-    monkeypatch.setattr(TmclModule, "stop", record)
+    monkeypatch.setattr(TmclModule, "begin_stop", record)
     with pytest.raises(KeyboardInterrupt):
         home_axes(write_rig(*HOMES), [], print)
     assert set(stopped) == {"gamma", "sigma", "beta", "shift"}
@@ -66,13 +67,13 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
 def test_here_sets_the_position(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     lines: list[str] = []
     angles: list[float | None] = []
-    set_position = Axis.set_position
+    set_position = TmclAxis.set_position
 
-    def record(axis: Axis, angle_deg: float | None = None) -> None:
+    def record(axis: TmclAxis, angle_deg: float | None = None) -> None:
         angles.append(angle_deg)
         set_position(axis, angle_deg)
 
-    monkeypatch.setattr(Axis, "set_position", record)
+    monkeypatch.setattr(TmclAxis, "set_position", record)
     set_axis_position(write_rig(), "sigma", 12.5, lines.append)
     assert (lines, angles) == (["sigma: position set to 12.500 deg"], [12.5])
 

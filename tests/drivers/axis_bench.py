@@ -4,14 +4,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from goniotwin.drivers import Axis, AxisSettings, TmclModule, wait
+from goniotwin.drivers import AxisSettings, TmclAxis, TmclModule, wait
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.twin.devices import TmclLine
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.doors.protocol_twin import Serial
 from goniotwin.twin.plant import AxisController, Mechanics, Plant, TwinModel
 
-SIGMA = AxisSettings("sigma", 4, 36.0, -20.0, 190.0, 10.0, 20.0, power_up_at_reference=True)
+SIGMA = AxisSettings(4, 36.0, -20.0, 190.0, 10.0, 20.0, power_up_at_reference=True)
 NAMES = ("sigma", "beta", "gamma", "shift")
 
 
@@ -40,8 +40,7 @@ class AxisBench:
         self.module = TmclModule(self._open, self.clock, heartbeat_s=heartbeat_s)
         axis_settings = replace(SIGMA, **(settings or {}))
         self.axes = {
-            name: Axis(self.module, replace(axis_settings, name=name, motor=motor), self.clock)
-            for name, motor in motors.items()
+            name: TmclAxis(name, self.module, replace(axis_settings, motor=motor), self.clock) for name, motor in motors.items()
         }
         self.axis = self.axes["sigma"]
 
@@ -63,7 +62,8 @@ class AxisBench:
         self.module.close()
         self.module = TmclModule(self._open, self.clock, heartbeat_s=self.module.heartbeat_s)
         self.axes = {
-            name: Axis(self.module, replace(axis.settings, **settings), self.clock) for name, axis in self.axes.items()
+            name: TmclAxis(name, self.module, replace(axis.settings, **settings), self.clock)
+            for name, axis in self.axes.items()
         }
         self.axis = self.axes["sigma"]
         return self.connect()

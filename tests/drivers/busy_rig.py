@@ -11,6 +11,7 @@ from goniotwin.drivers import DeviceError, LimitError, Pending, Rig, wait
 from goniotwin.protocols.tmcl import Command
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.line import SerialDevice
+from tests.conftest import tmcl_axis
 
 MODULE = "adc-2"
 """The converter module that becomes silent."""
@@ -126,7 +127,7 @@ class BusyRig:
         for name, axis in rig.axes.items():
             self._check_stop()
             settings = axis.settings
-            reach = self.reach_s * settings.speed
+            reach = self.reach_s * settings.speed_deg_s
             here = self.virtual.plant.angle_deg(name, self.clock.now())
             target = float(np.clip(here + self.random.uniform(-reach, reach), settings.lower_deg, settings.upper_deg))
             with contextlib.suppress(LimitError):
@@ -184,7 +185,7 @@ class BusyRig:
         for wire in (self.axes, self.mono, self.module):
             wire.deaf = wire.mute = False
         first = self.axes.stops[:4]
-        assert {motor for _, motor in first} == {axis.settings.motor for axis in self.rig.axes.values()}
+        assert {motor for _, motor in first} == {tmcl_axis(self.rig, name).settings.motor for name in self.rig.axes}
         rest = max(self._rest_time(name) for name in self.virtual.plant.shafts)
         last, returned, rest = (t - self._called for t in (first[-1][0], self._returned, rest))
         return StopTimes(last, returned, rest, self._ramp_s, self._failures)
@@ -202,9 +203,9 @@ class BusyRig:
     def _longest_ramp_s(self) -> float:
         seconds = 0.0
         for name, shaft in self.virtual.plant.shafts.items():
-            now, settings = self.clock.now(), self.rig.axes[name].settings
+            now, settings = self.clock.now(), tmcl_axis(self.rig, name).settings
             steps_per_s = abs(shaft.drive(now).trajectory.velocity(now))
-            seconds = max(seconds, steps_per_s / settings.pps(settings.acceleration))
+            seconds = max(seconds, steps_per_s / settings.pps(settings.acceleration_deg_s2))
         return seconds
 
     def _rest_time(self, name: str) -> float:

@@ -98,7 +98,7 @@ class AxesFaultBench(FaultBench):
         self._target = 10.0
         self._line = FaultyLine(self.virtual.serial["axes"], ScriptedFaults(()), 0.1, foreign_tmcl)
         plug_in(self._line, self.clock, lambda end: self.virtual.serial.update(axes=end))
-        self.rig.reconnect_axes()
+        self.rig.reconnect("axes")
 
     def set_faults(self, misfortune: FaultPlan) -> None:
         self._line.misfortune = misfortune
@@ -111,7 +111,7 @@ class AxesFaultBench(FaultBench):
         _compare([truth, axis.position_deg(), axis.encoder_deg() or 0.0], self._target, 2e-3)
 
     def recover(self) -> None:
-        self.rig.reconnect_axes()
+        self.rig.reconnect("axes")
         for name, axis in self.rig.axes.items():
             axis.set_position(self._truth(name))
 

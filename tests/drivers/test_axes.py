@@ -10,7 +10,7 @@ from goniotwin.drivers.motion.tmcl.rules import CANARY, MARKER_VARIABLE
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame, ReplyStatus
 from goniotwin.protocols.tmcl_parameters import AxisParameter
-from tests.conftest import RigOpener
+from tests.conftest import RigOpener, tmcl_axis
 
 
 def test_nothing_moves_on_connect(opened: RigOpener) -> None:
@@ -24,7 +24,7 @@ def test_nothing_moves_on_connect(opened: RigOpener) -> None:
 def test_an_axis_reaches_its_target(opened: RigOpener) -> None:
     rig = opened()
     assert rig.virtual is not None
-    beta = rig.rig.axes["beta"]
+    beta = tmcl_axis(rig.rig, "beta")
     wait(rig.rig.clock, [beta.start(123.4)])
     now = rig.rig.clock.now()
     assert rig.virtual.plant.angle_deg("beta", now) == pytest.approx(123.4, abs=0.5 / beta.settings.microsteps_per_deg)
@@ -36,7 +36,10 @@ def test_axes_move_at_the_same_time(opened: RigOpener) -> None:
     rig = opened().rig
     start = rig.clock.now()
     wait(rig.clock, [rig.axes["sigma"].start(60.0), rig.axes["beta"].start(180.0), rig.axes["gamma"].start(180.0)])
-    slowest = max(rig.axes[name].settings.seconds(way) for name, way in (("sigma", 60.0), ("beta", 180.0), ("gamma", 180.0)))
+    slowest = max(
+        float(tmcl_axis(rig, name).settings.ramp_seconds(way))
+        for name, way in (("sigma", 60.0), ("beta", 180.0), ("gamma", 180.0))
+    )
     assert rig.clock.now() - start == pytest.approx(slowest, abs=0.03)
 
 
@@ -76,14 +79,14 @@ def test_a_stop_from_elsewhere_is_a_fault_of_the_move(opened: RigOpener) -> None
     rig = opened().rig
     move = rig.axes["beta"].start(180.0)
     rig.clock.sleep_until(rig.clock.now() + 1.0)
-    rig.axes["beta"].stop()
+    tmcl_axis(rig, "beta").stop()
     with pytest.raises(DeviceError, match="stopped at"):
         wait(rig.clock, [move])
 
 
 def test_microsteps_follow_the_sense_the_gear_and_the_offset() -> None:
-    settings = AxisSettings("sigma", 4, 36.0, -10.0, 190.0, 10.0, 10.0, sense=-1, zero_offset_deg=5.0)
-    assert settings.microsteps(15.0) == -51_200  # one turn of the motor is 10 deg, and 51200 microsteps
+    settings = AxisSettings(4, 36.0, -10.0, 190.0, 10.0, 10.0, sense=-1, zero_offset_deg=5.0)
+    assert settings.counter(15.0) == -51_200  # one turn of the motor is 10 deg, and 51200 microsteps
     assert settings.angle_deg(-51_200) == pytest.approx(15.0)
 
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from goniotwin.drivers import wait
+from goniotwin.drivers import Refused, TmclController, wait
 from goniotwin.drivers.errors import Forgotten
 from goniotwin.protocols.tmcl import Command, CommandFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from goniotwin.twin.devices import TmclLine
-from tests.conftest import RigOpener
+from tests.conftest import RigOpener, tmcl_axis
 
 BUS = (
     ("[twin]\n", '[twin]\ncontroller = { kind = "tmcm-1240", wire = "rs485", baudrate = 57600 }\n'),
@@ -58,9 +58,9 @@ def test_a_reset_of_one_module_affects_its_own_axis_only(opened: RigOpener) -> N
     assert axes["gamma"].position_deg() == 0.0
     with pytest.raises(Forgotten, match="module 2"):
         axes["sigma"].position_deg()
-    assert [name for name, axis in axes.items() if not axis.referenced] == ["sigma"]
-    rig.rig.reconnect_axes()
-    assert [name for name, axis in axes.items() if not axis.referenced] == ["sigma"]
+    assert [name for name, axis in axes.items() if axis.unreferenced_reason] == ["sigma"]
+    rig.rig.reconnect("axes")
+    assert [name for name, axis in axes.items() if axis.unreferenced_reason] == ["sigma"]
     axes["sigma"].set_position()
     assert axes["sigma"].position_deg() == 0.0
 
@@ -72,12 +72,14 @@ def test_each_module_has_its_own_heartbeat(opened: RigOpener) -> None:
     rig.axes["beta"].start(150.0)
     for _ in range(100):
         rig.clock.sleep_until(rig.clock.now() + 0.2)
-        rig.axes["beta"].read_parameter(AxisParameter.POSITION_REACHED)
+        tmcl_axis(rig, "beta").read_parameter(AxisParameter.POSITION_REACHED)
     assert rig.axes["beta"].position_deg() == pytest.approx(150.0)
     assert rig.axes["sigma"].position_deg() == pytest.approx(10.0 * 2.0, abs=1.0)  # 2 s at 10 deg/s less the ramps
 
 
 def test_errors_name_the_module(opened: RigOpener) -> None:
     rig = opened(*BUS).rig
-    with pytest.raises(Exception, match="of module 3"):
-        rig.axes_module.exchange(CommandFrame(3, Command.GAP, 99, 0))
+    controller = rig.controllers[0]
+    assert isinstance(controller, TmclController)
+    with pytest.raises(Refused, match="of module 3"):
+        controller.module.exchange(CommandFrame(3, Command.GAP, 99, 0))

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from goniotwin.drivers import Axis, DeviceError, wait
+from goniotwin.drivers import DeviceError, TmclAxis, wait
+from goniotwin.drivers.motion import StopPhase, StopSteps, stop_all
 from goniotwin.mocks.faults import Fault, ScriptedFaults
 from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
@@ -49,7 +50,9 @@ class StopBench(AxisBench):
 
     def stop(self) -> list[DeviceError]:
         """Stop all axes, as the rig does."""
-        return self.module.stop([each for axis in self.axes.values() for each in axis.stop_requests()])
+        return stop_all(
+            {"axes": self.module.begin_stop([each for axis in self.axes.values() for each in axis.stop_requests()])}
+        )
 
 
 def start_all(bench: StopBench) -> list[Any]:
@@ -138,7 +141,8 @@ def test_a_stop_frame_without_reply_is_repeated() -> None:
     bench = AxisBench(axes=4, wire=lambda device: FaultyLine(device, ScriptedFaults([]))).connect()
     assert isinstance(bench.device, FaultyLine)
     bench.device.misfortune = ScriptedFaults([Fault.NONE, Fault.LOST])
-    assert bench.module.stop([each for axis in bench.axes.values() for each in axis.stop_requests()]) == []
+    requests = [each for axis in bench.axes.values() for each in axis.stop_requests()]
+    assert stop_all({"axes": bench.module.begin_stop(requests)}) == []
 
 
 def test_a_stop_with_a_closed_port_fails_for_every_axis() -> None:
@@ -212,7 +216,32 @@ def test_after_a_stop_the_axes_can_be_moved_again() -> None:
     assert bench.stop() == []
     with pytest.raises(DeviceError, match="a stop from elsewhere"):
         wait(bench.clock, moves)
-    axis: Axis = bench.axis
+    axis: TmclAxis = bench.axis
     assert axis.referenced
     bench.move(50.0)
     assert bench.angle() == pytest.approx(50.0, abs=1e-3)
+
+
+def steps(name: str, carried_out: list[str], *phases: StopPhase) -> StopSteps:
+    """A stop that notes the number of each of its steps."""
+    for number, phase in enumerate(phases):
+        carried_out.append(f"{name}{number}")
+        yield phase
+    return []
+
+
+def test_the_stops_of_several_lines_are_interleaved() -> None:
+    """A line that waits for its replies delays the frames of no other line."""
+    done: list[str] = []
+    sending, attempted = StopPhase.SENDING, StopPhase.ATTEMPTED
+    stops = {name: steps(name, done, sending, sending, attempted) for name in "abc"}
+    assert stop_all(stops, lambda: done.append("then")) == []
+    assert done == ["a0", "b0", "c0", "a1", "b1", "c1", "a2", "b2", "c2", "then"]
+
+
+def test_a_step_that_may_block_waits_until_the_other_lines_have_been_attempted() -> None:
+    done: list[str] = []
+    sending, blocking, attempted = StopPhase.SENDING, StopPhase.BLOCKING, StopPhase.ATTEMPTED
+    stops = {"a": steps("a", done, blocking, attempted), "b": steps("b", done, sending, sending, attempted)}
+    assert stop_all(stops) == []
+    assert done == ["a0", "b0", "b1", "b2", "a1"]

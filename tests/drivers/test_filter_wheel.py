@@ -13,7 +13,11 @@ from tests.conftest import RigOpener
 from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
 
 WHEEL = FilterWheel(
-    (OrderFilter(1, "open", 380.0), OrderFilter(4, "GG495", 550.0, 495.0), OrderFilter(2, "RG610", 650.0, 610.0))
+    (
+        OrderFilter(1, "open", 380.0, 550.0),
+        OrderFilter(4, "GG495", 550.0, 650.0, 495.0),
+        OrderFilter(2, "RG610", 650.0, 780.0, 610.0),
+    )
 )
 
 

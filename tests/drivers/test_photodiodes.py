@@ -24,7 +24,9 @@ def test_both_wires_give_the_same_dark_currents(bench: BenchOpener, serial: bool
 
 
 def test_identities_name_model_and_firmware(bench: BenchOpener) -> None:
-    assert bench(True).rig.photodiodes.connect() == ["ADAM-4117 firmware 5.06"] * 5
+    array = bench(True).rig.photodiodes
+    assert array.connect() == "5 modules ADAM-4117"
+    assert array.identities == ["ADAM-4117 firmware 5.06"] * 5
 
 
 def test_a_gain_is_set_at_the_amplifiers_and_a_fixed_gain_cannot_be_changed(bench: BenchOpener) -> None:
@@ -39,9 +41,9 @@ def test_a_gain_is_set_at_the_amplifiers_and_a_fixed_gain_cannot_be_changed(benc
 
 
 def test_the_first_reading_is_converted_after_the_settling_time() -> None:
-    slow = PhotodiodeSettings((0.0,), (), (1e6,), conversions_per_s=10.0)
+    slow = PhotodiodeSettings((0.0,), (), (1e6,), "adam-6017", conversions_per_s=10.0)
     assert slow.wait_s == pytest.approx(2 * 1.01 * 0.8)
-    assert PhotodiodeSettings((0.0,), (), (1e6,)).wait_s == pytest.approx(0.25 + 1.01 * 0.09)
+    assert PhotodiodeSettings((0.0,), (), (1e6,), "adam-6017").wait_s == pytest.approx(0.25 + 1.01 * 0.09)
     line = PhotodiodeSettings(tuple(float(k) for k in range(36)), (), (1e6,), exchange_s=0.04, kind="adam-4117")
     assert line.period_s == pytest.approx(1.01 * 5 * 0.04)  # reading five modules takes longer than their conversions
 

@@ -10,7 +10,7 @@ from goniotwin.protocols.tmcl_parameters import SearchMode
 from tests.drivers.axis_bench import AxisBench
 
 PARKED, ANYWHERE = {"power_up_at_reference": True}, {"power_up_at_reference": False}
-HOMING = Homing(mode=SearchMode.HOME_NEGATIVE_NO_STOPS, speed=10.0, switch_speed=0.5, angle_deg=-4.0)
+HOMING = Homing(mode=SearchMode.HOME_NEGATIVE_NO_STOPS, speed_deg_s=10.0, switch_speed_deg_s=0.5, angle_deg=-4.0)
 HOME = {"home_deg": -5.0}
 
 
@@ -88,7 +88,7 @@ def test_a_search_that_did_not_end_leaves_the_axis_unreferenced_for_the_next_pro
 
 
 def test_a_stall_that_was_not_read_is_detected_by_the_next_process() -> None:
-    bench = AxisBench({"stall_speed": 1.0, "encoder": False}).connect()
+    bench = AxisBench({"stall_speed_deg_s": 1.0, "encoder": False}).connect()
     move = bench.axis.start(30.0)
     bench.poll_for(move, 1.5)
     bench.plant.shafts["sigma"].jam(bench.clock.now())

@@ -149,7 +149,7 @@ def drive(rig: OpenRig, settings: PhotodiodeSettings, addresses: list[str], gain
     clock = rig.rig.clock
     array = PhotodiodeArray([units.unit(address) for address in addresses], settings, clock)
     try:
-        assert len(array.connect()) == 5
+        assert array.connect().startswith("5 modules")
         found = []
         for each in (array, rig.rig.photodiodes):
             wait(clock, [each.start_gain(gain)])
@@ -165,7 +165,7 @@ def drive(rig: OpenRig, settings: PhotodiodeSettings, addresses: list[str], gain
 
 def test_our_driver_over_tcp_reads_what_it_reads_in_process(rig: OpenRig, tcp: ModbusEndpoints) -> None:
     addresses = [tcp.address[f"adc-{k}"] for k in range(5)]
-    counts = drive(rig, PhotodiodeSettings(**SETTINGS), addresses, 3)  # type: ignore[arg-type]
+    counts = drive(rig, PhotodiodeSettings(**SETTINGS, kind="adam-6017"), addresses, 3)  # type: ignore[arg-type]
     assert counts.min() > 33000  # 0.2 V at 1e11 V/A
 
 

@@ -8,8 +8,8 @@ from goniotwin.drivers import DeviceError, wait
 from goniotwin.mocks.replay import LineReplay, RecordedDevice, replay_all, replay_to_device
 from goniotwin.mocks.transcript import Transfer, merge_transcripts
 from goniotwin.twin import VirtualRig
-from goniotwin.twin.devices.line import SerialDevice
-from goniotwin.twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
+from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
+from goniotwin.twin.devices.modbus import GAP_CHARACTERS, TcpStation
 from tests.conftest import Change
 from tests.drivers.photodiode_bench import NARROW
 from tests.mocks.replay_bench import (

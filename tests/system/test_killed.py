@@ -15,7 +15,8 @@ from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journal
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
@@ -152,20 +153,26 @@ def test_with_noise_a_killed_campaign_differs_within_its_uncertainty(
     The sample is dark, so that noise dominates the contributions that both runs share (etalon, gains). The mean square of
     difference over uncertainty is 1 within five times its own standard deviation, or within 0.2: few dark readings give the
     noise only roughly, and the uncertainty is widened for that. All differences are below 5 uncertainties.
+
+    The resumed campaign repeats the last row. Now and then one of the many photodiodes is beyond 4 uncertainties there by
+    chance, and its values are flagged as drifted: about one in ten runs of 30 campaigns has such a photodiode.
     """
     killed = bench(campaigns, *BLACK)
-    found = []
+    found, flagged = [], 0
     for k in range(campaigns):
         killed.run_with_kills(tmp_path / f"{k}.journal", 1)
         killed.run_undisturbed(write_rig(*BLACK, ("seed = 1", f"seed = {k + 2}"), name="other.toml"), f"undisturbed-{k}")
         first, second = killed.points(tmp_path / f"undisturbed-{k}.journal"), killed.points(tmp_path / f"{k}.journal")
-        assert np.array_equal(first.good, second.good)
-        good = first.good
+        assert np.array_equal(first.good, second.good | second.flag("drift"))
+        good = second.good
+        flagged += int(second.flag("drift").sum())
         found.append((first.bsdf - second.bsdf)[good] / np.hypot(first.u_bsdf, second.u_bsdf)[good])
     standard = np.concatenate(found)
-    print(f"\n{standard.size} values: mean square {np.mean(standard**2):.3f}, largest {np.abs(standard).max():.2f}")
-    assert abs(np.mean(standard**2) - 1.0) < max(0.2, 5.0 * np.sqrt(2.0 / standard.size))
-    assert np.abs(standard).max() < 5.0
+    assert flagged <= max(6, 0.02 * standard.size)  # a photodiode has at most six values in a campaign
+    square, largest = float(np.mean(standard**2)), float(np.abs(standard).max())
+    print(f"\n{standard.size} values, {flagged} flagged: mean square {square:.3f}, largest {largest:.2f}")
+    assert abs(square - 1.0) < max(0.2, 5.0 * np.sqrt(2.0 / standard.size))
+    assert largest < 5.0
 
 
 def test_a_killed_campaign_is_listed_as_killed_and_can_be_exported(

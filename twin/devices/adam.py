@@ -40,8 +40,7 @@ class Inputs:
 
     def counts(self, t: float) -> list[int]:
         """The raw values of all channels; 0 for one that is not enabled. The same until the next conversion."""
-        steps = np.rint((self._plant.volts(self._index, t) - self._lows) / self._steps)
-        raw: list[int] = np.minimum(np.maximum(steps, 0.0), adam.FULL_SCALE).astype(np.int64).tolist()
+        raw: list[int] = adam.quantise(self._plant.volts(self._index, t), self._lows, self._steps).tolist()
         for channel, (value, until) in list(self._held.items()):
             if self._conversion(channel, t) < until:
                 raw[channel] = value

@@ -13,11 +13,14 @@ MICROSTEPS = 256
 
 
 class Encoder:
-    """The encoder of one axis. `resolution` is what the module believes of its counts a turn of the motor."""
+    """The encoder of one axis, with a noise in microsteps.
 
-    def __init__(self, plant: Plant, axis: str) -> None:
+    `resolution` is what the module believes of its counts a turn of the motor.
+    """
+
+    def __init__(self, plant: Plant, axis: str, noise: float) -> None:
         self._shaft = plant.shafts[axis]
-        self._noise = plant.model.controller.encoder_noise_microsteps if plant.model.noise else 0.0
+        self._noise = noise if plant.model.noise else 0.0
         self._key = process_key(plant.model.seed, f"encoder {axis}")
 
     def steady(self, angle_deg: float, resolution: int) -> float:

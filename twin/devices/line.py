@@ -3,6 +3,9 @@
 from collections import deque
 from typing import Protocol
 
+BITS_A_BYTE = 10
+"""A byte on the line: a start bit, eight data bits, a stop bit."""
+
 
 class SerialDevice(Protocol):
     """A device that receives bytes and puts answers into its outbox, each with the start time of its transmission.

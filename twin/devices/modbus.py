@@ -13,12 +13,11 @@ from pymodbus.framer import FramerRTU
 
 from goniotwin.protocols import adam
 from goniotwin.twin.devices.adam import ConverterModule, ModbusFault
+from goniotwin.twin.devices.line import BITS_A_BYTE
 
-MBAP = 7
 LONGEST_TCP = 260
 LONGEST_RTU = 256
 GAP_CHARACTERS = 3.5
-BITS_A_BYTE = 10
 BROADCAST = 0
 COIL_VALUES = (0x0000, 0xFF00)
 HEADER = Struct(">HHHB")
@@ -44,9 +43,9 @@ class TcpStation:
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`. What is not Modbus empties the buffer."""
         self._buffer += data
-        while len(self._buffer) >= MBAP + 1:
+        while len(self._buffer) >= adam.MBAP + 1:
             transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
-            if protocol != 0 or not 2 <= length <= LONGEST_TCP - MBAP + 1:
+            if protocol != 0 or not 2 <= length <= LONGEST_TCP - adam.MBAP + 1:
                 self._buffer = b""
                 return
             frame = self._buffer[: 6 + length]
@@ -55,7 +54,7 @@ class TcpStation:
             self._buffer = self._buffer[len(frame) :]
             if unit == self.device.unit and not self.device.silent:
                 self._free = max(self._free, t)
-                answer = answered(self.device, frame[MBAP:], self._free)
+                answer = answered(self.device, frame[adam.MBAP :], self._free)
                 self._free += 0.5 * self.device.latency_s  # the other half is the way here
                 self.outbox.append((self._free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
 

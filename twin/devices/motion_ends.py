@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from goniotwin.protocols.tmcl_parameters import ErrorFlag
 from goniotwin.twin.devices.encoder import MICROSTEPS
 from goniotwin.twin.devices.switches import Switch, when_switched, when_true
+from goniotwin.twin.optics.geometry.coordinates import TURN_DEG
 from goniotwin.twin.plant.shaft import Drive
 
-TURN_DEG = 360.0
 NO_FLAG = ErrorFlag(0)
 STALL_HORIZON_S = 1.0
 

@@ -137,8 +137,8 @@ class Motor(RampGenerator):
             raise CommandRejected(ReplyStatus.INVALID_VALUE)
         if number == AxisParameter.REFERENCE_SEARCH_MODE and not reference_search.known(value):
             raise CommandRejected(ReplyStatus.INVALID_VALUE)
-        self._values[number] = value
-        if number in (AxisParameter.MICROSTEP_RESOLUTION, AxisParameter.REVERSE_SHAFT):
+        changes, self._values[number] = self._values[number] != value, value  # the same resolution again: no effect (*)
+        if changes and number in (AxisParameter.MICROSTEP_RESOLUTION, AxisParameter.REVERSE_SHAFT):
             self._trajectory = self._wanted = self.shaft.recount(t, round(self._trajectory.position(t)), self._per_full())
         elif number == AxisParameter.TARGET_VELOCITY:
             self.turn(value, t)

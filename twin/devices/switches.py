@@ -5,11 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from goniotwin.twin.optics.geometry.coordinates import TURN_DEG
 from goniotwin.twin.plant.model import Mechanics
 from goniotwin.twin.plant.motion import Trajectory, turning_points
 from goniotwin.twin.plant.shaft import Drive
 
-TURN_DEG = 360.0
 BISECTIONS = 80
 EDGES = 10_000
 SAMPLES = 64

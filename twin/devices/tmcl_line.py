@@ -2,16 +2,20 @@
 
 import math
 from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from goniotwin.protocols.tmcl import FRAME_BYTES, split
-from goniotwin.twin.devices.tmcm6214 import KINDS, MotionModule, UnsolicitedReply
-from goniotwin.twin.plant import Plant
+from goniotwin.twin.devices.tmcm6214 import MotionModule, UnsolicitedReply
+from goniotwin.twin.plant import AxisController, Mechanics, Plant
 
 IDLE_GAP_S = 0.05
 
 
 class TmclLine:
-    """One TMCM-6214, or several TMCM-1240 on an RS485 bus, by the plant's controller and the axes' `module`.
+    """One TMCM-6214, or several TMCM-1240 on an RS485 bus, by the controller and its axes' `module`.
+
+    Without `controller` it is the plant's own, with the axes that no further device has.
 
     Over USB a module answers whatever address it is called by; on RS485 it is silent where another's is called, and all
     answer to 0 at once, so that replies of several modules collide.
@@ -20,19 +24,20 @@ class TmclLine:
     the system brings them, it has to be as much longer as the clock is faster.
     """
 
-    def __init__(self, plant: Plant) -> None:
-        controller = plant.model.controller
+    def __init__(self, plant: Plant, controller: AxisController | None = None, axes: tuple[str, ...] | None = None) -> None:
+        controller = plant.model.controller if controller is None else controller
+        axes = plant.model.controller_axes if axes is None else axes
         self.baudrate = controller.baudrate
         self.idle_gap_s = IDLE_GAP_S
         self.outbox: deque[tuple[float, bytes]] = deque()
         self._latency_s = controller.latency_s
         self._rest = b""
         self._last_byte = -math.inf
-        kind = KINDS[controller.kind]
-        addresses = sorted({mechanics.module for mechanics in plant.model.axes.values()}) or [1]
-        strict = controller.wire == "rs485"
+        mechanics = {axis: plant.model.axes[axis] for axis in axes}
+        addresses = sorted({each.module for each in mechanics.values()}) or [1]
         self.modules = {
-            address: MotionModule(plant, kind, address, self._post, self._withdraw, strict=strict) for address in addresses
+            address: MotionModule(plant, controller, motors(mechanics, address), address, self._post, self._withdraw)
+            for address in addresses
         }
 
     def receive(self, data: bytes, t: float) -> None:
@@ -68,6 +73,22 @@ class TmclLine:
         left = [each for each in self.outbox if each[1] is not data]
         self.outbox.clear()
         self.outbox.extend(left)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FurtherTmclLine(AxisController):
+    """A TMCL line of its own for some of the axes, `axes`."""
+
+    axes: tuple[str, ...]
+
+    def build(self, plant: Plant) -> TmclLine:
+        """The line on a plant."""
+        return TmclLine(plant, self, self.axes)
+
+
+def motors(axes: Mapping[str, Mechanics], address: int) -> dict[int, str]:
+    """The axes of the module with an address, by the number of their motor."""
+    return {mechanics.motor: name for name, mechanics in axes.items() if mechanics.module == address}
 
 
 def _at_once(answers: list[bytes]) -> bytes:

@@ -6,7 +6,7 @@ them, the unit of the telegram pause (ms), and the states of a stand-alone progr
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -27,7 +27,7 @@ from goniotwin.twin.devices.encoder import Encoder
 from goniotwin.twin.devices.globals import Globals
 from goniotwin.twin.devices.motor import Motor
 from goniotwin.twin.devices.ramp_generator import CommandRejected
-from goniotwin.twin.plant import Plant
+from goniotwin.twin.plant import AxisController, Plant
 from goniotwin.twin.plant.shaft import Heartbeat
 
 FACTORY_RESET_CODE, FACTORY_RESET_S = 1234, 5.0
@@ -54,23 +54,34 @@ class ModuleKind:
     table: dict[int, Parameter]
 
 
-KINDS = {
+MODULE_KINDS = {
     "tmcm-6214": ModuleKind(6214, (1, 17), 6, TMCM_6214),
     "tmcm-1240": ModuleKind(1240, (1, 45), 1, TMCM_1240),
 }
 
 
 class MotionModule:
-    """One module. `strict` has it answer to its own address and to 0 only; `post` sends unsolicited replies,
-    `withdraw` takes it back."""
+    """One module, with its axes by the numbers of their motors. On RS485 it answers to its own address and to 0 only.
 
-    def __init__(self, plant: Plant, kind: ModuleKind, address: int, post: Post, withdraw: Withdraw, *, strict: bool) -> None:
-        self.kind = kind
-        self._strict = strict
+    `post` sends unsolicited replies, `withdraw` takes one back.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller: AxisController,
+        axes: Mapping[int, str],
+        address: int,
+        post: Post,
+        withdraw: Withdraw,
+    ) -> None:
+        self.kind = MODULE_KINDS[controller.kind]
+        self._strict = controller.wire == "rs485"
+        self._encoder_noise = controller.encoder_noise_microsteps
         self._post = post
         self._withdraw = withdraw
         self._address = address
-        baudrate = plant.model.controller.baudrate
+        baudrate = controller.baudrate
         self._factory: dict[int, int] = {
             GlobalParameter.ADDRESS: address,
             GlobalParameter.HOST_ADDRESS: HOST_ADDRESS,
@@ -84,15 +95,16 @@ class MotionModule:
         self._event: UnsolicitedReply | None = None
         self._event_mask = 0
         self._event_due = math.inf
-        wired = {shaft.mechanics.motor: name for name, shaft in plant.shafts.items() if shaft.mechanics.module == address}
-        for motor, name in wired.items():
-            if motor >= kind.motors:
-                raise ValueError(f"{name} is motor {motor} of module {address}, and a TMCM-{kind.number} has {kind.motors}")
-        self.motors = [self._motor(plant, wired.get(number)) for number in range(kind.motors)]
+        for motor, name in axes.items():
+            if motor >= self.kind.motors:
+                number, motors = self.kind.number, self.kind.motors
+                raise ValueError(f"{name} is motor {motor} of module {address}, and a TMCM-{number} has {motors}")
+        self.motors = [self._motor(plant, axes.get(number)) for number in range(self.kind.motors)]
 
     def _motor(self, plant: Plant, name: str | None) -> Motor:
         shaft = plant.shafts[name] if name is not None else None
-        encoder = Encoder(plant, name) if name is not None and plant.shafts[name].mechanics.encoder else None
+        with_encoder = name is not None and plant.shafts[name].mechanics.encoder
+        encoder = Encoder(plant, name, self._encoder_noise) if name is not None and with_encoder else None
         return Motor(shaft, encoder, self.kind.table, self._heartbeat)
 
     def reset(self, t: float) -> None:

@@ -13,8 +13,8 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException
 
 from goniotwin.protocols import adam
-from goniotwin.twin.devices.line import SerialDevice
-from goniotwin.twin.devices.modbus import BITS_A_BYTE, GAP_CHARACTERS, TcpStation
+from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
+from goniotwin.twin.devices.modbus import GAP_CHARACTERS, TcpStation
 from goniotwin.twin.doors.registry import NoSuchTwin, find, missing, split
 from goniotwin.twin.rig import CONVERTER_LINE
 

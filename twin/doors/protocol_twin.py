@@ -11,10 +11,9 @@ from itertools import accumulate, repeat
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
 from goniotwin.protocols.clock import Clock, VirtualClock
-from goniotwin.twin.devices.line import SerialDevice
+from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
 from goniotwin.twin.doors.registry import NoSuchTwin, find, missing
 
-BITS_A_BYTE = 10
 POLL_S = 0.002
 
 

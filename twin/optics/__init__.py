@@ -2,8 +2,8 @@
 
 `throughput` is the fast estimator, for a sample with a known BSDF. `forward_throughput` traces rays from the exit pupil to the
 detectors; it is the reference for the fast one. `IlluminationUnit` is the optics before the exit pupil, with two estimators of
-its own: `forward_illumination` and `adjoint_illumination`. This package needs numpy, numba and the standard library alone:
-files are read and written in app/formats.
+its own: `forward_illumination` and `adjoint_illumination`. This package needs numpy and numba alone, and annotated-types, a
+module of names for bounds: files are read and written in app/formats.
 """
 
 from goniotwin.twin.optics.bsdf.analytic_samples import gaussian, lambertian, regular
@@ -33,7 +33,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
     to_specular,
 )
 from goniotwin.twin.optics.geometry.deviation import Deviation
-from goniotwin.twin.optics.geometry.instrument import Instrument, Reflectance, SampleFrames
+from goniotwin.twin.optics.geometry.instrument import Dimensions, Instrument, Reflectance, SampleFrames
 from goniotwin.twin.optics.geometry.mirrors import pupil_image
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure, adjoint_illumination, illumination_figure
@@ -41,11 +41,11 @@ from goniotwin.twin.optics.illumination.beam import Illumination
 from goniotwin.twin.optics.illumination.forward import forward_illumination
 from goniotwin.twin.optics.illumination.rayset import Rayset, RaySource, record, replay
 from goniotwin.twin.optics.illumination.spectrum import Spectrum, luminous_spectrum, xenon_spectrum
-from goniotwin.twin.optics.illumination.unit import CorrectionUnit, IlluminationUnit
+from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 
 __all__ = [
-    "CorrectionUnit",
     "Deviation",
+    "Dimensions",
     "Estimate",
     "Illumination",
     "IlluminationFigure",

@@ -37,6 +37,12 @@ def scramble(bits: np.uint64) -> np.uint64:
 
 
 @kernel()
+def item_key(key: np.uint64, number: int) -> np.uint64:
+    """Key of one of a seed's rays, blocks or paths, by its number."""
+    return scramble(key + U64(number) * U64(0xD1342543DE82EF95))
+
+
+@kernel()
 def uniform(key: np.uint64, counter: int) -> float:
     """Number `counter` of a path's key, in [0, 1)."""
     bits = scramble(key + U64(counter + 1) * U64(0x9E3779B97F4A7C15))

@@ -2,6 +2,8 @@
 
 from goniotwin.twin.plant.model import (
     AxisController,
+    ControllerModel,
+    DeviceModel,
     Electronics,
     Estimator,
     LightSource,
@@ -9,7 +11,9 @@ from goniotwin.twin.plant.model import (
     MonitorPhotodiode,
     MonochromatorDrive,
     OrderSorting,
+    Parts,
     Photodiodes,
+    SecondOrder,
     TwinModel,
     WheelFilter,
 )
@@ -17,6 +21,8 @@ from goniotwin.twin.plant.plant import Plant
 
 __all__ = [
     "AxisController",
+    "ControllerModel",
+    "DeviceModel",
     "Electronics",
     "Estimator",
     "LightSource",
@@ -24,8 +30,10 @@ __all__ = [
     "MonitorPhotodiode",
     "MonochromatorDrive",
     "OrderSorting",
+    "Parts",
     "Photodiodes",
     "Plant",
+    "SecondOrder",
     "TwinModel",
     "WheelFilter",
 ]

@@ -17,6 +17,18 @@ off there, so that later readings do not depend on the time.
 """
 
 
+def noise_v(
+    current_a: Floats | float, gain: float, bandwidth_hz: float, temperature_k: float, amplifier_v: float
+) -> Floats | float:
+    """Standard deviation of a conversion, V: shot noise of the current, Johnson noise of the resistor, amplifier noise."""
+    shot = 2.0 * ELEMENTARY_CHARGE_C * np.abs(current_a) * bandwidth_hz
+    johnson = 4.0 * BOLTZMANN_J_PER_K * temperature_k * bandwidth_hz / gain
+    return np.sqrt((shot + johnson) * gain * gain + amplifier_v * amplifier_v)
+
+
+_noise_v = kernel()(noise_v)
+
+
 @kernel()
 def conversions(t: float, period: float, channels: int) -> tuple[Ints, float, float]:
     """Last finished conversions of a module's channels at the time `t`, s.
@@ -63,7 +75,7 @@ def convert_channels(
     before. `constants`: bandwidth Hz, temperature K, amplifier noise V, offset V, settling time constant s, relative dark
     wander, its period s, noise on (1) or off (0).
     """
-    bandwidth, temperature, noise_v, offset_v, settling, dark_wander, dark_period, noisy = constants
+    bandwidth, temperature, amplifier_v, offset_v, settling, dark_wander, dark_period, noisy = constants
     for c in range(begin, end):
         k = first + c
         t = (numbers[c] + c / volts.size) * period
@@ -77,8 +89,6 @@ def convert_channels(
             left = math.exp(-(t - changed) / settling) - math.exp(-SETTLED)
             v += (current * gains[old_gain] * (1.0 + deviations[old_gain, k]) - new) * left
         if noisy > 0.0:
-            shot = 2.0 * ELEMENTARY_CHARGE_C * abs(current) * bandwidth
-            johnson = 4.0 * BOLTZMANN_J_PER_K * temperature * bandwidth / gains[gain]
-            spread = math.sqrt((shot + johnson) * gains[gain] * gains[gain] + noise_v * noise_v)
+            spread = _noise_v(current, gains[gain], bandwidth, temperature, amplifier_v)
             v += spread * normal(noise_keys[k], numbers[c])
         volts[c] = v + offset_v

@@ -4,10 +4,26 @@ The values are independent of the operator's configuration. The defaults are one
 gives no value, it is a setting.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Any, Literal, Protocol
 
+from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen, MultipleOf
+
+from goniotwin.keys import (
+    NO_KEY,
+    Address,
+    Count,
+    Fraction,
+    MotorNumber,
+    NonNegative,
+    PolarAngle,
+    Positive,
+    Share,
+    WheelPosition,
+)
 from goniotwin.twin.optics import Instrument, SampleFrames, Scatterer
+from goniotwin.twin.optics.geometry.coordinates import TURN_DEG
 
 SHORTEST_NM = 355.0
 """The lamp's bulb is opaque up to this wavelength, so that there is no second order up to 710 nm."""
@@ -18,74 +34,71 @@ class Mechanics:
     """One axis: motor `motor` turns it by `sense` * 360 deg / (`full_steps` * `gear`) per full step, starting at `zero_deg`.
 
     `module` is the address of the motion module with that motor. `backlash_deg` is the play: driven downwards, the axis is
-    higher by this angle than driven upwards. A limit switch is closed at and beyond its angle. The home switch is closed from
-    `home_deg` over `home_width_deg` upwards in each turn. None: there is no such switch. The encoder is mounted on the axis; it
-    has `encoder_counts` per turn of the motor and an eccentricity of `encoder_error_deg`.
+    higher by this angle than driven upwards. A limit switch is closed at and beyond its angle, `lower_switch_deg` or
+    `upper_switch_deg`. The home switch is closed from `home_deg` over `home_width_deg` upwards in each turn. None: there is no
+    such switch. The `encoder` is mounted on the axis; it has `encoder_counts` per turn of the motor and an eccentricity of
+    `encoder_error_deg`.
     """
 
-    motor: int
-    gear: float
-    sense: int = 1
+    motor: MotorNumber
+    gear: Positive
+    sense: Literal[1, -1] = 1
     zero_deg: float = 0.0
-    full_steps: int = 200
+    full_steps: Count = 200
     encoder: bool = True
-    module: int = 1
-    backlash_deg: float = 0.0
+    module: Address = 1
+    backlash_deg: NonNegative = 0.0
     lower_switch_deg: float | None = None
     upper_switch_deg: float | None = None
     home_deg: float | None = None
-    home_width_deg: float = 1.0
-    encoder_counts: int = 51_200
-    encoder_error_deg: float = 0.0
+    home_width_deg: Annotated[float, Gt(0.0), Lt(TURN_DEG)] = 1.0
+    encoder_counts: Count = 51_200
+    encoder_error_deg: NonNegative = 0.0
 
     @property
     def deg_per_full_step(self) -> float:
         """Signed angle of one full step."""
-        return self.sense * 360.0 / (self.full_steps * self.gear)
+        return self.sense * TURN_DEG / (self.full_steps * self.gear)
 
 
 @dataclass(frozen=True)
 class LightSource:
     """Light from the arc to the sample: `radiance` (W m^-2 sr^-1 nm^-1) in `band_nm`; `throughput` of it reaches the sample.
 
-    `spectrum` has pairs (wavelength in nm, relative radiance). Drift and flicker belong to the lamp: all detectors and the
-    monitor see the same.
+    `spectrum` has pairs (wavelength in nm, relative radiance). `drift_per_hour`, `flicker` and `wander`, relative, belong to
+    the lamp: all detectors and the monitor see the same.
     """
 
-    radiance: float = 2.0e3
-    band_nm: float = 5.0
-    throughput: float = 0.18
-    spectrum: tuple[tuple[float, float], ...] = (
-        (380.0, 0.75),
-        (450.0, 0.95),
-        (550.0, 1.0),
-        (650.0, 0.95),
-        (780.0, 0.9),
+    radiance: Positive = 2.0e3
+    band_nm: float = field(default=5.0, metadata=NO_KEY)
+    throughput: Share = 0.18
+    spectrum: tuple[tuple[float, float], ...] = field(
+        default=((380.0, 0.75), (450.0, 0.95), (550.0, 1.0), (650.0, 0.95), (780.0, 0.9)), metadata=NO_KEY
     )
     drift_per_hour: float = 0.0
-    flicker: float = 5.0e-4
-    flicker_period_s: float = 0.01
-    wander: float = 2.0e-3
-    wander_period_s: float = 30.0
+    flicker: Fraction = 5.0e-4
+    flicker_period_s: float = field(default=0.01, metadata=NO_KEY)
+    wander: Fraction = 2.0e-3
+    wander_period_s: float = field(default=30.0, metadata=NO_KEY)
 
 
 @dataclass(frozen=True)
 class Photodiodes:
-    """Photodiodes on the arc: polar angles at shift 0, upper arc first, then the lower one; responsivity and dark currents."""
+    """Photodiodes on the arc: polar angles at shift 0, upper arc first, then the lower one; responsivity and dark currents.
 
-    upper_deg: tuple[float, ...] = tuple(5.0 * k for k in range(18))
-    lower_deg: tuple[float, ...] = tuple(5.0 * k for k in range(18))
-    responsivity: tuple[tuple[float, float], ...] = (
-        (380.0, 0.10),
-        (450.0, 0.22),
-        (550.0, 0.30),
-        (650.0, 0.38),
-        (780.0, 0.48),
+    The angles are `upper_deg` and `lower_deg`. The dark current `dark_a` has a relative spread over the photodiodes of
+    `dark_spread`, and wanders by `dark_wander`.
+    """
+
+    upper_deg: Annotated[tuple[PolarAngle, ...], MinLen(1)] = tuple(5.0 * k for k in range(18))
+    lower_deg: tuple[PolarAngle, ...] = tuple(5.0 * k for k in range(18))
+    responsivity: tuple[tuple[float, float], ...] = field(
+        default=((380.0, 0.10), (450.0, 0.22), (550.0, 0.30), (650.0, 0.38), (780.0, 0.48)), metadata=NO_KEY
     )
-    dark_a: float = 2.0e-12
-    dark_spread: float = 0.05
-    dark_wander: float = 2.0e-3
-    dark_wander_period_s: float = 600.0
+    dark_a: NonNegative = 2.0e-12
+    dark_spread: Fraction = 0.05
+    dark_wander: Fraction = 2.0e-3
+    dark_wander_period_s: float = field(default=600.0, metadata=NO_KEY)
 
     @property
     def count(self) -> int:
@@ -97,20 +110,23 @@ class Photodiodes:
 class Electronics:
     """Transimpedance amplifiers and the converters behind them. A module has eight channels and one gain.
 
+    `gain_spread` is the relative deviation of the real gains from the nominal ones, `gains_v_per_a`. `offset_v` and `noise_v`
+    are those of the amplifiers and converters; the amplifiers settle with a time constant of `settling_s`.
+
     `module` is the kind of converter. One with a serial line (`adam-4117`, at `baudrate`) has no outputs, so its gain is always
-    the first. `conversions_per_s` counts those of all channels of a module: 10 or 100.
+    the first. `conversions_per_s` counts those of all channels of a module.
     """
 
-    gains_v_per_a: tuple[float, ...] = (1e6, 1e8, 1e10, 1e11)
-    gain_spread: float = 1.0e-3
+    gains_v_per_a: Annotated[tuple[Positive, ...], MinLen(1), MaxLen(4)] = (1e6, 1e8, 1e10, 1e11)
+    gain_spread: Fraction = 1.0e-3
     offset_v: float = 1.0e-3
-    noise_v: float = 1.5e-4
-    settling_s: float = 0.02
-    temperature_k: float = 300.0
-    conversions_per_s: float = 100.0
-    latency_s: float = 4.0e-4
-    module: str = "adam-6017"
-    baudrate: int = 9600
+    noise_v: NonNegative = 1.5e-4
+    settling_s: Positive = 0.02
+    temperature_k: float = field(default=300.0, metadata=NO_KEY)
+    conversions_per_s: Literal[10, 100] = 100
+    latency_s: float = field(default=4.0e-4, metadata=NO_KEY)
+    module: Literal["adam-6017", "adam-4117"] = "adam-6017"
+    baudrate: Count = 9600
 
 
 @dataclass(frozen=True)
@@ -132,33 +148,35 @@ class MonitorPhotodiode:
 class MonochromatorDrive:
     """Speeds of grating, shutter, filter wheel (per position) and slits; echo and handshake mode of the serial line.
 
-    `nm_per_step` is for a grating of 1200 lines per mm. `gratings` are pairs (lines per mm, label). `filters` of 0: no wheel.
-    `already_there_is_error`: a filter wheel sent to its present position reports error 7 (to be confirmed on hardware).
+    `nm_per_step` is for a grating of 1200 lines per mm. `gratings` are pairs (lines per mm, label). `slew_nm_per_s`,
+    `settle_s`, `shutter_s` and `grating_s` are the times, `echo` and `handshake` the modes. `filters` is the number of
+    positions of its filter wheel (0: no wheel), `filter_s` the time from one to the next. `already_there_is_error`: a filter
+    wheel sent to its present position reports error 7 (to be confirmed on hardware).
     """
 
-    slew_nm_per_s: float = 175.0
-    settle_s: float = 0.1
-    shutter_s: float = 0.15
-    filter_s: float = 1.0
-    start_nm: float = 550.0
+    slew_nm_per_s: Positive = 175.0
+    settle_s: NonNegative = 0.1
+    shutter_s: NonNegative = 0.15
+    filter_s: NonNegative = 1.0
+    start_nm: float = field(default=550.0, metadata=NO_KEY)
     echo: bool = True
-    baudrate: int = 9600
+    baudrate: int = field(default=9600, metadata=NO_KEY)
     handshake: bool = True
-    grating_s: float = 8.0
-    slit_um_per_s: float = 500.0
-    nm_per_step: float = 0.01
-    gratings: tuple[tuple[int, str], ...] = ((1200, "VIS"), (600, "NIR"))
-    filters: int = 6
-    already_there_is_error: bool = False
+    grating_s: NonNegative = 8.0
+    slit_um_per_s: float = field(default=500.0, metadata=NO_KEY)
+    nm_per_step: float = field(default=0.01, metadata=NO_KEY)
+    gratings: tuple[tuple[int, str], ...] = field(default=((1200, "VIS"), (600, "NIR")), metadata=NO_KEY)
+    filters: Annotated[int, Ge(0), Le(6)] = 6
+    already_there_is_error: bool = field(default=False, metadata=NO_KEY)
 
 
 @dataclass(frozen=True)
 class WheelFilter:
-    """Long-pass filter in a position of the wheel: `transmittance` from `cut_on_nm` on, and zero below."""
+    """Long-pass filter in a `position` of the wheel: `transmittance` from `cut_on_nm` on, and zero below."""
 
-    position: int
-    cut_on_nm: float
-    transmittance: float = 0.9
+    position: WheelPosition
+    cut_on_nm: Positive
+    transmittance: Share = 0.9
 
     def passes(self, wavelength_nm: float) -> float:
         """Share of the light of a wavelength that passes."""
@@ -166,15 +184,24 @@ class WheelFilter:
 
 
 @dataclass(frozen=True)
-class OrderSorting:
-    """Sorting of the grating's orders: which light leaves the monochromator.
+class SecondOrder:
+    """Light of half the wavelength that the grating passes as well, in its second order.
 
-    That is light of the wavelength set and, in the second order, of half that wavelength. `second_order` is the share of the
-    latter that passes, relative to what would pass with the grating set to it. A position of the wheel without a filter is
-    open.
+    `second_order` is the share of it that passes, relative to what would pass with the grating set to it; the lamp has no such
+    light up to 710 nm.
     """
 
-    second_order: float = 0.0
+    second_order: Fraction = 0.0
+
+
+@dataclass(frozen=True)
+class OrderSorting(SecondOrder):
+    """Sorting of the grating's orders: which light leaves the monochromator.
+
+    That is light of the wavelength set and, in the second order, of half that wavelength. A position of the wheel without a
+    filter is open.
+    """
+
     filters: tuple[WheelFilter, ...] = ()
 
     def passing(self, wavelength_nm: float, position: int) -> list[tuple[float, float]]:
@@ -191,7 +218,9 @@ class OrderSorting:
 
 @dataclass(frozen=True)
 class AxisController:
-    """Line of the motion modules: bits per second (without effect over USB) and response time of a module.
+    """Line of the motion modules: its `wire`, `baudrate` (without effect over USB) and `latency_s`, a module's response time.
+
+    Positions of the encoder have a noise of `encoder_noise_microsteps`.
 
     `kind` applies to every module; there is one module for each address among the axes' `module`. On `rs485` a module does not
     respond to another address; over `usb` it responds to any.
@@ -199,43 +228,80 @@ class AxisController:
 
     kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
     wire: Literal["usb", "rs485"] = "usb"
-    baudrate: int = 115200
-    latency_s: float = 3.0e-4
-    encoder_noise_microsteps: float = 1.0
+    baudrate: Count = 115200
+    latency_s: NonNegative = 3.0e-4
+    encoder_noise_microsteps: NonNegative = 1.0
+
+
+class DeviceModel(Protocol):
+    """A device at an address of its own, or in place of another one: a frozen dataclass of numbers and texts."""
+
+    @property
+    def kind(self) -> str: ...
+
+    def build(self, plant: Any) -> Any:
+        """The device on a plant: a serial device, a converter module or a USB device."""
+
+
+class ControllerModel(DeviceModel, Protocol):
+    """A motion controller; `axes` are those that it turns."""
+
+    @property
+    def axes(self) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True)
 class Estimator:
     """Estimator of the light on the photodiodes.
 
-    `fast`: with its seven rays per detector, or with `rays`. `forward`: until half of the photodiodes that receive light have a
-    relative error below `relative_error`.
+    `fast` places its seven rays per photodiode itself, or has `rays` of them. `forward` traces all light until the median
+    relative standard error of the photodiodes with light is below `relative_error`, in a file `forward_error`: with photodiodes
+    of 0.5 deg that takes some seconds a pose for 3 %, and a hundred times as long for 0.3 %; wider ones take less.
 
-    `stray` includes light of the frames and light that met another surface. The forward estimator traces it. For the fast one a
-    map from the forward estimator is added.
+    `stray` includes the light of the frames and the light that was scattered more than once. The forward estimator traces it.
+    For the fast one a map from the forward estimator is added.
     """
 
-    kind: Literal["fast", "forward"] = "fast"
-    rays: int | None = None
-    relative_error: float = 0.03
+    kind: Literal["fast", "forward"] = field(default="fast", metadata={"key": "estimator"})
+    rays: Annotated[int, Ge(16), Le(1 << 20), MultipleOf(4)] | None = None
+    relative_error: Annotated[float, Gt(1e-5), Lt(0.5)] = field(default=0.03, metadata={"key": "forward_error"})
     stray: bool = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """Parts of a virtual rig that need no other part; with `noise` off there are no random processes, but quantisation.
+
+    They are the `frames` of the samples, the `light`, the `photodiodes` and their `electronics`, and the motion `controller`.
+    """
+
+    frames: SampleFrames = field(default_factory=SampleFrames)
+    light: LightSource = field(default_factory=LightSource)
+    photodiodes: Photodiodes = field(default_factory=Photodiodes)
+    electronics: Electronics = field(default_factory=Electronics)
+    controller: AxisController = field(default_factory=AxisController)
+    noise: bool = True
+
+
 @dataclass(frozen=True)
-class TwinModel:
-    """Complete virtual rig. `samples` can be mounted by simulation control; `noise` switches every random process on or off."""
+class TwinModel(Parts):
+    """Complete virtual rig. `samples` can be mounted by simulation control.
+
+    `controller` turns the axes that none of the further `devices` (by address) turns.
+    """
 
     seed: int
     axes: dict[str, Mechanics]
     samples: dict[str, Scatterer]
     instrument: Instrument = field(default_factory=Instrument)
-    frames: SampleFrames = field(default_factory=SampleFrames)
-    light: LightSource = field(default_factory=LightSource)
-    photodiodes: Photodiodes = field(default_factory=Photodiodes)
-    electronics: Electronics = field(default_factory=Electronics)
     monitor: MonitorPhotodiode = field(default_factory=MonitorPhotodiode)
     monochromator: MonochromatorDrive = field(default_factory=MonochromatorDrive)
-    controller: AxisController = field(default_factory=AxisController)
-    noise: bool = True
     estimator: Estimator = field(default_factory=Estimator)
     order_sorting: OrderSorting = field(default_factory=OrderSorting)
+    devices: Mapping[str, DeviceModel] = field(default_factory=dict)
+
+    @property
+    def controller_axes(self) -> tuple[str, ...]:
+        """The axes of `controller`."""
+        others = {axis for device in self.devices.values() for axis in getattr(device, "axes", ())}
+        return tuple(axis for axis in self.axes if axis not in others)

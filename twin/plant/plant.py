@@ -7,7 +7,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
-from goniotwin.twin.plant.converter import conversions, convert_channels
+from goniotwin.twin.plant.converter import conversions, convert_channels, noise_v
 from goniotwin.twin.plant.history import ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel
@@ -171,6 +171,17 @@ class Plant:
                 responsivity = float(np.interp(wavelength, *self._responsivity))
                 currents += responsivity * light * self.view.throughputs_m2sr(replace(aspect, wavelength_nm=wavelength))
         return currents
+
+    def drawn_volts(self, signal_a: Floats, gain: int, drawn: Floats) -> Floats:
+        """Input voltages (n, photodiodes) of conversions of photocurrents (photodiodes,) without dark current, V.
+
+        `drawn` (n, 1 + photodiodes) are standard normal numbers for the lamp's flicker and the noise of each photodiode. Gains
+        and dark currents are the nominal ones.
+        """
+        noisy, electronics, gain_v_per_a = float(self.model.noise), self.model.electronics, self._gains[gain]
+        current = signal_a * (1.0 + noisy * self.model.light.flicker * drawn[:, :1]) + self.model.photodiodes.dark_a
+        spread = noise_v(current, gain_v_per_a, *self._constants[:3])
+        return np.asarray(current * gain_v_per_a + noisy * spread * drawn[:, 1:] + electronics.offset_v)
 
     def volts(self, module: int, t: float) -> Floats:
         """Input voltages of the last finished conversion of each channel of a module, V (8,). Constant until the next one."""

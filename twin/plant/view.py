@@ -71,8 +71,8 @@ class View:
 
     def _compute(self, sample: Scatterer, light: tuple[object, ...], wavelength: float | None, aspect: Aspect) -> Floats:
         model, sigma = self._model, aspect.sigma_deg
-        directions = arc_direction(self.polar_deg + aspect.shift_deg, np.full(self.polar_deg.size, aspect.beta_deg))
-        directions[self._lower, 2] *= -1.0
+        beta = np.full(self.polar_deg.size, aspect.beta_deg)
+        directions = arc_direction(self.polar_deg + aspect.shift_deg, beta, self._lower)
         if aspect.tilt_deg:
             # A sample tilted about y is equivalent to a rig turned about y by the opposite angle.
             c, s = math.cos(math.radians(aspect.tilt_deg)), math.sin(math.radians(aspect.tilt_deg))

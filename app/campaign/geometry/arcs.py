@@ -9,31 +9,41 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import (
+    ARCS,
     Arc,
     LitSide,
     PoseAngles,
-    incidence_deg,
-    is_lit_from_behind,
-    opposite_sigma_deg,
-    polar_and_azimuth,
     rig_sigma_deg,
-    wrap_azimuth,
+    round_azimuth,
     zenith_deg,
 )
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors, may_be_blocked
 from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.grids import DECIMALS, HALF_TURN_DEG
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
-from goniotwin.twin.optics import arc_direction, to_specular
-
-SPECULAR_AZIMUTH_DEG = 180.0
-"""Azimuth of the specular direction, and of the direction straight through, from the half plane of the incident light."""
+from goniotwin.twin.optics.geometry.coordinates import (
+    HALF_TURN_DEG,
+    SPECULAR_AZIMUTH_DEG,
+    arc_direction,
+    incidence_deg,
+    is_lit_from_behind,
+    mirror_in_sample_plane,
+    opposite_sigma_deg,
+    polar_and_azimuth,
+    round_deg,
+    to_specular,
+    turn_about_x,
+)
 
 
 def lit_sides(file: ScheduleFile) -> tuple[LitSide, ...]:
     """The sides of the sample that a schedule measures with light on them."""
     return ("front", "back") if file.side == "both" else (file.side,)
+
+
+def lit_side(rig_sigma_deg: float) -> LitSide:
+    """The lit side of the sample."""
+    return "back" if is_lit_from_behind(rig_sigma_deg) else "front"
 
 
 def lit_arc(rig_sigma_deg: float) -> Arc:
@@ -57,6 +67,12 @@ def observing_arcs(file: ScheduleFile, rig_sigma_deg: float) -> Iterator[Arc]:
 def polar_deg(rig: RigFile, arc: Arc) -> tuple[float, ...]:
     """Polar angles of an arc's photodiodes at shift 0, from its own pole."""
     return tuple(rig.photodiodes.upper_deg if arc == "upper" else rig.photodiodes.lower_deg)
+
+
+def arc_channels(rig: RigFile, arc: Arc) -> Ints:
+    """Numbers of an arc's photodiodes: those of the upper arc come first."""
+    upper, lower = (len(polar_deg(rig, each)) for each in ARCS)
+    return np.arange(upper) if arc == "upper" else upper + np.arange(lower)
 
 
 def etalon_sigma_deg(sigma_deg: float, arc: Arc) -> float:
@@ -100,26 +116,22 @@ class ArcView:
 
 def arc_views(rig: RigFile, pose: PoseAngles) -> list[ArcView]:
     """Views of the upper and of the lower arc, without an arc that has no photodiodes."""
-    upper = np.arange(len(rig.photodiodes.upper_deg))
-    lower = len(upper) + np.arange(len(rig.photodiodes.lower_deg))
-    arcs: list[tuple[Arc, Ints]] = [("upper", upper), ("lower", lower)]
-    return [
-        _arc_view(channels, np.array(polar_deg(rig, arc), dtype=float), pose, arc) for arc, channels in arcs if len(channels)
-    ]
+    return [arc_view(rig, pose, arc) for arc in ARCS if polar_deg(rig, arc)]
 
 
-def _arc_view(channels: Ints, polar_at_rest: Floats, pose: PoseAngles, arc: Arc) -> ArcView:
+def arc_view(rig: RigFile, pose: PoseAngles, arc: Arc) -> ArcView:
+    """The view of one arc."""
     _, sigma, beta, shift = pose
-    polar, azimuth = polar_and_azimuth(polar_at_rest + shift, beta)
+    polar, azimuth = polar_and_azimuth(np.array(polar_deg(rig, arc), dtype=float) + shift, beta)
     back = is_lit_from_behind(sigma)
     transmitted = arc != lit_arc(sigma)
     direction = arc_direction(polar, azimuth, lower=arc == "lower")
     if back:
-        direction = direction * np.array([1.0, -1.0, -1.0])
+        direction = turn_about_x(direction)
     if transmitted:
-        direction = direction * np.array([1.0, 1.0, -1.0])
+        direction = mirror_in_sample_plane(direction)
     theta, phi = to_specular(incidence_deg(sigma), direction)
-    return ArcView(channels, zenith_deg(polar, arc), azimuth, theta, phi, polar, back, transmitted)
+    return ArcView(arc_channels(rig, arc), zenith_deg(polar, arc), azimuth, theta, phi, polar, back, transmitted)
 
 
 @dataclass(frozen=True)
@@ -196,13 +208,13 @@ def _distinct(beta_deg: Floats, shift_deg: Floats, polar_deg: Floats) -> tuple[F
     At the pole itself all azimuths are one. Every pair of a polar angle and an azimuth is an entry of a table, and each
     photodiode marks its entries: sorting would take far longer.
     """
-    betas, which_beta = np.unique(np.round(beta_deg, DECIMALS), return_inverse=True)
-    shifts, which_shift = np.unique(np.round(shift_deg, DECIMALS), return_inverse=True)
+    betas, which_beta = np.unique(round_deg(beta_deg), return_inverse=True)
+    shifts, which_shift = np.unique(round_deg(shift_deg), return_inverse=True)
     pairs = np.unique(which_beta.ravel() * len(shifts) + which_shift.ravel())
-    signed = np.round(polar_deg[:, None] + shifts, DECIMALS)
+    signed = round_deg(polar_deg[:, None] + shifts)
     polars, polar_index = np.unique(np.abs(signed), return_inverse=True)
     polar_index = polar_index.reshape(signed.shape)
-    both_sides = np.stack([wrap_azimuth(betas), wrap_azimuth(betas + HALF_TURN_DEG)])
+    both_sides = np.stack([round_azimuth(betas), round_azimuth(betas + HALF_TURN_DEG)])
     azimuths, azimuth_index = np.unique(both_sides, return_inverse=True)
     azimuth_index = azimuth_index.reshape(2, len(betas))
     photodiodes = np.zeros((len(polars), len(azimuths)), dtype=np.int64)

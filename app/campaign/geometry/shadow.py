@@ -12,6 +12,7 @@ import numpy as np
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 from goniotwin.twin.optics.geometry.mirrors import mirrors_at
 
 TINY = 1e-9
@@ -30,7 +31,7 @@ def blocked_by_mirrors(
     """
     instrument = nominal_instrument(rig)
     angles, index = np.unique(
-        np.round(np.stack([np.ravel(zenith_deg), np.ravel(azimuth_deg)], axis=1), 6), axis=0, return_inverse=True
+        round_deg(np.stack([np.ravel(zenith_deg), np.ravel(azimuth_deg)], axis=1)), axis=0, return_inverse=True
     )
     if not angles.size:
         return np.zeros(np.shape(zenith_deg), dtype=bool)

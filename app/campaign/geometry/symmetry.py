@@ -7,10 +7,10 @@ an isotropic sample all gammas are alike, and beta measures what -beta measures.
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.directions import wrap_azimuth
-from goniotwin.app.campaign.schedule.grids import DECIMALS, fold_azimuth
+from goniotwin.app.campaign.geometry.directions import round_azimuth
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, round_deg
 
 
 def unique_pose_mask(poses: Floats, symmetry: StatedSymmetry) -> Flags:
@@ -28,19 +28,19 @@ def unique_pose_mask(poses: Floats, symmetry: StatedSymmetry) -> Flags:
 def mirror_images(poses: Floats, symmetry: StatedSymmetry, turn_deg: float) -> Floats:
     """The mirror images of poses (n, 4), angles from 0 to 360 deg; for an isotropic sample gamma also turns by `turn_deg`."""
     mirrored = poses.copy()
-    mirrored[:, 0] = wrap_azimuth(poses[:, 0] + turn_deg if symmetry == "isotropic" else -poses[:, 0])
-    mirrored[:, 2] = wrap_azimuth(-poses[:, 2])
+    mirrored[:, 0] = round_azimuth(poses[:, 0] + turn_deg if symmetry == "isotropic" else -poses[:, 0])
+    mirrored[:, 2] = round_azimuth(-poses[:, 2])
     return mirrored
 
 
 def canonical_poses(poses: Floats, symmetry: StatedSymmetry) -> Floats:
     """For each of poses (n, 4) the same pose for all that are mirror images of each other."""
     canonical = poses.copy()
-    gamma, beta = wrap_azimuth(poses[:, 0]), wrap_azimuth(poses[:, 2])
+    gamma, beta = round_azimuth(poses[:, 0]), round_azimuth(poses[:, 2])
     if symmetry == "isotropic":
         canonical[:, 0], canonical[:, 2] = 0.0, fold_azimuth(beta)
     elif symmetry == "plane-symmetric":
-        other_gamma, other_beta = wrap_azimuth(-gamma), wrap_azimuth(-beta)
+        other_gamma, other_beta = round_azimuth(-gamma), round_azimuth(-beta)
         swap = (other_gamma < gamma) | ((other_gamma == gamma) & (other_beta < beta))
         canonical[:, 0], canonical[:, 2] = np.where(swap, other_gamma, gamma), np.where(swap, other_beta, beta)
-    return np.asarray(np.round(canonical, DECIMALS))
+    return round_deg(canonical)

@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import lit_arc, observed_directions
-from goniotwin.app.campaign.planning.durations import Moves
 from goniotwin.app.campaign.planning.loop_order import LoopOrder
-from goniotwin.app.campaign.planning.plan import Plan, PlanDetails
+from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, ScanGrid
 from goniotwin.app.campaign.planning.scan_order import ScanOrder
-from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRows
+from goniotwin.app.campaign.planning.timeline import MeasurementBlock
 from goniotwin.app.campaign.planning.warnings import duration_range, plan_warnings
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import LOOP_NAMES
@@ -23,27 +22,25 @@ MAX_LISTED = 6
 """Number of sigmas that are listed with blocked directions."""
 
 
-def check_plan(plan: Plan) -> dict[str, Any]:
-    """Check a plan with `details`; the result is the content of `--json`.
+def check_plan(plan: NewPlan) -> dict[str, Any]:
+    """Check a plan; the result is the content of `--json`.
 
     rows, duration_s, duration_range_s, least_s (lower bound), order, why, kinds (rows by kind), axes_deg (range of each axis),
     directions, shadowed (number that the mirror unit blocks), shadowed_only_for_etalon, shadowed_deg (which), overlaps
     (directions that two photodiodes measure), left_out (poses omitted by symmetry), filter_changes, warnings, mountings,
     unreferenced (axes that need a reference after a power-up), simulated.
     """
-    details, rows = plan.details, plan.rows
-    assert details is not None
-    assert isinstance(rows, PlannedRows)
-    arcs = observed_directions(plan.schedule.file, plan.rig.file, details.mountings[1][0].poses.angles)
+    rows = plan.rows
+    arcs = observed_directions(plan.schedule.file, plan.rig.file, plan.mountings[1][0].poses.angles)
     return {
         "rows": len(rows),
         "duration_s": plan.seconds,
         "duration_range_s": list(duration_range(plan)),
         "least_s": plan.lower_bound_s,
-        "order": loop_names(sample_order(details)[1]),
-        "why": explain_order(plan, details),
+        "order": loop_names(sample_order(plan)[1]),
+        "why": explain_order(plan),
         "kinds": rows.kinds,
-        "axes_deg": _ranges(details, rows),
+        "axes_deg": _ranges(plan),
         "directions": sum(each.directions for each in arcs),
         "shadowed": sum(len(each.blocked_deg) for each in arcs),
         "shadowed_only_for_etalon": sum(each.blocked_only_at_etalon for each in arcs),
@@ -59,19 +56,19 @@ def check_plan(plan: Plan) -> dict[str, Any]:
             if len(each.blocked_deg)
         ],
         "overlaps": sum(each.shared for each in arcs),
-        "left_out": details.mountings[1][0].poses.left_out,
+        "left_out": plan.mountings[1][0].poses.left_out,
         "filter_changes": filter_changes(plan)[0],
-        "warnings": plan_warnings(plan, details, arcs),
-        "mountings": [passes[0].sample for passes in details.mountings],
+        "warnings": plan_warnings(plan, arcs),
+        "mountings": [passes[0].sample for passes in plan.mountings],
         "unreferenced": _unreferenced(plan),
         "simulated": plan.rig.simulated,
     }
 
 
-def sample_order(details: PlanDetails) -> tuple[ScanGrid, ScanOrder]:
+def sample_order(plan: NewPlan) -> tuple[ScanGrid, ScanOrder]:
     """Grid and scan order of the samples; the etalon and the open beam may have other poses."""
-    grid = details.mountings[1][0].grid
-    return grid, details.orders[grid]
+    grid = plan.mountings[1][0].grid
+    return grid, plan.orders[grid]
 
 
 def loop_names(order: ScanOrder) -> list[str]:
@@ -79,13 +76,13 @@ def loop_names(order: ScanOrder) -> list[str]:
     return [COLUMN_NAMES[column] for column in reversed(order.loop_order.columns)]
 
 
-def explain_order(plan: Plan, details: PlanDetails) -> str:
+def explain_order(plan: NewPlan) -> str:
     """The loop orders that were compared, with the approximate duration of the campaign in each, and the filter changes.
 
     The one that was taken comes first.
     """
-    grid, order = sample_order(details)
-    passes = sum(each.grid is grid for mounted in details.mountings for each in mounted)
+    grid, order = sample_order(plan)
+    passes = sum(each.grid is grid for mounted in plan.mountings for each in mounted)
     seconds = {PATH_SEARCH: plan.seconds} if order.improved else {}
     for loop_order in sorted(order.candidates, key=lambda each: (each != order.loop_order, order.candidates[each])):
         if order.candidates[loop_order] < float("inf"):
@@ -100,17 +97,18 @@ def explain_order(plan: Plan, details: PlanDetails) -> str:
     return f"{comparison if len(seconds) > 1 else 'there is only one loop'}{filters}"
 
 
-def filter_changes(plan: Plan) -> tuple[int, float]:
-    """Number of filter changes of a plan with `details`, and the seconds that the wheel turns for them."""
-    assert isinstance(plan.rows, PlannedRows)
-    moves, wavelengths = Moves(plan.rig.file), []
+def filter_changes(plan: NewPlan) -> tuple[int, float]:
+    """Number of filter changes of a plan, and the seconds that the wheel turns for them."""
+    wheel, wavelengths = plan.rig.file.monochromator.wheel, [np.array([np.nan])]
     for piece in plan.rows.pieces:
         if isinstance(piece, MeasurementBlock):
             of_grid = piece.scan_pass.grid.wavelengths_nm
             wavelengths.append(of_grid[piece.points % len(of_grid)])
         elif piece.wavelength_nm is not None:
             wavelengths.append(np.array([piece.wavelength_nm]))
-    return moves.filter_changes(np.concatenate(wavelengths))
+    sequence = np.concatenate(wavelengths)
+    changes = sequence[:-1], sequence[1:]
+    return int(np.count_nonzero(wheel.steps(*changes))), float(wheel.seconds(*changes).sum())
 
 
 def _labels(loop_order: LoopOrder, taken: LoopOrder) -> list[str]:
@@ -123,7 +121,7 @@ def _labels(loop_order: LoopOrder, taken: LoopOrder) -> list[str]:
     return [f"{COLUMN_NAMES[columns[-1]]} inside{by_filter}", *outside]
 
 
-def describe_check(plan: Plan, result: dict[str, Any]) -> str:
+def describe_check(plan: NewPlan, result: dict[str, Any]) -> str:
     """The result of `check_plan` as text."""
     file = plan.schedule.file
     kinds = ", ".join(f"{count} {kind}" for kind, count in result["kinds"].items())
@@ -151,7 +149,7 @@ def describe_check(plan: Plan, result: dict[str, Any]) -> str:
     return "\n".join([*lines, *(f"  warning     {each}" for each in result["warnings"])])
 
 
-def _light(plan: Plan) -> str:
+def _light(plan: NewPlan) -> str:
     return {"reflected": "reflection", "transmitted": "transmission", "both": "reflection and transmission"}[
         plan.schedule.file.light
     ]
@@ -176,15 +174,15 @@ def _straight(each: dict[str, Any]) -> str:
     return "specular direction" if each["arc"] == lit_arc(each["sigma"]) else "direction straight through"
 
 
-def _ranges(details: PlanDetails, rows: PlannedRows) -> dict[str, list[float]]:
+def _ranges(plan: NewPlan) -> dict[str, list[float]]:
     """Lowest and highest angle of each axis."""
-    single = [piece.pose for piece in rows.pieces if isinstance(piece, Row) and piece.pose is not None]
-    blocks = [each.poses.angles for passes in details.mountings for each in passes]
+    single = [piece.pose for piece in plan.rows.pieces if isinstance(piece, Row) and piece.pose is not None]
+    blocks = [each.poses.angles for passes in plan.mountings for each in passes]
     poses = np.concatenate([*blocks, np.array(single).reshape(-1, len(AXES))])
     return {axis: [float(column.min()), float(column.max())] for axis, column in zip(AXES, poses.T, strict=True)}
 
 
-def _unreferenced(plan: Plan) -> list[str]:
+def _unreferenced(plan: NewPlan) -> list[str]:
     """Axes that are unreferenced after a power-up of their controller."""
     tables = {name: getattr(plan.rig.file.axes, name) for name in AXES}
     return [name for name, table in tables.items() if table.homing_required or not table.power_up_at_reference]

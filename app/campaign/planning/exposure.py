@@ -12,14 +12,12 @@ import numpy as np
 from goniotwin.app.campaign.planning.durations import ReadingLots, Timing
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import ScanGrid
-from goniotwin.app.campaign.readout import MIN_AVERAGED_READINGS, GainSequence, readings_needed, saturation
+from goniotwin.app.campaign.readout import GainSequence, further_readings, min_readings
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
-from goniotwin.app.rig import RigDescription, monochromator_settings, photodiode_settings
-from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig.described_twin import NoDescription, described_twin
 from goniotwin.arrays import Counts, Flags, Floats, Ints
-from goniotwin.protocols import adam
 from goniotwin.twin.plant import Plant, TwinModel
-from goniotwin.twin.plant.converter import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.view import Aspect
 
@@ -34,8 +32,14 @@ DRAW_OFFSET = 37
 
 
 def exposure_twin(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel | None:
-    """The twin of a virtual rig, or the one that a real rig's file describes; None where its signal takes long to calculate."""
-    model = described_twin(rig, etalon, samples, {}).rig.model()
+    """The twin of a virtual rig, or the one that a real rig's file describes.
+
+    None where the file describes none, or its signal takes long to calculate.
+    """
+    try:
+        model = described_twin(rig, etalon, samples, {}).rig.model()
+    except NoDescription:
+        return None
     if model is None or model.estimator.kind != "fast" or model.estimator.stray:
         return None
     return model
@@ -58,9 +62,8 @@ class ExpectedSignal:
     """The expected signal of a twin's photodiodes as counts, and the readings that a row needs with it."""
 
     def __init__(self, rig: RigDescription, model: TwinModel) -> None:
-        self._settings = photodiode_settings(rig.file)
-        self._wheel = monochromator_settings(rig.file).wheel
-        self._model = model
+        self._settings = rig.file.photodiodes
+        self._wheel = rig.file.monochromator.wheel
         self._plant = Plant(model)
 
     def lots(self, row: Row, point: Floats, number: int) -> Iterator[ReadingLots]:
@@ -75,37 +78,23 @@ class ExpectedSignal:
             drawn = _normals(len(signal) + 1)[np.mod(np.arange(MAX_DRAWS) + number * DRAW_OFFSET, MAX_DRAWS)]
             counts = self._counts(signal, gain, drawn)
             lots = self._lots(row, gain, counts, gains.saturated)
-            gains.add(counts[: max(MIN_AVERAGED_READINGS, min(sum(lots), MAX_DRAWS))])
+            gains.add(counts[: sum(lots)])
             yield gain, lots
 
     def _lots(self, row: Row, gain: int, counts: Counts, selected: Flags) -> tuple[int, ...]:
         """The lots at one gain, as the engine takes them: until the `selected` photodiodes have enough readings."""
-        if row.target is None:
-            return (row.readings,)
+        lots = [min_readings(row)]
         dark = self._counts(np.zeros(counts.shape[1]), gain, np.zeros((1, counts.shape[1] + 1)))[0].astype(float)
-        most = max(row.readings, int(row.longest_s / self._settings.period_s))
-        lots = [max(row.readings, MIN_AVERAGED_READINGS)]
         while sum(lots) <= MAX_DRAWS:
-            taken = counts[: sum(lots)]
-            needed = readings_needed(taken, dark, selected & ~saturation(taken), row.target, most)
-            if needed <= sum(lots):
+            further = further_readings(row, counts[: sum(lots)], dark, selected, self._settings.period_s)
+            if not further:
                 break
-            lots.append(needed - sum(lots))
+            lots.append(further)
         return tuple(lots)
 
     def _counts(self, signal_a: Floats, gain: int, drawn: Floats) -> Counts:
-        """Counts (readings, photodiodes) at a gain, given by number; the first column of `drawn` is the flicker of the lamp."""
-        electronics, diodes = self._model.electronics, self._model.photodiodes
-        noisy = float(self._model.noise)
-        volts_per_a = electronics.gains_v_per_a[gain]
-        current = signal_a * (1.0 + noisy * self._model.light.flicker * drawn[:, :1]) + diodes.dark_a
-        bandwidth = 0.5 / self._plant.conversion_period_s
-        noise = 2.0 * ELEMENTARY_CHARGE_C * np.abs(current) * bandwidth
-        noise += 4.0 * BOLTZMANN_J_PER_K * electronics.temperature_k * bandwidth / volts_per_a
-        spread = np.sqrt(noise * volts_per_a**2 + electronics.noise_v**2)
-        volts = current * volts_per_a + noisy * spread * drawn[:, 1:] + electronics.offset_v
-        counts = (volts - self._settings.range.low_v) / self._settings.range.lsb_v
-        return np.round(np.clip(counts, 0, adam.FULL_SCALE)).astype(np.uint16)
+        """Counts (readings, photodiodes) at a gain, given by number, with drawn noise."""
+        return self._settings.range.raw(self._plant.drawn_volts(signal_a, gain, drawn)).astype(np.uint16)
 
 
 @lru_cache(maxsize=4)

@@ -32,7 +32,7 @@ def loop_sequence(grid: ScanGrid, loop_order: LoopOrder, moves: Moves) -> Ints:
     loops = []
     for column, back_and_forth in zip(loop_order.columns, loop_order.back_and_forth, strict=True):
         size = len(grid.values[column])
-        ranks = grid.ranks[column] if moves.backlash(column) >= 0 else size - 1 - grid.ranks[column]
+        ranks = grid.ranks[column] if moves.approach(column) >= 0 else size - 1 - grid.ranks[column]
         loops.append(Loop(ranks, size, back_and_forth, column in loop_order.reversed_columns))
     return nested_sequence(len(grid), loops)
 

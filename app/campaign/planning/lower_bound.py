@@ -13,11 +13,11 @@ from itertools import product
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.durations import TINY, Moves, Timing, min_intervals, shortest_warm_up_s
+from goniotwin.app.campaign.planning.durations import TINY, UNKNOWN_STATE, Moves, Timing, shortest_warm_up_s
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH, ScanGrid
 from goniotwin.app.campaign.planning.timeline import RowTemplates
-from goniotwin.app.campaign.row import NO_SAMPLE
+from goniotwin.app.campaign.planning.validation import min_rows
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 
@@ -46,7 +46,7 @@ def _gap_seconds(values: Floats, moves: Moves, column: int) -> Floats:
     if column == WAVELENGTH:
         # Between two filters the neighbours need not be the cheapest move: the wheel may be quicker from the filter before to
         # the one after. Any move that changes the filter goes at least from one filter's last wavelength to another's first.
-        changes = np.flatnonzero(np.diff(moves.filter_numbers(values)))
+        changes = np.flatnonzero(np.diff(moves.wheel.numbers(values)))
         for k in changes:
             below, above = np.meshgrid(values[changes[changes <= k]], values[changes[changes >= k] + 1])
             cheaper[k] = _quicker_direction(below.ravel(), above.ravel(), moves, column).min()
@@ -90,18 +90,15 @@ def plan_lower_bound_s(rig: RigFile, templates: RowTemplates, mounted: list[list
 def _mounting_seconds(templates: RowTemplates, passes: list[Pass], moving: dict[ScanGrid, float], timing: Timing) -> float:
     """Lower bound of all rows of one mounting."""
     file = templates.file
-    row = templates.measurement(passes[0].sample)
-    reading = timing.reading_range_s(row)[0] + timing.readback_s
-    rows = sum(len(each.grid) for each in passes)
-    if file.drift is not None and passes[0].sample != NO_SAMPLE:
-        rows += 1 + min_intervals(rows, reading, file.drift.every_s)
-    measuring = rows * reading + sum(moving[each.grid] for each in passes)
-    intervals = min_intervals(rows, reading, file.dark_every_s)
+    rows = min_rows([passes], templates, timing)
+    reading = timing.least_row_s(templates.measurement(passes[0].sample))
+    measuring = (rows["measure"] + rows["drift"]) * reading + sum(moving[each.grid] for each in passes)
+    intervals = rows["dark"] - 1
     if _longest_row_seconds(templates, passes, timing) <= file.dark_every_s:
         intervals = max(intervals, math.ceil(measuring / file.dark_every_s - TINY))
-    shutter = timing.switch_shutter(opened=True) + timing.switch_shutter(opened=False)
+    shutter = sum(timing.shutter_s(UNKNOWN_STATE, opened=opened) for opened in (True, False))
     dark = templates.dark("", 0)
-    return measuring + (intervals + 1) * timing.typical_reading_s(dark) + intervals * shutter
+    return measuring + (intervals + 1) * timing.similar_reading_s(dark) + intervals * shutter
 
 
 def _longest_row_seconds(templates: RowTemplates, passes: list[Pass], timing: Timing) -> float:
@@ -116,11 +113,11 @@ def _longest_row_seconds(templates: RowTemplates, passes: list[Pass], timing: Ti
     moving = timing.moves.seconds(corners, corners[::-1])
     # The longest move along the wavelengths need not go from end to end, but it is between two ends of filters' bands.
     wavelengths = np.unique(np.concatenate([values[WAVELENGTH] for values in columns]))
-    filters = timing.moves.filter_numbers(wavelengths)
+    filters = timing.moves.wheel.numbers(wavelengths)
     band_ends = np.unique([f(wavelengths[filters == number]) for number in np.unique(filters) for f in (np.min, np.max)])
     slewing = timing.moves.one_step(WAVELENGTH)
     slowest = slewing(np.repeat(band_ends, len(band_ends)), np.tile(band_ends, len(band_ends))).max()
     beyond = slowest - slewing(band_ends[:1], band_ends[-1:])[0]
     row = templates.measurement(passes[0].sample)
-    reading = timing.longest_reading_s(row) + timing.readback_s
-    return float(moving.max() + max(0.0, beyond)) + timing.shutter_seconds(opened=True) + reading
+    reading = timing.longest_reading_s(row) + timing.read_back_s
+    return float(moving.max() + max(0.0, beyond)) + timing.shutter_s(UNKNOWN_STATE, opened=True) + reading

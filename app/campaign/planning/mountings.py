@@ -10,7 +10,7 @@ from goniotwin.app.campaign.planning.scan_grid import ScanGrid
 from goniotwin.app.campaign.row import MIRRORED_MARK, NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.rig import RigFile, monochromator_settings
+from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 
 
@@ -49,7 +49,7 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     wavelengths = np.array(grid_values(file.wavelength_nm))
     of_samples = sample_poses(file, rig)
     of_etalon = etalon_poses(file, of_samples)
-    filters = monochromator_settings(rig).wheel.numbers(wavelengths)
+    filters = rig.monochromator.wheel.numbers(wavelengths)
     grid = ScanGrid(of_samples.angles, wavelengths, filters)
     etalon_grid = grid if of_etalon is of_samples else ScanGrid(of_etalon.angles, wavelengths, filters)
     suffixes = ["", *(f"/repeat {k}" for k in range(2, file.repeats + 1))]

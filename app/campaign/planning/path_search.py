@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.collision import beam_crossings, crosses_beam_between
-from goniotwin.app.campaign.planning.durations import EXCHANGES_AFTER_MOVE, EXCHANGES_BEFORE_MOVE, Moves
+from goniotwin.app.campaign.geometry.collision import BETA, SHIFT, beam_crossings, crosses_beam_between
+from goniotwin.app.campaign.planning.durations import Moves
 from goniotwin.app.campaign.planning.loop_order import Loop, moving_seconds, nested_sequence
 from goniotwin.app.campaign.planning.lower_bound import moving_lower_bound_s
 from goniotwin.app.campaign.planning.scan_grid import ScanGrid
@@ -25,7 +25,6 @@ from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ArcClearance
 from goniotwin.twin.optics.kernel import kernel
 
-BETA, SHIFT = 2, 3
 TINY_S = 1e-7
 """Least saving of a change."""
 COLLISION_PENALTY_S = 1.0e6
@@ -119,7 +118,7 @@ class StepCosts:
         self._ranks = grid.ranks
         self._columns = grid.varying_columns
         self._seconds = {column: _seconds(grid.values[column], moves, column) for column in grid.varying_columns}
-        self._further_s = (EXCHANGES_BEFORE_MOVE + EXCHANGES_AFTER_MOVE) * moves.exchange_s
+        self._further_s = moves.further_move_s
         self._crossing, self._high = beam_crossings(clearance, grid.values[BETA], grid.values[SHIFT])
         self._end_s = np.zeros((len(grid),))
         if ends is not None:

@@ -4,7 +4,7 @@ A row is a commit point. Dark readings and mountings are rows like any other. If
 every order, the tables that cause it are omitted, or the schedule is refused with the key at fault.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,44 +38,48 @@ CROSS_CHECKS = ("overlap", "symmetry_check")
 
 
 @dataclass(frozen=True)
-class PlanDetails:
-    """How a plan was made.
+class Plan:
+    """Rows with their estimated durations on the rig's clock: a new plan, or that of a journal."""
+
+    schedule: ScheduleDescription
+    rig: RigDescription
+    rows: Sequence[Row]
+
+    @property
+    def seconds(self) -> float:
+        """Estimated duration, without the time that the operator takes to mount samples."""
+        return sum(row.seconds for row in self.rows)
+
+
+@dataclass(frozen=True)
+class NewPlan(Plan):
+    """A plan with what it was made from.
 
     `templates`: how its rows are read. `mountings`: the passes of each mounting. `orders`: the scan order of each grid.
     `oldest_dark_s`: greatest age of a dark reading. `expected_reading_s`: by sample, the time to read a row in s, where it
     follows from a twin's signal. `omitted`: tables of the schedule that had to be omitted to keep the arc clear of the beam.
     """
 
+    rows: PlannedRows
     templates: RowTemplates
     mountings: list[list[Pass]]
     orders: dict[ScanGrid, ScanOrder]
     oldest_dark_s: float
-    expected_reading_s: dict[str, float]
-    omitted: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Rows with their estimated durations on the rig's clock; `details` is None for a plan from a journal."""
-
-    schedule: ScheduleDescription
-    rig: RigDescription
-    rows: Sequence[Row]
-    details: PlanDetails | None = None
+    expected_reading_s: Mapping[str, float]
+    omitted: tuple[str, ...]
 
     @property
     def seconds(self) -> float:
         """Estimated duration, without the time that the operator takes to mount samples."""
-        return self.rows.seconds if isinstance(self.rows, PlannedRows) else sum(row.seconds for row in self.rows)
+        return self.rows.seconds
 
     @property
     def lower_bound_s(self) -> float:
-        """Lower bound of the machine time in s: no order of the rows takes less. Only for a plan with `details`."""
-        assert self.details is not None
-        return plan_lower_bound_s(self.rig.file, self.details.templates, self.details.mountings)
+        """Lower bound of the machine time in s: no order of the rows takes less."""
+        return plan_lower_bound_s(self.rig.file, self.templates, self.mountings)
 
 
-def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
+def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> NewPlan:
     """Make the plan of a schedule on a rig. Raises UserError, with file and key, for what the rig cannot do.
 
     If the arc would collide with the beam, cross-checks are omitted before the schedule is refused.
@@ -98,9 +102,8 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
     raise UserError(f"{schedule.name}: {reason}; change beta_deg or shift_deg")
 
 
-def first_collision(rows: Sequence[Row], clearance: ArcClearance) -> str | None:
+def first_collision(rows: PlannedRows, clearance: ArcClearance) -> str | None:
     """The first row on the way to which the arc would collide with the beam, and the reason; None without a collision."""
-    assert isinstance(rows, PlannedRows)
     last = None
     for piece in rows.pieces:
         if isinstance(piece, MeasurementBlock):
@@ -147,7 +150,9 @@ def _remedies(file: ScheduleFile) -> Iterator[tuple[str, ScheduleFile]]:
         yield "change drift.beta_deg or drift.shift_deg", plain.model_copy(update={"drift": None})
 
 
-def _build_plan(schedule: ScheduleDescription, rig: RigDescription, gains: tuple[int, ...], omitted: tuple[str, ...]) -> Plan:
+def _build_plan(
+    schedule: ScheduleDescription, rig: RigDescription, gains: tuple[int, ...], omitted: tuple[str, ...]
+) -> NewPlan:
     """The plan without the `omitted` tables; it may have collisions. Raises UserError."""
     file = schedule.file.model_copy(update=dict.fromkeys(omitted))
     templates, clearance = RowTemplates(file, gains), arc_clearance(rig.file)
@@ -158,13 +163,13 @@ def _build_plan(schedule: ScheduleDescription, rig: RigDescription, gains: tuple
     refuse_too_many_poses(schedule, mounted)
     refuse_uncertified(schedule, rig.file, mounted[1][0].poses.angles)
     timing = Timing(rig.file)
-    timeline = PlanTimeline(file, templates, timing, clearance)
     refuse_too_many_checks(schedule, min_rows(mounted, templates, timing), "at least ")
-    timing.expected_reading_s.update(_expected_readings(schedule, rig, mounted, templates, timing))
+    timing = Timing(rig.file, _expected_readings(schedule, rig, mounted, templates, timing))
+    timeline = PlanTimeline(file, templates, timing, clearance)
     timeline.warm_up(float(np.median(mounted[0][0].grid.wavelengths_nm)))
     grids = dict.fromkeys(each.grid for passes in mounted for each in passes)
     candidates = {grid: fastest_scan_order(grid, file, timing.moves, clearance) for grid in grids}
-    orders, sequences = PassOrder(mounted, file, timing.moves, clearance).fastest(candidates, timing.position)
+    orders, sequences = PassOrder(mounted, file, timing.moves, clearance).fastest(candidates, timeline.state.point)
     remaining = iter(sequences)
     for passes in mounted:
         timeline.mount(passes[0].sample)
@@ -173,8 +178,7 @@ def _build_plan(schedule: ScheduleDescription, rig: RigDescription, gains: tuple
         timeline.dismount(passes[-1].sample)
     rows = PlannedRows(timeline.pieces, templates)
     refuse_too_many_checks(schedule, rows.kinds)
-    details = PlanDetails(templates, mounted, orders, timeline.oldest_dark_s, timing.expected_reading_s, omitted)
-    return Plan(schedule, rig, rows, details)
+    return NewPlan(schedule, rig, rows, templates, mounted, orders, timeline.oldest_dark_s, timing.expected_reading_s, omitted)
 
 
 def _expected_readings(

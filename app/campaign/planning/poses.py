@@ -14,14 +14,14 @@ from goniotwin.app.campaign.geometry.collision import reachable_poses
 from goniotwin.app.campaign.geometry.directions import LitSide, rig_sigma_deg
 from goniotwin.app.campaign.geometry.symmetry import mirror_images, unique_pose_mask
 from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.grids import DECIMALS, grid_values
+from goniotwin.app.campaign.schedule.grids import WHOLE, evenly_spaced, grid_values
 from goniotwin.app.rig import RigFile, arc_clearance
 from goniotwin.arrays import Flags, Floats
+from goniotwin.drivers.motion import within_limits
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, TOLERANCE_DEG, round_deg
 
 CHECK_TURNS_DEG = (90.0, -90.0, 0.0)
 """Turns of gamma for the symmetry check of an isotropic sample, besides the mirroring: the first possible one is taken."""
-OPEN_BEAM_BETA_DEG = 180.0
-TINY_DEG = 1e-6
 MAX_NEAR_CANDIDATES = 10_000_000
 """Limit of the poses that are tested for nearness to the specular direction."""
 MAX_FURTHER_POSES = 4_000_000
@@ -70,18 +70,17 @@ def etalon_poses(file: ScheduleFile, of_samples: Poses) -> Poses:
 def open_beam_poses(file: ScheduleFile, rig: RigFile) -> Floats:
     """Poses (n, 4) at which a photodiode of the far arc looks straight into the beam. Raises ValueError if there is none."""
     poses = []
-    lower, upper = rig.axes.shift.lower_deg, rig.axes.shift.upper_deg
     for side in lit_sides(file):
         for sigma in grid_values(file.sigma_deg):
             rig_sigma = rig_sigma_deg(sigma, side)
-            shifts = [round(sigma - polar, DECIMALS) for polar in polar_deg(rig, far_arc(rig_sigma))]
-            possible = sorted((abs(shift), shift) for shift in shifts if lower <= shift <= upper)
+            shifts = round_deg(np.subtract(sigma, polar_deg(rig, far_arc(rig_sigma)))).tolist()
+            possible = sorted((abs(shift), shift) for shift in shifts if within_limits(rig.axes.shift, shift))
             if not possible:
                 raise ValueError(
                     f"open_beam: at sigma {sigma:g} deg no photodiode of the {far_arc(rig_sigma)} arc reaches the beam; "
                     "remove that sigma, or set open_beam = false"
                 )
-            poses.append((grid_values(file.gamma_deg)[0], rig_sigma, OPEN_BEAM_BETA_DEG, possible[0][1]))
+            poses.append((grid_values(file.gamma_deg)[0], rig_sigma, SPECULAR_AZIMUTH_DEG, possible[0][1]))
     return np.array(poses)
 
 
@@ -126,7 +125,7 @@ def near_specular_poses(file: ScheduleFile, rig: RigFile, side: LitSide) -> Floa
     if table.beta_step_deg is not None:
         steps = (betas.max() - betas.min()) / table.beta_step_deg
         _refuse_too_many(len(grid_values(file.sigma_deg)), steps, len(shifts))
-        betas = np.union1d(betas, np.round(betas.min() + table.beta_step_deg * np.arange(int(steps + 1e-6) + 1), 9))
+        betas = np.union1d(betas, evenly_spaced(float(betas.min()), table.beta_step_deg, int(steps + WHOLE)))
     if table.shift_deg is not None:
         shifts = np.union1d(shifts, grid_values(table.shift_deg))
     _refuse_too_many(len(grid_values(file.sigma_deg)), len(betas), len(shifts))
@@ -134,7 +133,7 @@ def near_specular_poses(file: ScheduleFile, rig: RigFile, side: LitSide) -> Floa
     for sigma in grid_values(file.sigma_deg):
         arcs = observing_arcs(file, rig_sigma_deg(sigma, side))
         polar = sorted(set(chain.from_iterable(polar_deg(rig, arc) for arc in arcs)))
-        k, j = np.nonzero(_closest_deg(sigma, betas, shifts, polar, table.within_deg) <= table.within_deg + TINY_DEG)
+        k, j = np.nonzero(_closest_deg(sigma, betas, shifts, polar, table.within_deg) <= table.within_deg + TOLERANCE_DEG)
         blocks.append(np.stack([np.full(len(k), sigma), betas[k], shifts[j]], axis=1))
     return np.concatenate(blocks)
 
@@ -145,7 +144,7 @@ def _closest_deg(sigma_deg: float, beta_deg: Floats, shift_deg: Floats, polar_de
     sigma = np.radians(sigma_deg)
     for polar in polar_deg:
         # Two directions are at least as far apart as their zenith angles.
-        if not np.any(np.abs(np.abs(polar + shift_deg) - sigma_deg) <= within_deg + TINY_DEG):
+        if not np.any(np.abs(np.abs(polar + shift_deg) - sigma_deg) <= within_deg + TOLERANCE_DEG):
             continue
         zenith = np.radians(polar + shift_deg)
         cosine = np.cos(zenith) * np.cos(sigma) - np.sin(zenith) * np.sin(sigma) * np.cos(np.radians(beta_deg))[:, None]
@@ -181,11 +180,9 @@ def overlapping_step_deg(rig: RigFile, base_deg: float) -> float | None:
     """The smallest step of the shift after which most photodiodes look where others did at `base_deg`; None without one."""
     counts: dict[float, int] = {}
     for arc in (rig.photodiodes.upper_deg, rig.photodiodes.lower_deg):
-        for one in arc:
-            for other in arc:
-                step = round(other - one, DECIMALS)
-                if step != 0.0 and rig.axes.shift.lower_deg <= base_deg + step <= rig.axes.shift.upper_deg:
-                    counts[step] = counts.get(step, 0) + 1
+        for step in round_deg(np.subtract.outer(arc, arc)).ravel().tolist():
+            if step != 0.0 and within_limits(rig.axes.shift, base_deg + step):
+                counts[step] = counts.get(step, 0) + 1
     return min(counts, key=lambda step: (-counts[step], abs(step), step), default=None)
 
 
@@ -202,7 +199,7 @@ def symmetry_check_poses(file: ScheduleFile, rig: RigFile, poses: Floats) -> Flo
     for turn in CHECK_TURNS_DEG:
         mirrored = mirror_images(plain, file.symmetry, turn)
         others = np.any(mirrored != plain, axis=1)
-        within = others & _within_limits(rig, mirrored)
+        within = others & within_limits(rig.axes.gamma, mirrored[:, 0]) & within_limits(rig.axes.beta, mirrored[:, 2])
         usable = mirrored[within & reachable_poses(arc_clearance(rig), plain, mirrored)]
         if len(usable) >= points:
             return np.asarray(usable[np.round(np.linspace(0, len(usable) - 1, points)).astype(int)])
@@ -219,11 +216,3 @@ def symmetry_check_poses(file: ScheduleFile, rig: RigFile, poses: Floats) -> Flo
         f"symmetry_check.points: {points}, but the rig reaches the mirror images of {most} of {len(plain)} poses{reason}; "
         f"{remedy}"
     )
-
-
-def _within_limits(rig: RigFile, poses: Floats) -> Flags:
-    gamma, beta = rig.axes.gamma, rig.axes.beta
-    return np.asarray(
-        (poses[:, 0] >= gamma.lower_deg) & (poses[:, 0] <= gamma.upper_deg)
-        & (poses[:, 2] >= beta.lower_deg) & (poses[:, 2] <= beta.upper_deg)
-    )  # fmt: skip

@@ -156,7 +156,7 @@ def _loop_orders(grid: ScanGrid, back_and_forth: bool, moves: Moves) -> Iterator
     """All loop orders. Without backlash, back and forth is never slower; with backlash either may be faster."""
     for outer in permutations(grid.varying_columns):
         for columns in (outer, *(_with_filter_loop(outer) if grid.has_filter_groups else ())):
-            directions = [(True, False) if moves.backlash(column) else (True,) for column in columns]
+            directions = [(True, False) if moves.approach(column) else (True,) for column in columns]
             for both in product(*(each if back_and_forth else (False,) for each in directions)):
                 yield LoopOrder(columns, both)
 
@@ -173,10 +173,10 @@ def _step_seconds(grid: ScanGrid, moves: Moves, grouped: bool) -> tuple[dict[int
     If wavelengths are `grouped` by their filters, steps between two filters belong to the loop over the filters.
     """
     forward, backward, whole = {}, {}, {}
-    changes = np.diff(moves.filter_numbers(grid.values[WAVELENGTH])) != 0
+    changes = np.diff(moves.wheel.numbers(grid.values[WAVELENGTH])) != 0
     for column in (*grid.varying_columns, *((FILTER,) if grouped else ())):
         own = min(column, WAVELENGTH)
-        values = grid.values[own] if moves.backlash(column) >= 0 else grid.values[own][::-1]
+        values = grid.values[own] if moves.approach(column) >= 0 else grid.values[own][::-1]
         steps = np.full(len(values) - 1, True) if not grouped or own != WAVELENGTH else changes == (column == FILTER)
         seconds = moves.one_step(own)
         forward[column] = float(seconds(values[:-1][steps], values[1:][steps]).mean())

@@ -5,7 +5,6 @@ The rows are counted and timed at once, and built only when they are read.
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
@@ -14,7 +13,7 @@ from typing import overload
 import numpy as np
 
 from goniotwin.app.campaign.geometry.collision import crosses_beam_between
-from goniotwin.app.campaign.planning.durations import Timing
+from goniotwin.app.campaign.planning.durations import UNKNOWN_STATE, RigState, Timing
 from goniotwin.app.campaign.planning.mountings import Pass, drift_point
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
@@ -53,7 +52,10 @@ class RowTemplates:
 
 @dataclass
 class PlanTimeline:
-    """The timeline while it is built: single rows (their number still 0) and blocks of measurements."""
+    """The timeline while it is built: single rows (their number still 0) and blocks of measurements.
+
+    `state` is the state of the rig at its end.
+    """
 
     file: ScheduleFile
     templates: RowTemplates
@@ -61,6 +63,7 @@ class PlanTimeline:
     clearance: ArcClearance
     pieces: list[Row | MeasurementBlock] = field(default_factory=list)
     oldest_dark_s: float = 0.0
+    state: RigState = UNKNOWN_STATE
     _dark_count: int = 0
     _drift_count: int = 0
     _since_dark: float = 0.0
@@ -96,18 +99,18 @@ class PlanTimeline:
         """
         points = scan_pass.grid.points[sequence]
         timing, row = self.timing, self.templates.measurement(scan_pass.sample)
-        reading = timing.typical_reading_s(row) + timing.readback_s
-        moving = timing.moves.seconds(np.concatenate([timing.position[None], points[:-1]]), points)
-        seconds = moving + reading
+        similar = timing.similar_reading_s(row)
+        moving = timing.moves.seconds(np.concatenate([self.state.point[None], points[:-1]]), points)
+        seconds = moving + (similar + timing.read_back_s)
         ends = np.cumsum(seconds)
         check_possible = self._check_possible(scan_pass.sample, points)
         check_places = np.array([-1, *np.flatnonzero(check_possible[1:]) + 1, len(points)])
         begin, moved_away, check_due = 0, False, False
         while begin < len(points):
             # What came before has closed the shutter, moved the axes away, or left another gain.
-            extra = timing.shutter_seconds(opened=True) + timing.next_reading_s(row) - timing.typical_reading_s(row)
+            extra = timing.shutter_s(self.state, opened=True) + timing.reading_s(row, self.state.gain) - similar
             if moved_away:
-                back = timing.moves.seconds(timing.position[None], points[begin : begin + 1])
+                back = timing.moves.seconds(self.state.point[None], points[begin : begin + 1])
                 extra += float(back[0] - moving[begin])
             until_dark = self.file.dark_every_s - self._since_dark
             until_drift = self._until_drift(scan_pass.sample)
@@ -127,9 +130,7 @@ class PlanTimeline:
             check = int(check_places[sooner] if check_places[sooner] > begin else check_places[sooner + 1])
             end = max(begin + 1, min(dark, check))
             check_due = end == check < len(points)
-            timing.switch_shutter(opened=True)
-            timing.position = points[end - 1]
-            timing.advance(row, end - begin)
+            self.state = RigState(points[end - 1], True, timing.gain_after(row, self.state.gain, end - begin))
             block_seconds = seconds[begin:end].copy()
             block_seconds[0] += extra
             self._advance(float(block_seconds.sum()))
@@ -166,7 +167,7 @@ class PlanTimeline:
             0, f"{sample}/drift {self._drift_count + 1}", "drift", sample, 0.0, table.wavelength_nm, pose,
             template.gains, template.readings, template.automatic, template.target, template.longest_s,
         )  # fmt: skip
-        seconds = copy(self.timing).row_seconds(row)
+        seconds, _ = self.timing.row(self.state, row)
         if self._lit_since_dark and self._since_dark + seconds > self.file.dark_every_s:
             self._dark(sample)
         self._drift_count += 1
@@ -175,7 +176,7 @@ class PlanTimeline:
         self._since_drift = 0.0
 
     def _add(self, row: Row) -> None:
-        seconds = self.timing.row_seconds(row)
+        seconds, self.state = self.timing.row(self.state, row)
         self._advance(0.0 if row.kind in ("dark", "mount") else seconds)
         self._since_drift += seconds if row.kind == "dark" else 0.0
         self.pieces.append(replace(row, seconds=seconds))
@@ -229,8 +230,6 @@ class PlannedRows(Sequence[Row]):
 
     def __eq__(self, other: object) -> bool:
         return self._rows == (other._rows if isinstance(other, PlannedRows) else other)
-
-    __hash__ = None  # type: ignore[assignment]
 
     @cached_property
     def _rows(self) -> tuple[Row, ...]:

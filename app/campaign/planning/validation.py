@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import ArcDirections, lit_sides, observed_directions
-from goniotwin.app.campaign.geometry.directions import incidence_deg, rig_sigma_deg
+from goniotwin.app.campaign.geometry.directions import rig_sigma_deg
 from goniotwin.app.campaign.geometry.symmetry import unique_pose_mask
 from goniotwin.app.campaign.planning.durations import Timing, min_intervals
 from goniotwin.app.campaign.planning.mountings import Pass
@@ -21,8 +21,9 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, RigFile, axis_settings
 from goniotwin.arrays import Floats
-from goniotwin.drivers import LimitError
-from goniotwin.drivers.motion import Axis, AxisSettings
+from goniotwin.drivers import AxisDescription
+from goniotwin.drivers.motion import limit_violation
+from goniotwin.twin.optics.geometry.coordinates import incidence_deg
 
 MAX_ROWS = 1_000_000
 """Limit of the number of rows of a campaign."""
@@ -87,7 +88,7 @@ def min_rows(mounted: list[list[Pass]], templates: RowTemplates, timing: Timing)
     kinds = {"measure": 0, "drift": 0, "dark": 0}
     for passes in mounted:
         row = templates.measurement(passes[0].sample)
-        reading = timing.reading_range_s(row)[0] + timing.readback_s
+        reading = timing.least_row_s(row)
         rows = sum(len(each.grid) for each in passes)
         checks = 0
         if file.drift is not None and passes[0].sample != NO_SAMPLE:
@@ -146,13 +147,9 @@ def _angles(file: ScheduleFile) -> Iterator[tuple[str, str, float]]:
             yield f"drift.{axis}_deg", axis, getattr(file.drift, f"{axis}_deg")
 
 
-def _check_axis(schedule: ScheduleDescription, rig: RigDescription, key: str, settings: AxisSettings, value: float) -> None:
-    try:
-        Axis.check_limits(settings, value)
-    except LimitError as error:
-        raise UserError(
-            f"{schedule.name}: {key}: {value:g} deg is {error.happened} in {rig.name}; remove it from the schedule"
-        ) from None
+def _check_axis(schedule: ScheduleDescription, rig: RigDescription, key: str, axis: AxisDescription, value: float) -> None:
+    if (violation := limit_violation(axis, value)) is not None:
+        raise UserError(f"{schedule.name}: {key}: {value:g} deg is {violation} in {rig.name}; remove it from the schedule")
 
 
 def gain_numbers(schedule: ScheduleDescription, rig: RigDescription) -> tuple[int, ...]:

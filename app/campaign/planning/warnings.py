@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import ArcDirections, etalon_sigma_deg, far_arc, lit_arc, polar_deg
-from goniotwin.app.campaign.geometry.directions import Arc, incidence_deg, opposite_sigma_deg, polar_and_azimuth, zenith_deg
+from goniotwin.app.campaign.geometry.arcs import ArcDirections, arc_channels, arc_view, etalon_sigma_deg, far_arc, lit_side
+from goniotwin.app.campaign.geometry.directions import Arc
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.planning.durations import Timing, shortest_warm_up_s
 from goniotwin.app.campaign.planning.exposure import SAMPLED_ROWS
-from goniotwin.app.campaign.planning.plan import Plan, PlanDetails
+from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.planning.poses import overlapping_step_deg
 from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRows
 from goniotwin.app.campaign.planning.validation import certified_directions
@@ -22,32 +22,33 @@ from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.wording import duration_text, number_list
-from goniotwin.app.rig import RigFile, monochromator_settings
+from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Ints
 from goniotwin.twin.optics import Scatterer
+from goniotwin.twin.optics.geometry.coordinates import incidence_deg, opposite_sigma_deg
 
 SECOND_ORDER_NM = 710.0
 """Above this wavelength the second order of the grating passes light of half the wavelength that the lamp's bulb transmits."""
 
 
-def plan_warnings(plan: Plan, details: PlanDetails, arcs: list[ArcDirections]) -> list[str]:
+def plan_warnings(plan: NewPlan, arcs: list[ArcDirections]) -> list[str]:
     """All warnings; `arcs` are the observed directions of the samples."""
     return [
-        *_omitted(plan, details),
+        *_omitted(plan),
         *_blocked(arcs),
         *_uncertified(plan.schedule, arcs),
         *_no_signal(plan, arcs),
         *_unmonitored(plan, arcs),
         *_no_overlap(plan, arcs),
-        *_old_dark_reading(plan, details),
+        *_old_dark_reading(plan),
         *_saturated_open_beam(plan),
         *_second_order(plan),
         *_uncertain_duration(plan),
     ]
 
 
-def _omitted(plan: Plan, details: PlanDetails) -> Iterator[str]:
-    for name in details.omitted:
+def _omitted(plan: NewPlan) -> Iterator[str]:
+    for name in plan.omitted:
         points = getattr(plan.schedule.file, name).points
         yield (
             f"[{name}] points = {points} is omitted: in any order the arc would collide with the incoming beam on the way to "
@@ -90,7 +91,7 @@ def _uncertified(schedule: ScheduleDescription, arcs: list[ArcDirections]) -> It
         )
 
 
-def _no_signal(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
+def _no_signal(plan: NewPlan, arcs: list[ArcDirections]) -> Iterator[str]:
     """Samples of a virtual rig without light where they are measured; of a real rig's samples this is not known."""
     if not any(each.transmitted for each in arcs) and plan.schedule.file.side == "front":
         return  # reflection from the front: a sample without it would not be measured
@@ -98,26 +99,22 @@ def _no_signal(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
     if model is None:
         return
     file = plan.schedule.file
-    sides = sorted({_lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) for each in arcs})
+    sides = sorted({lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) for each in arcs})
     for side in sides:
         if not _scatters(model.samples[file.etalon], side, transmitted=False):
-            light = _light_kinds(each for each in arcs if _lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) == side)
+            light = _light_kinds(each for each in arcs if lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) == side)
             yield (
                 f"{file.etalon} reflects nothing when its {side} is lit, so that {light} has no scale and no value: "
                 "take an etalon that scatters on both sides"
             )
     for sample in file.samples:
-        for side, transmitted in sorted({(_lit_side(each.sigma_deg), each.transmitted) for each in arcs}):
+        for side, transmitted in sorted({(lit_side(each.sigma_deg), each.transmitted) for each in arcs}):
             if not _scatters(model.samples[sample], side, transmitted=transmitted):
                 verb = "transmits" if transmitted else "reflects"
                 yield (
                     f"{sample} {verb} nothing when its {side} is lit: the readings there are noise; "
                     "check sample, side and light"
                 )
-
-
-def _lit_side(sigma_deg: float) -> str:
-    return "front" if lit_arc(sigma_deg) == "upper" else "back"
 
 
 def _light_kinds(arcs: Iterator[ArcDirections]) -> str:
@@ -130,7 +127,7 @@ def _scatters(sample: Scatterer, side: str, *, transmitted: bool) -> bool:
     return any(lobe.incident == incident and lobe.transmits == transmitted for lobe in sample.lobes)
 
 
-def _unmonitored(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
+def _unmonitored(plan: NewPlan, arcs: list[ArcDirections]) -> Iterator[str]:
     """Photodiodes without light at the pose of the drift checks, as far as the geometry shows."""
     table = plan.schedule.file.drift
     if table is None:
@@ -145,7 +142,8 @@ def _unmonitored(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
         )
         yield (
             f"the drift checks at sigma {table.sigma_deg:g} deg do not light the side of the etalon that photodiodes "
-            f"{number_list(_channels(rig, unlit))} see: a fault of these while the etalon is measured is not detected; {remedy}"
+            f"{number_list(arc_channels(rig, unlit))} see: a fault of these while the etalon is measured is not detected; "
+            f"{remedy}"
         )
     blocked = np.concatenate([_blocked_photodiodes(rig, table, arc) for arc in sorted(observing)])
     if blocked.size:
@@ -155,17 +153,12 @@ def _unmonitored(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
         )
 
 
-def _channels(rig: RigFile, arc: Arc) -> Ints:
-    first = 0 if arc == "upper" else len(rig.photodiodes.upper_deg)
-    return first + np.arange(len(polar_deg(rig, arc)))
-
-
 def _blocked_photodiodes(rig: RigFile, table: DriftTable, arc: Arc) -> Ints:
-    polar, azimuth = polar_and_azimuth(np.array(polar_deg(rig, arc), dtype=float) + table.shift_deg, table.beta_deg)
-    return _channels(rig, arc)[blocked_by_mirrors(rig, table.sigma_deg, zenith_deg(polar, arc), azimuth, table.gamma_deg)]
+    view = arc_view(rig, (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg), arc)
+    return view.channels[blocked_by_mirrors(rig, table.sigma_deg, view.zenith, view.azimuth, table.gamma_deg)]
 
 
-def _no_overlap(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
+def _no_overlap(plan: NewPlan, arcs: list[ArcDirections]) -> Iterator[str]:
     if any(each.shared for each in arcs):
         return
     base = grid_values(plan.schedule.file.shift_deg)[0]
@@ -177,16 +170,16 @@ def _no_overlap(plan: Plan, arcs: list[ArcDirections]) -> Iterator[str]:
         )
 
 
-def _old_dark_reading(plan: Plan, details: PlanDetails) -> Iterator[str]:
+def _old_dark_reading(plan: NewPlan) -> Iterator[str]:
     every = plan.schedule.file.dark_every_s
-    if details.oldest_dark_s > every:
+    if plan.oldest_dark_s > every:
         yield (
-            f"a dark reading gets {details.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes "
+            f"a dark reading gets {plan.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes "
             "longer, with its move and its readings; allow older dark readings, or take fewer readings"
         )
 
 
-def _saturated_open_beam(plan: Plan) -> Iterator[str]:
+def _saturated_open_beam(plan: NewPlan) -> Iterator[str]:
     file, gains = plan.schedule.file, plan.rig.file.photodiodes.gains_v_per_a
     if file.open_beam and file.gains_v_per_a != "automatic" and min(file.gains_v_per_a) > min(gains):
         yield (
@@ -195,9 +188,9 @@ def _saturated_open_beam(plan: Plan) -> Iterator[str]:
         )
 
 
-def _second_order(plan: Plan) -> Iterator[str]:
+def _second_order(plan: NewPlan) -> Iterator[str]:
     """Wavelengths at which no filter is known to block the second order."""
-    wheel = monochromator_settings(plan.rig.file).wheel
+    wheel = plan.rig.file.monochromator.wheel
     beyond = [each for each in grid_values(plan.schedule.file.wavelength_nm) if each > SECOND_ORDER_NM]
     unblocked = [each for each in beyond if (glass := wheel.at(each)) is None or not glass.blocks(0.5 * each)]
     if not unblocked:
@@ -216,7 +209,7 @@ def _second_order(plan: Plan) -> Iterator[str]:
     )
 
 
-def _uncertain_duration(plan: Plan) -> Iterator[str]:
+def _uncertain_duration(plan: NewPlan) -> Iterator[str]:
     """A warning if the duration depends on the sample or the lamp."""
     file = plan.schedule.file
     unknown = [
@@ -232,26 +225,23 @@ def _uncertain_duration(plan: Plan) -> Iterator[str]:
         )
 
 
-def _basis(plan: Plan) -> str:
+def _basis(plan: NewPlan) -> str:
     """The signal that the estimate of the duration is based on."""
-    if plan.details is None or not plan.details.expected_reading_s:
+    if not plan.expected_reading_s:
         return ""
     twin = "the twin" if plan.rig.file.twin is not None else "the twin that the rig file describes, with assumed samples,"
     return f"it is based on the expected signal of {twin} at up to {SAMPLED_ROWS} poses and wavelengths of each sample; "
 
 
-def duration_range(plan: Plan) -> tuple[float, float]:
+def duration_range(plan: NewPlan) -> tuple[float, float]:
     """Approximate range of the duration in s: as short and as long as sample and lamp could make it."""
-    assert plan.details is not None
-    assert isinstance(plan.rows, PlannedRows)
-    timing = Timing(plan.rig.file)
-    timing.expected_reading_s.update(plan.details.expected_reading_s)
+    timing = Timing(plan.rig.file, plan.expected_reading_s)
     warm_up = plan.schedule.file.warm_up
     waiting = 0.0 if warm_up is None else warm_up.longest_s - shortest_warm_up_s(warm_up.longest_s)
     shortest = longest = plan.seconds
     for sample, rows in _rows_by_sample(plan.rows).items():
-        row = plan.details.templates.measurement(sample)
-        typical = timing.typical_reading_s(row)
+        row = plan.templates.measurement(sample)
+        typical = timing.similar_reading_s(row)
         fastest, slowest = timing.reading_range_s(row)
         shortest, longest = shortest + rows * (fastest - typical), longest + rows * (slowest - typical)
     return min(shortest, plan.seconds), max(longest, plan.seconds) + waiting

@@ -6,32 +6,39 @@ from typing import Any
 
 import numpy as np
 
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings, monitor_variance
 from goniotwin.app.campaign.reduction.overlaps import OverlapCheck, Overlaps
-from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.readings import PLACE, RowTable
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
+from goniotwin.app.campaign.reduction.readings import RowTable
 from goniotwin.app.campaign.reduction.symmetry import SymmetryCheck, SymmetryResult
-from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.refinement import DEFAULT_ANGLE_UNCERTAINTY_DEG
-from goniotwin.app.rig import RigFile
+
+
+def overlap_check(settings: ReductionSettings) -> OverlapCheck:
+    """The check of the overlaps of a sample, before any of its points is added."""
+    table = settings.schedule.overlap
+    angle_deg = DEFAULT_ANGLE_UNCERTAINTY_DEG if table is None else table.angle_deg
+    return OverlapCheck(_common(settings), math.sqrt(monitor_variance(settings.rig)), angle_deg)
+
+
+def _common(settings: ReductionSettings) -> float:
+    """The relative uncertainty that all points of a sample share."""
+    return float(np.min(settings.certificate.relative_uncertainty))
 
 
 class ConsistencyChecks:
-    """The checks of one sample, whose measured rows are `table`; its points are added in blocks.
+    """The checks of one sample, whose measured rows are `table`; its points are added in blocks."""
 
-    `common` is the relative uncertainty that all points of the sample share.
-    """
-
-    def __init__(self, schedule: ScheduleFile, rig: RigFile, table: RowTable, common: float) -> None:
-        monitor = math.sqrt(2.0) * rig.monitor.relative_uncertainty
-        self._overlaps = OverlapCheck(
-            common, monitor, DEFAULT_ANGLE_UNCERTAINTY_DEG if schedule.overlap is None else schedule.overlap.angle_deg
-        )
+    def __init__(self, settings: ReductionSettings, table: RowTable) -> None:
+        schedule = settings.schedule
+        self._overlaps = overlap_check(settings)
         self._symmetry: SymmetryCheck | None = None
         if schedule.symmetry_check is not None:
             mirrored = table[table["mirrored"]]
             poses = np.stack([mirrored[name] for name in PLACE[1:]], axis=1)
             angle = schedule.symmetry_check.angle_deg
-            self._symmetry = SymmetryCheck(schedule.symmetry, poses, angle, common=common, monitor=monitor)
+            monitor = math.sqrt(monitor_variance(settings.rig))
+            self._symmetry = SymmetryCheck(schedule.symmetry, poses, angle, common=_common(settings), monitor=monitor)
 
     def add(self, points: BsdfPoints) -> None:
         """Take more points: whole pairs of opposite half planes."""

@@ -12,14 +12,23 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from goniotwin.app.campaign.geometry.directions import direction_keys
 from goniotwin.app.campaign.reduction.export import heading
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.samples import GaussianTable
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS, relative_rms_percent
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
+from goniotwin.twin.optics.geometry.coordinates import (
+    SPECULAR_AZIMUTH_DEG,
+    TOLERANCE_DEG,
+    polar_and_azimuth,
+    round_deg,
+    signed_polar,
+)
 
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
@@ -55,20 +64,20 @@ def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Compar
     if not isinstance(table, GaussianTable):
         raise UserError(f"{rig.name}: {sample!r} is not a Gaussian sample of a virtual rig, so formula 5 has no range")
     points = points.front
-    chosen = points.in_plane & (points.theta_deg <= WIDTHS * table.width_deg + 1e-6)
-    chosen &= points.zenith_deg <= HIGHEST_ZENITH_DEG + 1e-6
+    chosen = points.in_plane & (points.theta_deg <= WIDTHS * table.width_deg + TOLERANCE_DEG)
+    chosen &= points.zenith_deg <= HIGHEST_ZENITH_DEG + TOLERANCE_DEG
     comparisons = []
     for sigma in np.unique(points.sigma_deg):
         here = points.where(chosen & (points.sigma_deg == sigma))
         good = here.where(here.good)
         measured, expected = _direction_means(good, good.luminance_factor, math.pi * theoretical_bsdf(rig, sample, good))
-        blocked = here.where(here.shadowed).aspecular_deg
+        blocked = here.where(here.flag("shadowed")).aspecular_deg
         comparisons.append(
             Comparison(
                 float(sigma),
                 relative_rms_percent(measured, expected),
                 measured.size,
-                tuple(float(each) for each in np.unique(np.round(blocked, 6))),
+                tuple(float(each) for each in np.unique(round_deg(blocked))),
             )
         )
     return comparisons
@@ -76,8 +85,8 @@ def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Compar
 
 def _direction_means(points: BsdfPoints, *values: Floats) -> list[Floats]:
     """Means of `values` over the points of the same direction."""
-    directions = np.round(arc_direction(points.zenith_deg, points.azimuth_deg), 6).reshape(-1, 3)
-    _, which, counts = np.unique(directions, axis=0, return_inverse=True, return_counts=True)
+    keys = direction_keys(points.zenith_deg, points.azimuth_deg)
+    _, which, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     return [np.bincount(which.ravel(), weights=each, minlength=counts.size) / counts for each in values]
 
 
@@ -128,7 +137,7 @@ def _draw_cut(
             "blocked", (0.5 * (start + stop), 0.5), xycoords=("data", "axes fraction"), rotation=90, color=colour,
             fontsize=8, ha="center", va="center",
         )  # fmt: skip
-    near = good.theta_deg <= WIDTHS * _width(reduced, sample) + 1e-6
+    near = good.theta_deg <= WIDTHS * _width(reduced, sample) + TOLERANCE_DEG
     close = good.where(near & (good.zenith_deg <= HIGHEST_ZENITH_DEG))
     deviation = 100.0 * (close.bsdf / theoretical_bsdf(reduced.rig, sample, close) - 1.0)
     lower.plot(_signed_zenith(close), deviation, ".", ms=4, color=colour)
@@ -154,7 +163,7 @@ def _theoretical_curve(reduced: BsdfDataset, sample: str, sigma: float, angles: 
     """Luminance factors at signed zenith angles (n,) in the plane of incidence."""
     model = reduced.rig.model()
     assert model is not None
-    directions = arc_direction(np.abs(angles), np.where(angles > 0.0, 180.0, 0.0))
+    directions = arc_direction(*polar_and_azimuth(angles, SPECULAR_AZIMUTH_DEG))
     return math.pi * evaluate(model.samples[sample], light_direction(sigma), directions)
 
 
@@ -165,16 +174,15 @@ def _width(reduced: BsdfDataset, sample: str) -> float:
 
 
 def _signed_zenith(points: BsdfPoints) -> Floats:
-    specular_side = np.cos(np.radians(points.azimuth_deg)) < 0.0
-    signed: Floats = np.where(specular_side, points.zenith_deg, -points.zenith_deg)
-    return signed
+    return signed_polar(points.zenith_deg, points.azimuth_deg, SPECULAR_AZIMUTH_DEG)
 
 
 def _blocked_ranges(points: BsdfPoints) -> list[tuple[float, float]]:
     """Ranges of signed zenith in which every direction is blocked, widened by half a step so that they meet the points."""
-    x = np.round(_signed_zenith(points), 6)
+    x = round_deg(_signed_zenith(points))
     angles = np.unique(x)
-    blocked = np.array([bool(points.shadowed[x == angle].all()) for angle in angles])
+    shadowed = points.flag("shadowed")
+    blocked = np.array([bool(shadowed[x == angle].all()) for angle in angles])
     step = float(np.min(np.diff(angles))) if angles.size > 1 else 1.0
     ranges: list[tuple[float, float]] = []
     for angle in angles[blocked]:

@@ -15,15 +15,15 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.journal.record import CommittedRow, RowData
-from goniotwin.app.campaign.reduction.signals import Signal, dark_readings_by_gain, signal
+from goniotwin.app.campaign.reduction import pipeline
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.signals import LIGHT, dark_readings_by_gain
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
-from goniotwin.app.rig import RigFile, photodiode_settings
+from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags
 
-LIGHT = 5.0
-"""A photodiode takes part in a comparison where its first signal is above so many standard uncertainties."""
 CERTAIN = 4.0
 """A single photodiode has to be beyond the limit by so many standard uncertainties: there are many photodiodes."""
 LIKELY = 2.0
@@ -73,20 +73,24 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
     A photodiode is an outlier if it is beyond the limit by four standard uncertainties, or is saturated now and was not before.
     """
     # Saturated now and not before: it gets more light.
-    outliers = now.clipped & ~first.clipped
-    light = np.isfinite(first.ratio) & np.isfinite(now.ratio)
-    light &= np.nan_to_num(first.ratio) > LIGHT * np.sqrt(np.nan_to_num(first.variance))
+    outliers = (now.gain < 0) & (first.gain >= 0)
+    light = np.isfinite(first.value) & np.isfinite(now.value)
+    light &= np.nan_to_num(first.value) > LIGHT * np.sqrt(np.nan_to_num(first.variance))
     if not light.any():
         return DriftCheck(math.nan, math.nan, beyond=True, outliers=outliers)
-    ratio = now.ratio[light] / first.ratio[light]
-    gain = 2.0 * rig.photodiodes.gain_uncertainty**2 * (now.gain != first.gain)[light]
-    variance = (now.variance[light] + ratio**2 * first.variance[light]) / first.ratio[light] ** 2 + gain
-    monitor = 2.0 * rig.monitor.relative_uncertainty**2
-    own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + monitor) > limit
+    ratio = now.value[light] / first.value[light]
+    variance = (now.variance[light] + ratio**2 * first.variance[light]) / first.value[light] ** 2
+    common = 0.0  # to all photodiodes of a row
+    for each in (relative(now, first, rig) for relative in pipeline.QUOTIENT_VARIANCES.values()):
+        if isinstance(each, float):
+            common += each
+        else:
+            variance += each[light]
+    own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + common) > limit
     outliers[light] |= own
     weight = np.where(own, 0.0, 1.0 / variance) if own.sum() <= own.size / 2 else 1.0 / variance
     change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
-    u_change = math.sqrt(1.0 / float(np.sum(weight)) + monitor)
+    u_change = math.sqrt(1.0 / float(np.sum(weight)) + common)
     return DriftCheck(change, u_change, abs(change) - LIKELY * u_change > limit, outliers)
 
 
@@ -132,7 +136,8 @@ class DriftWatch:
 
     def __init__(self, table: DriftTable | None, rig: RigFile) -> None:
         self._reference = DriftReference(rig, None if table is None else table.limit)
-        self._settings = photodiode_settings(rig)
+        self._rig = rig
+        self._settings = rig.photodiodes
         self._dark_rows: list[CommittedRow] = []
 
     def add(self, row: Row, data: RowData) -> DriftCheck | None:
@@ -144,7 +149,7 @@ class DriftWatch:
         return None
 
     def _signal(self, data: RowData) -> Signal:
-        return signal(data, dark_readings_by_gain(self._dark_rows, self._settings), self._settings)
+        return pipeline.reduce_readings(data, dark_readings_by_gain(self._dark_rows, self._settings), self._settings, self._rig)
 
 
 @dataclass(frozen=True)
@@ -216,7 +221,7 @@ def insensitive_photodiodes(rows: Iterable[CommittedRow], signal_of: Callable[[C
 
 
 def _sensitive(first: Signal) -> Flags:
-    light = np.nan_to_num(first.ratio)
+    light = np.nan_to_num(first.value)
     # A change has the uncertainty of two checks. A saturated photodiode shows no loss until it is below its range.
     u_change = CERTAIN * np.sqrt(2.0 * np.nan_to_num(first.variance))
     return np.asarray((light > 0.0) & (u_change < DETECTABLE_LOSS * light))

@@ -1,21 +1,74 @@
-"""Export of a reduced journal: all points as CSV, one sample's table as .ddr. Simulated data are marked in each file."""
+"""Export of a reduced journal: all points, or one sample's table. Simulated data are marked in each file."""
 
-from collections.abc import Callable
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints
-from goniotwin.app.campaign.reduction.specular_grid import SpecularTable, regrid
+from goniotwin.app.campaign.geometry.directions import polar_from_zenith
+from goniotwin.app.campaign.reduction.components import shared_variance
+from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import DdrTable, FormatError, write_ddr, write_points_csv
+from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
+from goniotwin.app.formats.registry import Format, Holds
+from goniotwin.app.formats.specular_grid import SpecularCut, grid_of_points, resample, specular_table
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-Exporter = Callable[[BsdfDataset, str | None, Path], int]
-MAX_LISTED_RANGES = 2000
-"""Ranges listed in the comments of a table."""
 PART_POINTS = 20_000
 """Points written in one part: as text a point takes one or two kilobytes."""
-SQLITE = b"SQLite format 3\0"
+FINEST_DEG = 0.1
+PHI_STEP_DEG = 5.0
+WIDEST_GAP_DEG = 3.0
+"""There is no interpolation between measured directions that are further apart."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """The files of an export, and the number of measured values in them."""
+
+    files: tuple[Path, ...]
+    values: int
+
+
+def export_format(name: str) -> Format:
+    """The format of this name, which can hold a BSDF. Raises UserError."""
+    try:
+        return registry.format_named(name, {Holds.GRID, Holds.POINTS})
+    except FormatError as error:
+        raise UserError(str(error)) from None
+
+
+def check_files(path: Path, form: Format) -> None:
+    """Raise UserError, before a long reduction, if the files of an export cannot be written."""
+    try:
+        registry.check_files(path, form)
+    except FormatError as error:
+        raise UserError(str(error)) from None
+
+
+def export(
+    reduced: BsdfDataset, sample: str | None, path: Path, form: Format, light: Literal["reflected", "transmitted"] | None = None
+) -> Exported:
+    """Write the points of one sample or of all, or the table of one sample, as the format holds it. Raises UserError.
+
+    `light` takes one part of what was measured. Uncertainties that a table's format cannot hold go to a second file of the same
+    grid beside it.
+    """
+    if light is not None:
+        reduced = _part_of_light(reduced, sample, path, light)
+    try:
+        if Holds.POINTS in form.holds:
+            stream, count = points_of(reduced, sample, path)
+            form.write(path, stream)
+            return Exported((path,), count)
+        table, count = table_of(reduced, sample, path, form)
+        return Exported(registry.write_table(path, table, form), count)
+    except FormatError as error:
+        raise UserError(str(error)) from None
 
 
 def heading(reduced: BsdfDataset) -> list[str]:
@@ -26,8 +79,8 @@ def heading(reduced: BsdfDataset) -> list[str]:
     return lines
 
 
-def export_csv(reduced: BsdfDataset, sample: str | None, path: Path) -> int:
-    """Write every measured point of one sample or of all; returns their number. Raises UserError."""
+def points_of(reduced: BsdfDataset, sample: str | None, path: Path) -> tuple[PointStream, int]:
+    """Every measured point of one sample or of all, in parts, and their number. Raises UserError."""
     chosen = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
     if not chosen:
         raise UserError(f"{path}: no sample has been measured yet, so there is nothing to write")
@@ -39,9 +92,7 @@ def export_csv(reduced: BsdfDataset, sample: str | None, path: Path) -> int:
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
         "u_field_per_sr: the component of u_bsdf from the finite field of view; empty where it cannot be estimated",
-        "flags: shadowed (blocked by the mirror unit), clipped (saturated at every gain), no-etalon (etalon signal too low),",
-        "dead (the photodiode), uncertified (not covered by the etalon's certificate), drift (beyond its limit),",
-        "under-range (lost in its noise), field (the effect of the field of view cannot be estimated, and is not in u_bsdf)",
+        f"flags: {', '.join(f'{name} ({flag.meaning})' for name, flag in FLAGS.items())}",
         *reduced.notes,
         *(f"overlaps of {name}: {each}" for name, each in reduced.overlaps.items() if name in chosen and each.pairs),
     ]
@@ -50,84 +101,90 @@ def export_csv(reduced: BsdfDataset, sample: str | None, path: Path) -> int:
         for name, points in chosen.items()
         for begin in range(0, points.bsdf.size, PART_POINTS)
     )
-    _write(path, lambda: write_points_csv(path, about, parts))
-    return sum(points.bsdf.size for points in chosen.values())
+    return PointStream(about, parts), sum(points.bsdf.size for points in chosen.values())
 
 
-def export_ddr(reduced: BsdfDataset, sample: str | None, path: Path) -> int:
-    """Write one sample's luminance factors in specular coordinates; returns the number of measured points. Raises UserError."""
+def table_of(reduced: BsdfDataset, sample: str | None, path: Path, form: Format) -> tuple[BsdfTable, int]:
+    """One sample's BSDF on a grid of specular coordinates, and the number of measured values in it.
+
+    The light is that which the format holds: reflected or transmitted, of the lit front. Raises UserError and FormatError.
+    """
     if sample is None:
         if len(reduced.samples) != 1:
             known = ", ".join(reduced.samples) or "none"
-            raise UserError(f"{path}: a .ddr file has one sample, and the journal has: {known}; choose one with --sample")
+            wrong = f"a {form.name} file has one sample, and the journal has: {known}"
+            raise UserError(f"{path}: {wrong}; choose one with --sample")
         sample = next(iter(reduced.samples))
-    points = _points(reduced, sample).front
-    points = points.where(~points.mirrored)
+    of_points = registry.join_words(map(str, registry.writers(Holds.POINTS)))
+    points = _points(reduced, sample)
+    points = points.where(~points.back & ~points.mirrored)
+    lights = {
+        light for light in (Holds.REFLECTED, Holds.TRANSMITTED) if np.any(points.transmitted == (light is Holds.TRANSMITTED))
+    }
+    if not lights:
+        raise UserError(f"{path}: {sample} was not measured with light on its front; use {of_points}")
+    if len(lights & form.holds) > 1:
+        wrong = f"{sample} has reflected and transmitted light, of which a {form.name} table holds one"
+        raise UserError(f"{path}: {wrong}; choose it with --light reflected or --light transmitted")
+    light = min(lights & form.holds, default=min(lights))
+    points = points.where(points.transmitted == (light is Holds.TRANSMITTED))
     if np.unique(points.gamma_deg).size > 1:
-        raise UserError(f"{path}: {sample} was measured at several gamma, which the .ddr export does not support; use csv")
-    wavelengths = np.unique(points.wavelength_nm)
+        raise UserError(f"{path}: {sample} was measured at several gamma, of which export makes no table; use {of_points}")
+    wavelengths = tuple(np.unique(points.wavelength_nm).tolist())
+    registry.check_holds(path, form, {Holds.GRID, light, Holds.SIGMAS, *([Holds.WAVELENGTHS] if len(wavelengths) > 1 else [])})
     try:
         grids = [regrid(points.where(points.wavelength_nm == wavelength)) for wavelength in wavelengths]
     except ValueError as error:
         raise UserError(f"{path}: {sample}: {error}, so there is nothing to write") from None
-    if len({(grid.bsdf.shape, grid.theta_deg[1], grid.sigma_deg.tobytes()) for grid in grids}) > 1:
-        raise UserError(f"{path}: {sample} was not measured in the same directions at all wavelengths; use csv")
-    sigmas, bsdf = _extend_sigma(grids)
+    if len({tuple(axis.tobytes() for axis in axes) for axes, _ in grids}) > 1:
+        wrong = f"{sample} was not measured in the same directions at all wavelengths"
+        raise UserError(f"{path}: {wrong}; use {of_points}")
     checked = [f"symmetry: {reduced.symmetry[sample]}"] if sample in reduced.symmetry else []
-    about = [*heading(reduced), f"sample: {sample}", *checked, *_continued_ranges(grids, wavelengths)]
-    table = DdrTable(
-        source="Measured" if not reduced.simulated else "Generated",
-        symmetry="PlaneSymmetrical",
-        psi_deg=np.array([0.0]),
-        sigma_deg=sigmas,
-        phi_deg=grids[0].phi_deg,
-        theta_deg=grids[0].theta_deg,
-        channels=tuple(float(wavelength) for wavelength in wavelengths),
-        values=np.pi * bsdf[:, None],
-        comments=tuple(about),
-    )
-    _write(path, lambda: write_ddr(path, table))
-    return int(points.good.sum())
+    gaps = f"nodes between measured directions more than {WIDEST_GAP_DEG:g} deg apart count as not measured"
+    table = specular_table(
+        *grids[0][0], [cuts for _, cuts in grids], wavelengths,
+        transmitted=light is Holds.TRANSMITTED, generated=reduced.simulated, done="measured",
+        comments=[*heading(reduced), f"sample: {sample}", *checked, gaps],
+    )  # fmt: skip
+    return table, int(points.good.sum())
 
 
-FORMATS: dict[str, Exporter] = {"ddr": export_ddr, "csv": export_csv}
+def regrid(points: BsdfPoints) -> tuple[tuple[Floats, Floats, Floats], list[SpecularCut]]:
+    """Points of one wavelength and one gamma on a grid: sigma, phi, theta, and the cut at each sigma.
+
+    theta goes from 0 to 180 in the finest step of the zenith angles; phi is 0 and 180 where only the plane of incidence was
+    measured. Raises ValueError where no point has a value.
+    """
+    good = points.where(points.good)
+    if not good.bsdf.size:
+        raise ValueError("no direction has a value")
+    polar = polar_from_zenith(good.zenith_deg)
+    phi = np.array([0.0, 180.0]) if good.in_plane.all() else np.arange(0.0, 180.0 + 1e-9, PHI_STEP_DEG)
+    apart = np.diff(np.unique(round_deg(polar)))
+    step = max(FINEST_DEG, float(apart.min())) if apart.size else PHI_STEP_DEG
+    theta = np.linspace(0.0, 180.0, 1 + math.ceil(180.0 / step - 1e-6))
+    of_all = shared_variance(good.components)
+    own, shared = np.sqrt(np.maximum(good.u_bsdf**2 - of_all, 0.0)), np.sqrt(of_all)
+    sigmas, cuts = np.unique(points.sigma_deg), []
+    for sigma in sigmas.tolist():
+        here = good.sigma_deg == sigma
+        if not here.any():
+            raise ValueError(f"at sigma {sigma:g} no direction has a value")
+        grid = grid_of_points(polar[here], good.azimuth_deg[here], good.bsdf[here], own[here], shared[here])
+        cuts.append(resample(grid, sigma, phi, theta, widest_gap_deg=WIDEST_GAP_DEG))
+        if not cuts[-1].known.any():
+            raise ValueError(f"at sigma {sigma:g} no node of the grid has measured directions around it")
+    return (sigmas, phi, theta), cuts
 
 
-def _extend_sigma(grids: list[SpecularTable]) -> tuple[np.ndarray, np.ndarray]:
-    """Sigma and BSDF from 0 to 90 deg: the first and last tables are repeated at the ends, because readers extrapolate."""
-    sigmas = grids[0].sigma_deg
-    bsdf = np.array([grid.bsdf for grid in grids])
-    if sigmas[0] > 0.0:
-        sigmas, bsdf = np.concatenate([[0.0], sigmas]), np.concatenate([bsdf[:, :1], bsdf], axis=1)
-    if sigmas[-1] < 90.0:
-        sigmas, bsdf = np.concatenate([sigmas, [90.0]]), np.concatenate([bsdf, bsdf[:, -1:]], axis=1)
-    return sigmas, bsdf
-
-
-def _continued_ranges(grids: list[SpecularTable], wavelengths: np.ndarray) -> list[str]:
-    """Comments on the nodes that were not measured."""
-    sigmas = ", ".join(f"{sigma:g}" for sigma in grids[0].sigma_deg)
-    lines = [
-        f"measured at sigma {sigmas} deg only; the first and the last table are repeated to sigma 0 and 90",
-        "nodes that were not measured (blocked by the mirror unit, beyond the last photodiode, below the horizon) are",
-        "interpolated along theta between measured ones, or have the value of the nearest, or, in a row without any, the",
-        "mean of the other rows; nodes between measured directions more than 3 deg apart count as not measured; in degrees:",
-    ]
-    gaps = [
-        f"{wavelength:g} nm, sigma {sigma:g}, phi {phi:g}: theta {start:g} to {stop:g}"
-        for grid, wavelength in zip(grids, wavelengths, strict=True)
-        for k, sigma in enumerate(grid.sigma_deg)
-        for m, phi in enumerate(grid.phi_deg)
-        for start, stop in _runs(grid.theta_deg, ~grid.measured[k, m])
-    ]
-    more = [f"and {len(gaps) - MAX_LISTED_RANGES} more such ranges"] if len(gaps) > MAX_LISTED_RANGES else []
-    return [*lines, *gaps[:MAX_LISTED_RANGES], *more]
-
-
-def _runs(values: np.ndarray, chosen: np.ndarray) -> list[tuple[float, float]]:
-    """First and last value of each run of chosen values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
-    return [(float(values[start]), float(values[stop - 1])) for start, stop in edges.reshape(-1, 2)]
+def _part_of_light(reduced: BsdfDataset, sample: str | None, path: Path, light: str) -> BsdfDataset:
+    """The samples that were measured in this light, with its points alone. Raises UserError for none."""
+    asked = reduced.samples if sample is None else {sample: _points(reduced, sample)}
+    of_light = {name: points.where(points.transmitted == (light == "transmitted")) for name, points in asked.items()}
+    kept = {name: points for name, points in of_light.items() if points.bsdf.size}
+    if not kept:
+        raise UserError(f"{path}: no {light} light of {sample or 'any sample'} has been measured; leave --light out")
+    return replace(reduced, samples=kept)
 
 
 def _points(reduced: BsdfDataset, sample: str) -> BsdfPoints:
@@ -159,20 +216,3 @@ def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
 def _flags(points: BsdfPoints) -> np.ndarray:
     named = points.flags.items()
     return np.array([" ".join(name for name, flag in named if flag[k]) for k in range(points.bsdf.size)])
-
-
-def _is_journal(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(len(SQLITE)) == SQLITE
-    except OSError:
-        return False
-
-
-def _write(path: Path, write: Callable[[], None]) -> None:
-    if _is_journal(path):
-        raise UserError(f"{path} is a data file (journal) or another database, and is not overwritten; choose another name")
-    try:
-        write()
-    except FormatError as error:
-        raise UserError(str(error)) from None

@@ -14,11 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, scan_plane_deg
+from goniotwin.app.campaign.reduction.components import DETECTED
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.schedule.grids import DECIMALS
-from goniotwin.app.rig import RigFile, nominal_instrument
+from goniotwin.app.rig import nominal_instrument
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
+from goniotwin.twin.optics.geometry.coordinates import round_deg, signed_polar
 
 MAX_NEIGHBOURS = 24
 """Largest number of neighbours on each side."""
@@ -27,12 +30,12 @@ WINDOW = 5.0
 """Values within so many standard deviations of the field's directions are fitted together: the field does not resolve less."""
 MAX_DISTANCE_RAD = math.radians(6.0)
 """Neighbours further away have no information on the curvature; photodiodes are 5 deg apart."""
-DETECTED = 3.0
-"""A value above so many standard uncertainties has light; its logarithm is used."""
 RADIAL = 0.7
 """An arc passes close enough to the lobe's centre where theta changes by this share of the way along it."""
 MIN_SINE = 0.1
 """Smaller circles about the normal are no neighbourhood across the arc."""
+CIRCLE_DECIMALS = 8
+"""Decimals of a radian to which the values of one circle about the normal have the same polar angle."""
 NOISE_MARGIN = 3.0
 """Standard uncertainties by which a second derivative is reduced before a first derivative is taken from it."""
 CHUNK_POINTS = 20_000
@@ -125,10 +128,11 @@ def field_variance(instrument: Instrument) -> float:
     return pupil + min(cone + side * far**2, disc + side * (near + far) ** 2)
 
 
-def add_field_uncertainty(points: BsdfPoints, rig: RigFile) -> BsdfPoints:
-    """Add the field's component `u_field` to the points' uncertainty `u_bsdf`; NaN, and not added, where it is unknown."""
-    u_field = field_uncertainty(points, field_variance(nominal_instrument(rig)))
-    return replace(points, u_field=u_field, u_bsdf=np.hypot(points.u_bsdf, np.nan_to_num(u_field)))
+def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """Add the component `field` of the uncertainty; 0, and a flag, where it is unknown. The values are not corrected yet."""
+    u_field = field_uncertainty(points, field_variance(nominal_instrument(settings.rig)))
+    components = {**points.components, "field": np.nan_to_num(u_field) ** 2}
+    return replace(points, components=components).flagged({"field": points.good & np.isnan(u_field)})
 
 
 def field_uncertainty(points: BsdfPoints, variance: float) -> Floats:
@@ -170,11 +174,10 @@ class Directions:
 
 def merge_directions(points: BsdfPoints) -> tuple[Directions, Ints]:
     """Average good points of the same direction; gives the means, and for each point the index of its mean."""
-    polar = np.where(points.zenith_deg > 90.0, 180.0 - points.zenith_deg, points.zenith_deg)
-    azimuth = np.mod(np.round(points.azimuth_deg, DECIMALS), 360.0)
-    signed = np.round(np.where(azimuth >= 180.0, -polar, polar), DECIMALS)
+    plane = scan_plane_deg(points.azimuth_deg)
+    signed = round_deg(signed_polar(polar_from_zenith(points.zenith_deg), points.azimuth_deg, plane))
     setting = (points.back, points.transmitted, points.gamma_deg, points.sigma_deg, points.wavelength_nm)
-    keys = [signed, np.mod(azimuth, 180.0), *(np.round(np.asarray(each, dtype=float), DECIMALS) for each in setting)]
+    keys = [signed, plane, *(round_deg(each) for each in setting)]
     order = np.lexsort(keys)
     changes = np.array([np.diff(each[order], prepend=np.nan) != 0.0 for each in keys])
     first = np.any(changes, axis=0)
@@ -183,8 +186,8 @@ def merge_directions(points: BsdfPoints) -> tuple[Directions, Ints]:
     which[order] = number
     counts = np.bincount(number)
     start = order[first]
-    p, a = np.radians(signed[start]), np.radians(np.mod(azimuth[start], 180.0))
-    up = np.where(points.zenith_deg[start] > 90.0, -1.0, 1.0)
+    p, a = np.radians(signed[start]), np.radians(plane[start])
+    up = np.where(is_lower(points.zenith_deg[start]), -1.0, 1.0)
     sigma = np.radians(points.sigma_deg[start])
     # Specular direction or regular transmission: both have -sin sigma along x.
     x, z = -np.sin(sigma), np.where(points.transmitted[start], -1.0, 1.0) * np.cos(sigma)
@@ -231,7 +234,7 @@ def _measured_across(values: Directions, y: Floats, window: float, along: Parabo
 
     It is corrected for the curvature of that circle against a great circle.
     """
-    polar = np.round(np.abs(values.polar), 2 + DECIMALS)
+    polar = np.round(np.abs(values.polar), CIRCLE_DECIMALS)
     azimuth = np.where(values.polar < 0.0, values.azimuth + math.pi, values.azimuth)
     order = np.lexsort((azimuth, polar, values.setting))
     order = order[np.sin(polar[order]) > max(MIN_SINE, 2.0 * window)]

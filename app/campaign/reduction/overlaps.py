@@ -27,9 +27,10 @@ from typing import Any
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.directions import direction_keys, scan_plane_deg
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
-from goniotwin.app.campaign.schedule.grids import HALF_TURN_DEG
 from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 RESOLVED = 0.1
 """Largest relative uncertainty of a value whose ratio is used: the logarithm of a less certain value is that of noise."""
@@ -104,13 +105,14 @@ class CalibrationFactors:
             yield f"not connected by overlaps, factor 1: photodiodes {', '.join(str(k) for k in self.unconnected)}"
 
     def apply(self, points: BsdfPoints) -> BsdfPoints:
-        """Multiply the points by the factors, and add the factors' uncertainties to theirs."""
+        """Multiply the points by the factors, and add the component `calibration` of their uncertainty."""
         factor, u = np.ones(points.bsdf.size), np.zeros(points.bsdf.size)
         for k, value, uncertainty in zip(self.photodiodes, self.values, self.uncertainties, strict=True):
             of_photodiode = points.photodiode == k
             factor[of_photodiode], u[of_photodiode] = value, uncertainty
         bsdf = points.bsdf * factor
-        return replace(points, bsdf=bsdf, u_bsdf=np.hypot(points.u_bsdf * factor, points.bsdf * u))
+        components = {name: variance * factor**2 for name, variance in points.components.items()}
+        return replace(points, bsdf=bsdf, components={**components, "calibration": (points.bsdf * u) ** 2})
 
     def as_dict(self) -> dict[str, Any]:
         """The factors for JSON, by the photodiodes' numbers."""
@@ -167,18 +169,17 @@ class OverlapCheck:
         """Take more points."""
         good = points.where(points.good)
         self._seen.update(np.unique(good.photodiode).tolist())
-        azimuth = np.where(good.zenith_deg < 1e-6, 0.0, good.azimuth_deg)
-        plane = np.mod(good.beta_deg, HALF_TURN_DEG)
         # At the horizon the arcs meet: one measures reflected light, the other transmitted.
         light = good.transmitted.astype(float)
-        keys = [good.wavelength_nm, good.sigma_deg, good.gamma_deg, plane, good.zenith_deg, azimuth, light]
-        _, which = np.unique(np.round(np.stack(keys, axis=1), 6), axis=0, return_inverse=True)
+        settings = [good.wavelength_nm, good.sigma_deg, good.gamma_deg, scan_plane_deg(good.beta_deg)]
+        keys = [*settings, *direction_keys(good.zenith_deg, good.azimuth_deg).T, light]
+        _, which = np.unique(round_deg(np.stack(keys, axis=1)), axis=0, return_inverse=True)
         order = np.lexsort((good.photodiode, which.ravel()))
         first, second = order[:-1], order[1:]
         same = (which.ravel()[first] == which.ravel()[second]) & (good.photodiode[first] != good.photodiode[second])
         first, second = first[same], second[same]
         angle = (steepness(good) * self._angle_deg * good.bsdf) ** 2
-        own = np.maximum(good.u_bsdf**2 - (self._common * good.bsdf) ** 2, 0.0) + angle
+        own = good.own_variance(self._common) + angle
         spread = np.sqrt(own[first] + own[second])
         known = spread > 0.0
         self._differences.append((good.bsdf[first] - good.bsdf[second])[known] / spread[known])
@@ -199,7 +200,7 @@ class OverlapCheck:
             relative = np.where(points.bsdf > 0.0, own / points.bsdf**2, np.inf)
         clear = (relative[first] <= RESOLVED**2) & (relative[second] <= RESOLVED**2)
         first, second = first[clear], second[clear]
-        pose = [points.wavelength_nm, points.sigma_deg, points.gamma_deg, np.mod(points.beta_deg, HALF_TURN_DEG)]
+        pose = [points.wavelength_nm, points.sigma_deg, points.gamma_deg, scan_plane_deg(points.beta_deg)]
         poses = np.stack([*pose, points.beta_deg, points.shift_deg], axis=1)
         both = np.concatenate([poses[first], poses[second][:, 4:]], axis=1)
         kinds, together = np.unique(both, axis=0, return_inverse=True)

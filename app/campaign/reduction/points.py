@@ -1,4 +1,4 @@
-"""The points of a reduction: a BSDF at the measured directions, with flags; their counts, slope and mutual agreement.
+"""The points of a reduction: a BSDF at the measured directions, with components of the uncertainty and flags; their counts.
 
 Two values of one direction, or of a direction and its mirror image, differ by more than noise where the lobe is steep and the
 angles have errors. `steepness` is the slope that turns an angular error into an error of the value. Without it, checks and
@@ -6,81 +6,196 @@ calibrations would find a fault in every narrow lobe.
 """
 
 import math
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from goniotwin.app.campaign.schedule.grids import HALF_TURN_DEG, TURN_DEG
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence, polar_from_zenith, scan_plane_deg
+from goniotwin.app.campaign.reduction.components import Components, standard_uncertainty, total_variance
+from goniotwin.arrays import Flags, Floats, Indices, Ints
+from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
 
-DECIMALS = 3
-"""Directions closer than a thousandth of a degree are one direction."""
-FLAG_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
-"""Flags by which a tally counts a point: the first one that it has."""
+SLOPE_DECIMALS = 3
+"""No slope is taken between directions closer than a thousandth of a degree: noise over so short a way is no steepness."""
+PLACE = ("wavelength_nm", "gamma_deg", "sigma_deg", "beta_deg", "shift_deg")
+"""Wavelength and pose of a row: the columns of `BsdfPoints.places`."""
 CHANCE = 1e-6
 """Probability that the largest of all differences exceeds its limit, where the uncertainties are right."""
 DEVIATIONS = 5.0
 """Limit of chi-square, in standard deviations of its distribution."""
+Marks = npt.NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
-class BsdfPoints:
-    """A BSDF at the measured directions; arrays of one length, an element for each point.
+class Flag:
+    """A flag of a point: its `meaning` for the header of a file, and whether a value with it is `untrusted`.
 
-    Angles in degrees: `zenith` and `azimuth` of the observation in the rig's frame, `theta` and `phi` about the specular
-    direction (for transmitted light: about the direction of regular transmission). `back`: the sample is lit from behind,
-    sigma is beyond 90 deg. `bsdf` and its standard uncertainty `u_bsdf` are in 1/sr. Where there is no value they are NaN, and
-    a flag gives the reason:
-
-    - `shadowed`: blocked by the mirror unit, wholly or in part, at the sample or at the etalon that scales it; a value from
-      the remaining light may be there, but it is not the sample's;
-    - `clipped`: saturated at every gain, for sample, etalon or signature;
-    - `no_etalon`: the etalon's signal is too low to divide by;
-    - `dead`: the same, although the photodiode should have a signal; or the photodiode has lost its dark current;
-    - `uncertified`: the etalon's certificate does not cover this wavelength or direction;
-    - `drifted`: between drift checks one of which was beyond its limit; the value is there, and may be wrong;
-    - `under_range`: the sample's signal is lost in its noise, or in the uncertainty of the signature: the value is right, but
-      its relative uncertainty is large;
-    - `field`: the effect of the finite field of view cannot be estimated from the values nearby, and is not in `u_bsdf`.
-
-    `signature` is the instrument signature's share of the sample's signal, already subtracted; NaN where it was not measured.
-    `mirrored`: measured to check the stated symmetry; a good value, but not one that the schedule's grid asks for.
-    `u_field` is the field's component of `u_bsdf`, 1/sr; NaN where it cannot be estimated.
+    `reason` and `remedy` are those of a missing value, for a warning; empty where a flag takes no value away.
     """
 
-    wavelength_nm: Floats
-    sigma_deg: Floats
-    gamma_deg: Floats
-    beta_deg: Floats
-    shift_deg: Floats
+    meaning: str
+    untrusted: bool
+    reason: str = ""
+    remedy: str = ""
+
+
+FLAGS: dict[str, Flag] = {
+    # Wholly or in part, at the sample or at the etalon that scales it. A value from the remaining light may be there.
+    "shadowed": Flag("blocked by the mirror unit", True, "blocked by the mirror unit", "choose other angles"),
+    # For sample, etalon or signature.
+    "clipped": Flag("saturated at every gain", True, "saturated at every gain", "add a lower gain"),
+    "no-etalon": Flag(
+        "etalon signal too low", True, "without a signal of the etalon",
+        "choose one that scatters to the side that the photodiodes look at",
+    ),
+    # No signal of the etalon where there should be one; or the photodiode has lost its dark current.
+    "dead": Flag("the photodiode", True, "of dead photodiodes", "repair them"),
+    "uncertified": Flag(
+        "not covered by the etalon's certificate", True, "not covered by the etalon's certificate",
+        "choose an etalon with a certificate that covers them",
+    ),
+    # Between drift checks one of which was beyond its limit. The value is there, and may be wrong.
+    "drift": Flag("beyond its limit", True, "flagged for drift", "see the drift checks"),
+    # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
+    "under-range": Flag("lost in its noise", False),
+    "field": Flag("the effect of the field of view cannot be estimated, and is not in u_bsdf", False),
+}  # fmt: skip
+"""The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
+BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
+UNTRUSTED = np.uint16(sum(int(BITS[name]) for name, flag in FLAGS.items() if flag.untrusted))
+REASON_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
+"""Flags by which a tally counts a point: the first one that it has."""
+
+
+def pack_flags(flags: Mapping[str, Flags], count: int) -> Marks:
+    """Flags (count,) by name, as one number for each point."""
+    marks = np.zeros(count, dtype=np.uint16)
+    for name, flag in flags.items():
+        marks[flag] |= BITS[name]
+    return marks
+
+
+@dataclass(frozen=True)
+class MeasuredDirections:
+    """Where points were measured; arrays with an element for each point, but for `places`.
+
+    `places` (rows, 5) are the distinct wavelengths and poses, in the order of PLACE, and `place` the index of each point's.
+    Angles in degrees: `zenith` and `azimuth` of the observation in the rig's frame, `theta` and `phi` about the specular
+    direction (for transmitted light: about the direction of regular transmission). `back`: the sample is lit from behind,
+    sigma is beyond 90 deg. `mirrored`: measured to check the stated symmetry; a good value, but not one that the schedule's
+    grid asks for.
+    """
+
+    places: Floats
+    place: Indices
     photodiode: Ints
     zenith_deg: Floats
     azimuth_deg: Floats
     theta_deg: Floats
     phi_deg: Floats
-    bsdf: Floats
-    u_bsdf: Floats
-    shadowed: Flags
-    clipped: Flags
-    no_etalon: Flags
-    dead: Flags
-    uncertified: Flags
-    drifted: Flags
-    under_range: Flags
     back: Flags
     transmitted: Flags
-    signature: Floats
     mirrored: Flags
-    u_field: Floats
+
+    @property
+    def wavelength_nm(self) -> Floats:
+        """The wavelengths."""
+        return self._column("wavelength_nm")
+
+    @property
+    def sigma_deg(self) -> Floats:
+        """Sigma of the rig."""
+        return self._column("sigma_deg")
+
+    @property
+    def gamma_deg(self) -> Floats:
+        """Rotation of the sample."""
+        return self._column("gamma_deg")
+
+    @property
+    def beta_deg(self) -> Floats:
+        """Azimuth of the arc."""
+        return self._column("beta_deg")
+
+    @property
+    def shift_deg(self) -> Floats:
+        """Shift of the arc."""
+        return self._column("shift_deg")
+
+    @property
+    def in_plane(self) -> Flags:
+        """The points in the plane of incidence."""
+        return in_plane_of_incidence(self.zenith_deg, self.azimuth_deg)
+
+    @property
+    def aspecular_deg(self) -> Floats:
+        """Aspecular angle: theta, positive towards the normal (phi = 0) and negative towards grazing."""
+        return aspecular_deg(self.theta_deg, self.phi_deg)
+
+    def _column(self, name: str) -> Floats:
+        return np.asarray(self.places[self.place, PLACE.index(name)])
+
+
+@dataclass(frozen=True)
+class BsdfPoints(MeasuredDirections):
+    """A BSDF at measured directions.
+
+    `bsdf` is in 1/sr, NaN where there is no value; `components` are those of its uncertainty (see components.py) by name, and
+    `marks` its flags in bits. `signature` is the instrument signature's share of the sample's signal, already subtracted; NaN
+    where it was not measured.
+    """
+
+    bsdf: Floats
+    components: Components
+    marks: Marks
+    signature: Floats
 
     def where(self, chosen: Flags | Ints) -> "BsdfPoints":
         """A selection of the points, or all in another order."""
-        return BsdfPoints(*(getattr(self, each.name)[chosen] for each in fields(self)))
+        columns = {name: getattr(self, name)[chosen] for name in COLUMNS}
+        return replace(self, **columns, components={name: each[chosen] for name, each in self.components.items()})
+
+    @property
+    def u_bsdf(self) -> Floats:
+        """Standard uncertainty of the BSDF, 1/sr."""
+        return standard_uncertainty(self.components)
+
+    @property
+    def budget(self) -> dict[str, Floats]:
+        """The components of `u_bsdf` by name, as standard uncertainties in 1/sr: their squares add up to its square."""
+        return {name: np.sqrt(np.maximum(variance, 0.0)) for name, variance in self.components.items()}
+
+    def own_variance(self, common: float) -> Floats:
+        """The variance of the BSDF without what all points share: a relative uncertainty, part of the certificate's."""
+        others = {name: variance for name, variance in self.components.items() if name != "certificate"}
+        certificate = self.components.get("certificate", np.zeros(self.bsdf.size)) - (common * self.bsdf) ** 2
+        return np.maximum(total_variance({**others, "certificate": certificate}), 0.0)
+
+    @property
+    def u_field(self) -> Floats:
+        """The field's component of `u_bsdf`, 1/sr; NaN where it cannot be estimated."""
+        known = self.good & ~self.flag("field")
+        return np.where(known, np.sqrt(self.components.get("field", np.full(self.bsdf.size, np.nan))), np.nan)
+
+    @property
+    def flags(self) -> dict[str, Flags]:
+        """The flags (n,) by their names in files."""
+        return {name: self.flag(name) for name in FLAGS}
+
+    def flag(self, name: str) -> Flags:
+        """The points (n,) with a flag, by its name in files."""
+        return np.asarray((self.marks & BITS[name]) != 0)
+
+    def flagged(self, flags: Mapping[str, Flags]) -> "BsdfPoints":
+        """The points with further flags, by their names in files."""
+        return replace(self, marks=self.marks | pack_flags(flags, self.bsdf.size))
 
     @property
     def good(self) -> Flags:
         """The points with a trusted value."""
-        return np.isfinite(self.bsdf) & ~self.shadowed & ~self.drifted & ~self.dead
+        return np.asarray(np.isfinite(self.bsdf) & ((self.marks & UNTRUSTED) == 0))
 
     @property
     def front(self) -> "BsdfPoints":
@@ -88,46 +203,33 @@ class BsdfPoints:
         return self.where(~self.back & ~self.transmitted)
 
     @property
-    def in_plane(self) -> Flags:
-        """The points in the plane of incidence, within 1e-6 deg."""
-        offset = np.mod(self.azimuth_deg, 180.0)
-        return (np.minimum(offset, 180.0 - offset) < 1e-6) | (self.zenith_deg < 1e-6)
-
-    @property
-    def aspecular_deg(self) -> Floats:
-        """Aspecular angle: theta, positive towards the normal (phi = 0) and negative towards grazing."""
-        towards_normal = np.cos(np.radians(self.phi_deg)) > 0.0
-        signed: Floats = np.where(towards_normal, self.theta_deg, -self.theta_deg)
-        return signed
-
-    @property
     def luminance_factor(self) -> Floats:
         """pi times the BSDF: 1 for the ideal diffuser."""
         return math.pi * self.bsdf
 
-    @property
-    def flags(self) -> dict[str, Flags]:
-        """The flags by their names in files."""
-        return {
-            "shadowed": self.shadowed,
-            "clipped": self.clipped,
-            "no-etalon": self.no_etalon,
-            "dead": self.dead,
-            "uncertified": self.uncertified,
-            "drift": self.drifted,
-            "under-range": self.under_range,
-            "field": self.good & np.isnan(self.u_field),
-        }
+
+COLUMNS = tuple(each.name for each in fields(BsdfPoints) if each.name not in ("places", "components"))
+"""The arrays of points that have an element for each of them."""
 
 
 def join_points(blocks: list[BsdfPoints]) -> BsdfPoints:
-    """The points of all blocks, in order."""
-    return BsdfPoints(*(np.concatenate([getattr(block, each.name) for block in blocks]) for each in fields(BsdfPoints)))
+    """The points of all blocks, in order; a component that a block does not have is 0 there."""
+    names = list(dict.fromkeys(name for block in blocks for name in block.components))
+    columns = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in COLUMNS if name != "place"}
+    first = np.cumsum([0, *(len(block.places) for block in blocks)])
+    return BsdfPoints(
+        places=np.concatenate([block.places for block in blocks]),
+        place=np.concatenate([block.place + np.int32(k) for block, k in zip(blocks, first[:-1], strict=True)]),
+        components={
+            name: np.concatenate([block.components.get(name, np.zeros(block.bsdf.size)) for block in blocks]) for name in names
+        },
+        **columns,
+    )
 
 
 @dataclass
 class Tally:
-    """Streaming counts of points by flag.
+    """Streaming counts of a sample's points by flag.
 
     `under_range` counts good points that are lost in their noise; `flagged` all points by their first flag. `trusted` are the
     photodiodes of good values above their noise; `signature_subtracted` is true if the signature was subtracted anywhere.
@@ -143,17 +245,17 @@ class Tally:
 
     def add(self, points: BsdfPoints) -> None:
         """Count more points."""
-        good = points.good
+        good, above_noise = points.good, ~points.flag("under-range")
         self.directions += points.bsdf.size
         self.good += int(good.sum())
-        self.under_range += int((good & points.under_range).sum())
-        self.trusted.update(np.unique(points.photodiode[good & ~points.under_range]).tolist())
+        self.under_range += int((good & ~above_noise).sum())
+        self.trusted.update(np.unique(points.photodiode[good & above_noise]).tolist())
         self.transmitted |= bool(points.transmitted.any())
         self.signature_subtracted |= bool(np.isfinite(points.signature).any())
         left = np.ones(points.bsdf.size, dtype=bool)
-        for flag in FLAG_ORDER:
-            here = left & points.flags[flag]
-            self.flagged[flag] = self.flagged.get(flag, 0) + int(here.sum())
+        for name in REASON_ORDER:
+            here = left & points.flag(name)
+            self.flagged[name] = self.flagged.get(name, 0) + int(here.sum())
             left &= ~here
 
 
@@ -163,15 +265,14 @@ def steepness(points: BsdfPoints) -> Floats:
     Neighbours are the nearest directions of the same half planes with a value above zero, from any photodiode and shift.
     """
     result = np.zeros(points.bsdf.size)
-    usable = np.isfinite(points.bsdf) & (points.bsdf > 0.0) & ~points.shadowed
+    usable = np.isfinite(points.bsdf) & (points.bsdf > 0.0) & ~points.flag("shadowed")
     if not usable.any():
         return result
     here = points.where(usable)
-    plane = np.mod(here.beta_deg, HALF_TURN_DEG)
-    polar = np.minimum(here.zenith_deg, HALF_TURN_DEG - here.zenith_deg)
-    signed = np.where(np.abs(np.mod(here.azimuth_deg, TURN_DEG) - plane) < 1e-6, polar, -polar)
+    plane = scan_plane_deg(here.beta_deg)
+    signed = np.round(signed_polar(polar_from_zenith(here.zenith_deg), here.azimuth_deg, plane), SLOPE_DECIMALS)
     keys = [here.wavelength_nm, here.sigma_deg, here.gamma_deg, plane, here.transmitted, signed]
-    places, which = np.unique(np.round(np.stack(keys, axis=1), DECIMALS), axis=0, return_inverse=True)
+    places, which = np.unique(round_deg(np.stack(keys, axis=1)), axis=0, return_inverse=True)
     which = which.ravel()
     logs = np.bincount(which, weights=np.log(here.bsdf)) / np.bincount(which)
     same = np.all(places[1:, :-1] == places[:-1, :-1], axis=1)

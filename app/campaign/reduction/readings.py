@@ -6,75 +6,62 @@ block that needs them.
 """
 
 import contextlib
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.campaign.geometry.directions import PoseAngles
+from goniotwin.app.campaign.geometry.directions import scan_plane_deg
+from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.record import CommittedRow
-from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.drift_checks import drift_intervals, insensitive_photodiodes
-from goniotwin.app.campaign.reduction.signals import (
-    Signal,
-    add_tracing_error,
-    dark_current_loss_s,
-    dark_readings_by_gain,
-    mean_signal,
-    middle_s,
-    signal,
-)
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
+from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
+from goniotwin.app.campaign.reduction.pipeline import reduce_readings
+from goniotwin.app.campaign.reduction.points import PLACE
+from goniotwin.app.campaign.reduction.signals import dark_current_loss_s, dark_readings_by_gain, middle_s
 from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.schedule.grids import DECIMALS, HALF_TURN_DEG
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import RigDescription, photodiode_settings
+from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-PLACE = ("wavelength_nm", "gamma_deg", "sigma_deg", "beta_deg", "shift_deg")
-PoseKey = tuple[float, PoseAngles]
 RowTable = npt.NDArray[np.void]
 
 
-@dataclass(frozen=True)
-class RowSignal:
-    """A measured row, or the mean of several rows of one pose: its signal, and the photodiodes (n,) that are flagged.
+class DarkHistory:
+    """All dark readings of a campaign so far, and what they make of the readings of any row. Raises UserError if too few."""
 
-    `drifted`: the row lies in a drift interval of the photodiode. `dead`: the photodiode has lost its dark current.
-    """
+    def __init__(self, dark_rows: list[CommittedRow], rig: RigFile) -> None:
+        self._rig = rig
+        self._settings = rig.photodiodes
+        self._dark = dark_readings_by_gain(dark_rows, self._settings)
+        self._loss_s = dark_current_loss_s(dark_rows, self._settings)
 
-    row: Row
-    signal: Signal
-    drifted: Flags
-    dead: Flags
+    def signal(self, row: CommittedRow) -> Signal:
+        """The signal of a row with readings. Raises UserError where it cannot be reduced."""
+        return reduce_readings(row.data, self._dark, self._settings, self._rig)
 
-
-def pose_key(row: Row, pose: PoseAngles) -> PoseKey:
-    """A row's wavelength with a pose, rounded: 180 deg - sigma may differ in the last bits from the planner's sigma."""
-    assert row.wavelength_nm is not None
-    gamma, sigma, beta, shift = (round(angle, DECIMALS) for angle in pose)
-    return (row.wavelength_nm, (gamma, sigma, beta, shift))
+    def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
+        """The signal of a row, with the photodiodes that drifted, and those that have lost their dark current."""
+        none = np.zeros(self._settings.count, dtype=bool)
+        drifted = np.any([none, *(drift.flagged_at(row.data.started_s) for drift in intervals)], axis=0)
+        return RowSignal(row.row, signal, drifted, self._loss_s < middle_s(row.data.readings[0]))
 
 
 class Measurements:
     """All measured rows of a journal. Raises UserError where there are no dark readings, or a row cannot be reduced."""
 
-    def __init__(self, journal: Journal, schedule: ScheduleFile, rig: RigDescription) -> None:
+    def __init__(self, journal: JournalReader, schedule: ScheduleFile, rig: RigFile) -> None:
         self._journal = journal
-        self._rig = rig
-        self._settings = photodiode_settings(rig.file)
-        dark_rows = list(journal.rows("dark"))
         with self._path_in_errors():
-            self._dark = dark_readings_by_gain(dark_rows, self._settings)
-        self._loss_s = dark_current_loss_s(dark_rows, self._settings)
-        del dark_rows
+            self._dark = DarkHistory(list(journal.rows("dark")), rig)
         self._table, self._names = journal.row_index()
         limit = None if schedule.drift is None else schedule.drift.limit
         self.insensitive = insensitive_photodiodes(journal.rows("drift"), self._signal)
         some = next(journal.rows("drift"), None) is not None
         rows = journal.rows("mount", "measure", "drift") if some else iter(())
-        self.drift_intervals = drift_intervals(rows, self._signal, rig.file, limit)
+        self.drift_intervals = drift_intervals(rows, self._signal, rig, limit)
 
     def row_table(self, sample: str) -> RowTable:
         """The measured rows of a sample, in order of time."""
@@ -84,10 +71,8 @@ class Measurements:
 
     def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
         """The signals of rows, by the rows' numbers."""
-        none = np.zeros(self._settings.count, dtype=bool)
         for each in self._journal.rows_of(numbers):
-            drifted = np.any([none, *(drift.flagged_at(each.data.started_s) for drift in self.drift_intervals)], axis=0)
-            yield RowSignal(each.row, self._signal(each), drifted, self._loss_s < middle_s(each.data.readings[0]))
+            yield self._dark.row_signal(each, self._signal(each), self.drift_intervals)
 
     @contextlib.contextmanager
     def _path_in_errors(self) -> Iterator[None]:
@@ -98,7 +83,7 @@ class Measurements:
 
     def _signal(self, row: CommittedRow) -> Signal:
         with self._path_in_errors():
-            return add_tracing_error(signal(row.data, self._dark, self._settings), self._rig.file)
+            return self._dark.signal(row)
 
 
 class ReferenceMeasurements:
@@ -107,8 +92,8 @@ class ReferenceMeasurements:
     def __init__(self, measurements: Measurements, sample: str) -> None:
         self._measurements = measurements
         table = measurements.row_table(sample)
-        self.places: Floats = np.stack([np.round(table[name], DECIMALS) for name in PLACE], axis=1)
-        self._columns = [np.unique(column) for column in self.places.T]
+        self.places = row_places(table)
+        self._columns = [np.unique(column) for column in round_deg(self.places).T]
         codes = self._codes(self.places)
         order = np.argsort(codes, kind="stable")
         self._sorted, self._numbers = codes[order], table["number"][order]
@@ -126,21 +111,30 @@ class ReferenceMeasurements:
         signals = {}
         for key, begin, end in zip(wanted, first.tolist(), last.tolist(), strict=True):
             if end > begin:
-                signals[key] = _mean(list(self._measurements.row_signals(self._numbers[begin:end].tolist())))
+                signals[key] = mean_row(list(self._measurements.row_signals(self._numbers[begin:end].tolist())))
         return signals
+
+    def measured(self, places: Floats) -> Flags:
+        """Which of the places (n, 5) were measured."""
+        return np.asarray(self._codes(places) >= 0)
 
     def meets(self, other: "ReferenceMeasurements") -> bool:
         """Whether both have a measurement at the same wavelength and pose."""
-        return bool(np.any(self._codes(other.places) >= 0)) if len(self) else False
+        return bool(np.any(self.measured(other.places))) if len(self) else False
 
     def _codes(self, places: Floats) -> Ints:
-        """A number for each of the places (n, 5); -1 where nothing was measured."""
+        """A number for each of the places (n, 5), which are rounded as in `pose_key`; -1 where nothing was measured."""
         codes, known = np.zeros(len(places), dtype=np.int64), np.ones(len(places), dtype=bool)
-        for column, values in zip(places.T, self._columns, strict=True):
+        for column, values in zip(round_deg(places).T, self._columns, strict=True):
             at = np.minimum(np.searchsorted(values, column), max(values.size - 1, 0))
             known &= values[at] == column if values.size else False
             codes = codes * values.size + at
         return np.where(known, codes, -1)
+
+
+def row_places(table: RowTable) -> Floats:
+    """Wavelengths and poses (n, 5) of rows, in the order of PLACE. Not rounded."""
+    return np.stack([table[name] for name in PLACE], axis=1)
 
 
 def order_by_setting(table: RowTable) -> tuple[Ints, Ints]:
@@ -149,17 +143,7 @@ def order_by_setting(table: RowTable) -> tuple[Ints, Ints]:
     The edges are the places in that order where wavelength, sigma or gamma changes, with 0 first and the number of rows last.
     All neighbours of a value, and all overlaps of photodiodes, lie between two edges.
     """
-    plane = np.round(np.mod(table["beta_deg"], HALF_TURN_DEG), DECIMALS)
     keys = [table[name] for name in ("gamma_deg", "sigma_deg", "wavelength_nm")]
-    order = np.lexsort([plane, *keys])
+    order = np.lexsort([scan_plane_deg(table["beta_deg"]), *keys])
     changes = np.any([key[order][1:] != key[order][:-1] for key in keys], axis=0) if len(order) else np.zeros(0, dtype=bool)
     return order, np.concatenate([[0], 1 + np.flatnonzero(changes), [len(order)]])
-
-
-def _mean(group: list[RowSignal]) -> RowSignal:
-    return RowSignal(
-        group[0].row,
-        mean_signal([each.signal for each in group]),
-        np.any([each.drifted for each in group], axis=0),
-        np.any([each.dead for each in group], axis=0),
-    )

@@ -1,49 +1,35 @@
-"""The reduction: from a journal's counts to the BSDF at each direction, with its standard uncertainty.
-
-Reflected light (the paper's formula 1): each photodiode's signal, a photocurrent over the monitor's current, is divided by the
-signal of the same photodiode at the etalon, and multiplied by the certificate's BSDF, in 1/sr. Where the instrument signature
-was measured in the same pose, without a sample, it is subtracted from both signals first. The uncertainty has six components:
-dark readings and noise, monitor, gain, signature, etalon, field of view; and for a virtual rig with ray-traced light a seventh,
-the Monte Carlo error.
-
-Transmitted light: formula 1 has no etalon for it. The signal is divided by that of the same photodiode at the etalon lit from
-the photodiode's own side, at 180 deg - sigma. Without such a measurement there is no scale, and there are no points. The
-signature is not subtracted from transmitted light: without a sample it is the direct beam.
-"""
+"""The reduction of a journal: its rows, in blocks, through the steps of pipeline.py; and notes for the reader of the values."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.arcs import arc_views, etalon_sigmas_deg
+from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
-from goniotwin.app.campaign.reduction.field_of_view import add_field_uncertainty
+from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings, ReferenceSignals, reference_keys
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
-from goniotwin.app.campaign.reduction.points import BsdfPoints as BsdfPoints
-from goniotwin.app.campaign.reduction.points import Tally, join_points
+from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, Tally, join_points
 from goniotwin.app.campaign.reduction.readings import (
     Measurements,
-    PoseKey,
     ReferenceMeasurements,
-    RowSignal,
     RowTable,
     order_by_setting,
-    pose_key,
+    row_places,
 )
-from goniotwin.app.campaign.reduction.row_points import row_points
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
-from goniotwin.app.campaign.row import NO_SAMPLE, Row
-from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate, parse_certificate
+from goniotwin.app.campaign.row import NO_SAMPLE
+from goniotwin.app.campaign.schedule.certificate import constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import RigDescription, parse_rig
+from goniotwin.app.rig import RigDescription, RigFile, parse_rig
 from goniotwin.arrays import Ints
 
 BLOCK_ROWS = 256
@@ -84,54 +70,49 @@ class PointBlock:
 class Reduction:
     """A journal during its reduction: what is common to all of it, and its points in blocks, which are not kept in memory.
 
-    Raises UserError for a journal without readings of the etalon.
+    Nothing of it changes while blocks are read: what depends on the points is computed from the tallies of all blocks. Raises
+    UserError for a journal without readings of the etalon.
     """
 
-    def __init__(self, journal: Journal) -> None:
+    def __init__(self, journal: JournalReader) -> None:
         self.journal = journal
         self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
-        self.certificate = _certificate(journal, self.schedule, self.rig)
-        self._measurements = Measurements(journal, self.schedule, self.rig)
+        text = None if self.schedule.certificate is None else journal.value("certificate")
+        self.settings = reduction_settings(self.rig.file, self.schedule, text, f"{journal.path} (certificate)")
+        self._measurements = Measurements(journal, self.schedule, self.rig.file)
         self._etalon = ReferenceMeasurements(self._measurements, self.schedule.etalon)
         if not len(self._etalon):
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = ReferenceMeasurements(self._measurements, NO_SAMPLE)
-        self.tallies: dict[str, Tally] = {}
-        self._without_etalon: dict[str, int] = {}
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
-        """The points of a sample in the order of wavelength, sigma, gamma, half planes and time.
+        """The points of a sample in the order of wavelength, sigma, gamma, half planes and time; not finished yet.
 
         A block has about `rows` rows; their number changes no value. Raises UserError.
         """
         table = self._measurements.row_table(sample)
         order, edges = order_by_setting(table)
-        self.tallies.pop(sample, None)
-        self._without_etalon.pop(sample, None)
         begin = 0
         for end in edges[1:].tolist():
             if end > begin and (end - begin >= rows or end == len(order)):
-                if (block := self._block(sample, table, order[begin:end])) is not None:
-                    self.tallies.setdefault(sample, Tally()).add(block.points)
+                if (block := self._block(table, order[begin:end])) is not None:
                     yield block
                 begin = end
 
     def checks(self, sample: str) -> ConsistencyChecks:
         """The consistency checks of a sample, before any of its points is added."""
-        common = float(np.min(self.certificate.relative_uncertainty))
-        return ConsistencyChecks(self.schedule, self.rig.file, self._measurements.row_table(sample), common)
+        return ConsistencyChecks(self.settings, self._measurements.row_table(sample))
 
     @property
     def calibrates(self) -> bool:
         """Whether the values are multiplied by the calibration factors of the overlaps."""
-        return self.schedule.overlap is not None and self.schedule.overlap.calibrate
+        return self.settings.calibrates
 
     def finish(self, points: BsdfPoints, overlaps: Overlaps | None) -> BsdfPoints:
-        """Calibrate the points of whole blocks by their sample's overlaps, where asked for, and add the field's uncertainty."""
-        calibrated = overlaps.factors.apply(points) if self.calibrates and overlaps is not None else points
-        # After the calibration: the field has the same effect on all photodiodes that look in a direction.
-        return add_field_uncertainty(calibrated, self.rig.file)
+        """The BSDF of whole blocks, calibrated by the overlaps of their sample where asked for."""
+        factors = overlaps.factors if self.calibrates and overlaps is not None else None
+        return finish_points(points, replace(self.settings, calibration=factors))
 
     def overlaps(self, sample: str, rows: int = BLOCK_ROWS) -> Overlaps | None:
         """The overlaps of a sample; None where its points are not calibrated by them.
@@ -149,12 +130,13 @@ class Reduction:
         """Notes on the calibration factors of a sample; none for a schedule without an overlap table."""
         return [] if self.schedule.overlap is None else list(overlaps.factors.sentences(self.calibrates))
 
-    def notes(self) -> list[str]:
-        """Remarks on the reduction, for the reader of the values; complete after the last block of the last sample."""
-        notes = list(missing_notes(self.journal, self._without_etalon))
+    def notes(self, tallies: Mapping[str, Tally]) -> list[str]:
+        """Remarks on the reduction, for the reader of the values, from the tallies of all blocks, by sample."""
+        without_etalon = {name: rows for name in self.schedule.samples if (rows := self._without_etalon(name))}
+        notes = list(missing_notes(self.journal, without_etalon))
         notes += [str(interval) for interval in self._measurements.drift_intervals]
-        transmitted = any(tally.transmitted for tally in self.tallies.values())
-        subtracted = any(tally.signature_subtracted for tally in self.tallies.values())
+        transmitted = any(tally.transmitted for tally in tallies.values())
+        subtracted = any(tally.signature_subtracted for tally in tallies.values())
         u_signature = self.rig.file.sample_unit.signature_uncertainty
         scale = transmitted and self._signature.meets(self._etalon)
         notes += signature_notes(reflected=subtracted, scale=scale, u_signature=u_signature)
@@ -168,55 +150,69 @@ class Reduction:
             notes.append(
                 f"the light was traced by the forward estimator; median relative error {error:.2g}, included in the uncertainty"
             )
-        return notes + [unchecked_note(name, photodiodes) for name, photodiodes in self.unchecked().items()]
+        return notes + [unchecked_note(name, photodiodes) for name, photodiodes in self.unchecked(tallies).items()]
 
-    def unchecked(self) -> dict[str, tuple[int, ...]]:
-        """By the mounted sample, the photodiodes that its drift checks do not cover; complete after the last block."""
-        trusted = {name: tally.trusted for name, tally in self.tallies.items()}
+    def unchecked(self, tallies: Mapping[str, Tally]) -> dict[str, tuple[int, ...]]:
+        """By the mounted sample, the photodiodes that its drift checks do not cover, from the tallies of all blocks."""
+        trusted = {name: tally.trusted for name, tally in tallies.items()}
         return unchecked_photodiodes(self._measurements.insensitive, trusted, self.schedule.etalon)
 
-    def _block(self, sample: str, table: RowTable, places: Ints) -> PointBlock | None:
+    def _block(self, table: RowTable, places: Ints) -> PointBlock | None:
         rows = list(self._measurements.row_signals(table["number"][places].tolist()))
-        at_sample, at_etalon = _keys(self.rig, rows)
-        etalon, signature = self._etalon.at(at_etalon), self._signature.at(at_sample + at_etalon)
-        ranks, parts = [], []
-        for rank, each in zip(places.tolist(), rows, strict=True):
-            for points in row_points(self.rig, each, etalon, signature, self.certificate):
-                ranks.append(np.full(points.bsdf.size, rank))
-                parts.append(points)
-            if not self._etalon_keys(each.row) <= etalon.keys():
-                self._without_etalon[sample] = self._without_etalon.get(sample, 0) + 1
-        return PointBlock(np.concatenate(ranks), join_points(parts)) if parts else None
+        at_sample, at_etalon = reference_keys([each.row for each in rows], self.settings.geometry)
+        references = ReferenceSignals(self._etalon.at(at_etalon), self._signature.at(at_sample + at_etalon))
+        reduced = reduce_rows(rows, references, self.settings)
+        return None if reduced is None else PointBlock(places[reduced[0]], reduced[1])
 
-    def _etalon_keys(self, row: Row) -> set[PoseKey]:
-        """Where the etalon has to be measured for a row."""
-        assert row.pose is not None
-        gamma, sigma, beta, shift = row.pose
-        return {pose_key(row, (gamma, etalon, beta, shift)) for etalon in etalon_sigmas_deg(self.schedule, sigma)}
+    def _without_etalon(self, sample: str) -> int:
+        """The number of a sample's rows that have no values on some arc, because the etalon was not measured at their pose."""
+        places, missing = row_places(self._measurements.row_table(sample)), 0
+        for sigma in np.unique(places[:, PLACE.index("sigma_deg")]).tolist():
+            here = places[places[:, PLACE.index("sigma_deg")] == sigma]
+            known = np.ones(len(here), dtype=bool)
+            for at_etalon in etalon_sigmas_deg(self.schedule, sigma):
+                here[:, PLACE.index("sigma_deg")] = at_etalon
+                known &= self._etalon.measured(here)
+            missing += int((~known).sum())
+        return missing
 
 
-def reduce_journal(journal: Journal) -> BsdfDataset:
+def reduction_settings(rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str) -> ReductionSettings:
+    """The settings of a reduction; `certificate` is the text of the schedule's certificate, `name` its name in an error.
+
+    Without a certificate it is the rig file's. Raises UserError.
+    """
+    etalon = rig.etalon
+    parsed = (
+        constant_certificate(etalon.radiance_factor, etalon.relative_uncertainty)
+        if certificate is None
+        else parse_certificate(certificate, name)
+    )
+    return ReductionSettings(rig, ArcGeometry(rig), schedule, parsed)
+
+
+def reduce_journal(journal: JournalReader) -> BsdfDataset:
     """Reduce all samples of a journal; the campaign may be unfinished. Raises UserError if the etalon has not been measured."""
     reduction = Reduction(journal)
-    samples, overlaps, symmetry = {}, {}, {}
+    samples, overlaps, symmetry, tallies = {}, {}, {}, {}
     for name in reduction.schedule.samples:
-        checks = reduction.checks(name)
-        blocks = []
-        for block in reduction.blocks(name):
+        checks, blocks = reduction.checks(name), list(reduction.blocks(name))
+        for block in blocks:
             checks.add(block.points)
-            blocks.append(block)
         if blocks:
             in_time = np.argsort(np.concatenate([block.rank for block in blocks]), kind="stable")
             overlaps[name] = checks.overlaps()
             samples[name] = reduction.finish(join_points([block.points for block in blocks]), overlaps[name]).where(in_time)
+            tallies[name] = Tally()
+            tallies[name].add(samples[name])
             if (result := checks.symmetry()) is not None:
                 symmetry[name] = result
-    notes = reduction.notes()
+    notes = reduction.notes(tallies)
     notes += [f"symmetry of {name}: {result}" for name, result in symmetry.items()]
     notes += [f"overlaps of {name}: {note}" for name, each in overlaps.items() for note in reduction.calibration_notes(each)]
     return BsdfDataset(
         journal.value("name"), reduction.rig, journal.simulated, samples, overlaps, tuple(notes), symmetry,
-        reduction.unchecked(),
+        reduction.unchecked(tallies),
     )  # fmt: skip
 
 
@@ -274,19 +270,3 @@ def signature_notes(*, reflected: bool, scale: bool, u_signature: float) -> list
         f"the instrument signature (measured without a sample) has been subtracted from {' and from '.join(signals)}; "
         f"with a sample mounted it is taken as the same to {100.0 * u_signature:.2g} %"
     ]
-
-
-def _certificate(journal: Journal, schedule: ScheduleFile, rig: RigDescription) -> Certificate:
-    if schedule.certificate is not None:
-        return parse_certificate(journal.value("certificate"), f"{journal.path} (certificate)")
-    return constant_certificate(rig.file.etalon.radiance_factor, rig.file.etalon.relative_uncertainty)
-
-
-def _keys(rig: RigDescription, rows: list[RowSignal]) -> tuple[list[PoseKey], list[PoseKey]]:
-    """Where the rows were measured, and where their photodiodes need a signal of the etalon."""
-    own, etalon = [], []
-    for each in rows:
-        assert each.row.pose is not None
-        own.append(pose_key(each.row, each.row.pose))
-        etalon += [pose_key(each.row, view.etalon_pose(each.row.pose)) for view in arc_views(rig.file, each.row.pose)]
-    return own, etalon

@@ -16,9 +16,9 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
-from goniotwin.app.campaign.schedule.grids import DECIMALS
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 Columns = dict[str, Floats]
 RESOLVED = 0.05
@@ -95,7 +95,7 @@ class SymmetryCheck:
             return
         slope = steepness(points)[chosen]
         here = points.where(chosen)
-        own = np.maximum(here.u_bsdf**2 - self._common**2 * here.bsdf**2, 0.0) + (slope * self._angle_deg * here.bsdf) ** 2
+        own = here.own_variance(self._common) + (slope * self._angle_deg * here.bsdf) ** 2
         columns = {name: np.asarray(getattr(here, name), dtype=float) for name in PAIR_KEYS if name not in ("gamma", "beta")}
         columns |= {"gamma": same[chosen, 0], "beta": same[chosen, 2], "value": here.bsdf, "variance": own}
         columns |= {"zenith": here.zenith_deg, "azimuth": here.azimuth_deg, "mirrored": here.mirrored.astype(float)}
@@ -108,7 +108,7 @@ class SymmetryCheck:
             return empty
         columns = {name: np.concatenate([each[name] for each in self._kept]) for name in self._kept[0]}
         keys, first, which = np.unique(
-            np.round(np.stack([columns[name] for name in PAIR_KEYS], axis=1), DECIMALS),
+            round_deg(np.stack([columns[name] for name in PAIR_KEYS], axis=1)),
             axis=0, return_index=True, return_inverse=True,
         )  # fmt: skip
         mirrored = columns["mirrored"] > 0.0

@@ -17,7 +17,8 @@ from goniotwin.app.campaign.reduction.checks import CheckResults
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import FormatError, write_points_csv
+from goniotwin.app.formats import FormatError, PointStream
+from goniotwin.app.formats.registry import Holds, format_for
 from goniotwin.arrays import Floats
 
 PERCENTILES = (5, 50, 95)
@@ -35,20 +36,15 @@ COMMENTS = (
 
 @dataclass
 class UncertaintySpread:
-    """Relative uncertainties of one sample: the numbers of directions and of trusted ones, and `known`, the relative
-    uncertainties of the trusted directions with a value above zero.
-    """
+    """Relative uncertainties of one sample: `known` are those of the trusted directions with a value above zero."""
 
-    directions: int = 0
-    trusted: int = 0
+    tally: Tally = field(default_factory=Tally)
     known: list[Floats] = field(default_factory=list)
 
     def add(self, points: BsdfPoints) -> None:
         """Take more points."""
-        good = points.good
-        values = relative_uncertainty(points)[good]
-        self.directions += int(points.bsdf.size)
-        self.trusted += int(good.sum())
+        self.tally.add(points)
+        values = relative_uncertainty(points)[points.good]
         self.known.append(values[np.isfinite(values)])
 
     def as_dict(self) -> dict[str, Any]:
@@ -57,8 +53,8 @@ class UncertaintySpread:
         percentiles = np.percentile(known, PERCENTILES).tolist() if known.size else [None] * len(PERCENTILES)
         return {
             **{f"p{each:02d}": value for each, value in zip(PERCENTILES, percentiles, strict=True)},
-            "directions": self.directions,
-            "trusted": self.trusted,
+            "directions": self.tally.directions,
+            "trusted": self.tally.good,
             "above_zero": int(known.size),
             "to_a_tenth": int(np.sum(known <= WELL_KNOWN)),
         }
@@ -94,8 +90,10 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
                 for _ in parts:
                     pass
             else:
-                write_points_csv(points, [*about, *COMMENTS], itertools.chain([first], parts))
-            unchecked = reduction.unchecked()
+                stream = PointStream([*about, *COMMENTS], itertools.chain([first], parts))
+                format_for(points, {Holds.COLUMNS}).write(points, stream)
+            tallies = {name: each.tally for name, each in spreads.items()}
+            unchecked = reduction.unchecked(tallies)
     except FormatError as error:
         raise UserError(str(error)) from None
     except UserError as error:
@@ -106,7 +104,7 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
     if points is not None and not spreads:
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
     spread = {name: each.as_dict() for name, each in spreads.items()}
-    return Forecast(spread, check_results, tallies=reduction.tallies, unchecked=unchecked)
+    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked)
 
 
 def relative_uncertainty(points: BsdfPoints) -> Floats:

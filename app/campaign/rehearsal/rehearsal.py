@@ -14,7 +14,7 @@ from typing import Any
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, relevant_photodiodes, value_warnings
@@ -24,7 +24,7 @@ from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.running.resume import RemainingWork, remaining_work
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import OpenRig, RigDescription, open_rig, photodiode_settings
+from goniotwin.app.rig import OpenRig, RigDescription, open_rig
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.protocols.clock import VirtualClock
 
@@ -33,7 +33,7 @@ from goniotwin.protocols.clock import VirtualClock
 class Rehearsal:
     """A rehearsed plan with its `result`, the object that `goniotwin rehearse --json` prints."""
 
-    plan: Plan
+    plan: NewPlan
     result: dict[str, Any]
 
     @property
@@ -61,7 +61,7 @@ class RehearsalRun:
 
 def plan_rehearsal(
     schedule: ScheduleDescription, rig: RigDescription, samples: Mapping[str, str]
-) -> tuple[Plan, tuple[str, ...]]:
+) -> tuple[NewPlan, tuple[str, ...]]:
     """Make the plan on a virtual rig, and list the assumptions on it. Raises UserError.
 
     The virtual rig is the file's own, or the one that a real rig's file describes. `samples` are models by the sample's name.
@@ -76,7 +76,7 @@ def plan_rehearsal(
 
 
 def rehearse(
-    plan: Plan,
+    plan: NewPlan,
     assumed: tuple[str, ...] = (),
     *,
     out: Path | None = None,
@@ -88,7 +88,7 @@ def rehearse(
     The journal is written to `out`, or deleted. `points` is a CSV for the predicted uncertainty of each direction. Raises
     UserError, and KeyboardInterrupt for a Ctrl-C.
     """
-    statistics = RowStatistics(photodiode_settings(plan.rig.file), partial(relevant_photodiodes, plan))
+    statistics = RowStatistics(plan.rig.file.photodiodes, partial(relevant_photodiodes, plan))
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = run_on_twin(plan, path, statistics, listeners or [])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.readout import saturation
+from goniotwin.app.campaign.readout import GainSequence
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.rig import AXES
@@ -34,7 +34,7 @@ class RowStatistics:
     def __init__(self, settings: PhotodiodeSettings, relevant: Callable[[Row], Flags]) -> None:
         self._settings = settings
         self._relevant = relevant
-        self._zero = round(-settings.range.low_v / settings.range.lsb_v)
+        self._zero = round(settings.range.zero)
         self.span = adam.FULL_SCALE - self._zero
         self.blocks: list[MountingBlock] = []
         self.axes_deg: dict[str, list[float]] = {}
@@ -68,14 +68,15 @@ class RowStatistics:
     def _add_counts(self, row: Row, data: RowData) -> None:
         if not data.readings:
             return
+        gains = GainSequence(row, self._settings.count, None)
         for reading in data.readings:
+            gains.add(reading.counts)
             gain = reading.gain_v_per_a
             highest = reading.counts.max(axis=0)
             self.largest[gain] = max(self.largest.get(gain, 0), int(highest.max()))
             steps = np.abs(reading.counts.mean(axis=0) - self._zero)
             self.steps[row.sample, gain] = np.maximum(self.steps.get((row.sample, gain), steps), steps)
-        saturated = np.all([saturation(reading.counts) for reading in data.readings], axis=0)
-        self.saturated += int((saturated & self._relevant(row)).sum())
+        self.saturated += int((gains.saturated & self._relevant(row)).sum())
 
     @property
     def share_of_range(self) -> dict[float, float]:

@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import arc_views, observing_arcs, polar_deg
+from goniotwin.app.campaign.geometry.directions import ARCS
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note
-from goniotwin.app.campaign.reduction.points import FLAG_ORDER, Tally
+from goniotwin.app.campaign.reduction.points import FLAGS, REASON_ORDER, Tally
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
@@ -20,6 +21,7 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Scatterer, arc_direction, evaluate, light_direction, luminance_factor
 from goniotwin.twin.optics.bsdf.models import REGULAR
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
 
 NOTICEABLE = 0.01
 """Relative change of a value by the field of view, from which on there is a warning."""
@@ -30,15 +32,6 @@ MAX_POSES = 200
 FEW_STEPS = 1000.0
 """Steps of the converter, which has 32767 above zero: its noise of about one step is a thousandth of such a signal."""
 HALF = 0.5
-REASONS = {
-    "shadowed": ("blocked by the mirror unit", "choose other angles"),
-    "uncertified": ("not covered by the etalon's certificate", "choose an etalon with a certificate that covers them"),
-    "no-etalon": ("without a signal of the etalon", "choose one that scatters to the side that the photodiodes look at"),
-    "clipped": ("saturated at every gain", "add a lower gain"),
-    "dead": ("of dead photodiodes", "repair them"),
-    "drift": ("flagged for drift", "see the drift checks"),
-}
-"""Reason and remedy of a missing value, by the flag of the point."""
 
 
 def rehearsal_warnings(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
@@ -135,7 +128,7 @@ def _narrow_lobes(plan: Plan) -> Iterator[str]:
 def _narrow(sample: Scatterer, sigma_deg: float, field_deg: float, wavelength_nm: float) -> bool:
     """Whether the lobe is below half of its peak at both edges of a field centred on it."""
     polar = sigma_deg + np.array([-0.5, 0.0, 0.5]) * field_deg
-    light, observer = arc_direction(sigma_deg, 0.0), arc_direction(polar, 180.0)
+    light, observer = arc_direction(sigma_deg, 0.0), arc_direction(polar, SPECULAR_AZIMUTH_DEG)
     before, peak, after = evaluate(sample, light, observer, wavelength_nm)
     return bool(max(before, after) < HALF * peak)
 
@@ -180,12 +173,12 @@ def value_warnings(file: ScheduleFile, tallies: Mapping[str, Tally], unchecked: 
 
 
 def _reasons(tally: Tally) -> str:
-    counts = {flag: tally.flagged[flag] for flag in FLAG_ORDER if tally.flagged[flag]}
-    reasons = [f"{count} are {REASONS[flag][0]}" for flag, count in counts.items()]
+    counts = {flag: tally.flagged[flag] for flag in REASON_ORDER if tally.flagged[flag]}
+    reasons = [f"{count} are {FLAGS[flag].reason}" for flag, count in counts.items()]
     left = tally.directions - sum(counts.values())
     if left:
         reasons.append(f"{left} have none for another reason")
-    return f"{', '.join(reasons)}; {', '.join(REASONS[flag][1] for flag in counts) or 'look at the journal'}"
+    return f"{', '.join(reasons)}; {', '.join(FLAGS[flag].remedy for flag in counts) or 'look at the journal'}"
 
 
 def relevant_photodiodes(plan: Plan, row: Row) -> Flags:
@@ -193,9 +186,7 @@ def relevant_photodiodes(plan: Plan, row: Row) -> Flags:
 
     Without a sample the beam goes straight on. The arc that it meets may be saturated, unless the campaign measures there.
     """
-    upper, lower = (np.full(len(polar_deg(plan.rig.file, arc)), True) for arc in ("upper", "lower"))
+    arcs = ARCS
     if row.sample == NO_SAMPLE and row.pose is not None and not row.identity.startswith(f"{NO_SAMPLE}/open beam/"):
         arcs = tuple(observing_arcs(plan.schedule.file, row.pose[1]))
-        upper &= "upper" in arcs
-        lower &= "lower" in arcs
-    return np.concatenate([upper, lower])
+    return np.concatenate([np.full(len(polar_deg(plan.rig.file, arc)), arc in arcs) for arc in ARCS])

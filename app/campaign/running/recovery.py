@@ -90,7 +90,7 @@ class Recovery:
     def reconnect(self) -> None:
         """Reconnect the devices that are still disconnected, if any. Raises DeviceError where that fails again."""
         while self._disconnected:
-            self._connect(self._disconnected[0])
+            self._rig.reconnect(self._disconnected[0])
             del self._disconnected[0]
 
     def wait_for_rest(self) -> list[DeviceError]:
@@ -105,17 +105,6 @@ class Recovery:
     def home(self, axis: Axis) -> None:
         """Home an axis. Raises DeviceError."""
         self._wait(self._stop_request.start(axis.start_homing))
-
-    def _connect(self, device: str) -> None:
-        rig = self._rig
-        if device == "axes" or device in AXES:
-            rig.reconnect_axes()
-        elif device == "monochromator":
-            rig.monochromator.connect()
-        elif device == "monitor":
-            rig.monitor.connect()
-        else:
-            rig.photodiodes.reconnect()
 
     def _wait_for_axis(self, name: str) -> None:
         clock = self._rig.clock

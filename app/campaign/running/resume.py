@@ -1,30 +1,20 @@
 """Resuming a campaign that was stopped, failed, or killed: at the first planned row that is not in its journal."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.durations import Timing
+from goniotwin.app.campaign.planning.durations import UNKNOWN_STATE, Timing
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import NO_SAMPLE, RESUME_PREFIX, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.protocols.clock import calendar_stamp
-
-PORT_KEYS = (
-    ("axes", "port"),
-    ("monochromator", "port"),
-    ("photodiodes", "units"),
-    ("monitor", "usb"),
-    ("simulated", "control_port"),
-    ("simulated", "speed"),
-)
-"""Keys (table, key) of the rig file that may change while a campaign is interrupted: addresses and simulation speed."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +92,15 @@ def _same_model(stated: str, recorded: RigDescription, rig: RigDescription) -> b
 
 
 def _without_ports(rig: RigDescription) -> dict[str, Any]:
-    content = rig.file.model_dump(exclude={"twin", "simulated"})
-    for table, key in PORT_KEYS:
-        if table in content:
-            del content[table][key]
+    """The tables of a rig file without its virtual rig and without addresses, which may change during an interruption."""
+    tables = {key: value for key, value in vars(rig.file).items() if key not in ("twin", "simulated")}
+    content: dict[str, Any] = {key: value if isinstance(value, str) else asdict(value) for key, value in tables.items()}
+    for place in {place for device in rig.file.devices for place in device.places}:
+        *path, key = (part for part in place if isinstance(part, str))
+        table = content
+        for part in path:
+            table = table[part]
+        table.pop(key, None)
     return content
 
 
@@ -123,16 +118,17 @@ def _differences(old: dict[str, Any], new: dict[str, Any], place: str = "") -> l
 def _work(journal: JournalReader, plan: Plan, done: set[int], left: list[Row]) -> list[Row]:
     """The rows that are left, with unplanned rows before those of a sample that was mounted before the interruption."""
     prefix = f"{RESUME_PREFIX}{len(journal.sessions()) + 1}"
-    number, timing = journal.last_number() + 1, Timing(plan.rig.file)
+    number, timing, state = journal.last_number() + 1, Timing(plan.rig.file), UNKNOWN_STATE
     mounted: str | None = None
     work: list[Row] = []
 
     def add(row: Row) -> None:
-        nonlocal number
+        nonlocal number, state
+        seconds, state = timing.row(state, row)
         identity = f"{prefix}/{row.sample}/{row.kind}"
         if any(each.identity == identity for each in work):
             identity = f"{identity} {number}"
-        work.append(replace(row, number=number, identity=identity, seconds=timing.row_seconds(row)))
+        work.append(replace(row, number=number, identity=identity, seconds=seconds))
         number += 1
 
     if plan.rows[0].kind == "warm-up" and plan.rows[0].number in done:
@@ -184,8 +180,7 @@ def _start(journal: JournalReader, rig: RigDescription) -> float:
     if not sessions:
         return 0.0
     last = sessions[-1]
-    if all(address.startswith("twin://") for address in rig.file.addresses):
+    if rig.file.in_process:
         return last.ended_s
-    speed = rig.file.simulated.speed if rig.file.simulated is not None else 1.0
     started, now = (datetime.fromisoformat(each).astimezone(UTC) for each in (last.wall_started, calendar_stamp()))
-    return max(last.ended_s, last.started_s + (now - started).total_seconds() * speed)
+    return max(last.ended_s, last.started_s + (now - started).total_seconds() * rig.file.speed)

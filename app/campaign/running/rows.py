@@ -7,15 +7,14 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.record import Reading, RowData
 from goniotwin.app.campaign.readout import (
-    MIN_AVERAGED_READINGS,
     MONITOR_MEAN_S,
     NOT_WARM,
     UNDER_RANGE,
     WARM_UP_PERIOD_S,
     GainSequence,
     WarmUpTrace,
-    readings_needed,
-    saturation,
+    further_readings,
+    min_readings,
     shows_light,
 )
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
@@ -23,7 +22,7 @@ from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.stop_request import StopRequest
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Counts, Flags, Floats
-from goniotwin.drivers import AxisSettings, DeviceError, Pending, Rig, Until, wait
+from goniotwin.drivers import AxisDescription, DeviceError, Pending, Rig, Until, wait
 from goniotwin.drivers.motion import Axis
 from goniotwin.drivers.motion.settings import ENCODER_TOLERANCE_DEG
 from goniotwin.protocols.clock import Clock
@@ -119,7 +118,7 @@ class RowExecutor:
             positions["filter"] = float(self._filter)
         return positions
 
-    def _warn_about_encoder(self, name: str, difference_deg: float, settings: AxisSettings) -> None:
+    def _warn_about_encoder(self, name: str, difference_deg: float, settings: AxisDescription) -> None:
         """Log an event, once per axis, where encoder and counter differ by more than the tolerance.
 
         The driver accepts a difference up to the backlash. But every move arrives from the same side, so that backlash cannot
@@ -185,17 +184,12 @@ class RowExecutor:
 
     def _read_to_target(self, row: Row, gain: int, selected: Flags) -> Reading:
         """Read at one gain: the row's number of readings, or as many as its target uncertainty needs."""
-        if row.target is None:
-            return self._take_readings(gain, row.readings)
-        reading = self._take_readings(gain, max(row.readings, MIN_AVERAGED_READINGS))
+        reading = self._take_readings(gain, min_readings(row))
         settings = self._rig.photodiodes.settings
-        zero = np.full(settings.count, -settings.range.low_v / settings.range.lsb_v)
+        zero = np.full(settings.count, settings.range.zero)
         dark = self._dark_means.get(settings.gains_v_per_a[gain], zero)
-        limit = max(row.readings, int(row.longest_s / settings.period_s))
-        while (
-            needed := readings_needed(reading.counts, dark, selected & ~saturation(reading.counts), row.target, limit)
-        ) > len(reading.counts):
-            reading = _merge(reading, self._take_readings(gain, needed - len(reading.counts)))
+        while further := further_readings(row, reading.counts, dark, selected, settings.period_s):
+            reading = _merge(reading, self._take_readings(gain, further))
         return reading
 
     def _take_readings(self, gain: int, count: int) -> Reading:

@@ -17,16 +17,16 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from goniotwin.app.campaign.schedule.grids import fold_azimuth
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import refuse_percentage
 from goniotwin.app.toml_file import TomlTable
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
+from goniotwin.twin.optics.geometry.coordinates import DECIMALS, fold_azimuth
 
 INPUT_COLUMNS = ("wavelength_nm", "incidence_deg", "zenith_deg", "azimuth_deg")
 VALUE_COLUMNS = ("radiance_factor", "relative_uncertainty")
-TOLERANCE = 1e-6
+TOLERANCE = 10.0**-DECIMALS
 """Values beyond the first or last of the table by no more than this are inside, in nm or degrees."""
 
 
@@ -55,9 +55,12 @@ class Certificate:
     relative_uncertainty: Floats
 
     def interpolate(
-        self, wavelength_nm: float, incidence_deg: float, zenith_deg: Floats, azimuth_deg: Floats
+        self, wavelength_nm: float | Floats, incidence_deg: float | Floats, zenith_deg: Floats, azimuth_deg: Floats
     ) -> tuple[Floats, Floats]:
-        """Radiance factor and relative uncertainty for directions of observation (n,); NaN outside the table."""
+        """Radiance factor and relative uncertainty for directions of observation; NaN outside the table.
+
+        The result has the shape of `zenith_deg`.
+        """
         n = np.shape(zenith_deg)
         coordinates = [
             np.broadcast_to(each, n) for each in (wavelength_nm, incidence_deg, zenith_deg, fold_azimuth(azimuth_deg))

@@ -68,8 +68,9 @@ class WarmUpTable(TomlTable):
 class DriftTable(TomlTable):
     """`[drift]`: drift checks. Every `every_s` the signal at one pose is measured again.
 
-    If the signal over the monitor differs from the first check by more than the fraction `limit`, the rows between the checks
-    are flagged; with `on_excess = "stop"` the run also stops.
+    The pose is `sigma_deg`, `gamma_deg`, `beta_deg` and `shift_deg`, with `wavelength_nm`. If the signal over the monitor
+    differs from the first check by more than the fraction `limit`, the rows between the checks are flagged; with "stop" for
+    `on_excess` the run also stops.
     """
 
     every_s: PositiveFloat
@@ -115,7 +116,21 @@ class FaultsTable(TomlTable):
 
 
 class ScheduleFile(TomlTable):
-    """The whole file. Angles are in degrees, wavelengths in nanometres, times in seconds."""
+    """The whole file: the campaign `name`. Angles are in degrees, wavelengths in nanometres, times in seconds.
+
+    `samples` are in the order of mounting, after the reference standard `etalon`. `side` is the side that is lit, `light`
+    whether reflected or transmitted light, or both, is measured, and `symmetry` that of the samples. The grids are `sigma_deg`
+    (incidence), `gamma_deg` (rotation of the sample), `beta_deg` (rotation of the arc), `shift_deg` (polar shift of the arc)
+    and `wavelength_nm`. `near_specular` adds finer poses, `symmetry_check` mirrored ones, `overlap` those at which photodiodes
+    look where their neighbours look. With `signature` the etalon's poses are measured with no sample as well, with `open_beam`
+    the beam itself. `repeats` is the number of scans within a mounting.
+
+    `order` is the order of the loops, and with `back_and_forth` a loop may turn round at its end. `gains_v_per_a` are the gains
+    of each row, or "automatic". `readings` is their number at each gain, `dark_readings` that of a dark reading, which is no
+    older than `dark_every_s`. `averaging` takes more readings in faint light. `warm_up` waits for the lamp. `drift` measures
+    one pose again and again. `stop` ends a run before its last row. `faults` is what happens to a row where a device fails.
+    `certificate` is the etalon's.
+    """
 
     name: Name
     side: Literal["front", "back", "both"] = "front"

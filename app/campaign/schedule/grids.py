@@ -1,4 +1,4 @@
-"""Grids of angles and wavelengths: numbers, evenly spaced ranges, or a list of both; and how angles are rounded and folded."""
+"""Grids of angles and wavelengths: numbers, evenly spaced ranges, or a list of both."""
 
 import math
 from typing import Annotated, Any, TypeVar
@@ -8,23 +8,23 @@ from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, m
 
 from goniotwin.app.toml_file import TomlTable
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-HALF_TURN_DEG = 180.0
-TURN_DEG = 360.0
-DECIMALS = 6
-"""Angles and wavelengths that agree to this number of decimals are equal."""
 MAX_GRID_VALUES = 100_000
+SPACING_DECIMALS = 9
+"""Decimals of the values of a range: enough for every step that people write, too few for the rounding errors of a sum."""
+WHOLE = 1e-6
+"""A number of steps that differs by no more than this from a whole number is that number."""
 Item = TypeVar("Item")
 
 
-def fold_azimuth(azimuth_deg: Floats) -> Floats:
-    """Azimuths from 0 to 180 deg: the two sides of the plane of incidence count as one. Not rounded."""
-    wrapped = np.mod(azimuth_deg, TURN_DEG)
-    return np.asarray(np.minimum(wrapped, TURN_DEG - wrapped))
+def evenly_spaced(start: float, step: float, steps: int) -> Floats:
+    """`steps` + 1 values, each computed from `start`, so that rounding errors do not accumulate."""
+    return np.round(start + step * np.arange(steps + 1), SPACING_DECIMALS)
 
 
 class GridRange(TomlTable):
-    """Evenly spaced values; start and stop are included."""
+    """Values from `start` to `stop`, both included, with the distance `step`."""
 
     start: float
     stop: float
@@ -37,7 +37,7 @@ class GridRange(TomlTable):
         steps = (self.stop - self.start) / self.step
         if steps > MAX_GRID_VALUES:
             raise ValueError(f"makes {steps:.0f} steps, more than {MAX_GRID_VALUES}; take a greater step")
-        if abs(steps - round(steps)) > 1e-6:
+        if abs(steps - round(steps)) > WHOLE:
             raise ValueError(
                 f"stop {self.stop:g} is not a whole number of steps of {self.step:g} from start {self.start:g}; "
                 f"the grid would end at {self.start + math.floor(steps) * self.step:g}"
@@ -45,9 +45,9 @@ class GridRange(TomlTable):
         return self
 
     def values(self) -> tuple[float, ...]:
-        """The values, each computed from `start`, so that rounding errors do not accumulate."""
+        """The values in ascending order."""
         steps = round((self.stop - self.start) / self.step)
-        return tuple(round(self.start + k * self.step, 9) for k in range(steps + 1))
+        return tuple(evenly_spaced(self.start, self.step, steps).tolist())
 
 
 def _kind(value: object) -> str:
@@ -68,7 +68,7 @@ def refuse_duplicates(values: list[Item]) -> list[Item]:
     """The list, unchanged. Raises ValueError for a value that is listed twice."""
     keys: set[object] = set()
     for each in values:
-        key = round(each, DECIMALS) if isinstance(each, float) else each
+        key = float(round_deg(each)) if isinstance(each, float) else each
         if key in keys:
             raise ValueError(f"{each!r} is listed twice (numbers are compared to six decimals); remove one")
         keys.add(key)
@@ -87,8 +87,8 @@ def grid_values(grid: Grid) -> tuple[float, ...]:
     """The values of a grid in the order of the file, without duplicates."""
     if isinstance(grid, GridRange):
         return grid.values()
+    listed = [value for part in grid for value in (part.values() if isinstance(part, GridRange) else (part,))]
     values: dict[float, float] = {}
-    for part in grid:
-        for value in part.values() if isinstance(part, GridRange) else (part,):
-            values.setdefault(round(value, DECIMALS), value)
+    for key, value in zip(round_deg(listed).tolist(), listed, strict=True):
+        values.setdefault(key, value)
     return tuple(values.values())

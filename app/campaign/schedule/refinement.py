@@ -6,8 +6,9 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from goniotwin.app.campaign.schedule.grids import Grid
 from goniotwin.app.toml_file import TomlTable
+from goniotwin.drivers.motion.settings import ENCODER_TOLERANCE_DEG
 
-DEFAULT_ANGLE_UNCERTAINTY_DEG = 0.05
+DEFAULT_ANGLE_UNCERTAINTY_DEG = ENCODER_TOLERANCE_DEG
 """Default of `angle_deg`: the difference that counter and encoder of an axis at rest may have where no value is given."""
 StatedSymmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
 

@@ -1,45 +1,75 @@
 """The scan in progress: the data of the live plot. Plain numbers, no Qt.
 
-A scan is one half plane and the opposite one, at one sample, sigma, gamma and wavelength. Its values are reduced in the same
-way as the journal after the run, but with the dark readings so far, so that the last digit may still change.
+A scan is one half plane and the opposite one, at one sample, sigma, gamma and wavelength. Its values come from the steps of the
+journal's reduction, applied to the rows committed so far. These are kept here: a second connection to the journal could keep
+the run from closing it as a single file.
+
+The work for a row does not grow with the campaign: the shown scan is reduced, from signals that are kept as long as they are
+shown. A new dark reading changes every signal a little; they are computed again a few at a time. At the end of the run the
+values become those of the journal: the field of view from all half planes, and the calibration by overlaps, which needs every
+scan of the sample.
 """
 
-from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.arcs import etalon_sigma_deg, far_arc, lit_arc
+from goniotwin.app.campaign.geometry.directions import polar_from_zenith, scan_plane_deg, zenith_deg
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reduction.checks import overlap_check
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals
+from goniotwin.app.campaign.reduction.etalon import PoseKey, ReferenceSignals, RowSignal, mean_row, pose_key, reference_keys
+from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
+from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.row_points import live_points
-from goniotwin.app.campaign.reduction.signals import Signal, dark_readings_by_gain, signal
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.reduction.readings import DarkHistory
+from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
-from goniotwin.app.rig import RigDescription, photodiode_settings
+from goniotwin.app.errors import UserError
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import arc_direction, to_specular
+from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, incidence_deg, polar_and_azimuth, signed_polar
 
-Key = tuple[str, float | None, float, float, float]
-DARK_READINGS_KEPT = 8
-SCANS_KEPT = 512
+Setting = tuple[str, float, float, float]
+"""Sample, wavelength, sigma and gamma."""
+ScanKey = tuple[Setting, float]
+"""A setting and the half plane, 0 to below 180 deg."""
+SignalOf = Callable[[CommittedRow], Signal | None]
+SIGNALS_AT_ONCE = 64
+"""Signals computed for one repaint: some 20 ms."""
 GRID_DEG = 0.5
+ENDED = object()
 
 
 @dataclass(frozen=True)
 class ScanPoints:
-    """Points of a scan (n,): `x_deg`, values with their standard uncertainty, and which are blocked by the mirror unit."""
+    """Points of a scan (n,): `x_deg`, and values with their standard uncertainty.
+
+    They may be `blocked` by the mirror unit, `untrusted` for this or another reason (drift, a dead photodiode), of
+    `transmitted` light, or with a signal that is `lost` in its noise, which is the flag under-range of the journal.
+    """
 
     x_deg: Floats
     values: Floats
     u_values: Floats
     blocked: Flags
+    untrusted: Flags
+    transmitted: Flags
+    lost: Flags
 
 
 @dataclass(frozen=True)
 class ScanData:
-    """Data of the plot of a scan. `blocked_deg` are the intervals of the abscissa that are blocked by the mirror unit."""
+    """Data of the plot of a scan. `blocked_deg` are the intervals of the abscissa that are blocked by the mirror unit.
+
+    `complete`: all rows so far are in it, with the latest dark readings; otherwise the next call has more.
+    """
 
     title: str
     x_label: str
@@ -47,137 +77,284 @@ class ScanData:
     range_deg: tuple[float, float]
     blocked_deg: tuple[tuple[float, float], ...]
     points: ScanPoints
+    complete: bool = True
 
 
-@dataclass
 class LiveScan:
-    """The scan in progress, from the events of a run."""
+    """The scans of a run, from its events."""
 
-    plan: Plan
-    _key: Key | None = None
-    _row: Row | None = None
-    _scans: dict[Key, list[ScanPoints]] = field(default_factory=dict)
-    _blocked: tuple[tuple[float, float], ...] = ()
-    _dark_readings: deque[CommittedRow] = field(default_factory=lambda: deque(maxlen=DARK_READINGS_KEPT))
-    _etalon: dict[tuple[object, ...], Signal] = field(default_factory=dict)
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._schedule = plan.schedule.file
+        self._settings = reduction_settings(plan.rig.file, self._schedule, plan.schedule.certificate, "certificate")
+        self._drift_limit = None if self._schedule.drift is None else self._schedule.drift.limit
+        self._scans: dict[ScanKey, Row] = {}
+        self._key: ScanKey | None = None
+        self._rows: dict[Setting, list[CommittedRow]] = {}
+        self._references: dict[str, dict[PoseKey, list[CommittedRow]]] = {self._schedule.etalon: {}, NO_SAMPLE: {}}
+        self._dark_rows: list[CommittedRow] = []
+        self._dark: DarkHistory | None = None
+        self._drift_rows: list[CommittedRow] = []
+        self._compared: list[object] = []
+        self._intervals: list[DriftInterval] = []
+        self._last: CommittedRow | None = None
+        self._signals: dict[int, tuple[DarkHistory, Signal]] = {}
+        self._shown: set[int] = set()
+        self._left = 0
+        self._omitted = False
+        self._finished = False
+        self._calibration: Iterator[None] = iter(())
+        self._factors: dict[str, CalibrationFactors] = {}
+
+    @property
+    def scans(self) -> tuple[ScanKey, ...]:
+        """The scans of the rows so far."""
+        return tuple(self._scans)
 
     def add_row(self, event: RowStarted | RowCommitted) -> None:
-        """Add a row. Raises UserError if it cannot be reduced."""
+        """Add a row."""
         row = event.row
-        if row.kind == "measure" and _key(row) != self._key:
-            self._key, self._row = _key(row), row
-            self._blocked = _blocked_intervals(self.plan.rig, row)
-            # A plan may return to a scan after others: its earlier points are shown again.
-            self._scans[self._key] = self._scans.pop(self._key, [])
-            if len(self._scans) > SCANS_KEPT:
-                del self._scans[next(iter(self._scans))]
+        if row.kind == "measure":
+            self._key = _scan_key(row)
+            self._scans[self._key] = row
         if isinstance(event, RowCommitted):
-            committed = CommittedRow(row, event.data)
-            if row.kind == "dark":
-                self._dark_readings.append(committed)
-            elif row.kind == "measure" and event.data.readings and self._has_etalon(row):
-                self._scans[_key(row)].append(self._reduce(committed))
+            self._keep(CommittedRow(row, replace(event.data, positions=None)))
+            if event.done == event.total:
+                self.finish()
 
-    def data(self) -> ScanData | None:
-        """The scan as it is now; None before its first row."""
-        row = self._row
-        if row is None:
+    def finish(self) -> None:
+        """Take the rows so far as the whole campaign: no more will come."""
+        if not self._finished:
+            self._finished = True
+            self._calibration = self._calibrate() if self._settings.calibrates else iter(())
+
+    def data(self, key: ScanKey | None = None) -> ScanData | None:
+        """A scan as it is now, the latest if none is named; None before its first row. Raises UserError."""
+        key = self._key if key is None else key
+        if key is None or key not in self._scans:
             return None
+        self._left, self._omitted, self._shown = SIGNALS_AT_ONCE, False, set()
+        if self._dark is not None:
+            self._update_drift()
+            self._omitted |= next(self._calibration, ENDED) is not ENDED
+        setting, plane = key
+        rows = [each for each in self._rows.get(setting, []) if self._finished or _scan_key(each.row)[1] == plane]
+        bsdf = self._bsdf(setting, rows)
+        if bsdf is None:
+            y_label, points = self._signal_label(setting[0]), self._signal_points(rows, plane)
+        else:
+            y_label = f"BSDF (1/sr){self._note(setting[0])}"
+            here = bsdf.where(scan_plane_deg(bsdf.beta_deg) == plane)
+            x = _x_deg(here.zenith_deg, here.azimuth_deg, here.theta_deg, here.phi_deg, plane)
+            blocked, lost = here.flag("shadowed"), here.flag("under-range")
+            points = _sort(ScanPoints(x, here.bsdf, here.u_bsdf, blocked, ~here.good, here.transmitted, lost))
+        self._signals = {number: each for number, each in self._signals.items() if number in self._shown}
+        return self._describe(self._scans[key], y_label, points)
+
+    def _describe(self, row: Row, y_label: str, points: ScanPoints) -> ScanData:
         assert row.pose is not None
         gamma, sigma, beta, _shift = row.pose
-        in_plane = _in_plane(beta)
-        etalon = row.sample == self.plan.schedule.file.etalon
-        place = "plane of incidence" if in_plane else f"β {beta % 180.0:g}°"
+        plane = _plane(beta)
+        place = "plane of incidence" if plane == 0.0 else f"β {plane:g}°"
         rotation = f", γ {gamma:g}°" if gamma else ""
-        reach = max(self.plan.rig.file.photodiodes.upper_deg) + 5.0
-        ends = _abscissa(sigma, np.array([-reach, reach]), beta % 180.0)
+        photodiodes = self._plan.rig.file.photodiodes
+        reach = max([*photodiodes.upper_deg, *photodiodes.lower_deg]) + 5.0
+        ends = _abscissa(incidence_deg(sigma), np.array([-reach, reach]), plane)
         return ScanData(
             title=f"{row.sample}: σ {sigma:g}°{rotation}, {place}, {row.wavelength_nm:g} nm",
-            x_label="aspecular angle θ (°), positive towards the normal" if in_plane else "polar angle (°)",
-            y_label="photocurrent / monitor" if etalon else "BSDF (1/sr)",
+            x_label="aspecular angle θ (°), positive towards the normal" if plane == 0.0 else "polar angle (°)",
+            y_label=y_label,
             range_deg=(float(np.min(ends)), float(np.max(ends))),
-            blocked_deg=self._blocked,
-            points=_sort(self._scans[_key(row)]),
+            blocked_deg=self._blocked_intervals(row),
+            points=points,
+            complete=not self._omitted,
         )
 
-    def _has_etalon(self, row: Row) -> bool:
-        return row.sample == self.plan.schedule.file.etalon or (row.wavelength_nm, row.pose) in self._etalon
+    # The rows.
 
-    def _reduce(self, committed: CommittedRow) -> ScanPoints:
-        row, rig = committed.row, self.plan.rig
+    def _keep(self, committed: CommittedRow) -> None:
+        row, readings = committed.row, committed.data.readings
+        match row.kind:
+            case "dark":
+                self._dark_rows.append(committed)
+                try:
+                    self._dark = DarkHistory(self._dark_rows, self._plan.rig.file)
+                except UserError:  # too few yet for the noise
+                    self._dark = None
+            case "mount":
+                self._drift_rows.append(committed)
+            case "drift" if readings:
+                if self._drift_limit is None and self._last is not None:
+                    self._drift_rows.append(self._last)
+                self._drift_rows.append(committed)
+            case "measure" if readings:
+                assert row.pose is not None
+                self._last = committed
+                self._rows.setdefault(_scan_key(row)[0], []).append(committed)
+                if row.sample in self._references:
+                    self._references[row.sample].setdefault(pose_key(row, row.pose), []).append(committed)
+
+    # The reduction.
+
+    def _signal(self, row: CommittedRow) -> Signal | None:
+        """The signal of a row, perhaps from before the last dark reading; None if too many were computed for this repaint."""
+        number, dark = row.row.number, self._dark
+        assert dark is not None
+        self._shown.add(number)
+        computed_with, signal = self._signals.get(number, (None, None))
+        if computed_with is not dark:
+            if self._left > 0:
+                self._left -= 1
+                signal = dark.signal(row)
+                self._signals[number] = dark, signal
+            else:
+                self._omitted = True
+        return signal
+
+    def _update_drift(self) -> None:
+        """Compare the drift checks again where a row or a signal is new."""
+
+        def signal_of(row: CommittedRow) -> Signal:
+            signal = self._signal(row)
+            if signal is None:
+                self._left += 1  # there is no comparison without it
+                signal = self._signal(row)
+            assert signal is not None
+            return signal
+
+        now: list[object] = [signal_of(each) if each.data.readings else each for each in self._drift_rows]
+        if len(now) != len(self._compared) or any(one is not other for one, other in zip(now, self._compared, strict=True)):
+            self._compared = now
+            self._intervals = drift_intervals(self._drift_rows, signal_of, self._plan.rig.file, self._drift_limit)
+
+    def _row_signals(self, rows: Sequence[CommittedRow], signal_of: SignalOf) -> list[RowSignal]:
+        dark = self._dark
+        if dark is None:
+            return []
+        pairs = [(row, signal_of(row)) for row in rows]
+        return [dark.row_signal(row, signal, self._intervals) for row, signal in pairs if signal is not None]
+
+    def _reduce(self, rows: Sequence[CommittedRow], signal_of: SignalOf) -> BsdfPoints | None:
+        """The points of rows of one setting, not finished yet; None where the etalon has not been measured."""
+
+        def measured(sample: str, keys: list[PoseKey]) -> dict[PoseKey, RowSignal]:
+            found = {key: self._row_signals(self._references[sample].get(key, []), signal_of) for key in dict.fromkeys(keys)}
+            return {key: mean_row(repeats) for key, repeats in found.items() if repeats}
+
+        signals = self._row_signals(rows, signal_of)
+        at_sample, at_etalon = reference_keys([each.row for each in signals], self._settings.geometry)
+        references = ReferenceSignals(measured(self._schedule.etalon, at_etalon), measured(NO_SAMPLE, at_sample + at_etalon))
+        reduced = reduce_rows(signals, references, self._settings)
+        return None if reduced is None else reduced[1]
+
+    def _bsdf(self, setting: Setting, rows: list[CommittedRow]) -> BsdfPoints | None:
+        """The BSDF of rows of a setting; None for what is no sample, and before the etalon has been measured."""
+        if setting[0] in self._references:
+            return None
+        points = self._reduce(rows, self._signal)
+        if points is None:
+            return None
+        return finish_points(points, replace(self._settings, calibration=self._factors.get(setting[0])))
+
+    def _calibrate(self) -> Generator[None, None, None]:
+        """Compute the calibration factors of all samples, a few signals at a time."""
+        for sample in self._schedule.samples:
+            check = overlap_check(self._settings)
+            for setting in sorted(each for each in self._rows if each[0] == sample):
+                points = yield from self._reduce_slowly(self._rows[setting])
+                if points is not None:
+                    check.add(points)
+            self._factors[sample] = check.result().factors
+
+    def _reduce_slowly(self, rows: list[CommittedRow]) -> Generator[None, None, BsdfPoints | None]:
+        """The points of a whole setting, not finished yet; a few signals at a time."""
+        signals: dict[int, Signal] = {}
+        for k, row in enumerate([*rows, *self._reference_rows(rows)]):
+            assert self._dark is not None
+            signals[row.row.number] = self._dark.signal(row)
+            if k % SIGNALS_AT_ONCE == SIGNALS_AT_ONCE - 1:
+                yield
+        return self._reduce(rows, lambda row: signals[row.row.number])
+
+    def _reference_rows(self, rows: list[CommittedRow]) -> Iterator[CommittedRow]:
+        """The rows of the etalon and without a sample that rows need."""
+        at_sample, at_etalon = reference_keys([each.row for each in rows], self._settings.geometry)
+        for key in dict.fromkeys(at_sample + at_etalon):
+            for measured in self._references.values():
+                yield from measured.get(key, [])
+
+    # What is shown.
+
+    def _signal_label(self, sample: str) -> str:
+        return "photocurrent / monitor" + ("" if sample in self._references else ", until the etalon has been measured")
+
+    def _note(self, sample: str) -> str:
+        return ", before the calibration by overlaps" if self._settings.calibrates and sample not in self._factors else ""
+
+    def _signal_points(self, rows: Sequence[CommittedRow], plane: float) -> ScanPoints:
+        """Photocurrents over the monitor's current, on the arcs that see the schedule's light; the etalon only reflects."""
+        parts = []
+        for each in self._row_signals([row for row in rows if _scan_key(row.row)[1] == plane], self._signal):
+            assert each.row.pose is not None
+            light = "reflected" if each.row.sample in self._references else self._schedule.light
+            u, lost = np.sqrt(each.signal.variance), each.signal.lost_in_noise
+            for view, blocked in self._settings.geometry.views(each.row.pose):
+                if light in ("both", "transmitted" if view.transmitted else "reflected"):
+                    x = _x_deg(view.zenith, view.azimuth, view.theta, view.phi, plane)
+                    c, transmitted = view.channels, np.full(len(view.channels), view.transmitted)
+                    untrusted = blocked | each.drifted[c] | each.dead[c]
+                    parts.append(ScanPoints(x, each.signal.value[c], u[c], blocked, untrusted, transmitted, lost[c]))
+        return _sort(*parts)
+
+    def _blocked_intervals(self, row: Row) -> tuple[tuple[float, float], ...]:
         assert row.pose is not None
-        settings = photodiode_settings(rig.file)
-        reduced = signal(committed.data, dark_readings_by_gain(list(self._dark_readings), settings), settings)
-        place = (row.wavelength_nm, row.pose)
-        upper = len(settings.upper_deg)
-        if row.sample == self.plan.schedule.file.etalon:
-            self._etalon[place] = reduced
-            points = live_points(rig, row, reduced, reduced)
-            values, u_values = reduced.ratio[:upper], np.sqrt(reduced.variance[:upper])
-        else:
-            points = live_points(rig, row, reduced, self._etalon[place])
-            values, u_values = points.bsdf, points.u_bsdf
-        return ScanPoints(_x_deg(points), values, u_values, points.shadowed)
+        gamma, sigma, beta, _shift = row.pose
+        reflected = row.sample in self._references or self._schedule.light != "transmitted"
+        arc = lit_arc(sigma) if reflected else far_arc(sigma)
+        plane, signed = _plane(beta), np.arange(-90.0, 90.0 + GRID_DEG, GRID_DEG)
+        polar, azimuth = polar_and_azimuth(signed, plane)
+        zenith, sigmas = zenith_deg(polar, arc), {sigma, etalon_sigma_deg(sigma, arc)}
+        blocked = np.any([blocked_by_mirrors(self._plan.rig.file, at, zenith, azimuth, gamma) for at in sigmas], axis=0)
+        x = _abscissa(incidence_deg(sigma), signed, plane)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], blocked, [False]]).astype(np.int8)))
+        intervals = []
+        for first, after in zip(edges[::2], edges[1::2], strict=True):
+            ends = sorted((float(x[first]), float(x[after - 1])))
+            intervals.append((ends[0] - 0.5 * GRID_DEG, ends[1] + 0.5 * GRID_DEG))
+        return tuple(intervals)
 
 
-def _key(row: Row) -> Key:
+def _scan_key(row: Row) -> ScanKey:
     assert row.pose is not None
+    assert row.wavelength_nm is not None
     gamma, sigma, beta, _shift = row.pose
-    return (row.sample, row.wavelength_nm, sigma, gamma, beta % 180.0)
+    return (row.sample, row.wavelength_nm, sigma, gamma), _plane(beta)
 
 
-def _in_plane(beta_deg: float) -> bool:
-    return min(beta_deg % 180.0, 180.0 - beta_deg % 180.0) < 1e-6
+def _plane(beta_deg: float) -> float:
+    return float(scan_plane_deg(np.array(beta_deg)))
 
 
-def _x_deg(points: BsdfPoints) -> Floats:
-    """The abscissa of the points of a row, which may be in either half plane of the scan."""
-    plane = float(points.beta_deg[0]) % 180.0
-    opposite = np.cos(np.radians(points.azimuth_deg - plane)) < 0.0
-    return _abscissa(float(points.sigma_deg[0]), np.where(opposite, -points.zenith_deg, points.zenith_deg), plane)
-
-
-def _abscissa(sigma_deg: float, polar_deg: Floats, plane_deg: float) -> Floats:
-    """The abscissa of signed polar angles, positive at the azimuth `plane_deg`.
-
-    In the plane of incidence it is the aspecular angle (as `BsdfPoints.aspecular_deg`), elsewhere the polar angle.
+def _x_deg(zenith: Floats, azimuth: Floats, theta: Floats, phi: Floats, plane_deg: float) -> Floats:
+    """The abscissa: in the plane of incidence the aspecular angle, positive towards the normal; elsewhere the polar angle,
+    positive at the azimuth `plane_deg`.
     """
-    if not _in_plane(plane_deg):
-        return polar_deg
-    theta, phi = to_specular(sigma_deg, arc_direction(np.abs(polar_deg), _azimuths(polar_deg, plane_deg)))
-    signed: Floats = np.where(np.cos(np.radians(phi)) > 0.0, theta, -theta)
-    return signed
+    if plane_deg == 0.0:
+        return aspecular_deg(theta, phi)
+    return signed_polar(polar_from_zenith(zenith), azimuth, plane_deg)
 
 
-def _azimuths(polar_deg: Floats, plane_deg: float) -> Floats:
-    return np.mod(np.where(polar_deg < 0.0, plane_deg + 180.0, plane_deg), 360.0)
+def _abscissa(incidence: float, signed_deg: Floats, plane_deg: float) -> Floats:
+    """The abscissa of signed polar angles on the arc's own side, positive at the azimuth `plane_deg`."""
+    polar, azimuth = polar_and_azimuth(signed_deg, plane_deg)
+    return _x_deg(polar, azimuth, *to_specular(incidence, arc_direction(polar, azimuth)), plane_deg)
 
 
-def _blocked_intervals(rig: RigDescription, row: Row) -> tuple[tuple[float, float], ...]:
-    """The intervals of a row's scan that are blocked by the mirror unit, to half a step of a grid of GRID_DEG."""
-    assert row.pose is not None
-    _gamma, sigma, beta, _shift = row.pose
-    plane = beta % 180.0
-    polar = np.arange(-90.0, 90.0 + GRID_DEG, GRID_DEG)
-    blocked = blocked_by_mirrors(rig.file, sigma, np.abs(polar), _azimuths(polar, plane))
-    x = _abscissa(sigma, polar, plane)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], blocked, [False]]).astype(np.int8)))
-    intervals = []
-    for first, after in zip(edges[::2], edges[1::2], strict=True):
-        ends = sorted((float(x[first]), float(x[after - 1])))
-        intervals.append((ends[0] - 0.5 * GRID_DEG, ends[1] + 0.5 * GRID_DEG))
-    return tuple(intervals)
-
-
-def _sort(blocks: list[ScanPoints]) -> ScanPoints:
-    if not blocks:
-        empty = np.empty(0)
-        return ScanPoints(empty, empty, empty, np.empty(0, dtype=bool))
-    x = np.concatenate([each.x_deg for each in blocks])
-    order = np.argsort(x, kind="stable")
-    return ScanPoints(
-        x[order],
-        np.concatenate([each.values for each in blocks])[order],
-        np.concatenate([each.u_values for each in blocks])[order],
-        np.concatenate([each.blocked for each in blocks])[order],
-    )
+def _sort(*parts: ScanPoints) -> ScanPoints:
+    """The points of all parts in the order of the abscissa."""
+    if not parts:
+        empty, none = np.empty(0), np.empty(0, dtype=bool)
+        return ScanPoints(empty, empty, empty, none, none, none, none)
+    columns = [np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    return ScanPoints(*(each[order] for each in columns))

@@ -7,8 +7,6 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Event, State
 from goniotwin.app.rig import RigDescription
 
-DEVICES = ("axes", "monochromator", "photodiodes", "monitor")
-
 
 @dataclass(frozen=True)
 class DeviceStatus:

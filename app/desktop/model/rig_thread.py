@@ -35,7 +35,6 @@ from goniotwin.app.desktop.model.messages import (
 from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
-from goniotwin.app.rig.addresses import TWIN
 from goniotwin.drivers import DeviceError
 
 Send = Callable[[Message], None]
@@ -43,9 +42,9 @@ AskOperator = Callable[[str], None]
 NO_RIG = "no rig is open"
 POLL_S = 0.2
 """Real time between two readings of the axis positions."""
-LONGEST_HEARTBEAT_S = 65.0
-"""The silence counter of the TMCL module has 16 bits of ms. For a virtual rig it counts simulated time, but the host is slow
-in real time: at simulation speed 60, a repaint of 35 ms would exceed a short heartbeat."""
+NO_HEARTBEAT_S = float("inf")
+"""A virtual rig has the longest heartbeat of its controllers: it counts simulated time, but the host is slow in real time. At
+simulation speed 60, a repaint of 35 ms would exceed a short heartbeat."""
 
 
 class RigThread:
@@ -108,7 +107,7 @@ class RigThread:
     def set_speed(self, speed: float) -> None:
         """Set the simulation speed of a virtual rig; ignored for a real one."""
         self._speed = speed
-        if self._description is not None and _all_virtual(self._description):
+        if self._description is not None and self._description.file.in_process:
             self._clock.set_speed(speed)
 
     def close(self) -> None:
@@ -148,7 +147,7 @@ class RigThread:
             degrees = {name: axis.position_deg() for name, axis in self._opened.rig.axes.items()}
         except DeviceError as error:
             self._axes_connected = False
-            self._send(DeviceFault("axes", str(error)))
+            self._send(DeviceFault(self._opened.rig.device(error.device).name, str(error)))
         else:
             self._send(Positions(degrees))
 
@@ -156,21 +155,22 @@ class RigThread:
         self._close_rig()
         try:
             description = read_rig(path)
-            self._clock = ScaledClock(self._speed if _all_virtual(description) else 1.0)
+            self._clock = ScaledClock(self._speed if description.file.in_process else 1.0)
             opened = open_rig(description, self._clock)
         except UserError as error:
             self._report_no_rig(str(error))
             return
         self._opened, self._description = opened, description
-        if _all_virtual(description):
-            opened.rig.axes_module.heartbeat_s = LONGEST_HEARTBEAT_S
+        if description.file.in_process:
+            for controller in opened.rig.controllers:
+                controller.set_heartbeat(NO_HEARTBEAT_S)
         outcome = opened.rig.connect()
-        self._axes_connected = outcome["axes"] is None
+        self._axes_connected = all(outcome[each.name] is None for each in opened.rig.controllers)
         devices = {
             device: DeviceStatus(True, opened.rig.identities[device]) if error is None else DeviceStatus(False, str(error))
             for device, error in outcome.items()
         }
-        self._send(RigOpened(description, devices, _all_virtual(description)))
+        self._send(RigOpened(description, devices, description.file.in_process))
         if self._schedule is not None:
             self._load(self._schedule)
 
@@ -255,10 +255,6 @@ class RigThread:
         self._axes_connected = False
         if opened is not None:
             opened.close()
-
-
-def _all_virtual(description: RigDescription) -> bool:
-    return all(address.startswith(TWIN) for address in description.file.addresses)
 
 
 def next_journal(folder: Path, name: str) -> Path:

@@ -3,9 +3,10 @@
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QGridLayout, QGroupBox, QLabel, QWidget
 
-from goniotwin.app.desktop.model.messages import DEVICES, DeviceStatus
+from goniotwin.app.desktop.model.messages import DeviceStatus
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.rig import AXES
+from goniotwin.app.rig.kinds import ROLES
 
 GREEK = {"gamma": "γ", "sigma": "σ", "beta": "β", "shift": "Δ"}
 NO_VALUE = "–"
@@ -21,28 +22,37 @@ class DevicesPanel(QGroupBox):
         self._statuses: dict[str, DeviceStatus] = {}
         self._marks: dict[str, QLabel] = {}
         self._texts: dict[str, QLabel] = {}
-        grid = QGridLayout(self)
-        grid.setColumnStretch(1, 1)
-        grid.setVerticalSpacing(2)
-        for at, device in enumerate(DEVICES):
-            mark, text = QLabel(), QLabel()
-            text.setWordWrap(True)
-            text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            text.setContentsMargins(0, 0, 0, 4)
-            grid.addWidget(QLabel(device.capitalize()), 2 * at, 0)
-            grid.addWidget(mark, 2 * at, 1, Qt.AlignmentFlag.AlignRight)
-            grid.addWidget(text, 2 * at + 1, 0, 1, 2)
-            self._marks[device], self._texts[device] = mark, text
-        self._show()
+        self._grid = QGridLayout(self)
+        self._grid.setColumnStretch(1, 1)
+        self._grid.setVerticalSpacing(2)
+        self.set_devices({})
 
     def text(self, device: str) -> str:
         """The text of a device."""
         return f"{self._marks[device].text()}: {self._texts[device].text()}"
 
     def set_devices(self, devices: dict[str, DeviceStatus]) -> None:
-        """Show the status of each device."""
+        """Show the status of each device; without a rig, those that a rig usually has."""
         self._statuses = dict(devices)
+        names = list(devices) or list(ROLES)
+        if names != list(self._marks):
+            self._make_rows(names)
         self._show()
+
+    def _make_rows(self, devices: list[str]) -> None:
+        while (item := self._grid.takeAt(0)) is not None:
+            if (widget := item.widget()) is not None:
+                widget.deleteLater()
+        self._marks, self._texts = {}, {}
+        for at, device in enumerate(devices):
+            mark, text = QLabel(), QLabel()
+            text.setWordWrap(True)
+            text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+            text.setContentsMargins(0, 0, 0, 4)
+            self._grid.addWidget(QLabel(device.capitalize()), 2 * at, 0)
+            self._grid.addWidget(mark, 2 * at, 1, Qt.AlignmentFlag.AlignRight)
+            self._grid.addWidget(text, 2 * at + 1, 0, 1, 2)
+            self._marks[device], self._texts[device] = mark, text
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -50,7 +60,7 @@ class DevicesPanel(QGroupBox):
         self._show()
 
     def _show(self) -> None:
-        for device in DEVICES:
+        for device in self._marks:
             status = self._statuses.get(device)
             mark, text = self._marks[device], self._texts[device]
             if status is None:

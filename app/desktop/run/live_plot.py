@@ -11,15 +11,16 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reduction.components import DETECTED
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
-from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanPoints
+from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.arrays import Flags, Floats
 
 REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
-DETECTION_LIMIT = 2.0
-"""In standard uncertainties: a smaller value is below the detection limit."""
+LONGEST_BAR = 0.9
+"""Share of a value to which its error bar is cut: a bar to 0 has no end on a logarithmic axis."""
 POINT_SIZE = 7
 
 
@@ -55,10 +56,13 @@ class ScanPlot(QWidget):
         self._plot.showGrid(x=True, y=True, alpha=0.15)
         self._bars = pg.ErrorBarItem(beam=0.0)
         self._plot.addItem(self._bars)
-        self._measured = pg.ScatterPlotItem(symbol="o", size=POINT_SIZE)
-        self._blocked = pg.ScatterPlotItem(symbol="o", size=POINT_SIZE)
-        self._below_limit = pg.ScatterPlotItem(symbol="t", size=POINT_SIZE - 2)
-        for item in (self._blocked, self._below_limit, self._measured):
+        self._items = {
+            "blocked": pg.ScatterPlotItem(symbol="o", size=POINT_SIZE),
+            "flagged": pg.ScatterPlotItem(symbol="x", size=POINT_SIZE),
+            "below limit": pg.ScatterPlotItem(symbol="t", size=POINT_SIZE - 2),
+            "measured": pg.ScatterPlotItem(symbol="o", size=POINT_SIZE),
+        }
+        for item in self._items.values():
             self._plot.addItem(item)
         self._note = QLabel()
         self._note.setWordWrap(True)
@@ -80,16 +84,20 @@ class ScanPlot(QWidget):
         """The title of the plot."""
         return f"{self._mark} {self._scan.title if self._scan else ''}".strip()
 
+    @property
+    def y_label(self) -> str:
+        """The label of the values' axis."""
+        return str(self._plot.getAxis("left").labelText)
+
     def marks(self) -> dict[str, tuple[Floats, Floats]]:
         """The marks that are drawn, by kind: angles and logarithms to the base 10."""
-        items = {"measured": self._measured, "blocked": self._blocked, "below limit": self._below_limit}
-        return {kind: item.getData() for kind, item in items.items()}
+        return {kind: item.getData() for kind, item in self._items.items()}
 
     def clear(self, mark: str) -> None:
         """Clear the plot; `mark` is the first part of its title (SIMULATED, or empty)."""
         self._mark = mark
         self._scan = None
-        for item in (self._measured, self._blocked, self._below_limit):
+        for item in self._items.values():
             item.setData([], [])
         self._bars.setData(x=np.empty(0), y=np.empty(0), top=np.empty(0), bottom=np.empty(0))
         self._show_blocked(())
@@ -101,25 +109,36 @@ class ScanPlot(QWidget):
 
     def show_scan(self, scan: ScanData) -> None:
         """Show the points of a scan so far."""
-        is_new = self._scan is None or self._scan.title != scan.title
+        is_new = self._scan is None or (self._scan.title, self._scan.y_label) != (scan.title, scan.y_label)
         self._scan = scan
         points = scan.points
-        above = np.isfinite(points.values) & (points.values > 0) & (points.values > DETECTION_LIMIT * points.u_values)
+        above = np.isfinite(points.values) & (points.values > 0) & ~points.lost
         logs = np.log10(np.where(above, points.values, 1.0))
-        measured, blocked = above & ~points.blocked, above & points.blocked
         below = np.isfinite(points.values) & ~above
+        kinds = {
+            "measured": above & ~points.blocked & ~points.untrusted,
+            "blocked": above & points.blocked,
+            "flagged": above & points.untrusted & ~points.blocked,
+        }
         floor = float(np.min(logs[above])) - 0.3 if above.any() else -4.0
-        self._measured.setData(points.x_deg[measured], logs[measured])
-        self._blocked.setData(points.x_deg[blocked], logs[blocked])
-        self._below_limit.setData(points.x_deg[below], np.full(int(below.sum()), floor))
+        for kind, chosen in kinds.items():
+            self._items[kind].setData(points.x_deg[chosen], logs[chosen])
+        symbols = ["s" if each else "o" for each in points.transmitted[kinds["measured"]].tolist()]
+        self._items["measured"].setSymbol(symbols)
+        self._items["below limit"].setData(points.x_deg[below], np.full(int(below.sum()), floor))
         share = points.u_values[above] / points.values[above]
-        self._bars.setData(x=points.x_deg[above], y=logs[above], top=np.log10(1.0 + share), bottom=-np.log10(1.0 - share))
+        self._bars.setData(
+            x=points.x_deg[above],
+            y=logs[above],
+            top=np.log10(1.0 + share),
+            bottom=-np.log10(1.0 - np.minimum(share, LONGEST_BAR)),
+        )
         if is_new:
             self._show_blocked(scan.blocked_deg)
             self._plot.setXRange(*scan.range_deg, padding=0.02)
             self._plot.enableAutoRange(axis="y")
             self._label()
-        self._note.setText(_note_text(scan, measured, int(blocked.sum()), int(below.sum())))
+        self._note.setText(_note_text(scan, kinds, int(below.sum())))
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -128,12 +147,10 @@ class ScanPlot(QWidget):
         for name in ("left", "bottom", "right", "top"):
             self._plot.getAxis(name).setPen(colours.line)
             self._plot.getAxis(name).setTextPen(colours.text)
-        self._measured.setPen(pg.mkPen(colours.base, width=0.5))
-        self._measured.setBrush(pg.mkBrush(colours.points))
-        self._blocked.setPen(pg.mkPen(colours.blocked, width=1.2))
-        self._blocked.setBrush(pg.mkBrush(None))
-        self._below_limit.setPen(pg.mkPen(colours.blocked, width=0.8))
-        self._below_limit.setBrush(pg.mkBrush(None))
+        for kind, item in self._items.items():
+            filled = kind == "measured"
+            item.setPen(pg.mkPen(colours.base, width=0.5) if filled else pg.mkPen(colours.blocked, width=1.0))
+            item.setBrush(pg.mkBrush(colours.points if filled else None))
         self._bars.setData(pen=pg.mkPen(colours.points, width=1))
         self._show_blocked(self._scan.blocked_deg if self._scan else ())
         self._label()
@@ -172,8 +189,11 @@ class LivePlot(QObject):
 
     def start(self, plan: Plan | None, mark: str) -> None:
         """Clear the plot for the run of a plan, or for none."""
-        self._scan = LiveScan(plan) if plan is not None else None
         self._plot.clear(mark)
+        try:
+            self._scan = LiveScan(plan) if plan is not None else None
+        except Exception as error:  # noqa: BLE001  (any error of the plot: the measurement goes on)
+            self._fail(error)
 
     def add_row(self, event: RowStarted | RowCommitted) -> None:
         """Add a row; the plot follows within REDRAW_MS."""
@@ -186,6 +206,12 @@ class LivePlot(QObject):
         if not self._redraw.isActive():
             self._redraw.start()
 
+    def finish(self) -> None:
+        """The run has ended: complete the values."""
+        if self._scan is not None:
+            self._scan.finish()
+            self._redraw.start()
+
     def stop(self) -> None:
         """Draw no more."""
         self._redraw.stop()
@@ -196,6 +222,8 @@ class LivePlot(QObject):
             scan = self._scan.data() if self._scan is not None else None
             if scan is not None:
                 self._plot.show_scan(scan)
+                if not scan.complete:
+                    self._redraw.start()
         except Exception as error:  # noqa: BLE001  (as above)
             self._fail(error)
 
@@ -205,14 +233,19 @@ class LivePlot(QObject):
         self.failed.emit(f"The plot failed ({type(error).__name__}: {error}); the run is not affected.")
 
 
-def _note_text(scan: ScanData, measured: Flags, blocked: int, below: int) -> str:
-    points: ScanPoints = scan.points
+def _note_text(scan: ScanData, kinds: dict[str, Flags], below: int) -> str:
+    points, measured = scan.points, kinds["measured"]
+    blocked, flagged = int(kinds["blocked"].sum()), int(kinds["flagged"].sum())
     text = f"●\u00a0{int(measured.sum())} measured"
     if measured.any():
         top = int(np.argmax(np.where(measured, points.values, -np.inf)))
         text += f", highest {points.values[top]:.3g} at {points.x_deg[top]:.1f}°"
+    if transmitted := int((measured & points.transmitted).sum()):
+        text += f"    ■\u00a0{transmitted} of these transmitted"
     if blocked or scan.blocked_deg:
         text += f"    ○\u00a0{blocked} blocked by the mirror unit (shaded)"
+    if flagged:
+        text += f"    ×\u00a0{flagged} flagged (drift, or a dead photodiode)"
     if below:
-        text += f"    ▽\u00a0{below} below detection limit (under {DETECTION_LIMIT:g} u)"
+        text += f"    ▽\u00a0{below} below detection limit (signal under {DETECTED:g} u)"
     return text

@@ -9,6 +9,7 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, Pose, from_specular, gaussian, luminance_factors
 from goniotwin.twin.optics.bsdf.analytic_samples import Form
+from goniotwin.twin.optics.geometry.coordinates import polar_and_azimuth
 
 STEP_DEG = 0.5
 WIDTHS = 2.0
@@ -63,7 +64,7 @@ def in_plane_theta(sigma_deg: float, width_deg: float, widths: float = WIDTHS, s
 
 def in_plane_directions(sigma_deg: float, theta_deg: Floats) -> Floats:
     """Unit vectors (n, 3) in the plane of incidence at aspecular angles (n,), deg."""
-    return from_specular(sigma_deg, np.abs(theta_deg), np.where(theta_deg < 0.0, 180.0, 0.0))
+    return from_specular(sigma_deg, *polar_and_azimuth(theta_deg, 0.0))
 
 
 def gaussian_theory(theta_deg: Floats, width_deg: float, form: Form) -> Floats:

@@ -20,13 +20,15 @@ between two polls of a moving axis, longer than the 1 s for which another bus ma
 
 import contextlib
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
-from goniotwin.drivers.motion.tmcl.port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, TmclPort
+from goniotwin.drivers.motion.stop import StopPhase, StopSteps
+from goniotwin.drivers.motion.stop_lock import StopLock
+from goniotwin.drivers.motion.tmcl.port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, Targets, TmclPort
 from goniotwin.drivers.motion.tmcl.rules import (
     CANARY,
     CANARY_VARIABLE,
@@ -37,7 +39,6 @@ from goniotwin.drivers.motion.tmcl.rules import (
     starts_motion,
     unreferenced_marks,
 )
-from goniotwin.drivers.motion.tmcl.stop_lock import StopLock
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import HOST_ADDRESS, Command, CommandFrame, ReplyFrame, ReplyStatus
@@ -67,7 +68,9 @@ class TmclModule:
         tap: Tap = no_tap,
         addresses: Sequence[int] = (1,),
         heartbeat_s: float = HEARTBEAT_S,
+        name: str = "axes",
     ) -> None:
+        self.name = name
         self._open_port = open_port
         self._clock = clock
         self._baudrate = baudrate
@@ -136,7 +139,7 @@ class TmclModule:
                         self._resynchronise(request)  # an unknown module is identified before anything is written to it
                     if starts_motion(request):
                         if limit != self._lock.requested:
-                            raise Interrupted("axes", self._describe(request), "not sent because a stop was requested")
+                            raise Interrupted(self.name, self._describe(request), "not sent because a stop was requested")
                         if last:
                             self._check_before_repeating(request)
                     return self._once(request)
@@ -158,38 +161,38 @@ class TmclModule:
         if value != CANARY:
             self._note_reset(address)
             raise Forgotten(
-                "axes", f"check the canary of module {address}", "the module has reset and lost its settings",
+                self.name, f"check the canary of module {address}", "the module has reset and lost its settings",
                 "connect again, then home its axes or set their positions (goniotwin home, goniotwin here)",
             )  # fmt: skip
 
-    def stop(self, targets: Sequence[tuple[str, CommandFrame]], then: Callable[[], None] = lambda: None) -> list[DeviceError]:
-        """Send the stop frames of axes, by their names, before anything else; return what was not confirmed. Thread-safe.
+    def begin_stop(self, targets: Targets) -> StopSteps:
+        """Request a stop of axes, by their names, before anything else; return its steps. Thread-safe.
 
         The last frame is sent after one short wait for the exchange in progress and one for each earlier frame without
-        reply, 20 ms each at 115200 Bd and 40 ms at 9600 Bd. Frames without reply are sent once more, after `then`.
+        reply, 20 ms each at 115200 Bd and 40 ms at 9600 Bd. Frames without reply are sent once more after the first attempt.
         """
-        targets = sorted(targets, key=lambda target: target[1].command != Command.MST)
-        with self._lock.hold_for_stop():
-            port = self._port
-            if port is None:
-                then()
-                return [NoAnswer(name, "stop", "the port is not open") for name, _ in targets]
-            silent, broken = list(targets), ""
-            for first in (True, False):
-                try:
-                    silent, broken = port.send_all(silent, self._patience_s, self._timeout_s), ""
-                except PORT_FAULTS as error:
-                    broken = str(error)  # the port is opened again
-                if first:
-                    then()
-                if not silent:
-                    break
-                self._out_of_step = True
-            self._last = (Command.MST, 0, self._clock.now())
-            if broken:
-                return [NoAnswer(name, "stop", f"the port failed: {broken}", "cut the motors' power") for name, _ in silent]
-            happened, remedy = "the module has not confirmed it", "cut the motors' power if the axis still turns"
-            return [NoAnswer(name, "stop", happened, remedy) for name, _ in silent]
+        return self._lock.begin_stop(self._stop(sorted(targets, key=lambda target: target[1].command != Command.MST)))
+
+    def _stop(self, targets: Targets) -> StopSteps:
+        port = self._port
+        if port is None:
+            return [NoAnswer(name, "stop", "the port is not open") for name, _ in targets]
+        silent, broken = list(targets), ""
+        for first in (True, False):
+            try:
+                silent, broken = (yield from port.send_all(silent, self._patience_s, self._timeout_s)), ""
+            except PORT_FAULTS as error:
+                broken = str(error)  # the port is opened again
+            if first:
+                yield StopPhase.ATTEMPTED
+            if not silent:
+                break
+            self._out_of_step = True
+        self._last = (Command.MST, 0, self._clock.now())
+        if broken:
+            return [NoAnswer(name, "stop", f"the port failed: {broken}", "cut the motors' power") for name, _ in silent]
+        happened, remedy = "the module has not confirmed it", "cut the motors' power if the axis still turns"
+        return [NoAnswer(name, "stop", happened, remedy) for name, _ in silent]
 
     def _check_before_repeating(self, move: CommandFrame) -> None:
         """A module that reset after the failed attempt has lost its position; raise Forgotten."""
@@ -198,16 +201,14 @@ class TmclModule:
         except Forgotten:
             raise
         except DeviceError as error:
-            raise NoAnswer("axes", self._describe(move), f"not sent again: {error.happened}", error.remedy) from None
+            raise NoAnswer(self.name, self._describe(move), f"not sent again: {error.happened}", error.remedy) from None
 
     def _open(self) -> None:
         self.close()
         try:
-            opened = TmclPort(
-                lambda: self._open_port(self._baudrate, SLICE_S), self._clock, self._tap, self._timeout_s, self.events
-            )
+            opened = TmclPort(lambda: self._open_port(self._baudrate, SLICE_S), self._clock, self._tap, TIMEOUT_S, self.events)
         except (*PORT_FAULTS, ValueError) as error:
-            raise DeviceError("axes", "open the port", str(error), "check the port in the rig file") from None
+            raise DeviceError(self.name, "open the port", str(error), "check the port in the rig file") from None
         with self._lock.hold():
             self._port = opened
             self._out_of_step = False
@@ -217,7 +218,7 @@ class TmclModule:
         number = self.exchange(CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0)) >> 16
         if number not in MODELS:
             raise BadAnswer(
-                "axes", f"identify module {address}", f"it is a TMCM-{number}",
+                self.name, f"identify module {address}", f"it is a TMCM-{number}",
                 f"this driver supports {' and '.join(f'TMCM-{each}' for each in MODELS)}",
             )  # fmt: skip
         canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, CANARY)
@@ -254,15 +255,15 @@ class TmclModule:
             while True:
                 frame = port.frame(started + self._timeout_s, lambda: self._gives_way(stops, started))
                 if stops != self._lock.acquired:
-                    raise NoAnswer("axes", self._describe(request), "a stop came between request and reply")
+                    raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply")
                 if frame is None:
-                    raise NoAnswer("axes", self._describe(request), port.describe_missing(started))
-                reply = check_reply(request, frame, self._describe)
+                    raise NoAnswer(self.name, self._describe(request), port.describe_missing(started))
+                reply = check_reply(request, frame, self.name, self._describe)
                 if reply is not None:
                     self._last = (request.command, request.value, self._clock.now())
                     return reply.value
         except PORT_FAULTS as error:
-            raise NoAnswer("axes", self._describe(request), f"the port failed: {error}", "check cable and power") from None
+            raise NoAnswer(self.name, self._describe(request), f"the port failed: {error}", "check cable and power") from None
 
     def _gives_way(self, stops: int, started: float) -> bool:
         """True if a stop was carried out within this exchange, or has waited long enough for its end."""
@@ -288,12 +289,12 @@ class TmclModule:
                 if self._lock.stop_waiting:
                     break
         except PORT_FAULTS as error:
-            raise NoAnswer("axes", self._describe(request), f"the port failed: {error}", "check cable and power") from None
-        raise NoAnswer("axes", self._describe(request), "not responding, not even to a marker", "check cable and power")
+            raise NoAnswer(self.name, self._describe(request), f"the port failed: {error}", "check cable and power") from None
+        raise NoAnswer(self.name, self._describe(request), "not responding, not even to a marker", "check cable and power")
 
     def _opened(self, request: CommandFrame) -> TmclPort:
         if self._port is None:
-            raise NoAnswer("axes", self._describe(request), "the port is not open", "connect first")
+            raise NoAnswer(self.name, self._describe(request), "the port is not open", "connect first")
         return self._port
 
     def _describe(self, request: CommandFrame) -> str:

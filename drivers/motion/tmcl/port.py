@@ -6,20 +6,29 @@ once, and opened again for the next frame.
 
 import contextlib
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 from serial import Serial, SerialException
 
+from goniotwin.drivers.motion.stop import StopPhase, StopWait
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, CommandFrame, FrameError, ReplyFrame, ReplyStatus, split
 
 SLICE_S = 0.01
 FRAME_S_BITS = FRAME_BYTES * 10.0
+MODULE_LATENCY_S = 3.0e-4
 MOST_STALE = 4096
 PORT_FAULTS = (SerialException, OSError)
 GiveUp = Callable[[], bool]
 Targets = Sequence[tuple[str, CommandFrame]]
+Unconfirmed = Generator[StopPhase, None, list[tuple[str, CommandFrame]]]
+"""Steps of at most a slice each; the result are the requests without reply."""
+
+
+def exchange_seconds(baudrate: int) -> float:
+    """Typical duration of an exchange, s: a request, the response time of a module, a reply."""
+    return 2.0 * FRAME_S_BITS / baudrate + MODULE_LATENCY_S
 
 
 class TmclPort:
@@ -70,35 +79,46 @@ class TmclPort:
         self._rest = b""
         return True
 
-    def send_all(self, targets: Targets, patience_s: float, timeout_s: float) -> list[tuple[str, CommandFrame]]:
-        """Send requests one after the other; return those without reply. Raises SerialException or OSError.
+    def send_all(self, targets: Targets, patience_s: float, timeout_s: float) -> Unconfirmed:
+        """Send requests one after the other, in steps; return those without reply. Raises SerialException or OSError.
 
         It waits `patience_s` for each reply, and at the end `timeout_s` for all missing replies together.
         """
+        if self._port is None:
+            yield StopPhase.BLOCKING
         self._discard_received()
         missing: list[tuple[str, CommandFrame]] = []
         for name, request in targets:
             self._write(request.encode())
-            if not self._await_reply(request, self._clock.now() + patience_s):
-                missing.append((name, request))
+            yield from self._await_reply(name, request, self._clock.now() + patience_s, missing)
         deadline = self._clock.now() + timeout_s
-        return [(name, request) for name, request in missing if not self._await_reply(request, deadline)]
+        silent: list[tuple[str, CommandFrame]] = []
+        for name, request in missing:
+            yield from self._await_reply(name, request, deadline, silent)
+        return silent
 
     def describe_missing(self, started: float) -> str:
         """What was received instead of a reply, for an error message."""
         waited = self._clock.now() - started
         return f"{len(self._rest)} of {FRAME_BYTES} bytes within {waited:.3f} s"
 
-    def _await_reply(self, request: CommandFrame, deadline: float) -> bool:
-        """True if the reply to a request comes by the deadline, at any place of the stream: anything may come before it."""
+    def _await_reply(
+        self, name: str, request: CommandFrame, deadline: float, missing: list[tuple[str, CommandFrame]]
+    ) -> StopWait:
+        """Wait for the reply to a request, at any place of the stream: anything may come before it.
+
+        A request without reply by the deadline is appended to `missing`.
+        """
         while True:
             for place in range(len(self._rest) - FRAME_BYTES + 1):
                 if _confirms(self._rest[place : place + FRAME_BYTES], request):
                     self._rest = self._rest[place + FRAME_BYTES :]
-                    return True
+                    return
             self._rest = self._rest[-MOST_STALE:]
+            yield StopPhase.SENDING
             if not self._receive(FRAME_BYTES, deadline, lambda: False):
-                return False
+                missing.append((name, request))
+                return
 
     def _receive(self, size: int, deadline: float, give_up: GiveUp) -> bool:
         """Append what comes within a slice to `_rest`; False if it is time to give up."""

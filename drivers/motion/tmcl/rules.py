@@ -64,23 +64,23 @@ def starts_motion(request: CommandFrame) -> bool:
     return False
 
 
-def check_reply(request: CommandFrame, frame: bytes, describe: Callable[[CommandFrame], str]) -> ReplyFrame | None:
+def check_reply(request: CommandFrame, frame: bytes, device: str, describe: Callable[[CommandFrame], str]) -> ReplyFrame | None:
     """The reply to a request; None for a reply to another one. Raises BadAnswer and Refused.
 
-    `describe` gives the request as text for the error.
+    `device` is its name and `describe` gives the request as text, for the error.
     """
     try:
         reply = ReplyFrame.decode(frame)
     except FrameError as error:
-        raise BadAnswer("axes", describe(request), str(error)) from None
+        raise BadAnswer(device, describe(request), str(error)) from None
     if reply.host != HOST_ADDRESS or reply.address != request.address:
         return None
     if reply.status == ReplyStatus.WRONG_CHECKSUM:
-        raise BadAnswer("axes", describe(request), "the request was corrupted in transmission")
+        raise BadAnswer(device, describe(request), "the request was corrupted in transmission")
     if reply.command != request.command or reply.status == ReplyStatus.TARGET_REACHED:
         return None
     if reply.status != ReplyStatus.OK:
-        raise Refused("axes", describe(request), f"the module replies: {reply}")
+        raise Refused(device, describe(request), f"the module replies: {reply}")
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
 

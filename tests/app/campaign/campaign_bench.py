@@ -58,7 +58,7 @@ def change_rows(plan: Plan, change: Callable[[Row], Row | list[Row]]) -> Plan:
     for row in plan.rows:
         changed = change(row)
         rows += changed if isinstance(changed, list) else [changed]
-    return replace(plan, rows=tuple(replace(row, number=k) for k, row in enumerate(rows)))
+    return Plan(plan.schedule, plan.rig, tuple(replace(row, number=k) for k, row in enumerate(rows)))
 
 
 @dataclass

@@ -1,6 +1,6 @@
 """The example rig with order filters, in its rig file and in the twin, and a schedule that changes them."""
 
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigDescription, parse_rig
 from tests.app.campaign.campaign_bench import QUIET
@@ -54,7 +54,7 @@ def rig_with(*changes: Change) -> RigDescription:
     return parse_rig(changed(RIG.read_text(encoding="utf-8"), (*QUIET, *changes)), RIG.parent, "rig with filters")
 
 
-def plan_with(*changes: Change, wavelengths: str = WAVELENGTHS, tables: str = "", rig: RigDescription | None = None) -> Plan:
+def plan_with(*changes: Change, wavelengths: str = WAVELENGTHS, tables: str = "", rig: RigDescription | None = None) -> NewPlan:
     """A small schedule at three wavelengths, one per filter, on a rig with filters or on another rig."""
     text = changed(SMALL, (("wavelength_nm = [550]", f"wavelength_nm = {wavelengths}"), *changes)) + tables
     return make_plan(parse_schedule(text, "schedule"), rig or rig_with(RIG_FILTERS, TWIN_FILTERS))

@@ -14,7 +14,8 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.comparison import theoretical_bsdf
-from goniotwin.app.campaign.reduction.reduction import BsdfPoints, reduce_journal
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowStarted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import OpenRig, parse_rig
@@ -169,7 +170,7 @@ def run_case(case: Case, grid: tuple[str, str], folder: Path) -> CaseResult:
     flags = [
         flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range", "field")
     ]  # flags that any run has
-    flagged = np.any(flags, axis=0) & ~points.shadowed
+    flagged = np.any(flags, axis=0) & ~points.flag("shadowed")
     within = float(np.mean(z <= 2.0)) if z.size else 1.0
     return CaseResult(
         case, run, int(usable.sum()), int(flagged.sum()), within, float(z.max(initial=0.0)), int(np.sum(z > WRONG_U))

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QApplication, QFileDialog, QPushButton
@@ -14,6 +15,7 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
@@ -22,10 +24,10 @@ from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.model.permissions import BUSY
 from goniotwin.app.end_signals import END_SIGNALS
 from goniotwin.app.rig import OpenRig, RigFile
-from goniotwin.drivers import Axis, DeviceError, Rig
+from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
-from tests.conftest import RIG
+from tests.conftest import RIG, SMALL, Writer
 
 ROWS = 10
 
@@ -177,10 +179,10 @@ def test_a_stop_that_did_not_reach_an_axis_stays_in_the_status(
 def test_axes_that_stop_responding_are_shown_and_no_run_can_start(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def silent(_axis: Axis) -> float:
+    def silent(_axis: TmclAxis) -> float:
         raise NoAnswer("gamma", "GAP", "0 of 9 bytes")
 
-    monkeypatch.setattr(Axis, "position_deg", silent)
+    monkeypatch.setattr(TmclAxis, "position_deg", silent)
     qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
     assert window.view.axes.position("gamma") == "–"
     assert not window.view.run.start_button.isEnabled()
@@ -283,6 +285,23 @@ def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: Ma
     assert collected_in == {threading.main_thread().name}
     window.shut_down()
     assert gc.isenabled()
+
+
+def test_after_a_run_the_plot_has_the_highest_value_of_the_journal(
+    qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """With a certificate of 0.50; the rig file's is 0.99."""
+    (tmp_path / "certificate.csv").write_text("radiance_factor,relative_uncertainty\n0.50,0.01\n", encoding="utf-8")
+    table = '[certificate]\nfile = "certificate.csv"\nexpires = 2999-12-31\n'
+    window = ready(qtbot, open_window(schedule=write_schedule(text=SMALL + table)))
+    click(window.view.run.start_button)
+    wait_for_end(qtbot, window, State.DONE)
+    assert window.presenter.journal is not None
+    with Journal.open(window.presenter.journal) as journal:
+        points = reduce_journal(journal).samples["gaussian-5"]
+    highest = float(np.max(points.bsdf[points.good]))
+    qtbot.waitUntil(lambda: f"highest {highest:.3g} at" in window.view.plot.summary, timeout=READY_MS)
+    assert window.view.plot.y_label == "BSDF (1/sr)"
 
 
 @pytest.mark.parametrize("broken", ["drawing", "reducing"])

@@ -8,14 +8,14 @@ from PySide6.QtWidgets import QAbstractButton, QApplication, QComboBox, QProgres
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.desktop import MainWindow, Theme
-from goniotwin.app.desktop.model.messages import DEVICES
+from goniotwin.app.rig.kinds import ROLES
 from goniotwin.drivers import Rig
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
 from tests.conftest import Writer
 
 
 def test_all_four_devices_of_the_virtual_rig_are_connected_with_their_identity(window: MainWindow) -> None:
-    for device, identity in zip(DEVICES, ("TMCM-6214", "Cornerstone 260", "ADAM-6017", "PM100D"), strict=True):
+    for device, identity in zip(ROLES, ("TMCM-6214", "Cornerstone 260", "ADAM-6017", "PM100D"), strict=True):
         assert "✓ connected" in window.view.devices.text(device)
         assert identity in window.view.devices.text(device)
 
@@ -31,13 +31,19 @@ def test_positions_are_shown_before_anything_runs(qtbot: QtBot, window: MainWind
     qtbot.waitUntil(lambda: window.view.axes.position("gamma") == "0.00°", timeout=READY_MS)
 
 
+@pytest.fixture
+def no_port(tmp_path: Path) -> str:
+    """A port that does not exist, another one in each test: the lock of a port is one for all programs of the computer."""
+    return (tmp_path / "no-such-port").as_posix()
+
+
 def test_a_port_that_does_not_exist_is_named_and_the_other_devices_connect(
-    qtbot: QtBot, open_window: WindowOpener, write_rig: Writer
+    qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, no_port: str
 ) -> None:
-    window = open_window(write_rig(('port = "twin://virtual/axes"', 'port = "/dev/no-such-port"')))
+    window = open_window(write_rig(('port = "twin://virtual/axes"', f'port = "{no_port}"')))
     qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
-    assert "/dev/no-such-port" in window.view.devices.text("axes")
-    for device in DEVICES[1:]:
+    assert no_port in window.view.devices.text("axes")
+    for device in ROLES[1:]:
         assert "✓ connected" in window.view.devices.text(device)
     qtbot.waitUntil(lambda: window.presenter.plan is not None, timeout=READY_MS)
     assert not window.view.run.start_button.isEnabled()
@@ -91,8 +97,10 @@ def test_a_schedule_that_the_rig_cannot_do_is_refused_and_cannot_be_started(
     assert "gamma_deg" in window.view.run.start_button.toolTip()
 
 
-def test_a_rig_connects_again_after_its_port_is_corrected(qtbot: QtBot, open_window: WindowOpener, write_rig: Writer) -> None:
-    window = open_window(write_rig(('port = "twin://virtual/axes"', 'port = "/dev/no-such-port"')))
+def test_a_rig_connects_again_after_its_port_is_corrected(
+    qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, no_port: str
+) -> None:
+    window = open_window(write_rig(('port = "twin://virtual/axes"', f'port = "{no_port}"')))
     qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
     write_rig()
     window.view.rig.again_button.click()

@@ -10,7 +10,7 @@ from goniotwin.app.rig import AXES, RigDescription, axis_settings, open_rig, par
 from goniotwin.app.rig.described_twin import DescribedTwin, described_twin
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import TwinModel
-from tests.conftest import RIG, Change, changed
+from tests.conftest import RIG, Change, changed, tmcl_axis
 
 
 def real_rig(*changes: Change) -> RigDescription:
@@ -123,7 +123,7 @@ def test_limit_switches_are_beyond_the_soft_limits() -> None:
     assert sum("beta's limit switches" in each for each in twin.assumptions) == 2
     with open_rig(twin.rig, VirtualClock()) as opened:
         opened.connect()
-        switched = opened.rig.axes["beta"].switches()
+        switched = tmcl_axis(opened.rig, "beta").switches()
         assert not switched.right
         assert not switched.left
 

@@ -9,7 +9,7 @@ from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import monochromator_settings, parse_rig, read_rig
+from goniotwin.app.rig import parse_rig, read_rig
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.app.rig.served_file import served_rig
 from goniotwin.drivers import OrderFilter
@@ -21,7 +21,7 @@ from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 def test_without_the_table_there_are_no_filters(write_rig: Writer) -> None:
     rig = read_rig(write_rig())
-    assert monochromator_settings(rig.file).wheel.filters == ()
+    assert rig.file.monochromator.wheel.filters == ()
     model = rig.model()
     assert model is not None
     assert model.order_sorting == OrderSorting()
@@ -32,8 +32,9 @@ def test_the_operators_filters_are_sorted_by_wavelength(write_rig: Writer) -> No
     upside_down = "\n\n".join([*others[::-1], first])
     for text in (FILTERS, upside_down):
         rig = read_rig(write_rig(("[photodiodes]\n", f"{text}\n[photodiodes]\n")))
-        assert monochromator_settings(rig.file).wheel.filters == (
-            OrderFilter(1, "open", 380.0), OrderFilter(4, "GG495", 550.0, 495.0), OrderFilter(2, "RG610", 650.0, 610.0),
+        assert rig.file.monochromator.wheel.filters == (
+            OrderFilter(1, "open", 380.0, 550.0), OrderFilter(4, "GG495", 550.0, 650.0, 495.0),
+            OrderFilter(2, "RG610", 650.0, 780.0, 610.0),
         )  # fmt: skip
         model = rig.model()
         assert model is not None
@@ -50,11 +51,11 @@ def test_the_twins_filters_are_its_own(write_rig: Writer) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("to_nm = 550\n", "to_nm = 540\n"), r"monochromator: filters: there is no filter for 540 to 550 nm; widen a band"),
-        (("from_nm = 380", "from_nm = 400"), r"monochromator: filters: there is no filter for 380 to 400 nm; .* lowest_nm"),
-        (("to_nm = 780", "to_nm = 700"), r"monochromator: filters: there is no filter for 700 to 780 nm; .* highest_nm"),
+        (("to_nm = 550\n", "to_nm = 540\n"), r"monochromator\.filters: there is no filter for 540 to 550 nm; widen a band"),
+        (("from_nm = 380", "from_nm = 400"), r"monochromator\.filters: there is no filter for 380 to 400 nm; .* lowest_nm"),
+        (("to_nm = 780", "to_nm = 700"), r"monochromator\.filters: there is no filter for 700 to 780 nm; .* highest_nm"),
         (("to_nm = 650", "to_nm = 651"), r"filters: the bands of 'GG495' \(550 to 651 nm\) and 'RG610' .* overlap; make"),
-        (("position = 4", "position = 2"), r"monochromator: filters: position 2 is given 2 times; keep one"),
+        (("position = 4", "position = 2"), r"monochromator\.filters: position 2 is given 2 times; keep one"),
         (("position = 4", "position = 7"), r"monochromator\.filters\.1\.position: .*less than or equal to 6, not 7"),
         (("position = 4", "position = 0"), r"monochromator\.filters\.1\.position: .*greater than or equal to 1, not 0"),
         (("to_nm = 650", "to_nm = 540"), r"monochromator\.filters\.1: from_nm 550 is not below to_nm 540; exchange them"),
@@ -84,14 +85,14 @@ def test_bands_may_extend_beyond_the_range_of_the_monochromator(write_rig: Write
             ('port = "twin://virtual/mono"\n', 'port = "twin://virtual/mono"\nhighest_nm = 700\n'),
         )
     )
-    assert [len(monochromator_settings(each.file).wheel.filters) for each in (rig, again)] == [3, 3]
+    assert [len(each.file.monochromator.wheel.filters) for each in (rig, again)] == [3, 3]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("position = 2\ncut_on_nm = 500\n[[twin.filters]]\nposition = 2\ncut_on_nm = 600", r"filters: position 2 is given"),
-        ("position = 5\ncut_on_nm = 500\n[twin.monochromator]\nfilters = 4", r"twin: filters: a wheel of 4 positions has no"),
+        ("position = 5\ncut_on_nm = 500\n[twin.monochromator]\nfilters = 4", r"twin\.filters: a wheel of 4 positions has no"),
         ("position = 2\ncut_on_nm = 500\ntransmittance = 1.1", r"twin\.filters\.0\.transmittance: .*less than or equal to 1"),
         ("position = 2", r"twin\.filters\.0\.cut_on_nm: is missing"),
         ("position = 2\ncut_on_nm = 500\n[twin.monochromator]\nsecond_order = 1.0", r"second_order: .*less than 1"),
@@ -121,7 +122,7 @@ def test_the_described_twin_has_the_filters_of_the_real_rigs_file() -> None:
     model = twin.rig.model()
     assert model is not None
     assert model.order_sorting == OrderSorting(0.0, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
-    assert [each.position for each in monochromator_settings(twin.rig.file).wheel.filters] == [1, 4, 2]
+    assert [each.position for each in twin.rig.file.monochromator.wheel.filters] == [1, 4, 2]
     assert twin.rig.file.monochromator.baudrate == 9600
     assert any("filters with a cut_on_nm transmit 0.9 of the light" in each for each in twin.assumptions)
 

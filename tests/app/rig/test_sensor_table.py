@@ -33,7 +33,7 @@ def test_a_sensor_that_is_not_a_simple_disc_needs_the_forward_estimator(write_ri
     other = "[twin.sensor]\ndiaphragm_mm = 18.0"
     assert instrument(write_rig, FORWARD + other).sensor == RealSensor(diaphragm_mm=18.0)
     with pytest.raises(
-        UserError, match=r"twin: sensor: its diaphragm is at 18 mm .* set optics\.estimator = \"forward\""
+        UserError, match=r"twin\.sensor: its diaphragm is at 18 mm .* set optics\.estimator = \"forward\""
     ) as caught:
         instrument(write_rig, other)
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Lists of numbers in options, the detectors' grid, and the interpolation to the output grid."""
+"""Lists of numbers in options, the detectors' grid, and the nodes of the output grid."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.simulation.detectors import Detectors, detector_grid, output_phi, output_theta, parse_list
-from goniotwin.app.simulation.specular_grid import interpolate_cubic, interpolate_to_specular
-from goniotwin.twin.optics import arc_direction, from_specular, specular_direction, to_specular
+from goniotwin.twin.optics import specular_direction
 
 
 @settings(deadline=None)
@@ -70,56 +69,6 @@ def test_output_nodes_cover_the_ranges_that_readers_expect() -> None:
     assert output_phi(None, False)[-1] == 360.0
     with pytest.raises(UserError, match=r"--phi"):
         output_phi(np.array([0.0, 270.0]), True)
-
-
-@pytest.mark.parametrize("mirrored", [True, False])
-@pytest.mark.parametrize("sigma_deg", [0.0, 7.0, 45.0, 85.0])
-def test_a_smooth_lobe_is_interpolated_to_the_output_grid(sigma_deg: float, mirrored: bool) -> None:
-    def lobe(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        even = 1.0 + 0.2 * np.cos(np.radians(phi)) * np.sin(np.radians(theta))
-        odd = 0.0 if mirrored else 0.2 * np.sin(np.radians(phi)) * np.sin(np.radians(theta))
-        value: np.ndarray = (even + odd) * np.exp(-((theta / 5.0) ** 2))
-        return value
-
-    detectors = detector_grid(sigma_deg, mirrored)
-    values = lobe(*to_specular(sigma_deg, detectors.directions(False)))
-    phi, theta = output_phi(None, mirrored), output_theta(None)
-    table, known = interpolate_to_specular(detectors, values, sigma_deg, phi, theta)
-    expected = lobe(theta[None, :], phi[:, None])
-    assert np.max(np.abs(table - expected)[known]) < 0.003
-    # All nodes above the last detectors are known, and no node below the horizon.
-    height = from_specular(sigma_deg, theta[None, :], phi[:, None])[..., 2]
-    assert np.all(known[height > np.cos(np.radians(87.0)) + 1e-6])
-    assert not np.any(known[height < 0.0])
-    assert np.all(table >= 0.0)
-
-
-def test_a_missing_detector_affects_only_the_nodes_around_it() -> None:
-    detectors = detector_grid(30.0, True)
-    values = np.ones(detectors.polar_deg.size * detectors.azimuth_deg.size)
-    hole = np.flatnonzero(detectors.directions(False) @ arc_direction(50.0, 90.0) > np.cos(np.radians(4.0)))
-    values[hole] = np.nan
-    phi, theta = output_phi(np.arange(0.0, 181.0, 1.0), True), np.arange(0.0, 181.0, 1.0)
-    table, known = interpolate_to_specular(detectors, values, 30.0, phi, theta)
-    away = from_specular(30.0, theta[None, :], phi[:, None]) @ arc_direction(50.0, 90.0)
-    assert not known[away > np.cos(np.radians(2.0))].any()
-    height = from_specular(30.0, theta[None, :], phi[:, None])[..., 2]
-    assert known[(away < np.cos(np.radians(15.0))) & (height > 0.1)].all()
-    np.testing.assert_allclose(table, 1.0, rtol=1e-12)
-
-
-@settings(deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_the_interpolation_does_not_overshoot(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    polar = np.sort(generator.choice(88, 6, replace=False)).astype(float)
-    azimuth = np.concatenate([[0.0], np.sort(generator.choice(np.arange(1, 180), 4, replace=False)), [180.0]])
-    table = generator.random((6, 6))
-    at_polar, at_azimuth = generator.uniform(polar[0], polar[-1], 50), generator.uniform(0.0, 180.0, 50)
-    values = interpolate_cubic(polar, azimuth, table, at_polar, at_azimuth)
-    assert np.all((values >= table.min() - 1e-12) & (values <= table.max() + 1e-12))
-    nodes = interpolate_cubic(polar, azimuth, table, *np.meshgrid(polar, azimuth, indexing="ij"))
-    np.testing.assert_allclose(nodes, table, rtol=1e-9)
 
 
 def test_a_given_grid_is_not_changed() -> None:

@@ -9,11 +9,13 @@ import pytest
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import DdrTable, read_ddr, read_points_csv, write_ddr
+from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.estimate import EstimatorSettings
-from goniotwin.app.simulation.files import check_file_names, ddr_table, summary, write_simulation
+from goniotwin.app.simulation.files import bsdf_table, check_file_names, summary, write_simulation
 from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
+from tests.conftest import Writer
 from tests.twin.optics.agreement import agree
 
 # Detectors wider than the instrument's, so that many of few paths arrive at one.
@@ -68,7 +70,7 @@ def test_obstructed_directions_have_no_value_and_are_counted(some: Simulation, g
     assert np.all(np.isnan(at.ratio.factor[0, at.obstructed]))
     assert not some.known[0, 0, :, 0].any()
     assert some.known[0, 1, :, 0].all()
-    text = "\n".join(ddr_table(some).comments)
+    text = "\n".join(bsdf_table(some).comments)
     assert "SIMULATED" in text
     assert "sigma 0, phi 0: theta 0 to 3.5" in text  # the zone of mirror 3 (its 20 mm seen at 200 mm, and the aperture)
     free = simulate(task(sigmas=(0.0,), instrument=OPEN, **grid))
@@ -95,6 +97,30 @@ def test_a_ddr_can_be_read_and_has_the_values(some: Simulation, grid: dict[str, 
     # The file can be the sample of another simulation.
     again = simulate(task(f"table:{path}", **grid))
     assert again.table[0, 0, 0, 0] == pytest.approx(some.table[0, 1, 0, 0], rel=0.03)
+
+
+def test_a_ddr_is_a_sample_of_a_rig_file_with_the_same_values(some: Simulation, write_rig: Writer, tmp_path: Path) -> None:
+    write_simulation(some, tmp_path / "some.ddr")
+    text = '[twin.samples.paper]\nmodel = "table"\nfile = "some.ddr"\n\n[twin.samples.etalon]'
+    model = read_rig(write_rig(("[twin.samples.etalon]", text))).model()
+    assert model is not None
+    for k, sigma in enumerate(some.task.sigma_deg.tolist()):
+        directions = from_specular(sigma, some.theta_deg[None, :], some.phi_deg[:, None])
+        known = some.known[0, k]
+        found = np.pi * evaluate(model.samples["paper"], light_direction(sigma), directions[known])
+        np.testing.assert_allclose(found, some.table[0, k][known], rtol=1e-7, atol=1e-12)
+
+
+def test_the_uncertainties_of_a_ddr_are_the_standard_errors(some: Simulation, tmp_path: Path) -> None:
+    assert write_simulation(some, tmp_path / "a.ddr") == (tmp_path / "a.ddr", tmp_path / "a.u.ddr")
+    table, u = read_ddr(tmp_path / "a.ddr"), read_ddr(tmp_path / "a.u.ddr")
+    known = some.known[0]
+    assert np.all(u.values[0, 0, :-1][~known] == table.values[0, 0, :-1][~known])
+    for k, at in enumerate(some.at):
+        # The node at theta 0 is the detector in the specular direction.
+        here = np.argmin(np.abs(at.directions - from_specular(at.sigma_deg, 0.0, 0.0)).sum(axis=1))
+        if known[k, 0, 0]:
+            assert u.values[0, 0, k, 0, 0] == pytest.approx(at.ratio.standard_error[0, here], rel=1e-6)
 
 
 def test_the_csv_has_every_detector_with_its_error(some: Simulation, tmp_path: Path) -> None:
@@ -236,6 +262,9 @@ def test_invalid_file_names_are_refused(tmp_path: Path) -> None:
     for names in (["a.txt"], ["absent/a.ddr"], ["a.ddr", "a.ddr"], ["a.ddr", "a.ddt"], ["a.ddr"]):
         with pytest.raises(UserError):
             check_file_names([tmp_path / name for name in names], [own], False)
+    (tmp_path / "b.u.ddr").write_text("notes of the user", encoding="utf-8")
+    with pytest.raises(UserError, match=r"b\.u\.ddr, and another file is there"):
+        check_file_names([tmp_path / "b.ddr"], [own], False)
     assert check_file_names([tmp_path / "b.csv"], [own], False) is False
     assert check_file_names([tmp_path / "b.ddt"], [own], False) is True
 

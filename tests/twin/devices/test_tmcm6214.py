@@ -78,6 +78,23 @@ def test_writing_the_position_moves_nothing(opened: RigOpener) -> None:
     assert there == pytest.approx(10.0)  # 51200 microsteps are a turn of the motor, the gear is 36
 
 
+def test_the_same_resolution_again_shifts_nothing(opened: RigOpener) -> None:
+    """A driver writes its settings at each start. The motor may have been stopped between two microsteps, or be on its ramp."""
+    rig = opened(("noise = true", "noise = false"))
+    assert rig.virtual is not None
+    module = rig.virtual.serial["axes"]
+    assert isinstance(module, TmclLine)
+    value(module, Command.MVP, MoveType.ABSOLUTE, 153_600, t=100.0)
+    value(module, Command.MST, 0, t=101.2345)
+    for t in (101.3, 150.0):
+        resting = rig.virtual.plant.angle_deg("sigma", 200.0)
+        assert resting * 5120.0 != pytest.approx(round(resting * 5120.0), abs=0.01)
+        value(module, Command.SAP, AxisParameter.MICROSTEP_RESOLUTION, 8, t=t)
+        assert rig.virtual.plant.angle_deg("sigma", 200.0) == resting
+    value(module, Command.MVP, MoveType.ABSOLUTE, 153_600, t=210.0)
+    assert rig.virtual.plant.angle_deg("sigma", 300.0) == pytest.approx(30.0, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("request_", "status"),
     [

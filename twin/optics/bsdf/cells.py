@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.tables import azimuth_place, find_interval, phi_in_list, plane_of_incidence, specular_angles
+from goniotwin.twin.optics.bsdf.tables import azimuth_place, find_interval, phi_in_list, specular_angles, specular_vector
 from goniotwin.twin.optics.geometry.coordinates import from_specular
 from goniotwin.twin.optics.kernel import kernel
 
@@ -87,9 +87,8 @@ def cell_direction(
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Direction from three uniform numbers in [0, 1): `choice` selects the list, u the cell and theta in it, v phi."""
-    sine, ux, uy = plane_of_incidence(lx, ly)
     n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
-    m, a = find_interval(sig, math.degrees(math.atan2(sine, lz)))
+    m, a = find_interval(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
     if choice < share:
         n, choice = n1, choice / share
     else:
@@ -113,9 +112,7 @@ def cell_direction(
     if ph.size > 1 and ph[ph.size - 1] <= 180.0:
         sign, v = (sign, 2.0 * v) if v < 0.5 else (-sign, 2.0 * v - 1.0)
     phi = sign * math.radians(start + v * (end - start))
-    inward, across, along = math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)
-    radial = lz * inward - sine * along
-    return radial * ux - across * uy, radial * uy + across * ux, sine * inward + lz * along
+    return specular_vector(lx, ly, lz, theta, phi)
 
 
 def cell_shares(sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, values: Floats) -> Floats:

@@ -18,7 +18,13 @@ from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.analytic_samples import Side
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.bsdf.table_samples import Symmetry, table_sample
-from goniotwin.twin.optics.geometry.coordinates import from_specular, to_specular
+from goniotwin.twin.optics.geometry.coordinates import (
+    arc_direction,
+    from_specular,
+    mirror_in_plane_of_incidence,
+    round_deg,
+    to_specular,
+)
 from goniotwin.twin.optics.kernel import kernel
 
 THETA_LIST = 150
@@ -57,11 +63,10 @@ def scattered_points(
     points = _points(lists, 90.0 if spherical else 180.0)
     if not (math.isfinite(gap_deg) and 0.0 < gap_deg <= 90.0):
         raise ValueError(f"gap_deg is {gap_deg!r}: give an angle above 0, at most 90 deg")
-    sigma, psi = np.round(points["sigma_deg"], 6), np.round(points.get("psi_deg", np.zeros(1)), 6)
+    sigma, psi = round_deg(points["sigma_deg"]), round_deg(points.get("psi_deg", np.zeros(1)))
     psi = np.broadcast_to(psi, sigma.shape)
     if spherical:
-        zenith, azimuth = np.radians(points["theta_deg"]), np.radians(points["phi_deg"] - psi)
-        directions = np.stack([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)], axis=-1)
+        directions = arc_direction(points["theta_deg"], points["phi_deg"] - psi)
     else:
         directions = from_specular(sigma, points["theta_deg"], points["phi_deg"])
     theta = _theta_list(to_specular(sigma, directions)[0], 90.0 + float(sigma.max()))
@@ -77,7 +82,10 @@ def scattered_points(
         known, value = directions[members], points["values"][members]
         if mirrored:
             off = np.abs(known[:, 1]) > 1e-9
-            known, value = np.concatenate([known, known[off] * [1.0, -1.0, 1.0]]), np.concatenate([value, value[off]])
+            known, value = (
+                np.concatenate([known, mirror_in_plane_of_incidence(known[off])]),
+                np.concatenate([value, value[off]]),
+            )
         nodes = from_specular(sigmas[m], theta, phi[:, None])
         resampled = _resample(_raise_to_horizon(nodes.reshape(-1, 3)), known, value, math.radians(2.0 * gap_deg))
         distance = np.where(nodes[..., 2] > 0.0, np.degrees(resampled[:, 1]).reshape(nodes.shape[:-1]), 0.0)

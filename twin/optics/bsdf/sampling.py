@@ -21,7 +21,7 @@ from goniotwin.twin.optics.bsdf.models import (
     refract,
     regular_share,
 )
-from goniotwin.twin.optics.bsdf.tables import plane_of_incidence
+from goniotwin.twin.optics.bsdf.tables import specular_vector
 from goniotwin.twin.optics.kernel import kernel
 
 # Share of the draws of a Gaussian or a table that follow its shape.
@@ -59,10 +59,7 @@ def analytic_sample(
         radius = math.sqrt(u)
         return radius * math.cos(turn), radius * math.sin(turn), math.sqrt(1.0 - u)
     theta = math.sqrt(-math.log(1.0 - u * cut) / exponent)
-    sine, ux, uy = plane_of_incidence(lx, ly)
-    inward, across, along = math.sin(theta) * math.cos(turn), math.sin(theta) * math.sin(turn), math.cos(theta)
-    radial = lz * inward - sine * along
-    return radial * ux - across * uy, radial * uy + across * ux, sine * inward + lz * along
+    return specular_vector(lx, ly, lz, theta, turn)
 
 
 @kernel()

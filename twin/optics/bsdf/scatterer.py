@@ -16,6 +16,7 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, freeze, rotate_about_z
 from goniotwin.twin.optics.bsdf.models import evaluate_all, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter_all
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, is_lit_from_behind
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +122,9 @@ def evaluate(
 
 def _incidence(sigma_deg: float) -> tuple[int, float]:
     """Side of the light (1 front, -1 back), and its polar angle on that side."""
-    if not 0.0 <= sigma_deg <= 180.0 or sigma_deg == 90.0:
+    if not 0.0 <= sigma_deg <= HALF_TURN_DEG or sigma_deg == 0.5 * HALF_TURN_DEG:
         raise ValueError(f"sigma_deg is {sigma_deg!r}: give an angle of incidence of 0 to 180 deg, but not 90")
-    return (1, sigma_deg) if sigma_deg < 90.0 else (-1, 180.0 - sigma_deg)
+    return (-1, HALF_TURN_DEG - sigma_deg) if is_lit_from_behind(sigma_deg) else (1, sigma_deg)
 
 
 def albedo(

@@ -52,6 +52,15 @@ def specular_angles(lx: float, ly: float, lz: float, dx: float, dy: float, dz: f
 
 
 @kernel(forceinline=True)
+def specular_vector(lx: float, ly: float, lz: float, theta: float, phi: float) -> tuple[float, float, float]:
+    """The direction at theta and phi, in rad, for light from l: the inverse of `specular_angles`."""
+    sine, ux, uy = plane_of_incidence(lx, ly)
+    inward, across, along = math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)
+    radial = lz * inward - sine * along
+    return radial * ux - across * uy, radial * uy + across * ux, sine * inward + lz * along
+
+
+@kernel(forceinline=True)
 def phi_in_list(ph: Floats, phi: float) -> float:
     """phi (-180 to 180) in the range of the list: mirrored where the list ends at 180 deg."""
     if ph[ph.size - 1] <= 180.0:

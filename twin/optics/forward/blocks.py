@@ -25,7 +25,7 @@ from goniotwin.twin.optics.forward.scattering import (
 from goniotwin.twin.optics.forward.scoring import HITS, HitBuffer, Targets, find_cells, score
 from goniotwin.twin.optics.forward.spread import BINS, Spread
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import scramble, uniform, word_key
+from goniotwin.twin.optics.montecarlo import item_key, scramble, uniform, word_key
 
 U64 = np.uint64
 COSINE, SHAPE, REST, MODEL, FRAME = range(5)
@@ -83,7 +83,7 @@ def trace(
     hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
     start, keys = scramble(U64(seed)), np.empty(4, np.uint32)
     for block in range(first, last):
-        key = scramble(start + U64(block) * U64(0xD1342543DE82EF95))
+        key = item_key(start, block)
         for k in range(strata.ways.shape[0]):
             count, inside = strata.ways[k, 2], strata.ways[k, 0] != FRAME
             stream = k if inside else FRAMES_STREAM
@@ -128,7 +128,7 @@ def trace_geometry(blocks: int, seed: np.uint64, beam: Beam, strata: Strata, lob
     buffer, keys, total = np.empty(ROWS * BLOCK, np.float32), np.empty(4, np.uint32), 0.0
     start = scramble(U64(seed))
     for block in range(blocks):
-        key = scramble(start + U64(block) * U64(0xD1342543DE82EF95))
+        key = item_key(start, block)
         for k in range(strata.ways.shape[0]):
             if strata.ways[k, 0] != FRAME:
                 for n in range(4):

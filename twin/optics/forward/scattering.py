@@ -16,7 +16,7 @@ from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
 from goniotwin.twin.optics.forward.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import scramble, uniform, upper_24, word
+from goniotwin.twin.optics.montecarlo import item_key, uniform, upper_24, word
 
 F32 = np.float32
 U64 = np.uint64
@@ -136,7 +136,7 @@ def reset_stops(buffer: Singles, count: int) -> None:
 @kernel()
 def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
     """Key of one path of a block, for numbers that are drawn path by path."""
-    return scramble(key + U64(stratum * 65536 + i + 1) * U64(0xD1342543DE82EF95))
+    return item_key(key, stratum * 65536 + i + 1)
 
 
 @kernel()

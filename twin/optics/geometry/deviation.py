@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from goniotwin.arrays import Floats
+from goniotwin.keys import check_bounds
 
 
 @dataclass(frozen=True)
@@ -14,8 +15,8 @@ class Deviation:
     """Six deviations of an element from its nominal position, zero by default (paper, figures 9 and 11).
 
     The element is turned about the x, then the y, then the z axis of the frame in which its position is given, through its own
-    reference point, and then shifted along these axes. Angles in degrees, right-handed; shifts in mm. Raises ValueError, naming
-    the field, for a value that is not finite.
+    reference point, and then shifted along these axes. Angles `rx_deg`, `ry_deg`, `rz_deg` are right-handed; shifts `x_mm`,
+    `y_mm`, `z_mm`. Raises ValueError, naming the field, for a value that is not finite.
     """
 
     rx_deg: float = 0.0
@@ -26,10 +27,7 @@ class Deviation:
     z_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not math.isfinite(value):
-                raise ValueError(f"{entry.name} is {value!r}: give a finite number")
+        check_bounds(self)
 
 
 NO_DEVIATION = Deviation()

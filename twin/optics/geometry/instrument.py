@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Ge, Gt, Le, Lt
 
 from goniotwin.arrays import Floats
+from goniotwin.keys import NO_KEY, NonNegative, Positive, Share, check_bounds
 from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 
@@ -76,15 +79,39 @@ def nominal_reflectance(reflectance: "float | Reflectance") -> float:
 
 
 @dataclass(frozen=True)
-class Instrument:
-    """Dimensions in mm, angles in degrees (paper, sections 3.1 and 3.2).
+class Dimensions:
+    """Dimensions in mm, angles in degrees (paper, sections 3.1 and 3.2), as an operator knows them.
 
-    The paper gives: the distances of 200 mm, the mirrors' reflectance, the spot of 5 x 5 mm, detectors of 5 mm diameter with an
-    acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of 0.7 deg (the paper has
-    0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
+    They decide which directions the mirror unit blocks, and over which directions a value is a mean. Square mirrors of
+    `mirror_side_mm` are `mirror_distance_mm` from each other and from the sample, where the beam makes a spot of
+    `spot_side_mm`. The detectors, of `detector_diameter_mm`, are on an arc of `arc_radius_mm`. The mirrors' black mounts extend
+    `mirror_mount_mm` beyond their edges on all sides. `field_deg` is the full width of a detector's acceptance cone,
+    0.5 to 2.5 deg in the paper; `pupil_radius_mm`, the radius of the exit pupil, seen over the mirrors, is half of the beam's
+    divergence (5 mm: 0.7 deg, assumed). Raises ValueError, naming the field, for a value out of range.
+    """
 
-    `field_deg` is the full width of a detector's acceptance cone. With `obstruction` the mirrors hide directions from the
-    detectors, and so do their black mounts, which extend `mirror_mount_mm` beyond the mirrors' edges on all sides.
+    pupil_radius_mm: Positive = 5.0
+    mirror_distance_mm: Positive = 200.0
+    mirror_side_mm: Positive = 20.0
+    mirror_mount_mm: NonNegative = 0.0
+    spot_side_mm: Positive = 5.0
+    arc_radius_mm: Positive = 300.0
+    detector_diameter_mm: Positive = 5.0
+    field_deg: Annotated[float, Gt(0.0), Lt(180.0)] = 0.5
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@dataclass(frozen=True)
+class Instrument(Dimensions):
+    """The goniophotometer's optics: dimensions, mirrors, detectors.
+
+    The paper gives: the distances of 200 mm, the mirrors' `mirror_reflectance`, the spot of 5 x 5 mm, detectors of 5 mm
+    diameter with an acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of 0.7 deg
+    (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
+
+    With `obstruction` the mirror unit blocks light on its way to the detectors.
 
     Without a `sensor` the detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count the rays within
     the cone. With a sensor each detector is such a unit, its lens in the place of the disc. `detector_diameter_mm` and
@@ -99,36 +126,17 @@ class Instrument:
     Raises ValueError, naming the field, for a value out of range.
     """
 
-    pupil_radius_mm: float = 5.0
-    pupil_to_mirror_mm: float = 200.0
-    mirror_distance_mm: float = 200.0
-    mirror_side_mm: float = 20.0
-    mirror_mount_mm: float = 0.0
-    mirror_reflectance: float | Reflectance = 0.95
-    spot_side_mm: float = 5.0
-    arc_radius_mm: float = 300.0
-    detector_diameter_mm: float = 5.0
-    field_deg: float = 0.5
+    pupil_to_mirror_mm: Positive = field(default=200.0, metadata=NO_KEY)
+    mirror_reflectance: Share | Reflectance = 0.95
     obstruction: bool = True
-    deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False)
-    sensor: RealSensor | None = None
+    deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata=NO_KEY)
+    sensor: RealSensor | None = field(default=None, metadata=NO_KEY)
 
     def __post_init__(self) -> None:
         if self.sensor is not None:
             object.__setattr__(self, "detector_diameter_mm", self.sensor.lens_diameter_mm)
             object.__setattr__(self, "field_deg", self.sensor.field_deg)
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if entry.name in ("obstruction", "deviations", "sensor") or isinstance(value, Reflectance):
-                continue
-            if entry.name == "mirror_mount_mm" and value == 0.0:
-                continue
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{entry.name} is {value!r}: give a positive, finite number")
-        if not isinstance(self.mirror_reflectance, Reflectance) and self.mirror_reflectance > 1.0:
-            raise ValueError(f"mirror_reflectance is {self.mirror_reflectance!r}: give a share of at most 1")
-        if self.field_deg >= 180.0:
-            raise ValueError(f"field_deg is {self.field_deg!r}: give the cone's full width, less than 180 deg")
+        super().__post_init__()
         known = check_deviations(self.deviations, ELEMENTS)
         object.__setattr__(self, "deviations", MappingProxyType(dict(sorted(known.items()))))
 
@@ -183,21 +191,12 @@ class SampleFrames:
     out of range.
     """
 
-    gap_mm: float = 0.0
-    side_mm: float = 60.0
-    reflectance: float = 0.05
-    lit: float = 1.1
+    gap_mm: NonNegative = 0.0
+    side_mm: Positive = 60.0
+    reflectance: Annotated[float, Ge(0.0), Le(1.0)] = 0.05
+    lit: Annotated[float, Ge(1.0)] = 1.1
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not math.isfinite(value):
-                raise ValueError(f"{entry.name} is {value!r}: give a finite number")
-        if self.gap_mm != 0.0 and self.gap_mm < LEAST_GAP_MM:
+        check_bounds(self)
+        if 0.0 != self.gap_mm < LEAST_GAP_MM:
             raise ValueError(f"gap_mm is {self.gap_mm!r}: give 0, or at least {LEAST_GAP_MM:g} mm")
-        if self.side_mm <= 0.0:
-            raise ValueError(f"side_mm is {self.side_mm!r}: give a positive number")
-        if not 0.0 <= self.reflectance <= 1.0:
-            raise ValueError(f"reflectance is {self.reflectance!r}: give a share from 0 to 1")
-        if self.lit < 1.0:
-            raise ValueError(f"lit is {self.lit!r}: the beam lights the whole hole, so give at least 1")

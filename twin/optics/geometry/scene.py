@@ -12,13 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.coordinates import direction_rows
+from goniotwin.twin.optics.geometry.coordinates import direction_rows, turn_about_x
 from goniotwin.twin.optics.geometry.deviation import Deviation, rotation_and_shift
 from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.geometry.mirrors import distance_to, mirrors_at, pupil, transform_rows, unfolding_maps
 from goniotwin.twin.optics.kernel import kernel
 
-UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
 SCENES_KEPT = 64
 """Size of the cache: a campaign has hundreds of poses of the arc for each position of the mirror unit."""
 
@@ -111,7 +110,7 @@ def _sample_frame(deviation: Deviation, gamma_deg: float, back: bool) -> tuple[F
     turn, shift = rotation_and_shift(deviation)
     to_sample = (unit @ turn).T
     if back:
-        to_sample = UPSIDE_DOWN[:, None] * to_sample
+        to_sample = turn_about_x(to_sample.T).T
     return np.ascontiguousarray(to_sample), unit @ shift
 
 

@@ -8,11 +8,12 @@ elsewhere, or a detector too small for the cone, it is not; the forward estimato
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from goniotwin.arrays import Floats
+from goniotwin.keys import Positive, check_bounds
 from goniotwin.twin.optics.kernel import kernel
 
 
@@ -20,23 +21,20 @@ from goniotwin.twin.optics.kernel import kernel
 class RealSensor:
     """Dimensions in mm, all assumed except the lens' diameter (that of the paper's virtual detectors).
 
-    `aperture_mm` is the diaphragm's variable diameter. `diaphragm_mm` and `detector_mm` are distances behind the lens.
-    `detector_side_mm` is the side of the square detector; its sides lie along the arc and across it. Raises ValueError, naming
-    the field, for dimensions that cannot be built.
+    The lens has `lens_diameter_mm` and `focal_length_mm`. `aperture_mm` is the diaphragm's variable diameter. `diaphragm_mm`
+    and `detector_mm` are distances behind the lens. `detector_side_mm` is the side of the square detector; its sides lie along
+    the arc and across it. Raises ValueError, naming the field, for dimensions that cannot be built.
     """
 
-    lens_diameter_mm: float = 5.0
-    focal_length_mm: float = 20.0
-    aperture_mm: float = 2.0 * 20.0 * math.tan(math.radians(0.25))
-    diaphragm_mm: float = 20.0
-    detector_mm: float = 21.0
-    detector_side_mm: float = 3.6
+    lens_diameter_mm: Positive = 5.0
+    focal_length_mm: Positive = 20.0
+    aperture_mm: Positive = 2.0 * 20.0 * math.tan(math.radians(0.25))
+    diaphragm_mm: Positive = 20.0
+    detector_mm: Positive = 21.0
+    detector_side_mm: Positive = 3.6
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{entry.name} is {value!r}: give a positive, finite number")
+        check_bounds(self)
         if self.detector_mm < self.diaphragm_mm:
             raise ValueError(f"detector_mm is {self.detector_mm:g}, before the diaphragm at {self.diaphragm_mm:g} mm")
 

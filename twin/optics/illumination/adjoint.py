@@ -16,7 +16,7 @@ from goniotwin.twin.optics.illumination.beam import Illumination, check_square, 
 from goniotwin.twin.optics.illumination.elements import bend, chord, reflect_at_sphere, to_plane
 from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import check_seed, run_until, scramble, uniform
+from goniotwin.twin.optics.montecarlo import check_seed, item_key, run_until, scramble, uniform
 
 U64 = np.uint64
 # Few enough to be fast, and enough for an estimate of their standard deviation.
@@ -56,7 +56,7 @@ def _trace(
     x, w = np.empty(3), np.empty(3)
     start = scramble(U64(seed))
     for ray in range(first, last):
-        key = scramble(start + U64(ray) * U64(0xD1342543DE82EF95))
+        key = item_key(start, ray)
         # Consecutive rays go to consecutive cells, so that all cells have the same number of rays.
         cell = ray % (cells * cells)
         i, j = cell // cells, cell % cells

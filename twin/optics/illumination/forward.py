@@ -13,7 +13,7 @@ from goniotwin.twin.optics.illumination.beam import Illumination, check_square, 
 from goniotwin.twin.optics.illumination.elements import bend, reflect_at_sphere, to_plane
 from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import check_seed, run_until, scramble, uniform
+from goniotwin.twin.optics.montecarlo import check_seed, item_key, run_until, scramble, uniform
 
 U64 = np.uint64
 FIRST_RAYS = 1 << 18
@@ -31,7 +31,7 @@ def _trace(
     x, w = np.empty(3), np.empty(3)
     start = scramble(U64(seed))
     for ray in range(first, last):
-        key = scramble(start + U64(ray) * U64(0xD1342543DE82EF95))
+        key = item_key(start, ray)
         # Uniform in the arc; within a cone towards the condenser, or the opposite cone towards the reflector.
         cosine = 1.0 - uniform(key, 0) * aim[3]
         backwards = uniform(key, 1) < 0.5

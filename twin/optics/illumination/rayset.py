@@ -10,7 +10,7 @@ from goniotwin.twin.optics.illumination.adjoint import emission_per_mm3_sr, lit_
 from goniotwin.twin.optics.illumination.elements import bend, to_plane
 from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import check_seed, scramble, uniform
+from goniotwin.twin.optics.montecarlo import check_seed, item_key, scramble, uniform
 
 U64 = np.uint64
 COLUMNS = {"positions_mm": 3, "directions": 3, "wavelength_nm": 0, "flux": 0}
@@ -96,7 +96,7 @@ def _record(rays: int, seed: np.uint64, frames: Floats, sizes: Floats) -> Floats
     x, w, back = np.empty(3), np.empty(3), np.empty(3)
     start = scramble(U64(seed))
     for ray in range(rays):
-        key = scramble(start + U64(ray) * U64(0xD1342543DE82EF95))
+        key = item_key(start, ray)
         s, t = sizes[8] * (2.0 * uniform(key, 0) - 1.0), sizes[9] * (2.0 * uniform(key, 1) - 1.0)
         radius, turn = sizes[7] * math.sqrt(uniform(key, 2)), 2.0 * math.pi * uniform(key, 3)
         u, v = radius * math.cos(turn), radius * math.sin(turn)

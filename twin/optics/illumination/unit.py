@@ -4,7 +4,8 @@ Its frame has the directions of the rig's: y along the light, z up, x across. Th
 is the output condenser's opening. Along y, from the back: reflector, arc, input condenser, slit, output condenser; the sample
 is `sample_distance_mm` further on, with the mirrors unfolded.
 
-Behind the output condenser is the correction unit: a beam splitter with a weak arm to the monitor photodiode.
+The correction unit behind the output condenser, a beam splitter with a weak arm to the monitor photodiode, is not part of it
+(nor of the paper's model): its shares cancel in every ratio. The plant has the monitor's current.
 """
 
 import hashlib
@@ -184,47 +185,3 @@ class IlluminationUnit:
                 sample,
             ]
         )
-
-
-@dataclass(frozen=True)
-class Split:
-    """Fluxes behind a beam splitter, in the incident flux' own unit; the rest is absorbed."""
-
-    monitor: float
-    onwards: float
-
-
-@dataclass(frozen=True)
-class CorrectionUnit:
-    """The beam splitter behind the output condenser (paper, section 2, without numbers: these are assumed).
-
-    Shares of the flux: `monitor_share` goes to the monitor, `absorptance` is lost, the rest goes on to the mirrors, the same
-    for all wavelengths, positions, angles and polarisations. The monitor receives the whole beam; so it measures the lamp's
-    changes, but not a movement of the light across the sample. Raises ValueError, naming the field, for shares out of range or
-    with a sum above 1.
-    """
-
-    monitor_share: float = 0.08
-    absorptance: float = 0.01
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not 0.0 <= value <= 1.0:
-                raise ValueError(f"{entry.name} is {value!r}: give a share from 0 to 1")
-        if self.monitor_share + self.absorptance > 1.0:
-            raise ValueError(f"monitor_share and absorptance are {self.monitor_share + self.absorptance:g} together: at most 1")
-
-    @property
-    def onwards_share(self) -> float:
-        """Share of the flux that goes on to the mirrors."""
-        return 1.0 - self.monitor_share - self.absorptance
-
-    def split(self, leaving_flux: float) -> Split:
-        """Flux to monitor and to mirrors, of the flux that leaves the output condenser (`Rayset.total_flux`), in its unit.
-
-        Raises ValueError unless that is finite and not negative.
-        """
-        if not (math.isfinite(leaving_flux) and leaving_flux >= 0.0):
-            raise ValueError(f"leaving_flux is {leaving_flux!r}: give a finite flux of at least 0")
-        return Split(self.monitor_share * leaving_flux, self.onwards_share * leaving_flux)

@@ -182,7 +182,7 @@ def test_the_bsdf_follows_the_certificate_and_the_journal_keeps_it(
     expected = plain_points.bsdf * factor / 0.99
     assert np.allclose(certified_points.bsdf[inside], expected[inside], equal_nan=True)
     assert np.isnan(certified_points.bsdf[~inside]).all()
-    assert np.array_equal(certified_points.uncertified, ~inside)
-    assert not plain_points.uncertified.any()
+    assert np.array_equal(certified_points.flag("uncertified"), ~inside)
+    assert not plain_points.flag("uncertified").any()
     bright = certified_points.where(inside & plain_points.good & (plain_points.theta_deg < 3.0))
     assert (bright.u_bsdf > 0.003 * bright.bsdf).all()

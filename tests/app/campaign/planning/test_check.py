@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from goniotwin.app.campaign.geometry.arcs import observed_directions
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors, clear_of_mirrors
 from goniotwin.app.campaign.planning.check import check_plan, describe_check
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.twin.optics import arc_direction, visible_fraction
@@ -20,7 +20,7 @@ from tests.conftest import RIG, SCHEDULE
 VIRTUAL = read_rig(RIG)
 
 
-def planned(text: str) -> Plan:
+def planned(text: str) -> NewPlan:
     return make_plan(parse_schedule(HEAD + "gains_v_per_a = [1e8]\nwavelength_nm = [550]\n" + text, "x"), VIRTUAL)
 
 
@@ -95,11 +95,10 @@ def test_front_and_back_have_the_same_blocked_directions() -> None:
     counts = [
         [(each.directions, len(each.blocked_deg), each.specular_blocked) for each in seen]
         for seen in (
-            observed_directions(plan.schedule.file, VIRTUAL.file, plan.details.mountings[1][0].poses.angles)
+            observed_directions(plan.schedule.file, VIRTUAL.file, plan.mountings[1][0].poses.angles)
             for plan in (
                 planned(f'side = "{side}"\nsigma_deg = [0, 20, 40]\nbeta_deg = [0, 90, 180]\n') for side in ("front", "back")
             )
-            if plan.details is not None
         )
     ]
     assert counts[0] == counts[1][::-1]

@@ -5,7 +5,7 @@ import pytest
 
 from goniotwin.app.campaign.geometry.collision import crosses_beam
 from goniotwin.app.campaign.planning.check import check_plan
-from goniotwin.app.campaign.planning.plan import Plan, first_collision, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, first_collision, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import arc_clearance, read_rig
@@ -21,7 +21,7 @@ PLANE = (
 DRIFT = "[drift]\nevery_s = {}\nsigma_deg = 60\nbeta_deg = {}\nwavelength_nm = 450\n"
 
 
-def planned(text: str) -> Plan:
+def planned(text: str) -> NewPlan:
     return make_plan(parse_schedule(HEAD + text, "x.toml"), VIRTUAL)
 
 
@@ -36,8 +36,7 @@ def refused(text: str) -> str:
 def test_a_plan_with_cross_checks_and_drift_checks_has_no_collision(every_s: float, checks: str) -> None:
     plan = planned(PLANE + checks + DRIFT.format(every_s, 180))
     assert first_collision(plan.rows, CLEARANCE) is None
-    assert plan.details is not None
-    assert plan.details.omitted == ()
+    assert plan.omitted == ()
     assert any(row.pose is not None and row.pose[3] == 5.0 for row in plan.rows)
     assert ("symmetry_check" in checks) == any(row.identity.endswith("/mirrored") for row in plan.rows)
 
@@ -45,8 +44,7 @@ def test_a_plan_with_cross_checks_and_drift_checks_has_no_collision(every_s: flo
 def test_unreachable_cross_checks_are_omitted_with_a_warning() -> None:
     """At beta 270 the shift must be low: an overlap at shift 5 would put the arc into the beam."""
     plan = planned("sigma_deg = [30]\nbeta_deg = [270]\n[overlap]\npoints = 1\n")
-    assert plan.details is not None
-    assert plan.details.omitted == ("overlap",)
+    assert plan.omitted == ("overlap",)
     assert {row.pose[3] for row in plan.rows if row.pose is not None} == {0.0}
     assert any(
         "[overlap] points = 1 is omitted: in any order the arc would collide" in each for each in check_plan(plan)["warnings"]

@@ -6,7 +6,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.check import check_plan
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigDescription, parse_rig, read_rig
 from tests.app.campaign.planning.planner_bench import HEAD, LARGE, RUN, time_checks
@@ -34,7 +34,7 @@ FIXED = {
 }
 
 
-def planned(text: str, rig: RigDescription = VIRTUAL) -> Plan:
+def planned(text: str, rig: RigDescription = VIRTUAL) -> NewPlan:
     return make_plan(parse_schedule(HEAD + text, "x.toml"), rig)
 
 
@@ -68,8 +68,7 @@ def test_the_expected_exposure_at_a_real_rig_is_from_the_twin_that_its_file_desc
         text = text.replace(f"twin://virtual/{name}", f"/dev/{name}" if name in ("axes", "mono") else f"{name}:502")
     text = text.replace("twin://virtual/monitor", "1313:8078:P0012345")
     plan = planned(LIGHT_DEPENDENT["auto-range"], parse_rig(text, RIG.parent, "real"))
-    assert plan.details is not None
-    assert set(plan.details.expected_reading_s) == {"etalon", "gaussian-5"}
+    assert set(plan.expected_reading_s) == {"etalon", "gaussian-5"}
     assert any("with assumed samples" in each for each in check_plan(plan)["warnings"])
 
 

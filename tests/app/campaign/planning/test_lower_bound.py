@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.check import check_plan
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig, read_rig
@@ -28,7 +28,7 @@ TWO = "sigma_deg = [30]\nbeta_deg = [0, 180]\nwavelength_nm = [550]\n"
 DRIFT = "[drift]\nevery_s = {}\nsigma_deg = 45\nbeta_deg = 90\nwavelength_nm = 550\nlimit = 0.5\n"
 
 
-def planned(text: str, rig: RigDescription = VIRTUAL) -> Plan:
+def planned(text: str, rig: RigDescription = VIRTUAL) -> NewPlan:
     return make_plan(parse_schedule(HEAD + text, "x.toml"), rig)
 
 
@@ -110,7 +110,7 @@ def test_no_run_is_shorter_than_the_lower_bound(text: str, tmp_path: Path) -> No
     assert plan.lower_bound_s <= run_campaign(plan, tmp_path / "run.journal").seconds
 
 
-def ages(plan: Plan) -> dict[str, float]:
+def ages(plan: NewPlan) -> dict[str, float]:
     """Age of the last dark reading at the end of each row."""
     found, age = {}, float("nan")
     for row in plan.rows:
@@ -119,7 +119,7 @@ def ages(plan: Plan) -> dict[str, float]:
     return found
 
 
-def warns_of_old_dark_reading(plan: Plan) -> bool:
+def warns_of_old_dark_reading(plan: NewPlan) -> bool:
     return any("a dark reading gets" in each for each in check_plan(plan)["warnings"])
 
 

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.planning.durations import Timing
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.durations import UNKNOWN_STATE, Timing
+from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import read_rig
+from goniotwin.app.rig import AXES, axis_settings, parse_rig, read_rig
+from goniotwin.drivers.motion import limit_violation
 from goniotwin.twin.optics import arc_direction, specular_direction
 from tests.app.campaign.planning.planner_bench import EXAMPLES, NAMED, with_paper_order
 from tests.conftest import RIG
@@ -28,7 +29,7 @@ gains_v_per_a = [1e8, 1e10]
 GRIDS = "sigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\nshift_deg = [0, 2]\nwavelength_nm = [500, 600]\n"
 
 
-def planned(text: str = "", grids: str = GRIDS) -> Plan:
+def planned(text: str = "", grids: str = GRIDS) -> NewPlan:
     return make_plan(parse_schedule(HEAD + grids + text, "small.toml"), VIRTUAL)
 
 
@@ -70,7 +71,7 @@ def test_the_rows_do_not_depend_on_the_order(order: str | list[str], both: bool,
     plan, usual = planned(keys + extra), planned(extra)
     names = {row.identity for row in plan.rows if row.kind == "measure"}
     assert names == {row.identity for row in usual.rows if row.kind == "measure"}
-    assert len(names) == plan.rows.kinds["measure"]  # type: ignore[attr-defined]
+    assert len(names) == plan.rows.kinds["measure"]
     assert plan.lower_bound_s <= min(plan.seconds, usual.seconds) <= plan.seconds
 
 
@@ -83,11 +84,13 @@ def test_the_rows_do_not_depend_on_the_order(order: str | list[str], both: bool,
     ],
 )  # fmt: skip
 def test_the_duration_of_each_row_is_that_of_the_timing(text: str) -> None:
-    plan, timing = planned(text), Timing(VIRTUAL.file)
-    assert plan.details is not None
-    timing.expected_reading_s.update(plan.details.expected_reading_s)
+    plan, state = planned(text), UNKNOWN_STATE
+    timing = Timing(VIRTUAL.file, plan.expected_reading_s)
     for row in plan.rows:
-        assert row.seconds == pytest.approx(timing.row_seconds(row), abs=1e-9), row.identity
+        seconds, after = timing.row(state, row)
+        assert timing.row(state, row)[0] == seconds, "asking for a duration changes nothing"
+        assert row.seconds == pytest.approx(seconds, abs=1e-9), row.identity
+        state = after
     assert plan.seconds == pytest.approx(sum(row.seconds for row in plan.rows))
 
 
@@ -131,8 +134,7 @@ def test_an_isotropic_sample_needs_one_gamma_and_half_the_betas() -> None:
     assert {pose[::2] for pose in poses(plan)} == {(0.0, 0.0), (0.0, 90.0), (0.0, 180.0), (0.0, 225.0), (0.0, 315.0)}
     twice = planned(grids=ROUND.replace("[0, 90, 180, 225, 315]", "[0, 135, 225, 180]"))
     assert {pose[2] for pose in poses(twice)} == {0.0, 135.0, 180.0}
-    assert twice.details is not None
-    assert twice.details.mountings[1][0].poses.left_out == 4 * 4 - 3
+    assert twice.mountings[1][0].poses.left_out == 4 * 4 - 3
 
 
 def test_a_plane_symmetric_sample_needs_one_of_each_pair_of_mirror_images() -> None:
@@ -188,6 +190,22 @@ def test_overlapping_poses_put_photodiodes_where_their_neighbours_look() -> None
         (0.0, 5.0),
         (180.0, 5.0),
     }
+
+
+def test_added_poses_leave_room_for_the_approach_against_backlash() -> None:
+    """At sigma 4.7 the beam is at shift -0.3 or 4.7 deg; the shift ends at -0.5 and then approaches -0.3 from -0.7."""
+    text = RIG.read_text(encoding="utf-8")
+    assert text.count("lower_deg = -0.5\n") == 1
+    backlash = parse_rig(text.replace("lower_deg = -0.5\n", "lower_deg = -0.5\nbacklash_deg = 0.2\n"), RIG.parent, "backlash")
+    schedule = parse_schedule(
+        HEAD + "open_beam = true\nsigma_deg = [4.7]\nbeta_deg = [0]\nwavelength_nm = [500]\n", "small.toml"
+    )
+    for rig, shift in ((VIRTUAL, -0.3), (backlash, 4.7)):
+        rows = make_plan(schedule, rig).rows
+        assert [row.pose[3] for row in rows if row.pose is not None and "/open beam/" in row.identity] == [shift]
+        for row in rows:
+            for name, angle in zip(AXES, row.pose or (), strict=row.pose is not None):
+                assert limit_violation(axis_settings(rig.file)[name], angle) is None
 
 
 def test_the_open_beam_meets_a_photodiode_of_the_far_arc() -> None:

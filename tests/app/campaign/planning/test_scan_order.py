@@ -16,7 +16,8 @@ from goniotwin.app.campaign.planning.scan_order import fastest_scan_order
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import AXES, RigFile, arc_clearance, axis_settings, parse_rig
 from goniotwin.arrays import Floats
-from tests.conftest import RIG
+from goniotwin.drivers import AxisSettings
+from tests.conftest import RIG, tmcl_exchange_s
 
 TEXT = RIG.read_text(encoding="utf-8")
 PLAIN = parse_rig(TEXT, RIG.parent, "plain").file
@@ -71,7 +72,7 @@ def scan_grids(draw: st.DrawFn, most: int = 40) -> ScanGrid:
 
 def with_filters(grid: ScanGrid, moves: Moves) -> ScanGrid:
     """The grid with the filters of a rig."""
-    return ScanGrid(grid.poses, grid.wavelengths_nm, moves.filter_numbers(grid.wavelengths_nm))
+    return ScanGrid(grid.poses, grid.wavelengths_nm, moves.wheel.numbers(grid.wavelengths_nm))
 
 
 @st.composite
@@ -203,7 +204,7 @@ def test_the_order_is_filter_by_filter_where_that_is_faster() -> None:
     order = fastest_scan_order(grid, schedule(), moves, arc_clearance(FILTERS))
     assert order.loop_order.columns == (FILTER, 3, WAVELENGTH)
     wavelengths = grid.points[order.sequence][:, WAVELENGTH]
-    assert (np.diff(moves.filter_numbers(wavelengths)) != 0).sum() == 1
+    assert (np.diff(moves.wheel.numbers(wavelengths)) != 0).sum() == 1
     assert order.seconds <= 1.02 * moving_lower_bound_s(grid, moves)
     plain = fastest_scan_order(ScanGrid(grid.poses, grid.wavelengths_nm), schedule(), moves, arc_clearance(FILTERS))
     assert min(order.candidates.values()) < 0.9 * min(plain.candidates.values())
@@ -248,7 +249,8 @@ def test_collisions_of_arrays_of_moves_are_those_of_the_interlock(points: Floats
 )
 def test_a_move_takes_the_time_of_its_ramps(axis: int, here: float, there: float, rig: RigFile) -> None:
     """Besides the ramps, each leg takes the same time for any distance."""
-    settings_ = axis_settings(rig)[AXES[axis]]
+    settings_, exchange_s = axis_settings(rig)[AXES[axis]], tmcl_exchange_s(rig)
+    assert isinstance(settings_, AxisSettings)
     moves = Moves(rig)
     before, after = np.zeros((2, 1, 5))
     before[0, axis], after[0, axis] = here, there
@@ -256,6 +258,7 @@ def test_a_move_takes_the_time_of_its_ramps(axis: int, here: float, there: float
     if here == there:
         assert took == 0.0
         return
-    legs = len(settings_.legs(here, there))
-    beside = took - settings_.seconds_between(here, there) - settings_.settling_s
-    assert beside == pytest.approx(legs * 0.002 + (5 + 2 * (legs - 1)) * moves.exchange_s, abs=1e-9)
+    legs = settings_.legs(here, there)
+    ramps = sum(float(settings_.ramp_seconds(b - a)) for a, b in itertools.pairwise((here, *legs)))
+    beside = took - ramps - settings_.settling_s
+    assert beside == pytest.approx(len(legs) * 0.002 + (5 + 2 * (len(legs) - 1)) * exchange_s, abs=1e-9)

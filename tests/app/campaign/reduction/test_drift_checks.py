@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.planning.check import check_plan
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
@@ -63,10 +63,10 @@ def test_a_change_of_1_percent_is_detected_within_one_interval_and_its_values_ar
     change = float(beyond[0].split("changed by ")[1].split(" %")[0])
     assert change == pytest.approx(-1.0, abs=0.3)
     points = reduced(tmp_path / "a.journal").samples["grey"]
-    flagged = set(points.shift_deg[points.drifted])
+    flagged = set(points.shift_deg[points.flag("drift")])
     assert flagged == {3.5, 4.0, 4.5, 5.0}  # since the last good check
     assert float(np.nanmedian(points.bsdf[points.shift_deg > 3.5]) / (0.03 / np.pi)) == pytest.approx(0.99, abs=0.003)
-    assert not points.good[points.drifted].any()
+    assert not points.good[points.flag("drift")].any()
 
 
 def test_a_change_within_the_limit_is_reported_and_not_flagged(
@@ -76,7 +76,7 @@ def test_a_change_within_the_limit_is_reported_and_not_flagged(
     texts = [text for kind, text in run.events if kind == "drift"]
     assert any("changed by -0.1" in text or "changed by -0.2" in text for text in texts)
     assert not any("beyond" in text for text in texts)
-    assert not reduced(tmp_path / "a.journal").samples["grey"].drifted.any()
+    assert not reduced(tmp_path / "a.journal").samples["grey"].flag("drift").any()
 
 
 def test_a_drift_beyond_the_limit_stops_the_run_if_the_schedule_asks_for_it(
@@ -89,7 +89,7 @@ def test_a_drift_beyond_the_limit_stops_the_run_if_the_schedule_asks_for_it(
     assert any(kind == "stop" and "beyond the limit" in text for kind, text in run.events)
 
 
-def planned(text: str) -> Plan:
+def planned(text: str) -> NewPlan:
     return make_plan(parse_schedule(text, "x.toml"), read_rig(RIG))
 
 
@@ -109,7 +109,7 @@ def run_with_fading(text: str, photodiode: int, path: Path) -> BsdfDataset:
 def test_a_photodiode_covered_by_the_checks_is_flagged(tmp_path: Path) -> None:
     dataset = run_with_fading(TEXT, 3, tmp_path / "a.journal")  # 15 deg: the peak of the lobe at the pose of the drift checks
     points = dataset.samples["gaussian-5"]
-    assert points.drifted[points.photodiode == 3].all()
+    assert points.flag("drift")[points.photodiode == 3].all()
     assert 3 not in dataset.unchecked["gaussian-5"]
 
 

@@ -9,74 +9,91 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
+from goniotwin.app.campaign.reduction import export as export_module
+from goniotwin.app.campaign.reduction.export import export, export_format, regrid
 from goniotwin.app.campaign.reduction.overlaps import overlaps
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints
-from goniotwin.app.campaign.reduction.specular_grid import regrid
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset
+from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import read_ddr, read_points_csv
+from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax
 from goniotwin.app.rig import read_rig
-from goniotwin.twin.optics import arc_direction, from_specular, to_specular
-from tests.conftest import RIG
+from goniotwin.app.rig.samples import parse_sample
+from goniotwin.twin.optics import arc_direction, evaluate, from_specular, light_direction
+from tests.app.campaign.reduction.made_points import made_points
+from tests.conftest import RIG, Writer
 
 
 def points_of(sigma: float, zenith: np.ndarray, azimuth: np.ndarray, blocked: np.ndarray | None = None) -> BsdfPoints:
     """Points of a BSDF that is smooth over the sphere, 1/sr; see `smooth`."""
     zenith, azimuth = (each.ravel() for each in np.broadcast_arrays(zenith, azimuth))
-    theta, phi = to_specular(sigma, arc_direction(zenith, azimuth))
-    none, zeros = np.zeros(zenith.size, dtype=bool), np.zeros(zenith.size)
-    return BsdfPoints(
-        wavelength_nm=zeros + 550.0, sigma_deg=zeros + sigma, gamma_deg=zeros, beta_deg=azimuth, shift_deg=zeros,
-        photodiode=np.arange(zenith.size), zenith_deg=zenith, azimuth_deg=azimuth, theta_deg=theta, phi_deg=phi,
-        bsdf=smooth(zenith, azimuth), u_bsdf=zeros + 0.01, shadowed=none if blocked is None else blocked.ravel(), clipped=none,
-        no_etalon=none, dead=none, uncertified=none, drifted=none, under_range=none, back=none, transmitted=none,
-        signature=zeros + np.nan, mirrored=none, u_field=zeros,
-    )  # fmt: skip
+    flags = None if blocked is None else {"shadowed": blocked.ravel()}
+    return made_points(sigma, zenith, azimuth, smooth(zenith, azimuth), 0.01, flags)
 
 
 def smooth(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-    """Symmetric about the plane of incidence, bilinear in zenith and folded azimuth, one value at the normal."""
-    folded = np.minimum(np.mod(azimuth, 360.0), 360.0 - np.mod(azimuth, 360.0))
-    return np.asarray(1.0 + zenith / 100.0 + zenith / 100.0 * folded / 180.0)
+    """Smooth over the sphere, also at the normal, and symmetric about the plane of incidence."""
+    polar = np.radians(zenith)
+    return np.asarray(2.0 - np.cos(polar) - np.sin(polar) * np.cos(np.radians(azimuth)))
 
 
 @settings(deadline=None)
 @given(st.floats(0.0, 80.0), st.integers(0, 36), st.floats(0.0, 80.0))
 def test_the_grid_reproduces_the_measured_bsdf(sigma: float, column: int, theta: float) -> None:
     points = points_of(sigma, np.arange(0.0, 90.1, 2.5)[:, None], np.arange(0.0, 180.1, 3.0)[None, :])
-    grid = regrid(points)
-    node = int(np.argmin(np.abs(grid.theta_deg - theta)))
-    direction = from_specular(sigma, grid.theta_deg[node], grid.phi_deg[column])
+    (_, phi_deg, theta_deg), (cut,) = regrid(points)
+    node = int(np.argmin(np.abs(theta_deg - theta)))
+    direction = from_specular(sigma, theta_deg[node], phi_deg[column])
     zenith = math.degrees(math.acos(min(1.0, max(-1.0, float(direction[2])))))
     azimuth = math.degrees(math.atan2(float(direction[1]), float(direction[0])))
     if zenith > 90.0:
-        assert not grid.measured[0, column, node]
+        assert not cut.known[column, node]
     else:
-        assert grid.measured[0, column, node]
-        assert grid.bsdf[0, column, node] == pytest.approx(float(smooth(np.array(zenith), np.array(azimuth))), rel=2e-3)
+        assert cut.known[column, node]
+        assert cut.values[column, node] == pytest.approx(float(smooth(np.array(zenith), np.array(azimuth))), rel=2e-3)
 
 
 def test_measurements_in_the_plane_of_incidence_give_two_columns() -> None:
-    grid = regrid(points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 180.0])[None, :]))
-    assert grid.phi_deg.tolist() == [0.0, 180.0]
-    assert grid.theta_deg[1] == 0.5
-    assert grid.measured[0, 1].sum() == 120  # from the specular direction at 30 deg to 89.5 deg, in half degrees
-    assert grid.measured[0, 0].sum() == 240  # over the normal, and down to 89.5 deg on the light's side
+    (_, phi_deg, theta_deg), (cut,) = regrid(points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([[0.0, 180.0]])))
+    assert phi_deg.tolist() == [0.0, 180.0]
+    assert theta_deg[1] == 0.5
+    assert cut.known[1].sum() == 120  # from the specular direction at 30 deg to 89.5 deg, in half degrees
+    assert cut.known[0].sum() == 240  # over the normal, and down to 89.5 deg on the light's side
 
 
 def test_there_is_no_interpolation_between_distant_azimuths() -> None:
-    grid = regrid(points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 90.0, 180.0])[None, :]))
-    sideways = grid.measured[0, grid.phi_deg == 90.0][0]
-    assert not sideways[grid.theta_deg > 1.0][:50].any()
-    assert grid.measured[0, 0, grid.theta_deg <= 119.0].all()  # in the plane of incidence nothing changes
+    points = points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 90.0, 180.0])[None, :])
+    (_, phi_deg, theta_deg), (cut,) = regrid(points)
+    sideways = cut.known[phi_deg == 90.0][0]
+    assert not sideways[theta_deg > 1.0][:50].any()
+    assert cut.known[0, theta_deg <= 119.0].all()  # in the plane of incidence nothing changes
 
 
 def test_blocked_nodes_are_not_marked_as_measured() -> None:
     zenith, azimuth = np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 180.0])[None, :]
     blocked = np.broadcast_to(zenith <= 3.5, (zenith.size, 2))
-    grid = regrid(points_of(0.0, zenith, azimuth, blocked))
-    assert not grid.measured[0, :, grid.theta_deg <= 3.5].any()
-    assert np.isfinite(grid.bsdf).all()
+    (_, _, theta_deg), (cut,) = regrid(points_of(0.0, zenith, azimuth, blocked))
+    assert not cut.known[:, theta_deg <= 3.5].any()
+    assert np.isfinite(cut.values).all()
+    assert np.array_equal(cut.u[~cut.known], cut.values[~cut.known])  # nothing is known of them
+    np.testing.assert_allclose(cut.u[cut.known], 0.01, rtol=1e-12)  # each of these nodes is a measured direction
+
+
+def test_between_directions_noise_is_averaged_and_the_certificate_is_not() -> None:
+    points = points_of(30.0, np.arange(0.0, 89.6, 1.0)[:, None], np.arange(0.0, 180.1, 1.0)[None, :])
+    for name, largest, smallest in (("noise", 0.011, 0.002), ("certificate", 0.0101, 0.0099)):
+        each = replace(points, components={name: np.full(points.bsdf.size, 0.01**2)})
+        (_, phi_deg, _), (cut,) = regrid(each)
+        sideways = cut.u[phi_deg == 90.0][0, 5:30]  # no node of these is a measured direction
+        assert np.all((sideways > smallest) & (sideways < largest)), name
+        assert (sideways.min() < 0.008) == (name == "noise")
+
+
+@pytest.mark.parametrize("name", ["certificate", "field", "calibration", "monitor", "gain", "signature", "dark", "further"])
+def test_interpolation_averages_no_error_that_neighbouring_directions_share(name: str) -> None:
+    points = points_of(30.0, np.arange(0.0, 89.6, 1.0)[:, None], np.arange(0.0, 180.1, 1.0)[None, :])
+    (_, _, _), (cut,) = regrid(replace(points, components={name: (0.02 * points.bsdf) ** 2}))
+    np.testing.assert_allclose(cut.u[cut.known], 0.02 * cut.values[cut.known], rtol=1e-9)
 
 
 def test_a_grid_without_any_value_is_refused() -> None:
@@ -94,20 +111,31 @@ def reduced() -> BsdfDataset:
 
 
 def test_a_ddr_marks_simulated_data_and_continued_nodes(reduced: BsdfDataset, tmp_path: Path) -> None:
-    count = export_ddr(reduced, None, tmp_path / "a.ddr")
+    exported = export(reduced, None, tmp_path / "a.ddr", export_format("ddr"))
     table = read_ddr(tmp_path / "a.ddr")
     text = "\n".join(table.comments)
     assert "SIMULATED" in text
     assert "sigma 30, phi 0: theta 56.5 to 63.5" in text
     assert table.sigma_deg.tolist() == [0.0, 30.0, 90.0]  # repeated at the ends, because readers extrapolate
     assert table.channels == (550.0,)
-    assert count == 120 + 240 - 15
+    assert exported.values == 120 + 240 - 15
+    assert exported.files == (tmp_path / "a.ddr", tmp_path / "a.u.ddr")
+    assert sorted(tmp_path.iterdir()) == [*exported.files]
+    uncertainty = read_ddr(tmp_path / "a.u.ddr")
+    assert "standard uncertainties of the values in a.ddr" in uncertainty.comments[0]
     node = int(np.searchsorted(table.theta_deg, 10.0))
     assert table.values[0, 0, 1, 1, node] == pytest.approx(math.pi * float(smooth(np.array(40.0), np.array(180.0))))
+    assert uncertainty.values[0, 0, 1, 1, node] == pytest.approx(math.pi * 0.01)
+    for name in ("sigma_deg", "phi_deg", "theta_deg"):
+        assert np.array_equal(getattr(uncertainty, name), getattr(table, name))
+    # Where nothing was measured the uncertainty is the value: repeated at sigma 0 and 90, continued at the blocked nodes.
+    np.testing.assert_array_equal(uncertainty.values[0, 0, [0, 2]], table.values[0, 0, [0, 2]])
+    blocked = slice(*np.searchsorted(table.theta_deg, [56.5, 63.6]))
+    np.testing.assert_array_equal(uncertainty.values[0, 0, 1, 0, blocked], table.values[0, 0, 1, 0, blocked])
 
 
 def test_a_csv_has_every_point(reduced: BsdfDataset, tmp_path: Path) -> None:
-    assert export_csv(reduced, None, tmp_path / "a.csv") == 360
+    assert export(reduced, None, tmp_path / "a.csv", export_format("csv")).values == 360
     points = read_points_csv(tmp_path / "a.csv")
     assert any("SIMULATED" in comment for comment in points.comments)
     assert len(points.columns["bsdf_per_sr"]) == 360
@@ -117,8 +145,9 @@ def test_a_csv_has_every_point(reduced: BsdfDataset, tmp_path: Path) -> None:
 def test_a_csv_has_the_fields_component_and_a_flag_where_it_is_unknown(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     known = points.zenith_deg > 20.0
-    partly_known = replace(points, u_field=np.where(known, 0.002, np.nan))
-    export_csv(replace(reduced, samples={name: partly_known}), None, tmp_path / "a.csv")
+    partly_known = replace(points, components={**points.components, "field": np.full(360, 0.002**2)})
+    partly_known = partly_known.flagged({"field": ~known & points.good})
+    export(replace(reduced, samples={name: partly_known}), None, tmp_path / "a.csv", export_format("csv"))
     table = read_points_csv(tmp_path / "a.csv")
     assert np.array_equal(table.columns["u_field_per_sr"], partly_known.u_field, equal_nan=True)
     flagged = np.array(["field" in flags.split() for flags in table.columns["flags"]])
@@ -126,8 +155,152 @@ def test_a_csv_has_the_fields_component_and_a_flag_where_it_is_unknown(reduced: 
     assert any("u_field_per_sr" in comment for comment in table.comments)
 
 
+def test_the_uncertainty_is_never_zero_where_nothing_was_measured(reduced: BsdfDataset, tmp_path: Path) -> None:
+    ((name, points),) = reduced.samples.items()
+    dark = replace(points, bsdf=np.where(points.zenith_deg > 20.0, 0.0, points.bsdf))  # also around the blocked directions
+    export(replace(reduced, samples={name: dark}), None, tmp_path / "a.ddr", export_format("ddr"))
+    table, uncertainty = read_ddr(tmp_path / "a.ddr"), read_ddr(tmp_path / "a.u.ddr")
+    blocked = slice(*np.searchsorted(table.theta_deg, [56.5, 63.6]))
+    for at in (0, 1, 2):  # repeated at sigma 0 and 90, continued at sigma 30
+        assert not table.values[0, 0, at, 0, blocked].any()
+        np.testing.assert_allclose(uncertainty.values[0, 0, at, 0, blocked], math.pi * 0.01, rtol=1e-8)  # that of the points
+    assert uncertainty.values.min() > 0.0
+
+
 def test_an_unknown_sample_is_refused_by_name(reduced: BsdfDataset, tmp_path: Path) -> None:
-    for export in (export_csv, export_ddr):
+    for name in ("csv", "ddr"):
         with pytest.raises(UserError, match="no measured sample 'satin'"):
-            export(reduced, "satin", tmp_path / "a")
+            export(reduced, "satin", tmp_path / "a", export_format(name))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["ies", "rayset"])
+def test_an_unknown_format_is_refused_with_those_that_hold_a_bsdf(name: str) -> None:
+    with pytest.raises(UserError, match=f"format '{name}': there is no such format .*; give ddr, ddt, zemax or csv$"):
+        export_format(name)
+
+
+def test_what_a_format_does_not_hold_is_refused_with_the_formats_that_do(reduced: BsdfDataset, tmp_path: Path) -> None:
+    ((name, points),) = reduced.samples.items()
+    colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
+    with pytest.raises(UserError, match=r"a zemax file does not hold several wavelengths; use ddr \(.ddr\) or csv \(.csv\)$"):
+        export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", export_format("zemax"))
+    through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
+    with pytest.raises(UserError, match=r"a ddr file does not hold transmitted light; use ddt \(.ddt\), zemax"):
+        export(replace(reduced, samples={name: through}), None, tmp_path / "a.ddr", export_format("ddr"))
+    turned = join_points([points, replace(points, places=points.places + np.array([0.0, 90.0, 0.0, 0.0, 0.0]))])
+    with pytest.raises(UserError, match=r"several gamma, .*; use csv \(.csv\)$"):
+        export(replace(reduced, samples={name: turned}), None, tmp_path / "a.ddr", export_format("ddr"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_transmitted_light_is_a_table_about_the_straight_direction(reduced: BsdfDataset, tmp_path: Path) -> None:
+    ((name, points),) = reduced.samples.items()
+    through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
+    export(reduced, name, tmp_path / "a.ddr", export_format("ddr"))
+    export(replace(reduced, samples={name: through}), name, tmp_path / "a.ddt", export_format("ddt"))
+    np.testing.assert_array_equal(read_ddr(tmp_path / "a.ddt").values, read_ddr(tmp_path / "a.ddr").values)
+
+
+def test_light_is_chosen_where_a_format_holds_either(reduced: BsdfDataset, tmp_path: Path) -> None:
+    ((name, points),) = reduced.samples.items()
+    through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg, bsdf=0.5 * points.bsdf)
+    both = replace(reduced, samples={name: join_points([points, through])})
+    path, form = tmp_path / "a.bsdf", export_format("zemax")
+    with pytest.raises(UserError, match=r"has reflected and transmitted light, .*; choose it with --light"):
+        export(both, None, path, form)
+    assert list(tmp_path.iterdir()) == []
+    export(both, None, path, form, "reflected")
+    brdf = read_zemax(path)
+    export(both, None, path, form, "transmitted")
+    btdf = read_zemax(path)
+    assert (brdf.scatter_type, btdf.scatter_type) == ("BRDF", "BTDF")
+    np.testing.assert_allclose(btdf.values, 0.5 * brdf.values, rtol=1e-8)
+    assert export(both, None, tmp_path / "a.csv", export_format("csv"), "transmitted").values == 360
+    assert set(read_points_csv(tmp_path / "a.csv").columns["light"].tolist()) == {"transmitted"}
+    with pytest.raises(UserError, match=r"a ddr file does not hold transmitted light; use ddt"):
+        export(both, None, tmp_path / "a.ddr", export_format("ddr"), "transmitted")
+    with pytest.raises(UserError, match=r"no transmitted light of any sample has been measured; leave --light out"):
+        export(reduced, None, path, form, "transmitted")
+
+
+def test_what_a_format_does_not_hold_is_refused_before_anything_is_resampled(
+    reduced: BsdfDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ((name, points),) = reduced.samples.items()
+    colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
+
+    def resampled(_: BsdfPoints) -> None:
+        raise AssertionError("the table was made before it was refused")
+
+    monkeypatch.setattr(export_module, "regrid", resampled)
+    with pytest.raises(UserError, match="a zemax file does not hold several wavelengths"):
+        export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", export_format("zemax"))
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_reduction(tmp_path: Path) -> None:
+    wrong = r"none\.ddr: there is no folder .*sub; make it first"
+    with pytest.raises(UserError, match=wrong):  # the journal is not even looked for
+        app(
+            ["export", str(tmp_path / "no.journal"), "--format", "ddr", "--out", str(tmp_path / "sub" / "none.ddr")],
+            standalone_mode=False,
+        )
+
+
+def test_an_exported_table_is_a_sample_also_where_noise_is_below_zero(
+    reduced: BsdfDataset, write_rig: Writer, tmp_path: Path
+) -> None:
+    ((name, points),) = reduced.samples.items()
+    noise = replace(points, bsdf=np.where(points.zenith_deg > 80.0, -0.001, points.bsdf))
+    export(replace(reduced, samples={name: noise}), None, tmp_path / "a.ddr", export_format("ddr"))
+    assert read_ddr(tmp_path / "a.ddr").values.min() < 0.0
+    text = '[twin.samples.paper]\nmodel = "table"\nfile = "a.ddr"\n\n[twin.samples.etalon]'
+    model = read_rig(write_rig(("[twin.samples.etalon]", text))).model()
+    assert model is not None
+    observers = arc_direction(np.array([40.0, 85.0]), 180.0)
+    found = evaluate(model.samples["paper"], light_direction(30.0), observers, 550.0)
+    np.testing.assert_allclose(found, [float(smooth(np.array(40.0), np.array(180.0))), 0.0], rtol=1e-7)
+    far_below = replace(points, bsdf=np.where(points.zenith_deg > 80.0, -0.5, points.bsdf))
+    export(replace(reduced, samples={name: far_below}), None, tmp_path / "a.ddr", export_format("ddr"))
+    with pytest.raises(UserError, match=r"twin.samples.paper: .*a\.ddr: at 550 nm: values has -0.5.* at sigma 0"):
+        read_rig(write_rig(("[twin.samples.etalon]", text))).model()
+
+
+def test_a_journal_is_not_overwritten(reduced: BsdfDataset, tmp_path: Path) -> None:
+    journal = tmp_path / "a.u.ddr"
+    journal.write_bytes(b"SQLite format 3\0 and more")
+    for path in (journal, tmp_path / "a.ddr"):
+        with pytest.raises(UserError, match=r"a\.u\.ddr: is a data file \(journal\) .*, and is not overwritten; choose"):
+            export(reduced, None, path, export_format("ddr"))
+    assert journal.read_bytes() == b"SQLite format 3\0 and more"
+    assert not (tmp_path / "a.ddr").exists()
+
+
+def test_a_refused_export_leaves_every_file_as_it_was(reduced: BsdfDataset, tmp_path: Path) -> None:
+    journal, folder, beside = tmp_path / "a.ddr", tmp_path / "f.ddr", tmp_path / "b.u.ddr"
+    journal.write_bytes(b"SQLite format 3\0 and more")
+    folder.mkdir()
+    beside.write_text("notes of the user", encoding="utf-8")
+    before = sorted(tmp_path.iterdir())
+    for path, wrong in (
+        (journal, r"a\.ddr: is a data file \(journal\)"), (folder, r"f\.ddr: is a folder"),
+        (tmp_path / "sub" / "none.ddr", r"none\.ddr: there is no folder .*sub; make it first"),
+        (tmp_path / "b.ddr", r"b\.ddr: the uncertainties go to .*b\.u\.ddr, and another file is there; choose another name"),
+    ):  # fmt: skip
+        with pytest.raises(UserError, match=wrong):
+            export(reduced, None, path, export_format("ddr"))
+        assert sorted(tmp_path.iterdir()) == before
+    assert beside.read_text(encoding="utf-8") == "notes of the user"
+    for _ in range(2):  # what an export wrote is replaced by the next one
+        assert export(reduced, None, tmp_path / "c.ddr", export_format("ddr")).files[1] == tmp_path / "c.u.ddr"
+
+
+@pytest.mark.parametrize("name", ["ddr", "zemax"])
+def test_a_file_of_uncertainties_is_no_sample(name: str, reduced: BsdfDataset, tmp_path: Path) -> None:
+    form = export_format(name)
+    dark = {key: replace(points, bsdf=0.1 * points.bsdf) for key, points in reduced.samples.items()}
+    path = tmp_path / f"paint, red{form.suffixes[0]}"
+    table, uncertainty = export(replace(reduced, samples=dark), None, path, form).files
+    parse_sample(f"table:{table}")
+    with pytest.raises(UserError, match=r"it has the uncertainties of paint, red\.\w+, not values; give the table itself"):
+        parse_sample(f"table:{uncertainty}")

@@ -7,16 +7,25 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.geometry.arcs import arc_views
-from goniotwin.app.campaign.reduction.field_of_view import field_uncertainty, field_variance, merge_directions
+from goniotwin.app.campaign.reduction.field_of_view import (
+    correct_field_of_view,
+    field_uncertainty,
+    field_variance,
+    merge_directions,
+)
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.rig import read_rig
+from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument, arc_direction, evaluate, gaussian, light_direction, luminance_factor, to_specular
-from tests.conftest import RIG
+from tests.app.campaign.reduction.made_points import made_points
+from tests.conftest import RIG, SMALL
 
 VARIANCE = field_variance(Instrument())
 EVERYWHERE = np.arange(0.0, 85.1, 1.0)
 PLANE = (0.0, 180.0)
+SETTINGS = reduction_settings(read_rig(RIG).file, parse_schedule(SMALL, "small.toml").file, None, "")
 
 
 def lobe(width_deg: float, theta_deg: Floats) -> Floats:
@@ -31,15 +40,8 @@ def points_of(
     A value below three `u` counts as without light.
     """
     zenith, azimuth = (each.ravel() for each in np.broadcast_arrays(polar[:, None], np.array(beta)))
-    theta, phi = to_specular(sigma, arc_direction(zenith, azimuth))
-    none, zeros = np.zeros(zenith.size, dtype=bool), np.zeros(zenith.size)
-    bsdf = lobe(values, theta) if isinstance(values, float) else values
-    return BsdfPoints(
-        wavelength_nm=zeros + 550.0, sigma_deg=zeros + sigma, gamma_deg=zeros, beta_deg=azimuth, shift_deg=zeros,
-        photodiode=np.arange(zenith.size), zenith_deg=zenith, azimuth_deg=azimuth, theta_deg=theta, phi_deg=phi,
-        bsdf=bsdf, u_bsdf=zeros + u, shadowed=none, clipped=none, no_etalon=none, dead=none, uncertified=none, drifted=none,
-        under_range=none, back=none, transmitted=none, signature=zeros + np.nan, mirrored=none, u_field=zeros + np.nan,
-    )  # fmt: skip
+    theta, _ = to_specular(sigma, arc_direction(zenith, azimuth))
+    return made_points(sigma, zenith, azimuth, lobe(values, theta) if isinstance(values, float) else values, u)
 
 
 def share(points: BsdfPoints) -> Floats:
@@ -144,12 +146,14 @@ def test_for_values_lost_in_noise_the_values_themselves_are_fitted() -> None:
 
 def test_values_with_too_few_neighbours_have_no_component_and_a_flag() -> None:
     points = points_of(5.0, np.array([0.0, 25.0, 30.0]), (180.0,))
-    lone = replace(points, u_field=field_uncertainty(points, VARIANCE))
+    lone = correct_field_of_view(points, SETTINGS)
     assert np.isnan(lone.u_field).all()
     assert lone.flags["field"].all()
+    assert lone.u_bsdf.tolist() == points.u_bsdf.tolist()
     enough = points_of(15.0, np.array([20.0, 25.0, 30.0]), (180.0,))
-    complete = replace(enough, u_field=field_uncertainty(enough, VARIANCE))
+    complete = correct_field_of_view(enough, SETTINGS)
     assert not complete.flags["field"].any()
+    assert complete.u_field == pytest.approx(field_uncertainty(enough, field_variance(nominal_instrument(SETTINGS.rig))))
 
 
 def test_a_peak_between_values_without_light_has_no_component() -> None:
@@ -162,7 +166,7 @@ def test_a_peak_between_values_without_light_has_no_component() -> None:
 def test_flagged_values_are_no_neighbours() -> None:
     clean = points_of(15.0)
     flagged = np.arange(clean.bsdf.size) % 7 == 3
-    wrong = replace(clean, bsdf=np.where(flagged, 3.0 * clean.bsdf, clean.bsdf), drifted=flagged)
+    wrong = replace(clean, bsdf=np.where(flagged, 3.0 * clean.bsdf, clean.bsdf)).flagged({"drift": flagged})
     u_field = field_uncertainty(wrong, VARIANCE)
     assert np.isnan(u_field[flagged]).all()
     near = ~flagged & (clean.theta_deg < 30.0)

@@ -10,7 +10,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.export import export_csv
+from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors, OverlapPairs, fit_factors, overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, check_journal, reduce_journal
@@ -99,7 +99,7 @@ def test_calibration_corrects_a_faded_photodiode_within_its_uncertainty(
     assert checks is not None
     assert any("values have been multiplied by 0.99" in line for line in checks.lines)
     assert checks.as_dict()["overlaps"]["grey"]["calibration"]["significant"] == [FADED]
-    export_csv(after, None, tmp_path / "a.csv")
+    export(after, None, tmp_path / "a.csv", export_format("csv"))
     assert any("have been multiplied by" in each for each in read_points_csv(tmp_path / "a.csv").comments)
 
 
@@ -207,3 +207,10 @@ def test_reflected_and_transmitted_light_in_one_direction_are_no_overlap() -> No
     points = points_of(30.0, np.array([90.0, 90.0]), np.array([10.0, 10.0]))
     assert overlaps(points, 0.0).pairs == 1
     assert overlaps(replace(points, transmitted=np.array([False, True])), 0.0).pairs == 0
+
+
+@pytest.mark.parametrize("pole", [0.0, 180.0])
+def test_at_either_pole_opposite_half_planes_measure_one_direction(pole: float) -> None:
+    """Two photodiodes are at the pole, one of them with the arc at beta 180 deg."""
+    points = points_of(30.0, np.array([pole, pole]), np.array([0.0, 180.0]))
+    assert overlaps(points, 0.0).pairs == 1

@@ -3,7 +3,6 @@
 import gc
 import tracemalloc
 from collections import Counter
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import COLUMNS, BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
@@ -59,7 +58,8 @@ def plan_rows(journal: Journal, sample: str) -> list[Row]:
 
 
 def bits(points: BsdfPoints) -> list[bytes]:
-    return [getattr(points, field.name).tobytes() for field in fields(points)]
+    columns = [getattr(points, name) for name in COLUMNS if name != "place"]
+    return [each.tobytes() for each in (*columns, points.places[points.place], points.u_bsdf, *points.components.values())]
 
 
 @JOURNALS

@@ -11,8 +11,9 @@ from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.comparison import compare, theoretical_bsdf
-from goniotwin.app.campaign.reduction.export import export_csv
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, BsdfPoints, reduce_journal
+from goniotwin.app.campaign.reduction.export import export, export_format
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
@@ -60,7 +61,7 @@ def test_directions_blocked_at_normal_incidence_are_flagged_and_listed(demo: Bsd
     assert normal.hidden_deg == tuple(np.arange(-3.5, 3.6, 0.5))
     points = demo.samples["gaussian-5"]
     blocked = points.where((points.sigma_deg == 0.0) & (points.theta_deg < 2.0))
-    assert blocked.shadowed.all()
+    assert blocked.flag("shadowed").all()
     assert not blocked.good.any()
 
 
@@ -151,9 +152,9 @@ def test_a_saturated_photodiode_has_no_value(write_rig: Writer, write_schedule: 
     reduced = measure(write_rig(), write_schedule(("[1e8, 1e10]", "[1e11]")))
     points = reduced.samples["gaussian-5"]
     peak = points.where(points.theta_deg < 1.5)
-    assert peak.clipped.all()
+    assert peak.flag("clipped").all()
     assert np.isnan(peak.bsdf).all()
-    assert not points.where(points.theta_deg > 20.0).clipped.any()
+    assert not points.where(points.theta_deg > 20.0).flag("clipped").any()
 
 
 def test_a_journal_without_the_etalon_is_refused(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
@@ -166,7 +167,7 @@ def test_a_selection_of_points_applies_to_all_columns(demo: BsdfDataset) -> None
     points = demo.samples["gaussian-5"]
     some = points.where(points.sigma_deg == 30.0)
     assert isinstance(some, BsdfPoints)
-    assert {array.size for array in (some.bsdf, some.theta_deg, some.shadowed)} == {some.sigma_deg.size}
+    assert {array.size for array in (some.bsdf, some.theta_deg, some.flag("shadowed"))} == {some.sigma_deg.size}
 
 
 @pytest.mark.parametrize("after", ["grey/mount", "grey/sigma"])
@@ -183,10 +184,10 @@ def test_a_photodiode_that_dies_is_flagged(after: str, write_rig: Writer, write_
     run_plan(plan, tmp_path / "a.journal", rigs.append, listeners=[kill])
     points = reduced(tmp_path / "a.journal").samples["grey"]
     wrong = ~np.isfinite(points.bsdf) | (np.abs(points.bsdf - 0.03 / np.pi) > 4.0 * points.u_bsdf)
-    assert set(points.photodiode[wrong & ~points.shadowed]) == {5}
-    assert points.dead[wrong & ~points.shadowed].all()
+    assert set(points.photodiode[wrong & ~points.flag("shadowed")]) == {5}
+    assert points.flag("dead")[wrong & ~points.flag("shadowed")].all()
     assert not points.good[wrong].any()
-    assert set(points.photodiode[points.dead]) == {5}
+    assert set(points.photodiode[points.flag("dead")]) == {5}
 
 
 def test_a_photodiode_that_was_dead_from_the_beginning_is_flagged(
@@ -198,9 +199,9 @@ def test_a_photodiode_that_was_dead_from_the_beginning_is_flagged(
 
     run_plan(grey_plan(write_rig, write_schedule), tmp_path / "a.journal", kill)
     points = reduced(tmp_path / "a.journal").samples["grey"]
-    assert set(points.photodiode[points.dead]) == {5}
-    assert points.no_etalon[points.dead].all()
-    assert np.isnan(points.bsdf[points.dead]).all()
+    assert set(points.photodiode[points.flag("dead")]) == {5}
+    assert points.flag("no-etalon")[points.flag("dead")].all()
+    assert np.isnan(points.bsdf[points.flag("dead")]).all()
 
 
 def test_directions_of_both_arcs_and_both_sides() -> None:
@@ -240,7 +241,7 @@ def test_reflection_and_transmission_of_both_sides_are_right(write_rig: Writer, 
             assert here.bsdf.size > 25
             assert np.abs((here.bsdf - share / np.pi) / here.u_bsdf).max() < 3.0, (back, transmitted)
     assert any("transmitted light is scaled" in note for note in dataset.notes)
-    export_csv(dataset, "glass", tmp_path / "a.csv")
+    export(dataset, "glass", tmp_path / "a.csv", export_format("csv"))
     text = (tmp_path / "a.csv").read_text()
     assert "back" in text
     assert "transmitted" in text

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.export import export_csv, export_ddr
+from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.points import steepness
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
@@ -143,9 +143,9 @@ def test_the_exported_table_has_no_mirrored_rows_and_the_csv_marks_them(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
     found = reduced(measure(write_rig, write_schedule, tmp_path))
-    export_ddr(found, None, tmp_path / "a.ddr")  # a .ddr file has one gamma
+    export(found, None, tmp_path / "a.ddr", export_format("ddr"))  # a .ddr file has one gamma
     assert any("symmetry: the stated symmetry (isotropic) holds" in each for each in read_ddr(tmp_path / "a.ddr").comments)
-    export_csv(found, None, tmp_path / "a.csv")
+    export(found, None, tmp_path / "a.csv", export_format("csv"))
     table = read_points_csv(tmp_path / "a.csv")
     mirrored = table.columns["check"] == "mirrored"
     assert int(mirrored.sum()) == 4 * 18
@@ -178,5 +178,5 @@ def test_steepness_is_the_larger_relative_change_of_both_sides() -> None:
     points.bsdf[1] = -1.0  # a negative value has no logarithm
     assert steepness(points).tolist() == pytest.approx([0.05, 0.0, 0.05])
     over = points_of(30.0, np.array([10.0, 5.0]), np.array([0.0, 180.0]))  # one arc, over the normal
-    over = replace(over, beta_deg=np.array([180.0, 180.0]), bsdf=np.exp([0.0, 3.0]))
+    over = replace(over, place=np.array([1, 1], dtype=np.int32), bsdf=np.exp([0.0, 3.0]))
     assert steepness(over).tolist() == pytest.approx([0.2, 0.2])

@@ -9,7 +9,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import check_plan
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
 from goniotwin.app.campaign.reduction.comparison import theoretical_bsdf
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
@@ -31,7 +31,7 @@ NEAR = "sigma_deg = [20, 40]\nbeta_deg = [0, 2, 4, 6, 8, 10, 180]\nshift_deg = {
 COARSE = "sigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n"
 
 
-def planned(text: str, rig: Path = RIG) -> Plan:
+def planned(text: str, rig: Path = RIG) -> NewPlan:
     return make_plan(parse_schedule(text, "x.toml"), read_rig(rig))
 
 
@@ -49,7 +49,7 @@ def test_directions_blocked_at_the_etalon_are_flagged_and_all_others_are_right(
     plan = planned(HEAD + NEAR, write_rig(*rig_changes))
     result = measure(plan, tmp_path / "a.journal")
     points = result.samples["opal"]
-    assert not points.dead.any()
+    assert not points.flag("dead").any()
     good = points.where(points.good)
     z = np.abs(good.bsdf - theoretical_bsdf(result.rig, "opal", good)) / good.u_bsdf
     assert z.max() < 5.0
@@ -61,7 +61,7 @@ def test_directions_blocked_at_the_etalon_are_flagged_and_all_others_are_right(
         for each in checked["shadowed_deg"]
         for zenith, azimuth in each["zenith_azimuth"]
     }
-    flagged = points.where(points.shadowed)
+    flagged = points.where(points.flag("shadowed"))
     keys = zip(flagged.sigma_deg.tolist(), (180.0 - flagged.zenith_deg).tolist(), flagged.azimuth_deg.tolist(), strict=True)
     assert {(sigma, round(zenith, 3), round(azimuth % 360.0, 3)) for sigma, zenith, azimuth in keys} == expected
     assert checked["shadowed_only_for_etalon"] == len(expected) > 100

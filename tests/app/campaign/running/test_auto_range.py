@@ -58,7 +58,7 @@ def test_the_bsdf_is_that_of_readings_at_all_gains(plan: Plan, tmp_path: Path) -
         with Journal.open(tmp_path / f"{name}.journal") as journal:
             found.append(reduce_journal(journal).samples["gaussian-5"])
     assert np.array_equal(found[0].bsdf, found[1].bsdf, equal_nan=True)
-    assert not found[0].clipped.any()
+    assert not found[0].flag("clipped").any()
 
 
 def test_a_row_saturated_at_the_lowest_gain_is_flagged(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

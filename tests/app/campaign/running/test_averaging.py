@@ -13,7 +13,7 @@ from goniotwin.app.campaign.readout import MIN_AVERAGED_READINGS, NOT_WARM, Warm
 from goniotwin.app.campaign.reduction.signals import middle_s
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.rig import OpenRig, photodiode_settings, read_rig
+from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.campaign_bench import QUIET, RunResult, change_rows, planned_values, run_plan, run_until
 from tests.conftest import Writer
 
@@ -57,7 +57,7 @@ def uncertainties(run: RunResult, plan: Plan) -> list[np.ndarray]:
 def test_a_row_is_averaged_to_its_target_uncertainty(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.01, 20.0)
     run = run_plan(plan, tmp_path / "a.journal")
-    settings = photodiode_settings(plan.rig.file)
+    settings = plan.rig.file.photodiodes
     for each, found in zip(run.of("measure", "etalon"), uncertainties(run, plan), strict=True):
         taken = len(each.data.readings[0].counts)
         assert MIN_AVERAGED_READINGS < taken < 20.0 / settings.period_s
@@ -66,7 +66,7 @@ def test_a_row_is_averaged_to_its_target_uncertainty(write_rig: Writer, write_sc
 
 def test_the_time_limit_ends_the_averaging(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = dim_plan(write_rig, write_schedule, 0.005, 2.0)
-    settings = photodiode_settings(plan.rig.file)
+    settings = plan.rig.file.photodiodes
     for each in run_plan(plan, tmp_path / "a.journal").of("measure"):
         assert len(each.data.readings[0].counts) <= 2.0 / settings.period_s
 
@@ -100,8 +100,7 @@ def test_a_resumed_campaign_takes_the_same_number_of_readings(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
     rig = write_rig(*QUIET)
-    plan = make_plan(read_schedule(write_schedule(ONE_GAIN)), read_rig(rig))
-    plan = change_rows(plan, averaged(1e-3, 3.0))
+    plan = change_rows(make_plan(read_schedule(write_schedule(ONE_GAIN)), read_rig(rig)), averaged(1e-3, 3.0))
     run_campaign(plan, tmp_path / "whole.journal")
     run_until(plan, tmp_path / "a.journal", 0.5 * plan.seconds)
     resume_campaign(tmp_path / "a.journal")

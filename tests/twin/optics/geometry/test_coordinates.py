@@ -6,7 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.twin.optics import arc_direction, from_specular, light_direction, specular_direction, to_specular
-from goniotwin.twin.optics.geometry.coordinates import direction_rows
+from goniotwin.twin.optics.geometry.coordinates import (
+    TOLERANCE_DEG,
+    direction_rows,
+    fold_azimuth,
+    incidence_deg,
+    is_lit_from_behind,
+    opposite_sigma_deg,
+    round_deg,
+    turn_about_x,
+    wrap_azimuth,
+    zenith_and_azimuth,
+)
 
 SIGMA = st.floats(0.0, 180.0)
 
@@ -69,3 +80,41 @@ def test_invalid_directions_are_refused() -> None:
         direction_rows([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     with pytest.raises(ValueError, match=r"directions\[0\]"):
         direction_rows([[np.nan, 0.0, 1.0]])
+
+
+@given(st.floats(0.0, 180.0), st.floats(-360.0, 360.0))
+def test_zenith_and_azimuth_of_a_direction(polar: float, azimuth: float) -> None:
+    zenith, back = zenith_and_azimuth(3.0 * arc_direction(polar, azimuth))
+    assert zenith == pytest.approx(polar, abs=1e-9)
+    assert 0.0 <= back < 360.0
+    assert arc_direction(zenith, back) == pytest.approx(arc_direction(polar, azimuth), abs=1e-12)
+
+
+@given(st.floats(-1e4, 1e4) | st.sampled_from([-1e-17, 360.0, -360.0]))
+def test_a_wrapped_azimuth_is_the_same_direction_and_a_folded_one_its_mirror_image(azimuth: float) -> None:
+    x, y = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
+    wrapped, folded = np.radians(wrap_azimuth(azimuth)), np.radians(fold_azimuth(azimuth))
+    assert 0.0 <= wrapped < 2.0 * np.pi
+    assert 0.0 <= folded <= np.pi
+    assert (np.cos(wrapped), np.sin(wrapped)) == pytest.approx((x, y), abs=1e-11)
+    assert (np.cos(folded), np.sin(folded)) == pytest.approx((x, abs(y)), abs=1e-11)
+
+
+@given(st.integers(0, 179_999).filter(lambda thousandths: thousandths != 90_000))
+def test_incidence_is_the_angle_from_the_normal_of_the_lit_side(thousandths: int) -> None:
+    sigma = thousandths / 1000.0
+    x, _, z = light_direction(sigma)
+    assert is_lit_from_behind(sigma) == (z < 0.0)
+    assert incidence_deg(sigma) == pytest.approx(np.degrees(np.arctan2(x, abs(z))), abs=1e-9)
+    assert turn_about_x(light_direction(sigma)) == pytest.approx(light_direction(opposite_sigma_deg(sigma)), abs=1e-12)
+
+
+@given(st.integers(-(10**9), 10**9), st.floats(-0.49, 0.49))
+def test_angles_within_the_tolerance_are_equal_numbers(millionths: int, error: float) -> None:
+    assert round_deg(millionths / 1e6 + error * TOLERANCE_DEG) == millionths / 1e6
+
+
+def test_directions_of_both_arcs_in_one_array() -> None:
+    both = arc_direction(np.full(2, 20.0), np.full(2, 30.0), np.array([False, True]))
+    assert both[0] == pytest.approx(arc_direction(20.0, 30.0))
+    assert both[1] == pytest.approx(arc_direction(20.0, 30.0, lower=True))

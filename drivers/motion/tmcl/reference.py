@@ -8,8 +8,8 @@ of the process before it.
 import contextlib
 
 from goniotwin.drivers.errors import DeviceError, Forgotten, Interrupted, NoAnswer, Refused
-from goniotwin.drivers.motion.registers import Registers
 from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.motion.tmcl.registers import Registers
 from goniotwin.drivers.motion.tmcl.rules import REFERENCED, UNREFERENCED, mark
 from goniotwin.protocols.tmcl import CommandFrame
 from goniotwin.protocols.tmcl_parameters import ErrorFlag

@@ -4,6 +4,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from goniotwin.drivers.motion.stop import StopPhase, StopSteps, StopWait
+
+ACQUIRE_S = 0.01
+"""Longest real time that one step of a stop waits for the line."""
+
 
 class StopLock:
     """FIFO lock of a line for any number of threads, and a count of stop requests.
@@ -36,15 +41,32 @@ class StopLock:
             self._owner = None
             self._line.release()
 
-    @contextmanager
-    def hold_for_stop(self) -> Iterator[None]:
-        """Acquire the line for a stop. From the request on, the exchange in progress sees `stop_waiting`."""
+    def begin_stop(self, steps: StopSteps) -> StopSteps:
+        """Request a stop: from now on the exchange in progress sees `stop_waiting`. Its steps are carried out on the line."""
         with self._counting:
             self.requested += 1
-        with self.hold():
-            with self._counting:
-                self.acquired += 1
-            yield
+        return self._stop(steps)
+
+    def _stop(self, steps: StopSteps) -> StopSteps:
+        nested = self._owner == threading.get_ident()
+        if not nested:
+            yield from self._wait_for_line()
+        with self._counting:
+            self.acquired += 1
+        try:
+            return (yield from steps)
+        finally:
+            if not nested:
+                self._owner = None
+                self._line.release()
+
+    def _wait_for_line(self) -> StopWait:
+        """Acquire the line in FIFO order, in steps of ACQUIRE_S."""
+        for lock in (self._gate, self._line):
+            while not lock.acquire(timeout=ACQUIRE_S):
+                yield StopPhase.SENDING
+        self._owner = threading.get_ident()
+        self._gate.release()
 
     @property
     def stop_waiting(self) -> bool:

@@ -9,6 +9,9 @@ from goniotwin.protocols.tmcl import Command, CommandFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
 from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag
 
+CONFIRMED_EXCHANGES = 2
+"""Number of exchanges of a confirmed value: the value and the canary."""
+
 
 @dataclass(frozen=True)
 class Switches:
@@ -25,10 +28,10 @@ class Registers:
     A *confirmed* value is followed by a read of the canary: the module had its settings when it replied.
     """
 
-    def __init__(self, module: TmclModule, settings: AxisSettings) -> None:
+    def __init__(self, name: str, module: TmclModule, settings: AxisSettings) -> None:
         self._module = module
         self.settings = settings
-        self.name = settings.name
+        self.name = name
         self.keep_alive_s = module.keep_alive_s
 
     @property
@@ -53,7 +56,7 @@ class Registers:
         self.exchange(Command.SAP, parameter, value)
 
     def read_confirmed(self, parameter: Parameter) -> int:
-        """Confirmed value of an axis parameter; two exchanges. Raises Forgotten as well."""
+        """Confirmed value of an axis parameter, in CONFIRMED_EXCHANGES. Raises Forgotten as well."""
         return self._module.read_confirmed(self.request(Command.GAP, parameter))
 
     def check_canary(self) -> None:

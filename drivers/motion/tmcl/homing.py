@@ -3,9 +3,9 @@
 from collections.abc import Callable
 
 from goniotwin.drivers.errors import DeviceError
-from goniotwin.drivers.motion.reference import Reference, flag_names
-from goniotwin.drivers.motion.registers import Registers
 from goniotwin.drivers.motion.settings import Homing
+from goniotwin.drivers.motion.tmcl.reference import Reference, flag_names
+from goniotwin.drivers.motion.tmcl.registers import Registers
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import Command
 from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
@@ -68,7 +68,7 @@ class HomingSearch:
 
     def _set_counter(self) -> None:
         angle_deg, settings = self._homing.angle_deg, self._registers.settings
-        self._registers.set_counter(0 if angle_deg is None else settings.microsteps(angle_deg))
+        self._registers.set_counter(0 if angle_deg is None else settings.counter(angle_deg))
 
     def _failed(self, happened: str) -> DeviceError:
         return DeviceError(self._registers.name, "home", happened, "check its switches and its path, then home it again")

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from goniotwin.drivers.errors import DeviceError
-from goniotwin.drivers.motion.reference import Reference
-from goniotwin.drivers.motion.registers import Registers
+from goniotwin.drivers.motion.tmcl.reference import Reference
+from goniotwin.drivers.motion.tmcl.registers import Registers
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import Command, MoveType
 from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
@@ -13,7 +15,10 @@ from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag
 POLL_S = 0.02
 STANDSTILL_S = 0.1
 ARRIVED_AFTER_S = 0.002
+"""Time from the end of a ramp until the module is asked whether the target is reached."""
 OVERDUE_S = 5.0
+EXCHANGES_BETWEEN_LEGS, EXCHANGES_AT_END = 2, 2
+"""Number of exchanges at the end of a leg: target reached and next target; at the end of a move: target reached and canary."""
 
 
 class Move:
@@ -50,19 +55,15 @@ class Move:
     def begin(self, relative: int | None = None) -> None:
         """Send the next leg. Raises DeviceError; Interrupted if a stop was requested since the move was."""
         settings = self._registers.settings
-        target = settings.microsteps(self._legs.pop(0))
+        target = settings.counter(self._legs.pop(0))
         kind, value = (MoveType.ABSOLUTE, target) if relative is None else (MoveType.RELATIVE, relative)
         self._reference.send_motion_command(self._registers.request(Command.MVP, kind, value), self._stop_count)
-        ramp = settings.seconds((target - self._here) / settings.microsteps_per_deg)
-        now = self._clock.now()
-        self._leg_arrival = now + ramp + ARRIVED_AFTER_S
+        places = np.array([self._here, target, *(settings.counter(leg) for leg in self._legs)])
+        ramp, *later = settings.ramp_seconds(np.diff(places) / settings.microsteps_per_deg).tolist()
+        self._leg_arrival = self._clock.now() + ramp + ARRIVED_AFTER_S
         self._overdue_at = self._leg_arrival + ramp + OVERDUE_S
-        place, rest = target, 0.0
-        for leg in self._legs:
-            rest += settings.seconds((settings.microsteps(leg) - place) / settings.microsteps_per_deg) + ARRIVED_AFTER_S
-            place = settings.microsteps(leg)
         self._here = target
-        self.arrival = self._leg_arrival + rest
+        self.arrival = self._leg_arrival + sum(each + ARRIVED_AFTER_S for each in later)
         self._standstill_since = None
         self._schedule_poll()
 

@@ -1,0 +1,88 @@
+"""Components of the uncertainty: the one convention of the reduction, and the one place where u is computed from them.
+
+A component is the *variance* that one named contribution (`noise`, `monitor`, `certificate`) adds to a value, in the square of
+the value's unit, in an array of the value's shape. Variances, because the contributions of a value are uncorrelated: they add,
+and a component of several inputs (the dark readings before and after) needs no more room than one. Absolute, because a value
+may be 0 or negative. What two quantities of one quotient share is removed where the quotient is made (the instrument signature
+of sample and etalon). Sensitivities to inputs that *values* share are not kept yet; a step that has them adds them here.
+Until then a component is wholly shared between neighbouring directions or, if it is in INDEPENDENT, not at all.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from goniotwin.arrays import Flags, Floats, Ints
+
+Components = Mapping[str, Floats]
+DETECTED = 3.0
+"""A value below so many of its standard uncertainties is lost in its noise: below the detection limit."""
+INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading"})
+"""Components whose errors differ between neighbouring directions: each has readings of its own at the sample and at the etalon.
+
+All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
+out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
+"""
+
+
+def total_variance(components: Components) -> Floats:
+    """The variance of values from all of their components."""
+    return np.asarray(sum(components.values()), dtype=float)
+
+
+def standard_uncertainty(components: Components) -> Floats:
+    """The combined standard uncertainty u of values, in their unit."""
+    return np.sqrt(total_variance(components))
+
+
+def shared_variance(components: Components) -> Floats:
+    """The part of the variance whose errors have one sign in neighbouring directions, so that no interpolation reduces them."""
+    none = np.zeros_like(total_variance(components))
+    return none + total_variance({name: each for name, each in components.items() if name not in INDEPENDENT})
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values with the components of their uncertainty: arrays of one shape."""
+
+    value: Floats
+    components: Components
+
+    @property
+    def variance(self) -> Floats:
+        """The variance from all components."""
+        return total_variance(self.components)
+
+    @property
+    def lost_in_noise(self) -> Flags:
+        """Whether values are below the detection limit."""
+        return np.isfinite(self.value) & (self.value < DETECTED * np.sqrt(self.variance))
+
+    def scaled(self, factor: Floats | float) -> Self:
+        """The values times an exactly known factor."""
+        squared = np.square(factor)
+        scaled = {name: variance * squared for name, variance in self.components.items()}
+        return replace(self, value=self.value * factor, components=scaled)
+
+    def divided(self, divisor: Floats | float) -> Self:
+        """The values over an exactly known divisor."""
+        squared = np.square(divisor)
+        divided = {name: variance / squared for name, variance in self.components.items()}
+        return replace(self, value=self.value / divisor, components=divided)
+
+    def with_component(self, name: str, variance: Floats | float) -> Self:
+        """The values with a further variance; it is added to that of a component of the same name."""
+        added = np.broadcast_to(variance, self.value.shape)
+        return replace(self, components={**self.components, name: self.components.get(name, 0.0) + added})
+
+
+@dataclass(frozen=True)
+class Signal(Estimate):
+    """Photocurrents over the monitor's current, one element for each photodiode, or (rows, photodiodes).
+
+    `gain` is the index of the gain that is used, -1 where all gains are saturated.
+    """
+
+    gain: Ints

@@ -1,0 +1,113 @@
+"""The reduction on one page: the steps from a row's readings to the BSDF dataset, in order.
+
+Each step takes a dataset and gives the next one, with the components of the uncertainty that come in with it (components.py has
+their convention, and u). A further correction or contribution is a function in a file of its own, and one line in a list here.
+Journal, live plot and rehearsal have no other reduction.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from goniotwin.app.campaign.journal.record import RowData
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.etalon import (
+    ArcRows,
+    ReductionSettings,
+    ReferenceSignals,
+    RowSignal,
+    apply_certificate,
+    divide_by_etalon,
+    flag_values,
+    gain_variance,
+    join_references,
+    make_points,
+    monitor_variance,
+    subtract_signature,
+)
+from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.signals import (
+    DarkReadings,
+    add_tracing_error,
+    choose_gain,
+    convert_to_photocurrent,
+    divide_by_monitor,
+    subtract_dark,
+)
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Floats, Ints
+from goniotwin.drivers import PhotodiodeSettings
+
+QUOTIENT_VARIANCES: Mapping[str, Callable[[Signal, Signal, RigFile], Floats | float]] = {
+    "monitor": lambda one, other, rig: monitor_variance(rig),  # noqa: ARG005
+    "gain": gain_variance,
+}
+"""Relative variances of a quotient of two rows' signals, besides those of the signals, by component.
+
+They hold for a sample over the etalon and for a drift check over the first one. One that is a number, no array, is common to
+all photodiodes of a row.
+"""
+
+
+def add_quotient_uncertainty(data: ArcRows, settings: ReductionSettings) -> ArcRows:
+    """Add the components of QUOTIENT_VARIANCES."""
+    for name, relative in QUOTIENT_VARIANCES.items():
+        data = data.with_component(name, relative(data.sample, data.etalon, settings.rig) * data.estimate.value**2)
+    return data
+
+
+def calibrate_photodiodes(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """Multiply by the calibration factors of the overlaps, where the schedule asks for it."""
+    return points if settings.calibration is None else settings.calibration.apply(points)
+
+
+ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (
+    subtract_signature,
+    divide_by_etalon,
+    add_quotient_uncertainty,
+    apply_certificate,
+    flag_values,
+)
+"""From the signals of rows, at the sample, at the etalon and without a sample, to the BSDF: on the rows of one arc."""
+
+SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] = (
+    calibrate_photodiodes,
+    correct_field_of_view,  # after the calibration: the field has the same effect on all photodiodes that look in a direction
+)
+"""Steps on all points of a set of wavelength, sigma and gamma, and of a sample's calibration: they need the points nearby."""
+
+
+def reduce_readings(data: RowData, dark: Mapping[float, DarkReadings], settings: PhotodiodeSettings, rig: RigFile) -> Signal:
+    """The signal of a row: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
+
+    `dark` are the dark readings by gain. Raises UserError for a gain without a dark reading, for a gain that the rig does not
+    have, and for a monitor without light.
+    """
+    at_gains = []
+    for reading in data.readings:
+        gain = reading.gain_v_per_a
+        if gain not in settings.gains_v_per_a:
+            raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
+        if gain not in dark:
+            raise UserError(f"the journal has no dark reading at {gain:g} V/A, so readings at this gain cannot be reduced")
+        volts = subtract_dark(reading, dark[gain], settings)
+        current = convert_to_photocurrent(volts, reading, settings)
+        at_gains.append((reading, divide_by_monitor(current, reading, dark[gain])))
+    return add_tracing_error(choose_gain(at_gains, settings), rig)
+
+
+def reduce_rows(
+    rows: Sequence[RowSignal], references: ReferenceSignals, settings: ReductionSettings
+) -> tuple[Ints, BsdfPoints] | None:
+    """The points of a sample's rows, and the index of each point's row; None where the etalon was not measured at any pose."""
+    arcs = join_references(rows, references, settings)
+    for step in ARC_STEPS:
+        arcs = [(index, step(data, settings)) for index, data in arcs]
+    return make_points(arcs) if arcs else None
+
+
+def finish_points(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """The BSDF of whole settings of one sample."""
+    for step in SETTING_STEPS:
+        points = step(points, settings)
+    return points

@@ -1,0 +1,92 @@
+"""Wires of a rig: openers for the addresses of its file, and taps. Only this module opens ports and devices by name."""
+
+from collections.abc import Callable
+from typing import Any
+
+import serial
+import usb.core
+
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.addresses import TWIN, USBIP, ModbusUnits, usbip_address
+from goniotwin.drivers import Transcript
+from goniotwin.drivers.device import PortOpener
+from goniotwin.drivers.photodiodes.modbus import ModbusUnit
+from goniotwin.drivers.tap import Explain, Tap, no_tap
+from goniotwin.drivers.usb.usbip import find_usbip
+from goniotwin.drivers.usb.usbtmc import UsbOpener
+from goniotwin.protocols.clock import Clock
+from goniotwin.twin import VirtualRig
+from goniotwin.twin.doors import TwinUsbBackend
+
+
+class Wires:
+    """Openers for addresses as a rig file has them; `virtual` is the rig behind `twin://`.
+
+    `in_this_process` gives the address in this process of one in the file: another virtual rig may have the same name.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        virtual: VirtualRig | None,
+        transcripts: Transcript | None,
+        in_this_process: Callable[[str], str] = str,
+    ) -> None:
+        self.clock = clock
+        self._virtual = virtual
+        self._transcripts = transcripts
+        self._in_this_process = in_this_process
+        self._units = ModbusUnits(virtual)
+
+    def tap(self, device: str, explain: Explain) -> Tap:
+        """The tap on the wire of a device, which writes its transcript; `explain` describes the bytes."""
+        return self._transcripts.tap(device, explain) if self._transcripts is not None else no_tap
+
+    def serial(self, file_address: str) -> PortOpener:
+        """An opener for the name of a port, or for any URL of pyserial."""
+        address = self._in_this_process(file_address)
+
+        def opener(baudrate: int, timeout_s: float) -> serial.Serial:
+            return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s)
+
+        return opener
+
+    def modbus(self, file_address: str, device: str) -> ModbusUnit:
+        """The unit of an address, with its tap. Raises UserError with an address that is not valid."""
+        unit = self._units.unit(self._in_this_process(file_address))
+        unit.tap = self.tap(device, self._units.explain(unit))
+        return unit
+
+    def usb(self, file_address: str) -> UsbOpener:
+        """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.
+
+        Raises UserError for another form.
+        """
+        address = self._in_this_process(file_address)
+        if address.startswith(TWIN):
+            virtual, wanted = self._virtual, address.rsplit("/", 1)[1]
+
+            def twin_opener() -> Any:
+                if virtual is None or wanted not in virtual.usb:
+                    raise LookupError(f"nothing at {address}")
+                return usb.core.find(backend=TwinUsbBackend(virtual), serial_number=virtual.usb[wanted].serial_number)
+
+            return twin_opener
+        if address.startswith(USBIP):
+            host, port, bus_id = usbip_address(address)
+            return lambda: find_usbip(host, port, bus_id)
+        parts = address.split(":")
+        try:
+            vendor, product = int(parts[0], 16), int(parts[1], 16)
+        except (ValueError, IndexError):
+            wrong = f"monitor.usb: {address!r} is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID"
+            raise UserError(f"{wrong}; correct it in the rig file") from None
+        serial_number = {"serial_number": parts[2]} if len(parts) > 2 else {}
+
+        def opener() -> Any:
+            import libusb_package
+
+            backend = libusb_package.get_libusb1_backend()
+            return usb.core.find(backend=backend, idVendor=vendor, idProduct=product, **serial_number)
+
+        return opener

@@ -1,0 +1,81 @@
+"""A line of TMCL modules as the motion controller of its axes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, Le
+
+from goniotwin.drivers.device import PortOpener
+from goniotwin.drivers.motion.settings import AxisSettings
+from goniotwin.drivers.motion.stop import StopSteps
+from goniotwin.drivers.motion.tmcl.axis import TmclAxis
+from goniotwin.drivers.motion.tmcl.module import HEARTBEAT_S, TmclModule
+from goniotwin.drivers.tap import Tap, no_tap
+from goniotwin.keys import Count
+from goniotwin.protocols.clock import Clock
+
+LONGEST_HEARTBEAT_S = 65.0
+"""The silence counter of a module has 16 bits of ms."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TmclSettings:
+    """A line of TMCL modules with a `baudrate`. They stop their motors after a silence of `heartbeat_s`; 0 is off."""
+
+    baudrate: Count = 115200
+    heartbeat_s: Annotated[float, Ge(0.0), Le(LONGEST_HEARTBEAT_S)] = HEARTBEAT_S
+
+
+class TmclController:
+    """The axes of one line, by their settings, and the modules that they name."""
+
+    def __init__(
+        self,
+        name: str,
+        open_port: PortOpener,
+        clock: Clock,
+        settings: TmclSettings,
+        axes: Mapping[str, AxisSettings],
+        tap: Tap = no_tap,
+    ) -> None:
+        self.name = name
+        addresses = [axis.module for axis in axes.values()]
+        self.module = TmclModule(open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name)
+        self.axes = {axis: TmclAxis(axis, self.module, table, clock) for axis, table in axes.items()}
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The axes."""
+        return tuple(self.axes)
+
+    @property
+    def stop_count(self) -> int:
+        """Number of stop requests so far."""
+        return self.module.stop_count
+
+    def connect(self) -> str:
+        """Open the port, identify the modules, write the settings; an axis whose module has reset becomes unreferenced.
+
+        Returns the identity. Nothing moves. Raises DeviceError.
+        """
+        number = self.module.connect()
+        for axis in self.axes.values():
+            axis.connect()
+        return f"TMCM-{number}"
+
+    def reconnect(self) -> None:
+        """Connect again after a fault. Raises DeviceError."""
+        self.connect()
+
+    def close(self) -> None:
+        """Close the port. Nothing moves."""
+        self.module.close()
+
+    def begin_stop(self) -> StopSteps:
+        """Request a stop of all axes; return its steps. Thread-safe."""
+        return self.module.begin_stop([each for axis in self.axes.values() for each in axis.stop_requests()])
+
+    def set_heartbeat(self, seconds: float) -> None:
+        """Set the heartbeat for the next connection."""
+        self.module.heartbeat_s = min(seconds, LONGEST_HEARTBEAT_S)

@@ -1,0 +1,326 @@
+"""The registry of file formats: recognition by content, then by suffix; what a format holds; formats of other packages."""
+
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from goniotwin.app.formats import BsdfTable, FormatError, Points, PointStream, registry
+from goniotwin.app.formats.registry import BUILT_IN, KINDS, Format, Holds
+from tests.conftest import REPOSITORY
+
+DDR, DDT, ZEMAX, CSV, RAYSET = BUILT_IN
+AXES = np.array([0.0, 60.0, 90.0]), np.array([0.0, 90.0, 180.0]), np.array([0.0, 45.0, 180.0])
+
+
+def table(**changes: Any) -> BsdfTable:
+    values = np.linspace(0.1, 0.3, 27).reshape(1, 1, 3, 3, 3)
+    return replace(BsdfTable(*AXES, values, comments=("a note",)), **changes)
+
+
+@pytest.fixture
+def clean() -> Iterator[None]:
+    """Formats of other packages are looked for again, before and after."""
+    registry._plug_ins.cache_clear()
+    yield
+    registry._plug_ins.cache_clear()
+
+
+# ---- recognition ----
+
+
+@pytest.mark.parametrize("suffix", ["", ".txt", ".bsdf", ".ddr", ".csv", ".h5"])
+def test_a_table_is_read_by_its_content_whatever_its_suffix(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"table{suffix}"
+    ZEMAX.load().write(path, table())
+    np.testing.assert_allclose(registry.read(path, Holds.GRID).values, table().values, rtol=1e-8)
+
+
+def test_the_suffix_distinguishes_reflected_and_transmitted_light(tmp_path: Path) -> None:
+    for each in (DDR, DDT):
+        path = tmp_path / f"table{each.suffixes[0].upper()}"
+        each.load().write(path, table())
+        assert registry.recognise(path, Holds.GRID) is each
+        assert registry.read(path, Holds.GRID).transmitted == (each is DDT)
+    lost = path.rename(tmp_path / "table.bsdf")
+    with pytest.raises(FormatError, match=r"its content is that of ddr \(\.ddr\) or ddt \(\.ddt\), .* rename the file"):
+        registry.read(lost, Holds.GRID)
+
+
+def test_a_file_of_another_kind_is_refused_with_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "table.ddr"
+    CSV.load().write(path, PointStream(["a comment"], [{"theta_deg": [1.0, 2.0], "flags": ["", "dead"]}]))
+    with pytest.raises(FormatError, match=r"it is a csv file, which does not hold a grid .*; give ddr \(\.ddr\), ddt"):
+        registry.read(path, Holds.GRID)
+    with pytest.raises(FormatError, match=r"does not hold rays of a light source; give rayset \(\.h5, \.hdf5\)"):
+        registry.read(path, Holds.RAYS)
+    points: Points = registry.read(path, Holds.POINTS)
+    assert points.columns["flags"].tolist() == ["", "dead"]
+    unknown = tmp_path / "a.xyz"
+    unknown.write_text("1 2 3\n", encoding="utf-8")
+    with pytest.raises(FormatError, match="neither its content nor its suffix is of a known format; give ddr"):
+        registry.read(unknown, Holds.GRID)
+
+
+def test_a_damaged_file_is_read_by_its_suffix_and_refused_with_its_fault(tmp_path: Path) -> None:
+    path = tmp_path / "a.ddr"
+    path.write_text("Sorce Measured\n", encoding="utf-8")
+    with pytest.raises(FormatError, match=r"line 1: 'Sorce' is not a keyword of a \.ddr file; did you mean Source"):
+        registry.read(path, Holds.GRID)
+
+
+def test_long_comments_at_the_top_do_not_hide_the_content(tmp_path: Path) -> None:
+    for each, path in ((DDR, tmp_path / "a.ddr"), (ZEMAX, tmp_path / "b.txt"), (CSV, tmp_path / "c.txt")):
+        comments = tuple(f"range {k} of TypeSym, ScatterType, a,b,c" for k in range(3000))
+        if each is CSV:
+            each.load().write(path, PointStream(comments, [{"a": [1.0], "b": [2.0]}]))
+        else:
+            each.load().write(path, table(comments=comments))
+        with path.open("rb") as file:
+            head = file.read(registry.HEAD_BYTES)
+        assert [found.name for found in BUILT_IN if found.load().recognise(head)] == {
+            DDR: ["ddr", "ddt"], ZEMAX: ["zemax"], CSV: ["csv"],
+        }[each]  # fmt: skip
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=300))
+def test_recognition_never_raises(head: bytes) -> None:
+    for each in BUILT_IN:
+        assert each.load().recognise(head) in (True, False)
+
+
+# ---- round trips ----
+
+grids = st.tuples(
+    st.lists(st.integers(0, 900), min_size=1, max_size=4, unique=True).map(sorted),
+    st.sampled_from([(0, 1800), (0, 900, 1800), (0, 900, 3600)]),
+    st.lists(st.integers(0, 1800), min_size=1, max_size=4, unique=True).map(sorted),
+    st.sampled_from([None, (450.0,), (450.0, 650.5)]),
+    st.integers(0, 2**32 - 1),
+)
+
+
+@settings(deadline=None)
+@given(grids, st.booleans(), st.booleans())
+def test_a_table_is_read_as_it_was_written(
+    tmp_path_factory: pytest.TempPathFactory,
+    grid: tuple[list[int], tuple[int, ...], list[int], tuple[float, ...] | None, int],
+    transmitted: bool,
+    generated: bool,
+) -> None:
+    sigma, phi, theta = (np.array(tenths) / 10.0 for tenths in grid[:3])
+    wavelengths, seed = grid[3:]
+    shape = len(wavelengths or (None,)), 1, sigma.size, phi.size, theta.size
+    values = np.random.default_rng(seed).random(shape) * 10.0 ** np.random.default_rng(seed + 1).integers(-9, 3)
+    written = BsdfTable(
+        sigma, phi, theta, values, wavelengths, transmitted=transmitted, generated=generated, comments=("ein µ",)
+    )
+    folder = tmp_path_factory.mktemp("tables")
+    for each in registry.writers(Holds.GRID):
+        if not registry.table_needs(written) <= each.holds:
+            with pytest.raises(FormatError, match=f"a {each.name} file does not hold"):
+                registry.write_table(folder / "a", written, each)
+            continue
+        path = folder / f"a{each.suffixes[0]}"
+        assert registry.write_table(path, written, each) == (path,)
+        found: BsdfTable = registry.read(path, Holds.GRID)
+        for name in ("sigma_deg", "phi_deg", "theta_deg", "psi_deg"):
+            np.testing.assert_allclose(getattr(found, name), getattr(written, name), rtol=1e-8)
+        np.testing.assert_allclose(found.values, written.values, rtol=1e-8)
+        assert (found.transmitted, found.generated) == (transmitted, generated)
+        assert found.wavelengths_nm == (wavelengths if Holds.WAVELENGTHS in each.holds else None)
+
+
+def test_uncertainties_are_in_a_second_file_of_the_same_grid(tmp_path: Path) -> None:
+    given = table(u=0.1 * table().values)
+    for each in (DDR, ZEMAX):
+        path = tmp_path / f"my.paint{each.suffixes[0]}"
+        files = registry.write_table(path, given, each)
+        assert files == (path, tmp_path / f"my.paint.u{each.suffixes[0]}")
+        values, u = (registry.read(file, Holds.GRID) for file in files)
+        np.testing.assert_allclose(u.values, 0.1 * values.values, rtol=1e-8)
+        for name in ("sigma_deg", "phi_deg", "theta_deg"):
+            assert np.array_equal(getattr(u, name), getattr(values, name))
+        assert any(f"in my.paint.u{each.suffixes[0]}" in line for line in values.comments)
+
+
+def test_the_total_scatter_of_a_lambertian_table_is_its_reflectance(tmp_path: Path) -> None:
+    axes = np.array([0.0, 30.0, 60.0]), np.arange(0.0, 181.0, 2.0), np.arange(0.0, 181.0, 1.0)
+    flat = BsdfTable(*axes, np.full((1, 1, 3, 91, 181), 0.5 / np.pi))
+    path = tmp_path / "a.bsdf"
+    ZEMAX.load().write(path, flat)
+    found = [float(each) for each in re.findall(r"TIS\s+(\S+)", path.read_text(encoding="utf-8"))]
+    np.testing.assert_allclose(found, 0.5, rtol=1e-3)  # of the trapezoidal rule
+
+
+# ---- what formats hold ----
+
+
+def test_a_file_name_gives_the_format_and_a_refusal_names_the_others(tmp_path: Path) -> None:
+    assert registry.format_for(tmp_path / "A.DDR", {Holds.GRID}) is DDR
+    with pytest.raises(FormatError, match=r"the format is unknown; give a name that ends with \.ddr, \.ddt, \.bsdf or \.csv$"):
+        registry.format_for(tmp_path / "a.txt", {Holds.GRID, Holds.POINTS})
+    with pytest.raises(FormatError, match=r"a rayset file is not written here; give .* \.ddr, \.ddt or \.bsdf$"):
+        registry.format_for(tmp_path / "a.h5", {Holds.GRID})
+    with pytest.raises(FormatError, match=r"a zemax file does not hold several wavelengths; use ddr \(\.ddr\), ddt .* or csv"):
+        registry.format_for(tmp_path / "a.bsdf", {Holds.GRID}, {Holds.WAVELENGTHS})
+
+
+def test_an_impossible_format_is_refused() -> None:
+    for change in (
+        {"name": "two words"}, {"suffixes": ()}, {"suffixes": ("DDR",)}, {"holds": frozenset({Holds.FLAGS})}, {"holds": KINDS},
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=r"format '.*': "):
+            replace(DDR, **change)
+    with pytest.raises(ValueError, match="there is a format 'ddr' already"):
+        registry.register(replace(DDR, title="another"))
+
+
+def test_the_page_on_formats_has_what_each_format_holds() -> None:
+    text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
+    heading, body = rows[0], {row[0]: row[1:] for row in rows[2:]}
+    assert heading[1:] == [each.name for each in BUILT_IN]
+    assert body.pop("suffix") == [", ".join(each.suffixes) for each in BUILT_IN]
+    assert body == {str(holds): ["yes" if holds in each.holds else "" for each in BUILT_IN] for holds in Holds}
+
+
+# ---- formats of other packages ----
+
+
+def install(folder: Path, name: str, code: str) -> None:
+    """A package with a module and an entry point of the group, as an installer leaves it."""
+    (folder / f"{name}.py").write_text(code, encoding="utf-8")
+    about = folder / f"{name}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", encoding="utf-8")
+    (about / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{name} = {name}:FORMATS\n", encoding="utf-8")
+
+
+@pytest.mark.usefixtures("clean")
+def test_an_installed_package_offers_formats_and_a_faulty_one_does_not_stop_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = """
+from goniotwin.app.formats.registry import BUILT_IN
+from dataclasses import replace
+FORMATS = (replace(BUILT_IN[0], name="mine", suffixes=(".mine",)),)
+"""
+    for name, text in (
+        ("good_tables", code), ("bad_tables", "raise OSError('no licence')"), ("odd_tables", "FORMATS = 3"),
+        ("same_tables", code.replace('"mine"', '"ddr"')),
+    ):  # fmt: skip
+        install(tmp_path, name, text)
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert [each.name for each in registry.formats()] == [*(each.name for each in BUILT_IN), "mine"]
+    with pytest.raises(FormatError) as refused:
+        registry.format_named("theirs", KINDS)
+    for fault in (
+        "bad_tables of the package bad_tables cannot be used: no licence", "it is a int, not a Format",
+        "there is a format 'ddr' already", "give ddr, ddt, zemax, csv, rayset or mine",
+    ):  # fmt: skip
+        assert fault in str(refused.value)
+
+
+def test_the_content_decides_between_formats_that_share_a_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Other:
+        """Another format with the suffix .bsdf, as there are several in the field."""
+
+        def recognise(self, head: bytes) -> bool:
+            return head.startswith(b"tensor_file")
+
+        def read(self, path: Path) -> BsdfTable:
+            return table(comments=("other",))
+
+        def write(self, path: Path, content: Any) -> None:
+            raise NotImplementedError
+
+    other = Format("other", "another .bsdf", (".bsdf",), frozenset({Holds.GRID}), Other(), writes=False)
+    monkeypatch.setattr(registry, "_registered", [other])
+    path = tmp_path / "a.bsdf"
+    path.write_bytes(b"tensor_file\0\1\0")
+    assert registry.read(path, Holds.GRID).comments == ("other",)
+    ZEMAX.load().write(path, table())
+    assert registry.read(path, Holds.GRID).comments != ("other",)
+    assert registry.format_for(path, {Holds.GRID}) is ZEMAX
+    with pytest.raises(FormatError, match="other is only read; use ddr"):
+        registry.check_holds(path, other, {Holds.GRID})
+
+
+def test_a_format_that_cannot_be_loaded_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = Format("lost", "a table without its module", (".lost",), frozenset({Holds.GRID}), "no_such_package.tables")
+    monkeypatch.setattr(registry, "_registered", [lost])
+    path = tmp_path / "a.txt"
+    ZEMAX.load().write(path, table())
+    assert registry.recognise(path, Holds.GRID) is ZEMAX
+    path = tmp_path / "a.lost"
+    path.write_text("1 2 3", encoding="utf-8")
+    with pytest.raises(
+        FormatError, match=r"format 'lost': its codec cannot be loaded \(No module .*; correct its installation"
+    ):
+        registry.read(path, Holds.GRID)
+
+
+@pytest.mark.parametrize(
+    ("code", "fault"),
+    [
+        ("def recognise(head:", "was never closed"),
+        ("x = undefined", "name 'undefined' is not"),
+        ("raise OSError('no licence')", "no licence"),
+    ],
+)
+def test_a_codec_with_a_fault_of_its_own_stops_no_other(
+    code: str, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "faulty_codec.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    faulty = Format("faulty", "a format of the test", (".faulty",), frozenset({Holds.GRID}), "faulty_codec")
+    monkeypatch.setattr(registry, "_registered", [faulty])
+    path = tmp_path / "a.txt"
+    ZEMAX.load().write(path, table())
+    assert registry.recognise(path, Holds.GRID) is ZEMAX
+    for ask in (faulty.load, lambda: registry.check_files(tmp_path / "b.faulty", faulty)):
+        with pytest.raises(FormatError, match=f"format 'faulty': its codec cannot be loaded .*{fault}"):
+            ask()
+
+
+def test_a_codec_that_fails_is_named_and_no_file_is_blamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Faulty:
+        """A codec that keeps to none of the rules."""
+
+        def recognise(self, head: bytes) -> bool:
+            raise ValueError("no head")
+
+        def read(self, path: Path) -> Any:
+            return {"values": 1}
+
+        def write(self, path: Path, content: Any) -> None:
+            raise KeyError("abc")
+
+    faulty = Format(
+        "faulty", "a format of the test", (".faulty",), frozenset({Holds.GRID, Holds.REFLECTED, Holds.SIGMAS}), Faulty()
+    )
+    monkeypatch.setattr(registry, "_registered", [faulty])
+    path = tmp_path / "a.ddr"
+    DDR.load().write(path, table())
+    assert registry.recognise(path, Holds.GRID) is DDR
+    own = path.rename(tmp_path / "a.faulty")
+    own.write_text("1 2 3", encoding="utf-8")
+    with pytest.raises(
+        FormatError, match=r"the codec of the format faulty failed \(TypeError: it read a dict, not BsdfTable\)"
+    ):
+        registry.read(own, Holds.GRID)
+    for written in (table(), table(u=table().values)):
+        with pytest.raises(
+            FormatError, match=r"b\..*faulty: the codec of the format faulty failed \(KeyError: 'abc'\); correct"
+        ):
+            registry.write_table(tmp_path / "b.faulty", written, faulty)

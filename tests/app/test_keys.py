@@ -1,0 +1,250 @@
+"""The keys of rig file and schedule: each is declared once, and JSON Schema comes from the same declarations."""
+
+import copy
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from datetime import date
+from importlib import import_module
+from inspect import signature
+from pathlib import Path
+from pkgutil import walk_packages
+from types import ModuleType
+from typing import Any, get_args
+
+import pytest
+from jsonschema import Draft202012Validator
+from pydantic import BaseModel, TypeAdapter
+from typer.testing import CliRunner
+
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.cli.main import app
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import AXES, kinds, open_rig, read_rig, rig_file_table, twin_file
+from goniotwin.app.rig import file as rig_file
+from goniotwin.app.rig.kinds import register, unregister
+from goniotwin.app.toml_file import json_schema, validate_table
+from goniotwin.drivers import Homing
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import optics
+from goniotwin.twin.plant import Parts
+from tests.conftest import REPOSITORY, RIG, SCHEDULE
+from tests.system.another_make.driver import ESP
+
+FILES: dict[str, Any] = {"rig": rig_file_table(), "schedule": ScheduleFile}
+SCHEMAS = {kind: json_schema(table, kind) for kind, table in FILES.items()}
+EXAMPLES = [(kind, path) for kind in FILES for path in sorted((REPOSITORY / "examples" / f"{kind}s").glob("*.toml"))]
+
+
+def as_json(content: Any) -> Any:
+    """The content of a TOML file with dates as texts, as JSON has them."""
+    return json.loads(json.dumps(content, default=date.isoformat))
+
+
+def blocks(document: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The TOML blocks of a document that are parts of our files, each with the rest of an example: kind and content."""
+    text = (REPOSITORY / "docs" / document).read_text(encoding="utf-8")
+    for content in map(tomllib.loads, re.findall(r"```toml\n(.*?)```", text, re.DOTALL)):
+        if "project" not in content:
+            kind, base = ("rig", RIG) if content.keys() & {"axes", "monochromator"} else ("schedule", SCHEDULE)
+            whole = tomllib.loads(base.read_text(encoding="utf-8"))
+            for key, value in content.items():
+                whole[key] = {**whole.get(key, {}), **value} if isinstance(value, dict) else value
+            yield kind, whole
+
+
+def contents() -> list[tuple[str, dict[str, Any]]]:
+    return [(kind, tomllib.loads(path.read_text(encoding="utf-8"))) for kind, path in EXAMPLES] + list(blocks("measuring.md"))
+
+
+def tables(content: Any) -> Iterator[dict[str, Any]]:
+    """All tables in a file's content."""
+    if isinstance(content, dict):
+        yield content
+    for part in content.values() if isinstance(content, dict) else content if isinstance(content, list) else ():
+        yield from tables(part)
+
+
+def test_the_schemas_are_json_schema_2020_12_with_descriptions() -> None:
+    for schema in SCHEMAS.values():
+        Draft202012Validator.check_schema(schema)
+        assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+        assert all(each["description"] and each["additionalProperties"] is False for each in schema["$defs"].values())
+        for each in (schema, *schema["$defs"].values()):
+            assert [key for key, value in each["properties"].items() if "description" not in value] == [], each["title"]
+    axis = SCHEMAS["rig"]["$defs"]["AxisSettings"]["properties"]["gear"]
+    assert axis == {"type": "number", "exclusiveMinimum": 0, "description": axis["description"]}
+    assert "motor turns per turn of the axis" in axis["description"]
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_the_command_prints_the_schema_or_writes_it(kind: str, tmp_path: Path) -> None:
+    written = tmp_path / "schema.json"
+    printed = CliRunner().invoke(app, ["schema", kind])
+    assert CliRunner().invoke(app, ["schema", kind, "--out", str(written)]).output == ""
+    assert printed.stdout == written.read_text(encoding="utf-8")
+    assert json.loads(printed.stdout) == {**SCHEMAS[kind], "title": f"goniotwin {kind} file"}
+    refused = CliRunner().invoke(app, ["schema", kind, "--out", str(tmp_path / "nowhere" / "schema.json")])
+    assert isinstance(refused.exception, UserError)
+    assert "cannot be written" in str(refused.exception)
+
+
+def test_every_key_of_the_examples_and_documents_validates() -> None:
+    found = contents()
+    assert [kind for kind, _ in found] == ["rig"] * 2 + ["schedule"] * 6 + ["schedule", "rig"]
+    for kind, content in found:
+        Draft202012Validator(SCHEMAS[kind]).validate(as_json(content))
+        validate_table(FILES[kind], content, kind)
+
+
+def test_an_unknown_key_validates_in_no_table_of_them() -> None:
+    refused = 0
+    for kind, content in contents():
+        for index, table in enumerate(tables(content)):
+            if table is content.get("twin", {}).get("samples") or table is content.get("twin", {}).get("deviations"):
+                continue  # its keys are names
+            spoiled = copy.deepcopy(content)
+            next(each for k, each in enumerate(tables(spoiled)) if k == index)["unknown_key"] = 1
+            assert not Draft202012Validator(SCHEMAS[kind]).is_valid(as_json(spoiled))
+            with pytest.raises(UserError, match="unknown_key: there is no such key"):
+                validate_table(FILES[kind], spoiled, kind)
+            refused += 1
+    assert refused > 100  # some thirty in each rig file
+
+
+def test_the_schema_has_the_tables_of_a_registered_kind_as_long_as_it_is_registered() -> None:
+    [(_, content)] = blocks("adding-a-device.md")
+    register(ESP)
+    try:
+        table = rig_file_table()
+        schema = Draft202012Validator(json_schema(table, "rig"))
+        schema.validate(as_json(content))
+        content["axes"]["shift"]["unknown_key"] = 1
+        assert not schema.is_valid(as_json(content))
+        del content["axes"]["shift"]["unknown_key"]
+    finally:
+        unregister(ESP)
+    assert not Draft202012Validator(json_schema(rig_file_table(), "rig")).is_valid(as_json(content))
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        ("rig", {"twin": {"light": {"band_nm": 5.0}}}),
+        ("rig", {"twin": {"optics": {"pupil_to_mirror_mm": 200.0}}}),
+        ("rig", {"twin": {"optics": {"kind": "fast"}}}),
+        ("rig", {"twin": {"electronics": {"temperature_k": 300.0}}}),
+        ("rig", {"axes": {"gamma": {"microstep_exponent": 8}}}),
+        ("rig", {"geometry": {"obstruction": True}}),
+    ],
+)  # fmt: skip
+def test_what_is_in_the_model_and_no_key_of_the_file_is_refused_by_both(kind: str, change: dict[str, Any]) -> None:
+    content = tomllib.loads(RIG.read_text(encoding="utf-8"))
+    here, part = content, change
+    while isinstance(value := next(iter(part.values())), dict):
+        here, part = here.setdefault(next(iter(part)), {}), value
+    assert Draft202012Validator(SCHEMAS[kind]).is_valid(as_json(content))
+    here |= part
+    assert not Draft202012Validator(SCHEMAS[kind]).is_valid(as_json(content))
+    with pytest.raises(UserError, match=f"{next(iter(part))}: there is no such key"):
+        validate_table(FILES["rig"], content, "rig")
+
+
+def test_drivers_and_twin_use_the_tables_themselves() -> None:
+    description = read_rig(RIG)
+    file, model = description.file, description.model()
+    assert model is not None
+    assert file.twin is not None
+    with open_rig(description, VirtualClock()) as opened:
+        assert all(opened.rig.axes[name].settings is getattr(file.axes, name) for name in AXES)
+        assert opened.rig.monochromator.settings is file.monochromator
+        assert opened.rig.photodiodes.settings is file.photodiodes
+        assert opened.rig.monitor.settings is file.monitor
+    assert all(model.axes[name] is getattr(file.twin.axes, name) for name in AXES)
+    assert all(getattr(model, each.name) is getattr(file.twin, each.name) for each in fields(Parts))
+
+
+# ---- keys that are declared twice ----
+
+USED_IN = {
+    "axes": "drivers.motion", "monochromator": "drivers.monochromator", "photodiodes": "drivers.photodiodes",
+    "monitor": "drivers.monitor", "geometry": "twin.optics.geometry", "twin": "twin",
+}  # fmt: skip
+"""By table of the rig file, the package whose dataclasses its values become."""
+
+
+def tables_in(node: Any, definitions: dict[str, Any]) -> set[type]:
+    """Dataclasses and models in a part of pydantic's schema."""
+    found: set[type] = set()
+    if isinstance(node, dict):
+        if node.get("type") == "definition-ref":
+            return tables_in(definitions[node["schema_ref"]], definitions)
+        found |= {node["cls"]} if node.get("type") in ("dataclass", "model") else set()
+    for each in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        found |= tables_in(each, definitions)
+    return found
+
+
+def dataclasses_in(package: str) -> set[type]:
+    """The dataclasses of a package."""
+    root = import_module(f"goniotwin.{package}")
+    modules = [import_module(each.name) for each in walk_packages(root.__path__, f"{root.__name__}.")]
+    return {each for module in modules for each in vars(module).values() if isinstance(each, type) and is_dataclass(each)}
+
+
+def has_tables(hint: Any) -> bool:
+    """True for the type of a key whose value is a table, or has tables."""
+    model = isinstance(hint, type) and issubclass(hint, BaseModel)
+    return model or is_dataclass(hint) or any(has_tables(each) for each in get_args(hint))
+
+
+def declared_twice(tables: set[type], used: set[type]) -> list[str]:
+    """The keys that a table declares itself, and that a dataclass which it does not extend declares as well."""
+    found = []
+    for table in tables:
+        own = {name for name, hint in vars(table).get("__annotations__", {}).items() if not has_tables(hint)}
+        for other in used - set(table.__mro__):
+            found += [
+                f"{table.__name__}.{key} and {other.__name__}.{key}" for key in own & {each.name for each in fields(other)}
+            ]
+    return found
+
+
+def test_no_key_of_the_rig_file_is_declared_twice() -> None:
+    schema: Any = TypeAdapter(FILES["rig"]).core_schema
+    definitions = {each["ref"]: each for each in schema["definitions"]}
+    sections = {each["name"]: tables_in(each, definitions) for each in schema["schema"]["schema"]["fields"]}
+    for section, package in USED_IN.items():
+        own = {each for each in sections[section] if each.__module__ in (rig_file.__name__, twin_file.__name__, kinds.__name__)}
+        assert own
+        assert declared_twice(own, dataclasses_in(package)) == []
+
+
+@pytest.mark.parametrize("name", ["lambertian", "gaussian", "regular"])
+def test_the_keys_of_a_sample_are_the_arguments_of_its_function_with_their_defaults(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With other defaults of the function the table, made again, has them too."""
+    function: Any = getattr(optics, name)
+    arguments = signature(function).parameters
+    monkeypatch.setattr(function, "__defaults__", tuple(f"default {k}" for k in range(len(function.__defaults__))))
+    source = (REPOSITORY / "app" / "rig" / "samples.py").read_text(encoding="utf-8")
+    changed = ModuleType("changed")
+    monkeypatch.setitem(sys.modules, "changed", changed)
+    exec(compile(source, "samples.py", "exec", dont_inherit=True), vars(changed))
+    keys = {key: field.default for key, field in changed.MODELS[name].model_fields.items() if key != "model"}
+    assert keys.keys() == arguments.keys()
+    expected = {key: each.default for key, each in signature(function).parameters.items() if each.default is not each.empty}
+    assert {key: value for key, value in keys.items() if key in expected} == expected
+
+
+def test_a_second_declaration_is_found() -> None:
+    @dataclass
+    class Copy:
+        gear: float
+        homing: Homing
+
+    assert declared_twice({Copy}, dataclasses_in("drivers.motion")) == ["Copy.gear and AxisSettings.gear"]
