@@ -31,6 +31,8 @@ NAME = "monochromator"
 REPLY_S = 1.0
 QUIET_S = 0.1
 LONGEST_REPLY_S = 3.0
+MOST_READS = 64
+"""Reads of MAX_LINE bytes in one go. A line of 9600 Bd sends that much in 17 s."""
 EVENTS_KEPT = 100
 CHECK_LINE = "check cable and baud rate"
 
@@ -139,17 +141,21 @@ class CornerstoneLine:
     def line(self, statement: Statement, seconds: float = REPLY_S) -> bytes:
         """Wait for the next line. Raises NoAnswer."""
         deadline = self._clock.now() + seconds
+        over = False
         while not self._lines:
             left = deadline - self._clock.now()
-            if left <= 0.0 or not self._read(left, 1):
+            # A computer that is late reads once more: the reply may have been there in time.
+            if over or not self._read(max(left, 0.0), 1):
                 raise NoAnswer(NAME, str(statement), f"no line within {seconds:g} s", CHECK_LINE)
+            over = left <= 0.0
             self.receive()
         return self._lines.popleft()
 
     def receive(self) -> deque[bytes]:
-        """Lines received so far, without waiting."""
-        while self._read(0.0, MAX_LINE):
-            pass
+        """Lines received so far, without waiting: at most what a unit can send between two calls."""
+        for _ in range(MOST_READS):
+            if not self._read(0.0, MAX_LINE):
+                break
         return self._lines
 
     # ---- resynchronisation ----
@@ -221,10 +227,13 @@ class CornerstoneLine:
     def _until_quiet(self, statement: Statement) -> list[bytes]:
         """Lines received until QUIET_S without a byte. Raises BadAnswer if the unit does not stop sending."""
         deadline = self._clock.now() + LONGEST_REPLY_S
+        over = False
         while self._read(QUIET_S, 1):
-            self.receive()
-            if self._clock.now() > deadline:
+            if over:
                 raise BadAnswer(NAME, str(statement), "it does not stop sending", CHECK_LINE)
+            # Before the rest is read: a computer that is late finds all of the reply in one go, and nothing after it.
+            over = self._clock.now() > deadline
+            self.receive()
         lines = list(self._lines)
         self._lines.clear()
         return lines
