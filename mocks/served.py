@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,24 +15,34 @@ from goniotwin.mocks.serial_endpoints import SerialEndpoints, ptys_exist
 from goniotwin.mocks.usb_endpoints import UsbEndpoints
 from goniotwin.protocols.clock import RealClock
 from goniotwin.twin import TwinModel, VirtualRig
-from goniotwin.twin.devices import Cornerstone260, RtuStation, TmclLine
+from goniotwin.twin.devices import RtuStation, TmclLine
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.tmcl_line import IDLE_GAP_S
 from goniotwin.twin.rig import CONVERTER_LINE
 
-KINDS: dict[type, str] = {TmclLine: "tmcl", Cornerstone260: "cornerstone"}
 CONTROL = "control"
+
+
+class Wire(StrEnum):
+    """How the bytes of an endpoint travel."""
+
+    SERIAL = "serial"
+    MODBUS_TCP = "modbus-tcp"
+    MODBUS_RTU = "modbus-rtu"
+    USBIP = "usbip"
+    JSON = "json"
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Where a device can be reached: a path and the baud rate for a pseudo-terminal, host and port for TCP.
+    """Where a device can be reached: a path for a pseudo-terminal, host and port for TCP; a serial line has a baud rate.
 
     With the unit for Modbus. A USB device has its bus id on the USB/IP server that host and port name.
     """
 
     device: str
     kind: str
+    wire: Wire
     path: str | None = None
     baudrate: int | None = None
     host: str | None = None
@@ -69,7 +80,9 @@ class ServedRig:
         self._lines.start()
         if self._control is not None:
             self._control.start()
-            self._endpoints.append(Endpoint(CONTROL, "simulation control port", host=LOOPBACK, port=self._control.port))
+            self._endpoints.append(
+                Endpoint(CONTROL, "simulation control port", Wire.JSON, host=LOOPBACK, port=self._control.port)
+            )
 
     def stop(self) -> None:
         """Close all endpoints; release ports and names."""
@@ -87,18 +100,15 @@ class ServedRig:
             places: list[dict[str, Any]] = []
             if ptys_exist():
                 path = self._lines.add_pty(name, line, self._folder / name)
-                places.append({"path": str(path), "baudrate": device.baudrate})
+                places.append({"path": str(path)})
             places.append({"host": LOOPBACK, "port": self._lines.add_tcp(name, line)})
             for place in places:
+                place["baudrate"] = device.baudrate
                 if name == CONVERTER_LINE:
                     for module, each in self.rig.modbus.items():
-                        yield Endpoint(module, "adam-4117", **place, unit=each.unit)
+                        yield Endpoint(module, self.rig.kinds[module], Wire.MODBUS_RTU, **place, unit=each.unit)
                 else:
-                    yield Endpoint(name, self._kind(name, device), **place)
-
-    def _kind(self, name: str, device: SerialDevice) -> str:
-        further = self.rig.plant.model.devices.get(name)
-        return KINDS.get(type(device), name if further is None else further.kind)
+                    yield Endpoint(name, self.rig.kinds[name], Wire.SERIAL, **place)
 
     def _heard(self, name: str, device: SerialDevice) -> SerialDevice:
         """On an endpoint bytes come when the system brings them, so that a frame's end is a longer pause."""
@@ -116,11 +126,12 @@ class ServedRig:
             self._modules.add_tcp(name)
         self._modules.start()
         for name in names:
-            yield Endpoint(name, "adam-6017", host=LOOPBACK, port=self._modules.ports[name], unit=self.rig.modbus[name].unit)
+            port, unit = self._modules.ports[name], self.rig.modbus[name].unit
+            yield Endpoint(name, self.rig.kinds[name], Wire.MODBUS_TCP, host=LOOPBACK, port=port, unit=unit)
 
     def _on_usb(self) -> Iterator[Endpoint]:
         for name in list(self.rig.usb):
             self._wires.usb(name, partial(self._usb.unplug, name), partial(self._usb.replug, name))
         self._usb.start()
         for name, bus_id in self._usb.bus_ids.items():
-            yield Endpoint(name, "pm100d", host=LOOPBACK, port=self._usb.port, bus_id=bus_id)
+            yield Endpoint(name, self.rig.kinds[name], Wire.USBIP, host=LOOPBACK, port=self._usb.port, bus_id=bus_id)

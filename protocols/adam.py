@@ -9,7 +9,7 @@ shunt of the current ranges.
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -146,7 +146,8 @@ class Model:
 
 ADAM_6017 = Model("ADAM-6017", (0x6017, 0x0000), frozenset(RANGES), DIGITAL_OUTPUTS, serial=False, statistics=True)
 ADAM_4117 = Model("ADAM-4117", (0x4117, 0x0000), frozenset(RANGES), 0, serial=True, statistics=False)
-MODELS = {"adam-6017": ADAM_6017, "adam-4117": ADAM_4117}
+ModelName = Literal["adam-6017", "adam-4117"]
+MODELS: dict[ModelName, Model] = {"adam-6017": ADAM_6017, "adam-4117": ADAM_4117}
 
 
 def firmware(words: list[int]) -> str:

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock, RealClock
 from goniotwin.twin.devices import (
     Adam4117,
@@ -34,6 +35,8 @@ class VirtualRig:
     usb: dict[str, UsbTmcDevice] = field(default_factory=dict)
     lock: threading.RLock = field(default_factory=threading.RLock)
     """Held while bytes are brought to a device: all devices share one plant."""
+    kinds: dict[str, str] = field(default_factory=dict)
+    """By address: the make of the device, as the model names it."""
     modbus_wires: dict[str, Callable[[SerialDevice], SerialDevice]] = field(default_factory=dict)
     """By name of a Modbus TCP device: wrapper of the device's end of each new connection, before the in-process door."""
 
@@ -50,22 +53,24 @@ class VirtualRig:
             plant.warm_up()
         rig = cls(plant, clock)
         if model.controller_axes or not model.devices:
-            rig.serial[AXES] = TmclLine(plant)
-        rig.serial[MONOCHROMATOR] = Cornerstone260(plant)
+            rig._add(AXES, TmclLine(plant), model.controller.kind)
+        rig._add(MONOCHROMATOR, Cornerstone260(plant), "cornerstone")
         electronics = model.electronics
-        if electronics.module == "adam-4117":
-            modules = [Adam4117(plant, index, unit=index + 1) for index in range(plant.modules)]
-            rig.modbus = {CONVERTER.format(index): module for index, module in enumerate(modules)}
-            rig.serial[CONVERTER_LINE] = RtuStation([*modules], electronics.baudrate)
+        if adam.MODELS[electronics.module].serial:
+            modules: list[ConverterModule] = [Adam4117(plant, index, unit=index + 1) for index in range(plant.modules)]
+            rig._add(CONVERTER_LINE, RtuStation(modules, electronics.baudrate), electronics.module)
         else:
-            rig.modbus = {CONVERTER.format(index): Adam6017(plant, index) for index in range(plant.modules)}
-        rig.usb[MONITOR] = UsbTmcDevice(Pm100d(plant), model.monitor.latency_s)
+            modules = [Adam6017(plant, index) for index in range(plant.modules)]
+        for index, module in enumerate(modules):
+            rig._add(CONVERTER.format(index), module, electronics.module)
+        rig._add(MONITOR, UsbTmcDevice(Pm100d(plant), model.monitor.latency_s), "pm100d")
         for address, further in model.devices.items():
-            rig._add(address, further.build(plant))
+            rig._add(address, further.build(plant), further.kind)
         return rig
 
-    def _add(self, address: str, device: SerialDevice | ConverterModule | UsbTmcDevice) -> None:
-        """Add a device at an address, or replace the one there."""
+    def _add(self, address: str, device: SerialDevice | ConverterModule | UsbTmcDevice, kind: str) -> None:
+        """Add a device of a make at an address, or replace the one there."""
+        self.kinds[address] = kind
         if isinstance(device, UsbTmcDevice):
             self.usb[address] = device
         elif isinstance(device, ConverterModule):

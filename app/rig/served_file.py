@@ -8,7 +8,7 @@ import tomlkit
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import set_addresses
 from goniotwin.app.rig.opening import RigDescription
-from goniotwin.mocks.served import CONTROL, Endpoint
+from goniotwin.mocks.served import CONTROL, Endpoint, Wire
 
 FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start. SIMULATED."
 
@@ -39,14 +39,17 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
 
 def endpoint_address(endpoint: Endpoint) -> str:
     """The address of an endpoint in a rig file."""
-    if endpoint.bus_id is not None:
-        return f"usbip:{endpoint.host}:{endpoint.port}/{endpoint.bus_id}"
-    if endpoint.kind == "adam-6017":
-        return f"{endpoint.host}:{endpoint.port}"
-    port = endpoint.path if endpoint.path is not None else f"socket://{endpoint.host}:{endpoint.port}"
-    if endpoint.kind == "adam-4117":
-        return f"rtu:{port}?unit={endpoint.unit}&baudrate={endpoint.baudrate}"
-    return port
+    place = f"{endpoint.host}:{endpoint.port}"
+    port = endpoint.path if endpoint.path is not None else f"socket://{place}"
+    match endpoint.wire:
+        case Wire.USBIP:
+            return f"usbip:{place}/{endpoint.bus_id}"
+        case Wire.MODBUS_TCP:
+            return place
+        case Wire.MODBUS_RTU:
+            return f"rtu:{port}?unit={endpoint.unit}&baudrate={endpoint.baudrate}"
+        case _:
+            return port
 
 
 def check_served_rig(path: Path) -> None:

@@ -7,7 +7,7 @@ fixed gain, and the settings list only this one.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Gt, Le, MaxLen, MinLen
@@ -47,7 +47,7 @@ class PhotodiodeSettings:
     upper_deg: Annotated[tuple[PolarAngle, ...], MinLen(1)]
     lower_deg: tuple[PolarAngle, ...]
     gains_v_per_a: Annotated[tuple[Positive, ...], MinLen(1), MaxLen(4)]
-    kind: Literal["adam-6017", "adam-4117"]
+    kind: adam.ModelName
     gain_uncertainty: Fraction = 1.0e-3
     range_code: int = adam.PLUS_MINUS_10_V
     conversions_per_s: Positive = 100.0

@@ -22,6 +22,7 @@ from goniotwin.keys import (
     Share,
     WheelPosition,
 )
+from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument, SampleFrames, Scatterer
 from goniotwin.twin.optics.geometry.coordinates import TURN_DEG
 
@@ -125,7 +126,7 @@ class Electronics:
     temperature_k: float = field(default=300.0, metadata=NO_KEY)
     conversions_per_s: Literal[10, 100] = 100
     latency_s: float = field(default=4.0e-4, metadata=NO_KEY)
-    module: Literal["adam-6017", "adam-4117"] = "adam-6017"
+    module: adam.ModelName = "adam-6017"
     baudrate: Count = 9600
 
 

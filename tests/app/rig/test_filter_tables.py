@@ -13,7 +13,7 @@ from goniotwin.app.rig import parse_rig, read_rig
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.app.rig.served_file import served_rig
 from goniotwin.drivers import OrderFilter
-from goniotwin.mocks.served import Endpoint
+from goniotwin.mocks.served import Endpoint, Wire
 from goniotwin.twin.plant import OrderSorting, WheelFilter
 from tests.app.campaign.filter_rig import FILTERS, RIG_FILTERS, TWIN_FILTERS, second_order
 from tests.conftest import RIG, SMALL, Change, Writer, changed
@@ -129,8 +129,8 @@ def test_the_described_twin_has_the_filters_of_the_real_rigs_file() -> None:
 
 def test_a_served_rigs_file_keeps_the_operators_filters() -> None:
     rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (RIG_FILTERS, TWIN_FILTERS)), RIG.parent, "x")
-    ends = [Endpoint(f"adc-{k}", "adam-6017", host="127.0.0.1", port=5020 + k) for k in range(5)]
-    ends += [Endpoint(name, name, path=f"/dev/pts/{name}") for name in ("axes", "mono", "monitor")]
+    ends = [Endpoint(f"adc-{k}", "adam-6017", Wire.MODBUS_TCP, host="127.0.0.1", port=5020 + k) for k in range(5)]
+    ends += [Endpoint(name, name, Wire.SERIAL, path=f"/dev/pts/{name}") for name in ("axes", "mono", "monitor")]
     text = served_rig(rig, ends, 1.0)
     served = parse_rig(text, RIG.parent, "served")
     assert served.file.monochromator.filters == rig.file.monochromator.filters
