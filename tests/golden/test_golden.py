@@ -35,7 +35,7 @@ def test_every_schedule_of_the_examples_has_golden_plans() -> None:
 
 @pytest.mark.parametrize("name", contents.SIMULATIONS)
 def test_a_simulated_table_is_the_golden_one(name: str, tmp_path: Path) -> None:
-    check_table(contents.simulation_record(name, tmp_path), files.read("simulations")[name], name)
+    check_table(contents.simulation_record(name, tmp_path), files.read("simulations")[name], name, simulated=True)
 
 
 def test_the_noise_free_cells_of_table_3_are_the_golden_ones() -> None:

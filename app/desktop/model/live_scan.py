@@ -4,10 +4,11 @@ A scan is one half plane and the opposite one, at one sample, sigma, gamma and w
 journal's reduction, applied to the rows committed so far. These are kept here: a second connection to the journal could keep
 the run from closing it as a single file.
 
-The work for a row does not grow with the campaign: the shown scan is reduced, from signals that are kept as long as they are
-shown. A new dark reading changes every signal a little; they are computed again a few at a time. At the end of the run the
-values become those of the journal: the field of view from all half planes, and the calibration by overlaps, which needs every
-scan of the sample.
+The work for a row does not grow with the rows: the shown scan is reduced, from signals that are kept as long as they are
+shown. A new dark reading changes every signal a little; they are computed again a few at a time. It grows with the drift
+checks, which are all compared again after a dark reading (a thousand: a quarter of a second). At the end of the run the values
+become those of the journal: the field of view from all half planes, and the calibration by overlaps, which needs every scan of
+the sample.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
