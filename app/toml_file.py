@@ -82,15 +82,31 @@ def validate_table(table: type[Model], content: dict[str, Any], name: str) -> Mo
 
 
 def json_schema(table: Any, title: str) -> dict[str, Any]:
-    """JSON Schema (2020-12) of a file, with the docstrings of the tables as descriptions of tables and keys."""
+    """JSON Schema (2020-12) of a file, with the docstrings of the tables as descriptions of tables and keys.
+
+    A key has the sentences that name it. One that is a table has the first sentence of that table, and those that name it
+    only where another key is such a table too.
+    """
     schema = _FileSchema().generate(_reader(table)[0], mode="validation")
-    for each in (schema, *schema["$defs"].values()):
+    tables = (schema, *schema["$defs"].values())
+    for each in tables:
         each["description"] = " ".join(EXCEPTIONS.sub("", each["description"]).split())
+    for each in tables:
         sentences = SENTENCE_END.split(each["description"])
+        own = {key: _first_sentences(value, schema["$defs"]) for key, value in each["properties"].items()}
         for key, value in each["properties"].items():
-            if about := [sentence for sentence in sentences if f"`{key}`" in sentence]:
+            about = [sentence for sentence in sentences if f"`{key}`" in sentence]
+            if own[key]:
+                about = [*own[key], *(about if [*own.values()].count(own[key]) > 1 else ())]
+            if about:
                 value["description"] = " ".join(about)
     return {"$schema": _FileSchema.schema_dialect, **schema, "title": title}
+
+
+def _first_sentences(value: Any, tables: Any) -> list[str]:
+    """The first sentences of the tables that a key can be, each once; none for a key that is no table."""
+    names = [each["$ref"].rpartition("/")[2] for each in value.get("oneOf", [value]) if "$ref" in each]
+    return [*dict.fromkeys(SENTENCE_END.split(tables[name]["description"])[0] for name in names)]
 
 
 class _FileSchema(GenerateJsonSchema):

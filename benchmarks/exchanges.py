@@ -23,7 +23,16 @@ import usb.core
 from goniotwin.app.rig import parse_rig
 from goniotwin.app.rig.addresses import ModbusUnits
 from goniotwin.app.rig.file import axis_settings
-from goniotwin.drivers import AxisSettings, Monitor, Monochromator, TmclAxis, TmclModule, wait
+from goniotwin.drivers import (
+    AxisSettings,
+    Monitor,
+    MonitorSettings,
+    Monochromator,
+    MonochromatorSettings,
+    TmclAxis,
+    TmclModule,
+    wait,
+)
 from goniotwin.drivers.photodiodes.adam import AdamModule
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.protocols import adam
@@ -79,7 +88,9 @@ def axis(tap: Tap) -> Call:
 def cornerstone(tap: Tap) -> Call:
     """Wavelength of the monochromator."""
     bench = BenchmarkRig(tap)
-    monochromator = Monochromator(bench.serial("mono"), bench.file.monochromator, bench.clock, tap)
+    settings = bench.file.monochromator
+    assert isinstance(settings, MonochromatorSettings)
+    monochromator = Monochromator(bench.serial("mono"), settings, bench.clock, tap)
     monochromator.connect()
     return monochromator.wavelength_nm
 
@@ -106,7 +117,9 @@ def usbtmc(tap: Tap) -> Call:
     """A mean of 30 samples of a PM100D."""
     bench = BenchmarkRig(tap)
     backend = TwinUsbBackend(bench.virtual)
-    monitor = Monitor(lambda: usb.core.find(backend=backend), bench.file.monitor, bench.clock, tap)
+    settings = bench.file.monitor
+    assert isinstance(settings, MonitorSettings)
+    monitor = Monitor(lambda: usb.core.find(backend=backend), settings, bench.clock, tap)
     monitor.connect()
     return lambda: wait(bench.clock, [monitor.start_mean(MEAN_S)])
 

@@ -7,15 +7,16 @@ bytes on their wires.
 
 from goniotwin.drivers.device import Device, Pending, Poll, Until, wait
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
-from goniotwin.drivers.monitor.monitor import Monitor, MonitorSettings
+from goniotwin.drivers.monitor.monitor import Monitor, MonitorDescription, MonitorSettings
 from goniotwin.drivers.monochromator.monochromator import Monochromator
-from goniotwin.drivers.monochromator.settings import FilterWheel, MonochromatorSettings, OrderFilter
+from goniotwin.drivers.monochromator.settings import FilterWheel, MonochromatorDescription, MonochromatorSettings, OrderFilter
 from goniotwin.drivers.motion.axis import Axis, AxisDescription, check_limits
 from goniotwin.drivers.motion.clearance import ArcClearance
 from goniotwin.drivers.motion.controller import MotionController
 from goniotwin.drivers.motion.settings import AxisSettings, Homing
 from goniotwin.drivers.motion.tmcl import TmclAxis, TmclController, TmclModule
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray, PhotodiodeSettings
+from goniotwin.drivers.photodiodes.description import ConverterDescription, ConverterRange
 from goniotwin.drivers.rig import Rig
 from goniotwin.drivers.tap import Transcript
 
@@ -25,6 +26,8 @@ __all__ = [
     "AxisDescription",
     "AxisSettings",
     "BadAnswer",
+    "ConverterDescription",
+    "ConverterRange",
     "Device",
     "DeviceError",
     "FilterWheel",
@@ -32,8 +35,10 @@ __all__ = [
     "Homing",
     "LimitError",
     "Monitor",
+    "MonitorDescription",
     "MonitorSettings",
     "Monochromator",
+    "MonochromatorDescription",
     "MonochromatorSettings",
     "MotionController",
     "NoAnswer",

@@ -93,6 +93,15 @@ class Range:
         """The raw values that the converter gives for voltages."""
         return quantise(volts, self.low_v, self.lsb_v)
 
+    @property
+    def highest(self) -> int:
+        """The highest raw value."""
+        return FULL_SCALE
+
+    def saturated(self, counts: Counts) -> Flags:
+        """Raw counts at an end of the converter's range, shape of `counts`: they are bounds, not readings."""
+        return np.asarray((counts == 0) | (counts == FULL_SCALE))
+
     def shown(self, raw: float) -> float:
         """The number in the float registers: V, mV in the ranges below 1 V, mA in those of currents."""
         volts = self.volts(raw)
@@ -153,8 +162,3 @@ MODELS: dict[ModelName, Model] = {"adam-6017": ADAM_6017, "adam-4117": ADAM_4117
 def firmware(words: list[int]) -> str:
     """A firmware version as people write it: 0x0506 is 5.06."""
     return f"{words[0] >> 8:x}.{words[0] & 0xFF:02x}"
-
-
-def saturated(counts: Counts) -> Flags:
-    """Raw counts at an end of the converter's range, shape of `counts`: they are bounds, not readings."""
-    return np.asarray((counts == 0) | (counts == FULL_SCALE))

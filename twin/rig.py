@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock, RealClock
@@ -71,12 +72,11 @@ class VirtualRig:
     def _add(self, address: str, device: SerialDevice | ConverterModule | UsbTmcDevice, kind: str) -> None:
         """Add a device of a make at an address, or replace the one there."""
         self.kinds[address] = kind
-        if isinstance(device, UsbTmcDevice):
-            self.usb[address] = device
-        elif isinstance(device, ConverterModule):
-            self.modbus[address] = device
-        else:
-            self.serial[address] = device
+        buses: list[dict[str, Any]] = [self.usb, self.modbus, self.serial]
+        bus = buses.pop(0 if isinstance(device, UsbTmcDevice) else 1 if isinstance(device, ConverterModule) else 2)
+        bus[address] = device
+        for other in buses:
+            other.pop(address, None)
 
     def mount(self, sample: str | None) -> None:
         """Mount a sample now (simulation control). Raises KeyError for a sample that is not in the model."""

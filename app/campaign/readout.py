@@ -12,7 +12,7 @@ import numpy as np
 
 from goniotwin.app.campaign.row import Row
 from goniotwin.arrays import Counts, Flags, Floats
-from goniotwin.protocols import adam
+from goniotwin.drivers import ConverterDescription, ConverterRange
 
 SATURATED = "saturated"
 """Flag of a row in which a photodiode is saturated at every gain."""
@@ -45,9 +45,9 @@ def shows_light(counts: Counts, dark: Floats) -> bool:
     return bool(np.any(np.abs(counts.mean(axis=0) - dark) >= LIGHT_THRESHOLD_STEPS))
 
 
-def saturation(counts: Counts) -> Flags:
-    """Flags of the photodiodes that are saturated in any of the readings (readings, photodiodes)."""
-    return np.asarray(np.any(adam.saturated(counts), axis=0))
+def saturation(counts: Counts, converter: ConverterRange) -> Flags:
+    """Flags of the photodiodes that are saturated in any of the readings (readings, photodiodes) of a converter."""
+    return np.asarray(np.any(converter.saturated(counts), axis=0))
 
 
 def gain_order(row: Row, current: int | None) -> tuple[int, ...]:
@@ -69,10 +69,11 @@ class GainSequence:
     at every gain so far; before the first reading all are flagged.
     """
 
-    def __init__(self, row: Row, photodiodes: int, current: int | None) -> None:
+    def __init__(self, row: Row, settings: ConverterDescription, current: int | None) -> None:
         self._row = row
         self._gains = gain_order(row, current)
-        self.saturated: Flags = np.ones(photodiodes, dtype=bool)
+        self.saturated: Flags = np.ones(settings.count, dtype=bool)
+        self._converter = settings.range
 
     def __iter__(self) -> Iterator[int]:
         for gain in self._gains:
@@ -82,7 +83,7 @@ class GainSequence:
 
     def add(self, counts: Counts) -> None:
         """Add the readings (readings, photodiodes) at the gain that was just yielded."""
-        self.saturated &= saturation(counts)
+        self.saturated &= saturation(counts, self._converter)
 
     @property
     def flags(self) -> tuple[str, ...]:
@@ -119,12 +120,12 @@ def readings_needed(counts: Counts, dark: Floats, selected: Flags, target: float
     return min(max(taken, math.ceil(float(reachable.max()))), MAX_GROWTH * taken) if reachable.size else taken
 
 
-def further_readings(row: Row, counts: Counts, dark: Floats, selected: Flags, period_s: float) -> int:
-    """Number of readings, `period_s` apart, that follow `counts` at one gain of a row; 0 at its end (see `readings_needed`)."""
+def further_readings(row: Row, counts: Counts, dark: Floats, selected: Flags, settings: ConverterDescription) -> int:
+    """Number of readings that follow `counts` at one gain of a row; 0 at its end (see `readings_needed`)."""
     if row.target is None:
         return 0
-    needed = readings_needed(counts, dark, selected & ~saturation(counts), row.target, max_readings(row, period_s))
-    return needed - len(counts)
+    unsaturated = selected & ~saturation(counts, settings.range)
+    return readings_needed(counts, dark, unsaturated, row.target, max_readings(row, settings.period_s)) - len(counts)
 
 
 @dataclass

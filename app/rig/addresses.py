@@ -33,6 +33,14 @@ MODBUS_TIMEOUT_S = 1.0
 BAUDRATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 
 
+class InvalidAddress(UserError):
+    """An address of a rig file that is not valid; its key is unknown here, and `open_rig` names it."""
+
+    def __init__(self, address: str, reason: str) -> None:
+        super().__init__(f"{address!r}: {reason}; correct it in the rig file")
+        self.address = address
+
+
 def canonical_address(address: str) -> str:
     """The canonical form of an address: links followed, host names resolved, the port given, the query removed.
 
@@ -87,7 +95,7 @@ class ModbusUnits:
             return self._on_line(port, unit, baudrate, address, _serial_opener(port, baudrate))
         host, number = host_and_port(address, MODBUS_PORT)
         if not host or not is_port(number) or "?" in address:
-            raise _invalid_address(address, "is neither HOST, HOST:PORT nor rtu:PORT?unit=N")
+            raise InvalidAddress(address, "is neither HOST, HOST:PORT nor rtu:PORT?unit=N")
         return ModbusUnit(ModbusBus(_tcp_opener(host, int(number))))
 
     @staticmethod
@@ -110,9 +118,9 @@ class ModbusUnits:
     def _on_line(self, port: str, unit: int, baudrate: int, address: str, opener: ModbusOpener) -> ModbusUnit:
         bus, line_baudrate, used = self._lines.setdefault(port, (ModbusBus(opener, rtu=True), baudrate, {}))
         if line_baudrate != baudrate:
-            raise _invalid_address(address, f"another unit on {port} has {line_baudrate} baud, and a line has one speed")
+            raise InvalidAddress(address, f"another unit on {port} has {line_baudrate} baud, and a line has one speed")
         if unit in used:
-            raise _invalid_address(address, f"{used[unit]} is unit {unit} of the same line")
+            raise InvalidAddress(address, f"{used[unit]} is unit {unit} of the same line")
         used[unit] = address
         return ModbusUnit(bus, unit)
 
@@ -121,22 +129,22 @@ def rtu_address(address: str) -> tuple[str, int, int]:
     """Port, unit and baud rate of `rtu:PORT?unit=N&baudrate=B`; the defaults are unit 1 and 9600 baud. Raises UserError."""
     port, _, query = address.removeprefix(RTU).partition("?")
     if not port or port.startswith(TWIN):
-        raise _invalid_address(address, "has no serial port")
+        raise InvalidAddress(address, "has no serial port")
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
     except ValueError:
-        raise _invalid_address(address, "the text after ? is not of the form unit=N&baudrate=B") from None
+        raise InvalidAddress(address, "the text after ? is not of the form unit=N&baudrate=B") from None
     settings = dict(pairs)
     if len(settings) < len(pairs):
-        raise _invalid_address(address, "has a setting twice")
+        raise InvalidAddress(address, "has a setting twice")
     if unknown := sorted(settings.keys() - {"unit", "baudrate"}):
-        raise _invalid_address(address, f"has the setting {', '.join(unknown)}, and only unit and baudrate are known")
+        raise InvalidAddress(address, f"has the setting {', '.join(unknown)}, and only unit and baudrate are known")
     unit = _whole_number(address, "unit", settings.get("unit", str(adam.UNIT)))
     baudrate = _whole_number(address, "baudrate", settings.get("baudrate", str(adam.BAUDRATE)))
     if not 1 <= unit <= adam.LAST_UNIT:
-        raise _invalid_address(address, f"unit is 1 to {adam.LAST_UNIT}, not {unit}")
+        raise InvalidAddress(address, f"unit is 1 to {adam.LAST_UNIT}, not {unit}")
     if baudrate not in BAUDRATES:
-        raise _invalid_address(address, f"baudrate is one of {', '.join(map(str, BAUDRATES))}, not {baudrate}")
+        raise InvalidAddress(address, f"baudrate is one of {', '.join(map(str, BAUDRATES))}, not {baudrate}")
     return port, unit, baudrate
 
 
@@ -145,19 +153,14 @@ def usbip_address(address: str) -> tuple[str, int, str]:
     place, _, bus_id = address.removeprefix(USBIP).partition("/")
     host, number = host_and_port(place, USBIP_PORT)
     if not host or not bus_id or not is_port(number):
-        wrong = f"monitor.usb: {address!r} is not usbip:HOST:PORT/BUSID, such as usbip:127.0.0.1:3240/1-1"
-        raise UserError(f"{wrong}; correct it in the rig file")
+        raise InvalidAddress(address, "is not usbip:HOST:PORT/BUSID, such as usbip:127.0.0.1:3240/1-1")
     return host, int(number), bus_id
 
 
 def _whole_number(address: str, name: str, text: str) -> int:
     if not (text.isascii() and text.isdecimal()):
-        raise _invalid_address(address, f"{name} is a whole number, not {text!r}")
+        raise InvalidAddress(address, f"{name} is a whole number, not {text!r}")
     return int(text)
-
-
-def _invalid_address(address: str, reason: str) -> UserError:
-    return UserError(f"photodiodes.units: {address!r}: {reason}; correct it in the rig file")
 
 
 def _tcp_opener(host: str, port: int) -> ModbusOpener:

@@ -16,7 +16,7 @@ from tomlkit.items import AbstractTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
 from goniotwin.app.rig.file import AXES, DEFAULT_KIND, RigFile, set_addresses
-from goniotwin.app.rig.kinds import OWN_KINDS, ROLES, device_kind
+from goniotwin.app.rig.kinds import OWN_KINDS, ROLES, MonitorTable, MonochromatorTable, PhotodiodesTable, device_kind
 from goniotwin.app.rig.opening import RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
 from goniotwin.drivers import AxisSettings
@@ -93,6 +93,7 @@ def _twin_table(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
         if kind not in OWN_KINDS:
             raise NoDescription(role, kind.name)
     drive = file.monochromator
+    assert isinstance(drive, MonochromatorTable)
     assumptions.append(
         "lamp, monitor, dark currents, noise of the amplifiers, exit pupil and reflectance of the mirrors are the defaults of "
         "the twin, because the file does not have them"
@@ -134,6 +135,7 @@ def _motion(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
 
 def _electronics(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
     table = file.photodiodes
+    assert isinstance(table, PhotodiodesTable)
     speed = min((10, 100), key=lambda known: abs(known - table.conversions_per_s))
     if speed != table.conversions_per_s:
         assumptions.append(f"the converters make {speed} conversions a second, the possible rate next to that of the file")
@@ -150,6 +152,8 @@ def _electronics(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
 
 def _set_twin_devices(document: tomlkit.TOMLDocument, file: RigFile, assumptions: list[str]) -> None:
     """Set the operator's part to the twin's kinds of devices, where it has only one: the drivers could not reach another."""
+    assert isinstance(file.monochromator, MonochromatorTable)
+    assert isinstance(file.monitor, MonitorTable)
     if file.monochromator.baudrate != MonochromatorDrive.baudrate:
         _table(document, "monochromator")["baudrate"] = MonochromatorDrive.baudrate
         assumptions.append(f"the monochromator's line has {MonochromatorDrive.baudrate} Bd, like the twin's")

@@ -11,17 +11,17 @@ from types import GenericAlias
 from typing import Annotated, Any, Literal, Union, get_args, get_type_hints
 
 from annotated_types import Ge, Le
-from pydantic import BeforeValidator, Discriminator, Tag, with_config
+from pydantic import BeforeValidator, Discriminator, Tag, WithJsonSchema, with_config
 
 from goniotwin.app.rig.addresses import TWIN
 from goniotwin.app.rig.kinds import (
     ROLES,
     DeviceKind,
     Kind,
-    MonitorTable,
-    MonochromatorTable,
+    MonitorEntry,
+    MonochromatorEntry,
     MotionKind,
-    PhotodiodesTable,
+    PhotodiodesEntry,
     Role,
     device_kind,
     kinds,
@@ -47,6 +47,8 @@ OWN_CONTROLLER = "An axis with a motion controller of its own: its `kind` and `p
 HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
 """The ideal diffuser has 1 in every direction; a broad lobe has somewhat more, and a lobe near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
+NO_TABLE = Annotated[dict[str, Any], WithJsonSchema({"not": {}})]
+"""A table of which there is no kind."""
 
 
 @dataclass(frozen=True)
@@ -201,9 +203,9 @@ class RigFile:
     name: str
     simulated: SimulatedTable | None = None
     axes: AxesTable
-    monochromator: MonochromatorTable
-    photodiodes: PhotodiodesTable
-    monitor: MonitorTable
+    monochromator: MonochromatorEntry
+    photodiodes: PhotodiodesEntry
+    monitor: MonitorEntry
     geometry: GeometryTable = field(default_factory=GeometryTable)
     sample_unit: SampleUnitTable = field(default_factory=SampleUnitTable)
     etalon: EtalonTable = field(default_factory=EtalonTable)
@@ -303,13 +305,13 @@ def _axes_table(kind: MotionKind, own: Mapping[str, type]) -> Any:
     """`[axes]` with a controller of a kind."""
     axes = {name: _axis_choice({SHARED: kind.axis}, own) for name in AXES}
     name_and_port = {"kind": Literal[kind.name], "port": str}
-    return _table("AxesTable", (AxesTable, kind.controller), kind.controller.__doc__, {**name_and_port, **axes})
+    return _table(f"AxesTable-{kind.name}", (AxesTable, kind.controller), AxesTable.__doc__, {**name_and_port, **axes})
 
 
 def _own_axis_table(kind: MotionKind) -> Any:
     """`[axes.NAME]` with a controller of its own."""
     name_and_port = {"kind": Literal[kind.name], "port": str}
-    return _table("OwnController", (kind.axis, kind.controller), OWN_CONTROLLER, name_and_port)
+    return _table(f"OwnController-{kind.name}", (kind.axis, kind.controller), OWN_CONTROLLER, name_and_port)
 
 
 def _table(name: str, bases: type | tuple[type, ...], text: str | None, types: Mapping[str, Any]) -> Any:
@@ -342,13 +344,13 @@ def _choice(role: Role | None, tables: Mapping[str, Any], kind_of: Callable[[Any
     """One of several tables, by the kind of a value."""
 
     def check(value: Any) -> Any:
-        if isinstance(value, dict) and ((kind := kind_of(value)) is not None or len(distinct) != 1) and kind not in [*tables]:
+        if isinstance(value, dict) and (kind := kind_of(value)) not in [*tables]:
             raise ValueError("kind: is missing; add it" if kind is None else f"kind: {unknown_kind(kind, role, tables)}")
         return value
 
     distinct = dict.fromkeys(tables.values())
     if len(distinct) < 2:
-        return Annotated[next(iter(distinct), dict[str, Any]), BeforeValidator(check)]
+        return Annotated[next(iter(distinct), NO_TABLE), BeforeValidator(check)]
     choices = tuple(Annotated[table, Tag(kind)] for kind, table in tables.items())
     return Annotated[Union[choices], Discriminator(kind_of), BeforeValidator(check)]  # noqa: UP007
 

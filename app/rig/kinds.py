@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 from annotated_types import MinLen
 
@@ -17,10 +17,13 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig.wires import Wires
 from goniotwin.drivers import (
     AxisSettings,
+    ConverterDescription,
     Device,
     Monitor,
+    MonitorDescription,
     MonitorSettings,
     Monochromator,
+    MonochromatorDescription,
     MonochromatorSettings,
     MotionController,
     PhotodiodeArray,
@@ -89,7 +92,8 @@ class MotionKind:
 class DeviceKind:
     """A make of another device. `table` has its key `kind` and its address; `open` makes the driver from the wires and it.
 
-    The driver has the methods of the first make: `Monochromator`, `PhotodiodeArray` or `Monitor`. `twins` are the tables of
+    The table is a `MonochromatorEntry`, a `PhotodiodesEntry` or a `MonitorEntry`, and the driver has the methods of the first
+    make: `Monochromator`, `PhotodiodeArray` or `Monitor`. `twins` are the tables of
     `[twin.devices.NAME]`, `probes` as in `MotionKind`.
     """
 
@@ -100,6 +104,33 @@ class DeviceKind:
     explain: Explain = as_text
     twins: tuple[type[DeviceModel], ...] = ()
     probes: tuple[Probe, ...] = ()
+
+
+class MonochromatorEntry(MonochromatorDescription, Protocol):
+    """The table of a monochromator of any `kind`; `port` is its address."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def port(self) -> str: ...
+
+
+class PhotodiodesEntry(ConverterDescription, Protocol):
+    """The table of photodiodes with converters of any `kind`; `units` are the addresses of the converters."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+
+
+class MonitorEntry(MonitorDescription, Protocol):
+    """The table of a monitor of any `kind`; `usb` is its address."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def usb(self) -> str: ...
 
 
 Kind = MotionKind | DeviceKind

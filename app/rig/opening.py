@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import TWIN, canonical_address
+from goniotwin.app.rig.addresses import TWIN, InvalidAddress, canonical_address
 from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table
 from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
 from goniotwin.app.rig.lock import RigLock
@@ -177,9 +177,14 @@ def _rig(description: RigDescription, wires: Wires) -> Rig:
             raise UserError(
                 f"{place}: {each.port} is the same line as {other.port} of {'.'.join(other.places[0])}; write both alike"
             )
-    controllers = tuple(each.kind.open(wires, each.name, each.table, each.axes) for each in file.axes.controllers)
+    try:
+        controllers = tuple(each.kind.open(wires, each.name, each.table, each.axes) for each in file.axes.controllers)
+        devices: dict[str, Any] = {role: _open(wires, role, getattr(file, role)) for role in ROLES[1:]}
+    except InvalidAddress as error:
+        places = [each.places[0] for each in file.devices if each.address == error.address]
+        keys = [f"{'.'.join(part for part in place if isinstance(part, str))}: " for place in places]
+        raise UserError(f"{description.name}: {''.join(keys[:1])}{error}") from None
     axes = {name: axis for controller in controllers for name, axis in controller.axes.items()}
-    devices: dict[str, Any] = {role: _open(wires, role, getattr(file, role)) for role in ROLES[1:]}
     return Rig(
         clock=wires.clock,
         controllers=controllers,

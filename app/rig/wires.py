@@ -6,8 +6,7 @@ from typing import Any
 import serial
 import usb.core
 
-from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import TWIN, USBIP, ModbusUnits, usbip_address
+from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, usbip_address
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
@@ -52,7 +51,7 @@ class Wires:
         return opener
 
     def modbus(self, file_address: str, device: str) -> ModbusUnit:
-        """The unit of an address, with its tap. Raises UserError with an address that is not valid."""
+        """The unit of an address, with its tap. Raises InvalidAddress."""
         unit = self._units.unit(self._in_this_process(file_address))
         unit.tap = self.tap(device, self._units.explain(unit))
         return unit
@@ -60,7 +59,7 @@ class Wires:
     def usb(self, file_address: str) -> UsbOpener:
         """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.
 
-        Raises UserError for another form.
+        Raises InvalidAddress for another form.
         """
         address = self._in_this_process(file_address)
         if address.startswith(TWIN):
@@ -79,8 +78,7 @@ class Wires:
         try:
             vendor, product = int(parts[0], 16), int(parts[1], 16)
         except (ValueError, IndexError):
-            wrong = f"monitor.usb: {address!r} is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID"
-            raise UserError(f"{wrong}; correct it in the rig file") from None
+            raise InvalidAddress(address, "is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID") from None
         serial_number = {"serial_number": parts[2]} if len(parts) > 2 else {}
 
         def opener() -> Any:

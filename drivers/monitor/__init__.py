@@ -3,6 +3,6 @@
 `Monitor` is the instrument, `MonitorMean` a mean in progress. Each family of instruments is a `Dialect`.
 """
 
-from goniotwin.drivers.monitor.monitor import DIALECTS, Dialect, Monitor, MonitorMean, MonitorSettings
+from goniotwin.drivers.monitor.monitor import DIALECTS, Dialect, Monitor, MonitorDescription, MonitorMean, MonitorSettings
 
-__all__ = ["DIALECTS", "Dialect", "Monitor", "MonitorMean", "MonitorSettings"]
+__all__ = ["DIALECTS", "Dialect", "Monitor", "MonitorDescription", "MonitorMean", "MonitorSettings"]

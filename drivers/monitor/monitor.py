@@ -15,7 +15,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 from goniotwin.drivers.device import Pending, Poll
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
@@ -88,6 +88,18 @@ B2980 = Dialect(
     before=("FORM ASC", "FORM:ELEM:SENS CURR", "INP ON"),
 )
 DIALECTS = {each.name: each for each in (PM100D, B2980)}
+
+
+class MonitorDescription(Protocol):
+    """A monitor of any make as its driver knows it without a wire: the operator's table of it.
+
+    `relative_uncertainty` is the standard one of a reading. A mean is read and checked `fetching_seconds` after its end.
+    """
+
+    @property
+    def relative_uncertainty(self) -> float: ...
+    @property
+    def fetching_seconds(self) -> float: ...
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,6 @@
 """
 
 from goniotwin.drivers.monochromator.monochromator import Monochromator
-from goniotwin.drivers.monochromator.settings import FilterWheel, MonochromatorSettings, OrderFilter
+from goniotwin.drivers.monochromator.settings import FilterWheel, MonochromatorDescription, MonochromatorSettings, OrderFilter
 
-__all__ = ["FilterWheel", "Monochromator", "MonochromatorSettings", "OrderFilter"]
+__all__ = ["FilterWheel", "Monochromator", "MonochromatorDescription", "MonochromatorSettings", "OrderFilter"]

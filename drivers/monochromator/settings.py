@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import numpy as np
 from annotated_types import MinLen
@@ -98,6 +98,26 @@ def refuse_repeated_positions(positions: Sequence[int]) -> None:
     for position in positions:
         if (count := positions.count(position)) > 1:
             raise ValueError(f"filters: position {position} is given {count} times; keep one, a position has one filter")
+
+
+class MonochromatorDescription(Protocol):
+    """A monochromator of any make as its driver knows it without a wire: the operator's table of it.
+
+    Wavelengths are from `lowest_nm` to `highest_nm`. A `wheel` without filters is never turned.
+    """
+
+    @property
+    def lowest_nm(self) -> float: ...
+    @property
+    def highest_nm(self) -> float: ...
+    @property
+    def wheel(self) -> FilterWheel: ...
+
+    def wavelength_seconds(self, start_nm: Floats, stop_nm: Floats) -> Floats:
+        """Seconds (n,) of changes from wavelengths (n,) to others; NaN is an unknown start."""
+
+    def shutter_seconds(self, *, opened: bool) -> float:
+        """Duration of opening or closing the shutter, s."""
 
 
 @dataclass(frozen=True)

@@ -256,7 +256,7 @@ class Readings:
     @property
     def saturated(self) -> Flags:
         """Counts at an end of the range, shape of `counts`; they are bounds, not readings."""
-        return adam.saturated(self.counts)
+        return self._settings.range.saturated(self.counts)
 
     def mean_volts(self) -> Floats:
         """Mean of the readings, V, shape (photodiodes,); NaN if one of them is saturated or none was taken."""

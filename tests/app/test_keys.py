@@ -130,6 +130,32 @@ def test_the_schema_has_the_tables_of_a_registered_kind_as_long_as_it_is_registe
     assert not Draft202012Validator(json_schema(rig_file_table(), "rig")).is_valid(as_json(content))
 
 
+def test_the_schema_refuses_a_twin_of_no_kind_and_of_none_that_is_registered() -> None:
+    schema = Draft202012Validator(SCHEMAS["rig"])
+    content = tomllib.loads(RIG.read_text(encoding="utf-8"))
+    content["axes"]["shift"] |= {"kind": "tmcl", "port": "twin://virtual/second"}
+    content["twin"]["controllers"] = {"second": {"kind": "tmcm-1240", "axes": ["shift"]}}
+    assert schema.is_valid(as_json(content))
+    del content["twin"]["controllers"]["second"]["kind"]
+    assert not schema.is_valid(as_json(content))
+    del content["twin"]["controllers"], content["axes"]["shift"]["kind"], content["axes"]["shift"]["port"]
+    assert schema.is_valid(as_json(content))
+    content["twin"]["devices"] = {"mono": {"kind": "nonsense", "unknown_key": 1}}
+    assert not schema.is_valid(as_json(content))
+
+
+def test_a_key_that_is_a_table_has_the_first_sentence_of_its_table() -> None:
+    schema = SCHEMAS["rig"]
+    described = {key: value["description"] for key, value in schema["properties"].items()}
+    assert described["monitor"] == "The monitor of this `kind`, at the address `usb`."
+    assert described["axes"] == "The axes and their motion controllers."
+    assert len(set(described.values())) == len(described)
+    gear = schema["$defs"]["AxesTable-tmcl"]["properties"]["beta"]["description"]
+    assert gear.startswith("The nominal properties of an axis. ")
+    assert "`beta` turns the arc" in gear
+    assert [name for name in schema["$defs"] if "goniotwin" in name] == []
+
+
 @pytest.mark.parametrize(
     ("kind", "change"),
     [
@@ -160,9 +186,8 @@ def test_drivers_and_twin_use_the_tables_themselves() -> None:
     assert file.twin is not None
     with open_rig(description, VirtualClock()) as opened:
         assert all(opened.rig.axes[name].settings is getattr(file.axes, name) for name in AXES)
-        assert opened.rig.monochromator.settings is file.monochromator
-        assert opened.rig.photodiodes.settings is file.photodiodes
-        assert opened.rig.monitor.settings is file.monitor
+        devices: list[Any] = [opened.rig.monochromator, opened.rig.photodiodes, opened.rig.monitor]
+        assert all(each.settings is getattr(file, each.name) for each in devices)
     assert all(model.axes[name] is getattr(file.twin.axes, name) for name in AXES)
     assert all(getattr(model, each.name) is getattr(file.twin, each.name) for each in fields(Parts))
 

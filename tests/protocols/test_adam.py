@@ -28,7 +28,7 @@ def test_a_voltage_is_kept_to_half_a_step_or_clipped(code: int, volts: float) ->
     if each.low_v <= volts <= each.high_v:
         assert abs(each.volts(raw) - volts) <= 0.5001 * each.lsb_v
     else:
-        assert adam.saturated(np.array([raw], dtype=np.uint16)).all()
+        assert each.saturated(np.array([raw], dtype=np.uint16)).all()
 
 
 def test_a_current_is_the_voltage_over_the_shunt() -> None:

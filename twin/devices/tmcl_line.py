@@ -3,11 +3,11 @@
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from goniotwin.protocols.tmcl import FRAME_BYTES, split
 from goniotwin.twin.devices.tmcm6214 import MotionModule, UnsolicitedReply
-from goniotwin.twin.plant import AxisController, Mechanics, Plant
+from goniotwin.twin.plant import AxisController, Mechanics, ModuleKind, Plant
 
 IDLE_GAP_S = 0.05
 
@@ -79,6 +79,7 @@ class TmclLine:
 class FurtherTmclLine(AxisController):
     """A TMCL line of its own for some of the axes, `axes`."""
 
+    kind: ModuleKind = field()  # without the default of the line that every rig has
     axes: tuple[str, ...]
 
     def build(self, plant: Plant) -> TmclLine:

@@ -217,6 +217,9 @@ class OrderSorting(SecondOrder):
         return orders
 
 
+ModuleKind = Literal["tmcm-6214", "tmcm-1240"]
+
+
 @dataclass(frozen=True)
 class AxisController:
     """Line of the motion modules: its `wire`, `baudrate` (without effect over USB) and `latency_s`, a module's response time.
@@ -227,7 +230,7 @@ class AxisController:
     respond to another address; over `usb` it responds to any.
     """
 
-    kind: Literal["tmcm-6214", "tmcm-1240"] = "tmcm-6214"
+    kind: ModuleKind = "tmcm-6214"
     wire: Literal["usb", "rs485"] = "usb"
     baudrate: Count = 115200
     latency_s: NonNegative = 3.0e-4

@@ -73,7 +73,7 @@ class ExpectedSignal:
         glass = self._wheel.at(wavelength)
         aspect = Aspect(sample, 0.0, wavelength, sigma, gamma, beta, shift)
         signal = self._plant.steady_photocurrents_a(aspect, 1 if glass is None else glass.position)
-        gains = GainSequence(row, self._settings.count, max(row.gains))
+        gains = GainSequence(row, self._settings, max(row.gains))
         for gain in gains:
             drawn = _normals(len(signal) + 1)[np.mod(np.arange(MAX_DRAWS) + number * DRAW_OFFSET, MAX_DRAWS)]
             counts = self._counts(signal, gain, drawn)
@@ -86,7 +86,7 @@ class ExpectedSignal:
         lots = [min_readings(row)]
         dark = self._counts(np.zeros(counts.shape[1]), gain, np.zeros((1, counts.shape[1] + 1)))[0].astype(float)
         while sum(lots) <= MAX_DRAWS:
-            further = further_readings(row, counts[: sum(lots)], dark, selected, self._settings.period_s)
+            further = further_readings(row, counts[: sum(lots)], dark, selected, self._settings)
             if not further:
                 break
             lots.append(further)

@@ -36,7 +36,7 @@ from goniotwin.app.campaign.reduction.signals import (
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
-from goniotwin.drivers import PhotodiodeSettings
+from goniotwin.drivers import ConverterDescription
 
 QUOTIENT_VARIANCES: Mapping[str, Callable[[Signal, Signal, RigFile], Floats | float]] = {
     "monitor": lambda one, other, rig: monitor_variance(rig),  # noqa: ARG005
@@ -77,7 +77,7 @@ SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] =
 """Steps on all points of a set of wavelength, sigma and gamma, and of a sample's calibration: they need the points nearby."""
 
 
-def reduce_readings(data: RowData, dark: Mapping[float, DarkReadings], settings: PhotodiodeSettings, rig: RigFile) -> Signal:
+def reduce_readings(data: RowData, dark: Mapping[float, DarkReadings], settings: ConverterDescription, rig: RigFile) -> Signal:
     """The signal of a row: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
 
     `dark` are the dark readings by gain. Raises UserError for a gain without a dark reading, for a gain that the rig does not

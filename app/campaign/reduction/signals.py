@@ -16,7 +16,7 @@ from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats
-from goniotwin.drivers import PhotodiodeSettings
+from goniotwin.drivers import ConverterDescription
 
 MIN_FREEDOM = 3.0
 """Degrees of freedom of the dark readings: with fewer the noise is not known."""
@@ -32,7 +32,7 @@ class DarkReadings:
     `variance_v2` is that of one reading's noise, `undithered_v2` that of the converter's step which no mean reduces.
     """
 
-    def __init__(self, readings: list[Reading], settings: PhotodiodeSettings) -> None:
+    def __init__(self, readings: list[Reading], settings: ConverterDescription) -> None:
         converter = settings.range
         self._times = np.array([middle_s(each) for each in readings])
         self._means = np.array([each.counts.mean(axis=0) for each in readings])
@@ -66,7 +66,7 @@ class DarkReadings:
         return counts, float(monitor), float(divisor)
 
 
-def dark_readings_by_gain(rows: list[CommittedRow], settings: PhotodiodeSettings) -> dict[float, DarkReadings]:
+def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescription) -> dict[float, DarkReadings]:
     """The dark readings of all rows, by gain in V/A."""
     by_gain: dict[float, list[Reading]] = defaultdict(list)
     for each in rows:
@@ -76,7 +76,7 @@ def dark_readings_by_gain(rows: list[CommittedRow], settings: PhotodiodeSettings
     return {gain: DarkReadings(readings, settings) for gain, readings in by_gain.items()}
 
 
-def subtract_dark(reading: Reading, dark: DarkReadings, settings: PhotodiodeSettings) -> Estimate:
+def subtract_dark(reading: Reading, dark: DarkReadings, settings: ConverterDescription) -> Estimate:
     """The mean voltages (n,) of a reading above the dark reading at its time."""
     dark_counts, _, divisor = dark.at(middle_s(reading))
     volts = (reading.counts.mean(axis=0) - dark_counts) * settings.range.lsb_v
@@ -90,7 +90,7 @@ def subtract_dark(reading: Reading, dark: DarkReadings, settings: PhotodiodeSett
     )
 
 
-def convert_to_photocurrent(volts: Estimate, reading: Reading, settings: PhotodiodeSettings) -> Estimate:
+def convert_to_photocurrent(volts: Estimate, reading: Reading, settings: ConverterDescription) -> Estimate:
     """The photocurrents in A of voltages; with them comes the shot noise of the light."""
     current = volts.divided(reading.gain_v_per_a)
     shot_a2 = settings.shot_variance_a2(current.value)
@@ -109,13 +109,13 @@ def divide_by_monitor(current: Estimate, reading: Reading, dark: DarkReadings) -
     return current.divided(monitor)
 
 
-def choose_gain(at_gains: list[tuple[Reading, Estimate]], settings: PhotodiodeSettings) -> Signal:
+def choose_gain(at_gains: list[tuple[Reading, Estimate]], settings: ConverterDescription) -> Signal:
     """Each photodiode's value at its highest gain that is not saturated; NaN where all are."""
     value, used = np.full(settings.count, np.nan), np.full(settings.count, -1)
     components: dict[str, Floats] = {}
     gains = np.array([*settings.gains_v_per_a, 0.0])  # the last one, at index -1, is no gain
     for reading, estimate in at_gains:
-        better = ~saturation(reading.counts) & (reading.gain_v_per_a > gains[used])
+        better = ~saturation(reading.counts, settings.range) & (reading.gain_v_per_a > gains[used])
         value[better] = estimate.value[better]
         for name, variance in estimate.components.items():
             components.setdefault(name, np.full(settings.count, np.nan))[better] = variance[better]
@@ -136,7 +136,7 @@ def mean_signal(signals: list[Signal]) -> Signal:
     )
 
 
-def dark_current_loss_s(rows: list[CommittedRow], settings: PhotodiodeSettings) -> Floats:
+def dark_current_loss_s(rows: list[CommittedRow], settings: ConverterDescription) -> Floats:
     """Time at which each photodiode (n,) lost its dark current, s on the rig's clock; inf for those that did not.
 
     A photodiode without its dark current gives no signal at all. The time is that of the last dark reading that still had the

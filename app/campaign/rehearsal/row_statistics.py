@@ -11,8 +11,7 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Flags, Floats
-from goniotwin.drivers import PhotodiodeSettings
-from goniotwin.protocols import adam
+from goniotwin.drivers import ConverterDescription
 
 
 @dataclass
@@ -31,11 +30,11 @@ class RowStatistics:
     count above zero of each photodiode (n,). `saturated` is the number of saturated values, `flagged` that of rows by flag.
     """
 
-    def __init__(self, settings: PhotodiodeSettings, relevant: Callable[[Row], Flags]) -> None:
+    def __init__(self, settings: ConverterDescription, relevant: Callable[[Row], Flags]) -> None:
         self._settings = settings
         self._relevant = relevant
         self._zero = round(settings.range.zero)
-        self.span = adam.FULL_SCALE - self._zero
+        self.span = settings.range.highest - self._zero
         self.blocks: list[MountingBlock] = []
         self.axes_deg: dict[str, list[float]] = {}
         self.largest: dict[float, int] = {}
@@ -68,7 +67,7 @@ class RowStatistics:
     def _add_counts(self, row: Row, data: RowData) -> None:
         if not data.readings:
             return
-        gains = GainSequence(row, self._settings.count, None)
+        gains = GainSequence(row, self._settings, None)
         for reading in data.readings:
             gains.add(reading.counts)
             gain = reading.gain_v_per_a

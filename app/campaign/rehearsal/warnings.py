@@ -30,7 +30,7 @@ FAINTEST = 1e-3
 MAX_POSES = 200
 """Poses examined at each sigma, picked evenly from all."""
 FEW_STEPS = 1000.0
-"""Steps of the converter, which has 32767 above zero: its noise of about one step is a thousandth of such a signal."""
+"""Steps of the converter: its noise of about one step is a thousandth of such a signal."""
 HALF = 0.5
 
 

@@ -166,7 +166,7 @@ class RowExecutor:
 
     def _read(self, row: Row) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
         """Read all photodiodes at each gain that the row needs; return the readings by ascending gain, and the row's flags."""
-        gains = GainSequence(row, self._rig.photodiodes.settings.count, self._gain)
+        gains = GainSequence(row, self._rig.photodiodes.settings, self._gain)
         taken = {}
         for gain in gains:
             reading = self._read_to_target(row, gain, gains.saturated)
@@ -188,7 +188,7 @@ class RowExecutor:
         settings = self._rig.photodiodes.settings
         zero = np.full(settings.count, settings.range.zero)
         dark = self._dark_means.get(settings.gains_v_per_a[gain], zero)
-        while further := further_readings(row, reading.counts, dark, selected, settings.period_s):
+        while further := further_readings(row, reading.counts, dark, selected, settings):
             reading = _merge(reading, self._take_readings(gain, further))
         return reading
 

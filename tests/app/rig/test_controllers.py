@@ -183,6 +183,7 @@ def test_home_connects_the_controller_of_the_axis_alone(write_rig: Writer) -> No
         (('kind = "tmcl"', 'kind = ["tmcl"]'), r"axes\.kind: \['tmcl'\] is not a known kind"),
         (('kind = "pm100d"', "kind = {}"), r"monitor\.kind: \{\} is not a known kind"),
         (('kind = "adam-6017"', "kind = []"), r"photodiodes\.kind: \[\] is not a known kind"),
+        ((TWIN[0], TWIN[1].replace('kind = "tmcm-1240"\n', "")), r"twin\.controllers\.second\.kind: is missing; add it"),
         ((TWIN[0], TWIN[1].replace('"tmcm-1240"', '["x"]')), r"twin\.controllers\.second\.kind: \['x'\] is not a known kind"),
         ((TWIN[0], "[twin.controllers]\nsecond = 5\n" + TWIN[0]), r"twin\.controllers\.second: should be a table, not 5"),
         ((OWN[0], OWN[1].replace('kind = "tmcl"\n', "")), r"axes\.shift\.kind: is missing; add it, because port is a key of"),

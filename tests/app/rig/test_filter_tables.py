@@ -123,7 +123,7 @@ def test_the_described_twin_has_the_filters_of_the_real_rigs_file() -> None:
     assert model is not None
     assert model.order_sorting == OrderSorting(0.0, (WheelFilter(4, 495.0), WheelFilter(2, 610.0)))
     assert [each.position for each in twin.rig.file.monochromator.wheel.filters] == [1, 4, 2]
-    assert twin.rig.file.monochromator.baudrate == 9600
+    assert getattr(twin.rig.file.monochromator, "baudrate", None) == 9600
     assert any("filters with a cut_on_nm transmit 0.9 of the light" in each for each in twin.assumptions)
 
 
@@ -133,7 +133,7 @@ def test_a_served_rigs_file_keeps_the_operators_filters() -> None:
     ends += [Endpoint(name, name, Wire.SERIAL, path=f"/dev/pts/{name}") for name in ("axes", "mono", "monitor")]
     text = served_rig(rig, ends, 1.0)
     served = parse_rig(text, RIG.parent, "served")
-    assert served.file.monochromator.filters == rig.file.monochromator.filters
+    assert served.file.monochromator.wheel == rig.file.monochromator.wheel
     assert served.model_hashes() == rig.model_hashes()
     assert len(served.model_hashes()) == 2
     assert "twin" not in tomlkit.parse(text)

@@ -23,6 +23,7 @@ from goniotwin.app.campaign.geometry.directions import (
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses, mirror_images
 from goniotwin.app.campaign.schedule.grids import GridRange
 from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.kinds import PhotodiodesTable
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction, light_direction, to_specular
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, aspecular_deg, polar_and_azimuth, signed_polar
@@ -134,6 +135,7 @@ def test_the_back_is_seen_by_the_lower_arc_as_the_front_by_the_upper_one(
 ) -> None:
     """Turned about the x axis, the front with its light and arcs becomes the back: beta changes its sign."""
     rig = read_rig(RIG).file
+    assert isinstance(rig.photodiodes, PhotodiodesTable)
     rig = replace(rig, photodiodes=replace(rig.photodiodes, lower_deg=rig.photodiodes.upper_deg))
     sigma = round(sigma, 3)
     arcs: tuple[Arc, Arc] = ("lower", "upper") if transmitted else ("upper", "lower")

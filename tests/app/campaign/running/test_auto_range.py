@@ -14,6 +14,7 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
+from goniotwin.drivers import PhotodiodeSettings
 from goniotwin.protocols import adam
 from tests.app.campaign.campaign_bench import QUIET, change_rows, planned_values, run_plan, run_until
 from tests.conftest import Writer
@@ -44,10 +45,11 @@ def test_the_etalon_needs_only_the_highest_gain_and_a_lobe_also_lower_ones(plan:
 
 
 def test_a_photodiode_is_saturated_at_every_gain_but_the_last(plan: Plan, tmp_path: Path) -> None:
+    converter = plan.rig.file.photodiodes.range
     for each in run_plan(plan, tmp_path / "a.journal").of("measure"):
         lowest, *higher = each.data.readings
-        assert not saturation(lowest.counts).any()
-        assert all(saturation(reading.counts).any() for reading in higher)
+        assert not saturation(lowest.counts, converter).any()
+        assert all(saturation(reading.counts, converter).any() for reading in higher)
 
 
 def test_the_bsdf_is_that_of_readings_at_all_gains(plan: Plan, tmp_path: Path) -> None:
@@ -95,7 +97,8 @@ def test_with_700_times_the_light_a_lobe_is_read_at_all_gains_without_saturation
     ("current", "expected"), [(None, [0, 2, 3]), (0, [0, 2, 3]), (2, [0, 2, 3]), (3, [3, 2, 0]), (1, [0, 2, 3])]
 )
 def test_without_auto_range_all_gains_are_read_starting_with_the_current_one(current: int | None, expected: list[int]) -> None:
-    gains = GainSequence(Row(0, "a", "measure", "a", gains=(0, 2, 3), readings=1), 3, current)
+    settings = PhotodiodeSettings((0.0, 5.0, 10.0), (), (1e6, 1e8, 1e10, 1e11), "adam-6017")
+    gains = GainSequence(Row(0, "a", "measure", "a", gains=(0, 2, 3), readings=1), settings, current)
     order = []
     for gain in gains:
         order.append(gain)

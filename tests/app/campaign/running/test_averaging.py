@@ -14,6 +14,7 @@ from goniotwin.app.campaign.reduction.signals import middle_s
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import OpenRig, read_rig
+from goniotwin.protocols import adam
 from tests.app.campaign.campaign_bench import QUIET, RunResult, change_rows, planned_values, run_plan, run_until
 from tests.conftest import Writer
 
@@ -84,7 +85,7 @@ def test_saturated_photodiodes_and_those_without_light_need_no_further_readings(
     rng = np.random.default_rng(1)
     counts = np.round(rng.normal([40_000.0, 33_000.0, 65_600.0], [10.0, 10.0, 0.0], (8, 3))).clip(0, 65_535).astype(np.uint16)
     dark = np.full(3, 33_000.0)
-    selected = ~saturation(counts)
+    selected = ~saturation(counts, adam.RANGES[adam.PLUS_MINUS_10_V])
     assert readings_needed(counts, dark, selected, 0.01, 1000) == 8
     assert 8 < readings_needed(counts, dark, selected, 0.0002, 1000) <= 1000
 
