@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.record import CommittedRow, Reading, RowData
 from goniotwin.app.campaign.row import MIRRORED_MARK, SKIPPED, Row, RowKind
 from goniotwin.app.errors import UserError
@@ -55,11 +56,22 @@ class Session:
 
 
 class JournalReader:
-    """The contents of a journal. All methods raise UserError for a damaged file."""
+    """The contents of a journal. All methods raise UserError for a damaged file.
 
-    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+    `chain` is its chain of hashes as it was when the journal was opened. Rows that differ from what was committed count as not
+    measured.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, path: Path, chain: Chain) -> None:
         self._db = connection
         self.path = path
+        self.chain = chain
+        self._sound = ""
+        if chain.damaged:
+            self._db.execute("CREATE TEMP TABLE damaged (number INTEGER PRIMARY KEY)")
+            self._db.executemany("INSERT INTO temp.damaged VALUES (?)", [(number,) for number in chain.damaged])
+            self._db.commit()
+            self._sound = " AND p.number NOT IN temp.damaged"
 
     def value(self, key: str) -> str:
         """A value of the table `campaign`: schedule, rig, name, simulated, seed, model or versions.
@@ -108,10 +120,10 @@ class JournalReader:
             )
 
     def committed_numbers(self) -> set[int]:
-        """Numbers of the rows that are measured, unplanned ones included, skipped ones excluded."""
+        """Numbers of the rows that are measured, unplanned ones included, skipped and damaged ones excluded."""
         with self._reading():
             attempted = {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
-        return attempted - self._last_skipped()
+        return attempted - self._last_skipped() - self.chain.damaged.keys()
 
     def skipped_numbers(self) -> set[int]:
         """Numbers of the planned rows that were skipped because of a fault and not measured since."""
@@ -125,7 +137,7 @@ class JournalReader:
                 " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = a.number)",
                 (f"%{SKIPPED}%",),
             )
-            return {number for number, flags in found if SKIPPED in json.loads(flags)}
+            return {number for number, flags in found if number not in self.chain.damaged and SKIPPED in json.loads(flags)}
 
     def _planned_numbers(self) -> set[int]:
         with self._reading():
@@ -146,13 +158,13 @@ class JournalReader:
         """Committed rows, of all kinds or of some, in order of their start; each with its last attempt."""
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
-            yield from self._rows(f"{LAST_ATTEMPT} {chosen} ORDER BY started_s, p.number", kinds)
+            yield from self._rows(f"{LAST_ATTEMPT}{self._sound} {chosen} ORDER BY started_s, p.number", kinds)
 
     def rows_of(self, numbers: Iterable[int]) -> Iterator[CommittedRow]:
         """Committed rows by their numbers, in that order; each with its last attempt."""
         with self._reading():
             for number in numbers:
-                yield from self._rows(f"{LAST_ATTEMPT} AND p.number = ?", (number,))
+                yield from self._rows(f"{LAST_ATTEMPT}{self._sound} AND p.number = ?", (number,))
 
     def row_index(self) -> tuple[npt.NDArray[np.void], list[str]]:
         """Index (ROW_INDEX) of the measured rows that have readings, in order of their start, and the names of the samples."""
@@ -162,7 +174,7 @@ class JournalReader:
                 "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg"
                 " FROM plan p JOIN attempt a USING (number) WHERE kind = 'measure'"
                 " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
-                " AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt)"
+                f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}"
                 " ORDER BY started_s, p.number",
                 (MIRRORED_MARK,),
             )

@@ -13,6 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 
+from goniotwin.app.campaign.journal.chain import Chain, add_link, begin_chain, campaign_hash, check_chain, seal_session
 from goniotwin.app.campaign.journal.reading import DETAIL_KEYS, JournalReader, open_read_only, report_damage
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
@@ -21,6 +22,8 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.errors import UserError
 from goniotwin.protocols.clock import calendar_stamp
 
+OLDEST_READABLE = 2
+"""Older schemas lack columns that are read: a copy of them is migrated."""
 PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
 
 
@@ -36,8 +39,8 @@ class JournalError(Exception):
 class Journal(JournalReader):
     """An open journal. A row is on the disk when `commit` returns."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
-        super().__init__(connection, path)
+    def __init__(self, connection: sqlite3.Connection, path: Path, chain: Chain) -> None:
+        super().__init__(connection, path, chain)
         self._session: int | None = None
 
     @classmethod
@@ -62,14 +65,15 @@ class Journal(JournalReader):
             _remove(spare)  # left by a program that was killed here
             with contextlib.closing(_connect(spare, durable=durable)) as db:
                 create_tables(db)
-                cls(db, spare)._describe(plan, versions)
+                _describe(db, plan, versions)
                 db.execute("PRAGMA wal_checkpoint")  # closing does this too, but ignores errors
             spare.rename(path)
         except (sqlite3.Error, OSError) as error:
             _remove(spare)
             raise _unwritable(path, error) from None
         try:
-            return cls(_connect(path, durable=durable), path)
+            db = _connect(path, durable=durable)
+            return cls(db, path, Chain(tip=campaign_hash(db)))
         except sqlite3.Error as error:
             _remove(path)
             raise _unwritable(path, error) from None
@@ -82,13 +86,13 @@ class Journal(JournalReader):
         """
         version = _known_version(path)
         db = open_read_only(path)
-        if version == SCHEMA_VERSION:
-            return cls(db, path)
-        copy = sqlite3.connect(":memory:", check_same_thread=False)
-        with contextlib.closing(db), report_damage(path):
-            db.backup(copy)
-            migrate(copy)
-        return cls(copy, path)
+        if version < OLDEST_READABLE:
+            copy = sqlite3.connect(":memory:", check_same_thread=False)
+            with contextlib.closing(db), report_damage(path):
+                db.backup(copy)
+                migrate(copy)
+            db = copy
+        return cls(db, path, _checked(db, path))
 
     @classmethod
     def reopen(cls, path: Path) -> "Journal":
@@ -105,7 +109,7 @@ class Journal(JournalReader):
             ) from None
         with report_damage(path):
             migrate(db)
-        return cls(db, path)
+        return cls(db, path, _checked(db, path))
 
     def close(self) -> None:
         """Close the journal. A written journal is then a single file, readable on any medium."""
@@ -124,11 +128,15 @@ class Journal(JournalReader):
 
         All rows and events from now on belong to this session.
         """
-        about = (t, calendar_stamp(), rig, json.dumps(versions, sort_keys=True))
+        about = (t, calendar_stamp(), rig, json.dumps(versions, sort_keys=True), self.chain.length + 1)
         with self._writing():
-            cursor = self._db.execute("INSERT INTO session (started_s, wall_started, rig, versions) VALUES (?, ?, ?, ?)", about)
-        self._session = int(cursor.lastrowid or 0)
-        return self._session
+            cursor = self._db.execute(
+                "INSERT INTO session (started_s, wall_started, rig, versions, first_link) VALUES (?, ?, ?, ?, ?)", about
+            )
+            session = int(cursor.lastrowid or 0)
+            seal_session(self._db, session)
+        self._session = session
+        return session
 
     def add_rows(self, rows: Sequence[Row]) -> None:
         """Record the unplanned rows of this session: those with which a resumed campaign starts."""
@@ -136,12 +144,13 @@ class Journal(JournalReader):
             self._db.executemany(INSERT_ROW, [(*_planned(row), self._session) for row in rows])
 
     def end_session(self, session: int, t: float, outcome: str) -> None:
-        """Record the end of a session; `outcome` is done, stopped or failed."""
+        """Record the end of a session, with the tip and length of the chain; `outcome` is done, stopped or failed."""
         with self._writing():
             self._db.execute(
-                "UPDATE session SET ended_s = ?, outcome = ?, wall_ended = ? WHERE id = ?",
-                (t, outcome, calendar_stamp(), session),
+                "UPDATE session SET ended_s = ?, outcome = ?, wall_ended = ?, last_link = ?, tip = ? WHERE id = ?",
+                (t, outcome, calendar_stamp(), self.chain.length, self.chain.tip, session),
             )
+            seal_session(self._db, session)
 
     def event(self, t: float, kind: str, text: str) -> None:
         """Record an event of a kind (fault, stop, drift, encoder, ...) at time `t` on the rig's clock."""
@@ -172,6 +181,10 @@ class Journal(JournalReader):
                     for each in data.readings
                 ],
             )  # fmt: skip
+            chain = add_link(self._db, self.chain, row.number, attempt)
+            if row.number in self.chain.damaged:
+                self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
+        self.chain = chain
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -182,22 +195,25 @@ class Journal(JournalReader):
         except sqlite3.Error as error:
             raise JournalError(f"{self.path}: cannot be written: {error}; free space on the disk") from None
 
-    def _describe(self, plan: Plan, versions: dict[str, str]) -> None:
-        about = {
-            "name": plan.schedule.file.name,
-            "schedule": plan.schedule.text,
-            "rig": plan.rig.text,
-            "rig_folder": str(plan.rig.folder.absolute()),
-            "simulated": json.dumps(plan.rig.simulated),
-            "seed": json.dumps(plan.rig.seed),
-            "model": json.dumps(plan.rig.model_hash()),
-            "versions": json.dumps(versions, sort_keys=True),
-        }
-        if plan.schedule.certificate is not None:
-            about["certificate"] = plan.schedule.certificate
-        with self._db:
-            self._db.executemany("INSERT INTO campaign VALUES (?, ?)", about.items())
-            self._db.executemany(INSERT_ROW, [(*_planned(row), None) for row in plan.rows])
+
+def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> None:
+    """Write what the campaign begins with. Raises sqlite3.Error."""
+    about = {
+        "name": plan.schedule.file.name,
+        "schedule": plan.schedule.text,
+        "rig": plan.rig.text,
+        "rig_folder": str(plan.rig.folder.absolute()),
+        "simulated": json.dumps(plan.rig.simulated),
+        "seed": json.dumps(plan.rig.seed),
+        "model": json.dumps(plan.rig.model_hash()),
+        "versions": json.dumps(versions, sort_keys=True),
+    }
+    if plan.schedule.certificate is not None:
+        about["certificate"] = plan.schedule.certificate
+    with db:
+        db.executemany("INSERT INTO campaign VALUES (?, ?)", about.items())
+        db.executemany(INSERT_ROW, [(*_planned(row), None) for row in plan.rows])
+        begin_chain(db)
 
 
 def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
@@ -241,6 +257,25 @@ def _known_version(path: Path) -> int:
     if version > SCHEMA_VERSION:
         raise UserError(f"{path}: has schema {version}, newer than {SCHEMA_VERSION}; use a newer goniotwin")
     return version
+
+
+def _checked(db: sqlite3.Connection, path: Path) -> Chain:
+    """The chain of a journal, compared with all of it in one snapshot.
+
+    Raises UserError, and closes `db`, where more than rows, plan or sessions is damaged.
+    """
+    try:
+        with report_damage(path):
+            db.execute("BEGIN")
+            (found,) = db.execute("PRAGMA integrity_check(1)").fetchone()
+            if found != "ok":
+                raise ValueError(found)
+            chain = check_chain(db)
+            db.execute("COMMIT")
+            return chain
+    except UserError:
+        db.close()
+        raise
 
 
 INSERT_ROW = (
