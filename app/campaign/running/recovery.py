@@ -43,16 +43,16 @@ def fault_kind(error: DeviceError) -> FaultKind:
 
 
 class FaultPolicies:
-    """Policies for the faults of one row. Without a table `[faults]` every fault stops the run."""
+    """Policies for the faults of one row. A schedule without a table `[faults]` has its defaults."""
 
     def __init__(self, table: FaultsTable | None) -> None:
-        self._table = table
+        self._table = table if table is not None else FaultsTable()
         self._attempt = 1
 
     def policy_for(self, error: DeviceError) -> Policy:
         """The policy for the fault that ended the current attempt. Counts the attempts: after the last one it is `then`."""
         table = self._table
-        if table is None or isinstance(error, Interrupted):  # an axis was stopped on purpose, and must not move again
+        if isinstance(error, Interrupted):  # an axis was stopped on purpose, and must not move again
             return "stop"
         policy: Policy = getattr(table, fault_kind(error))
         if policy in ("retry", "reconnect"):
@@ -67,7 +67,7 @@ class FaultPolicies:
     @property
     def wait_s(self) -> float:
         """Time to wait before a retry."""
-        return self._table.wait_s if self._table is not None else 0.0
+        return self._table.wait_s
 
 
 class Recovery:

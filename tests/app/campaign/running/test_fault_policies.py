@@ -142,7 +142,14 @@ def test_with_ask_the_row_is_retried_if_the_operator_fixes_the_fault(make: MakeP
     assert (run.state, len(run.rows)) == (State.FAILED, ROW)
 
 
-def test_without_a_table_of_policies_the_first_fault_stops_the_run_and_closes_the_shutter(
+def test_without_a_table_of_policies_a_row_is_repeated_twice(make: MakePlan, tmp_path: Path) -> None:
+    silence = Silence(2)
+    run = run_with_silence(make(""), tmp_path / "a.journal", silence)
+    assert run.state is State.DONE
+    assert silence.states.count(State.RECOVERING) == 2
+
+
+def test_without_a_table_of_policies_a_fault_that_stays_stops_the_run_and_closes_the_shutter(
     make: MakePlan, tmp_path: Path
 ) -> None:
     silence = Silence(9)
@@ -157,6 +164,7 @@ def test_without_a_table_of_policies_the_first_fault_stops_the_run_and_closes_th
 
     run = run_plan(make(""), tmp_path / "a.journal", silence.prepare, None, [silence.listen, look])
     assert run.state is State.FAILED
+    assert silence.states.count(State.RECOVERING) == 2
     assert open_at_the_end == [False]
 
 
