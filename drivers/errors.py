@@ -39,3 +39,10 @@ class Interrupted(DeviceError):
 
 class Unreferenced(DeviceError):
     """The axis is unreferenced: it moves to no angle until it is homed or its position is set."""
+
+
+def unless_late(late_s: float, patience_s: float, happened: str, remedy: str = "") -> tuple[str, str]:
+    """What happened in a wait of `patience_s`, and the remedy: the cable, or this computer if it was late by half of that."""
+    if late_s < 0.5 * patience_s:
+        return happened, remedy
+    return f"{happened}, and this computer was busy: {late_s:.2g} s late", "close other programs and try again"

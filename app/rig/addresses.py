@@ -16,12 +16,12 @@ import socket
 from pathlib import Path
 from urllib.parse import parse_qsl
 
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.client import ModbusTcpClient
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.framer import FramerType
 
 from goniotwin.app.errors import UserError
-from goniotwin.drivers.photodiodes.modbus import ModbusBus, ModbusOpener, ModbusUnit, Trace, explain, explain_rtu
+from goniotwin.drivers.photodiodes.modbus import ModbusBus, ModbusOpener, ModbusUnit, RtuClient, Trace, explain, explain_rtu
 from goniotwin.drivers.tap import Explain
 from goniotwin.protocols import adam, usbip
 from goniotwin.twin import VirtualRig
@@ -169,7 +169,7 @@ def _tcp_opener(host: str, port: int) -> ModbusOpener:
 
 def _serial_opener(port: str, baudrate: int) -> ModbusOpener:
     def opener(trace: Trace | None) -> ModbusBaseSyncClient:
-        return ModbusSerialClient(
+        return RtuClient(
             port, framer=FramerType.RTU, baudrate=baudrate, timeout=MODBUS_TIMEOUT_S, retries=0, trace_packet=trace
         )
 

@@ -6,6 +6,7 @@ Plain Python for one thread; pause, resume and stop may be called from any other
 import contextlib
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from typing import TypeVar
@@ -13,11 +14,12 @@ from typing import TypeVar
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.row import SKIPPED, Row
+from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row
 from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
+from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for
 from goniotwin.app.campaign.running.stop_conditions import EndedBySchedule, StopConditions
 from goniotwin.app.campaign.running.stop_request import Stopped, StopRequest
 from goniotwin.app.errors import UserError
@@ -31,7 +33,8 @@ class Engine:
     """Runs a plan once.
 
     `work` are the rows to execute, where some rows of the plan are measured already. `positions_every_s` is the time between
-    two Positions events while axes move; with 0 the positions are not read, and only the rows use the wires.
+    two Positions events while axes move; with 0 the positions are not read, and only the rows use the wires. `sleep_watch`
+    notices a sleep of this computer; without it that of the rig's clock.
     `faults` are the faults with which the run ended; `ended_by_schedule` is the reason where a stop condition ended it.
     """
 
@@ -44,6 +47,7 @@ class Engine:
         listeners: list[Listener] | None = None,
         positions_every_s: float = 0.0,
         work: Sequence[Row] | None = None,
+        sleep_watch: SleepWatch | None = None,
     ) -> None:
         self._rig = rig
         self._clock = rig.clock
@@ -61,6 +65,9 @@ class Engine:
         self._stop_request = StopRequest(rig)
         self._executor = RowExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event)
         self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
+        self._sleep_watch = sleep_watch or watch_for(rig.clock)
+        self._stay_awake = StayAwake()
+        self._sleeps, self._dark_is_old = 0, False
         self._stop_conditions = StopConditions(plan.schedule.file, plan.rig.file)
         self._resumed = work is not None and work is not plan.rows
         self._work = plan.rows if work is None else work
@@ -82,6 +89,7 @@ class Engine:
         self._enter(State.RUNNING)
         try:
             session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, software_versions())
+            self._prevent_sleep()
             self._home_unreferenced()
             self._execute_rows()
             self._apply_policies("the end of the run", self._close_shutter)
@@ -156,7 +164,7 @@ class Engine:
         for k, row in enumerate(self._work, 1):
             self._wait_while_paused()
             self._notify(RowStarted(row))
-            data = self._execute_row(row)
+            data = self._execute_awake(row)
             self._journal.commit(row, data)
             self._notify(RowCommitted(row, data, before + k, before + len(self._work), self._seconds_left[k]))
             event = self._stop_conditions.check(row, data)
@@ -166,6 +174,48 @@ class Engine:
                 if kind == "stop" and k < len(self._work):
                     self._apply_policies("the end of the run", self._close_shutter)
                     raise EndedBySchedule(text)
+
+    def _execute_awake(self, row: Row) -> RowData:
+        """Execute a row; after a sleep of the computer take the dark reading again, and repeat a row in which it slept."""
+        self._slept()
+        while True:
+            if self._dark_is_old and row.kind in ("measure", "drift"):
+                self._dark_is_old = False
+                self._renew_dark(row.sample)
+            sleeps = self._sleeps
+            data = self._execute_row(row)
+            self._slept()
+            if self._sleeps == sleeps:
+                self._dark_is_old = self._dark_is_old and row.kind != "dark"
+            if self._sleeps == sleeps or row.kind == "mount":
+                return data
+
+    def _renew_dark(self, sample: str) -> None:
+        """Take a dark reading as an unplanned row, if the plan has dark readings."""
+        planned = next((row for row in self._plan.rows if row.kind == "dark"), None)
+        if planned is not None:
+            number = self._journal.last_number() + 1
+            row = replace(planned, number=number, identity=f"{WAKE_PREFIX}{number}/{sample}/dark", sample=sample)
+            self._journal.add_rows([row])
+            self._journal.commit(row, self._execute_row(row))
+
+    def _slept(self) -> bool:
+        """Whether the computer slept since the last call: devices and dark currents may be other than before."""
+        seconds = self._sleep_watch.slept_s()
+        if seconds:
+            self._sleeps += 1
+            self._dark_is_old = True
+            self._executor.forget_settings()
+            text = f"this computer slept for {seconds / 60.0:.1f} min; the row in progress and the dark reading are taken again"
+            self._log_event("sleep", text)
+        return seconds > 0.0
+
+    def _prevent_sleep(self) -> None:
+        """Keep the computer awake until the end of the run, unless the rig is in virtual time."""
+        if not isinstance(self._sleep_watch, NoSleepWatch):
+            reason = self._stay_awake.begin(f"measuring {self._plan.schedule.file.name}")
+            if reason:
+                self._log_event("sleep", f"this computer may go to sleep during the run: {reason}; switch its sleep off")
 
     def _execute_row(self, row: Row) -> RowData:
         """Execute a row; return its data, or empty data if it is skipped. Raises DeviceError where a fault stops the run."""
@@ -195,7 +245,7 @@ class Engine:
                 return action()
             except DeviceError as error:
                 self._stop_request.check()
-                policy = policies.policy_for(error)
+                policy = policies.policy_for(error, slept=self._slept())
                 if policy == "stop" or (policy == "skip" and not skippable):
                     raise
                 self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})")
@@ -236,6 +286,7 @@ class Engine:
         with contextlib.suppress(JournalError):
             ended = {State.DONE: "done", State.FAILED: "failed"}.get(outcome, "stopped")
             self._journal.end_session(session, now, ended)
+        self._stay_awake.end()
 
     def _log_fault(self, t: float, fault: str) -> None:
         with contextlib.suppress(JournalError):

@@ -49,11 +49,16 @@ class FaultPolicies:
         self._table = table if table is not None else FaultsTable()
         self._attempt = 1
 
-    def policy_for(self, error: DeviceError) -> Policy:
-        """The policy for the fault that ended the current attempt. Counts the attempts: after the last one it is `then`."""
+    def policy_for(self, error: DeviceError, *, slept: bool = False) -> Policy:
+        """The policy for the fault that ended the current attempt. Counts the attempts: after the last one it is `then`.
+
+        An attempt in which the computer `slept` does not count.
+        """
         table = self._table
         if isinstance(error, Interrupted):  # an axis was stopped on purpose, and must not move again
             return "stop"
+        if slept:
+            return "reconnect"
         policy: Policy = getattr(table, fault_kind(error))
         if policy in ("retry", "reconnect"):
             if self._attempt >= table.attempts:

@@ -60,8 +60,9 @@ class TmclController:
         Returns the identity. Nothing moves. Raises DeviceError.
         """
         number = self.module.connect()
-        for axis in self.axes.values():
-            axis.connect()
+        with self.module.patiently():
+            for axis in self.axes.values():
+                axis.connect()
         return f"TMCM-{number}"
 
     def reconnect(self) -> None:

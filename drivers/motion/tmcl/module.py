@@ -20,12 +20,12 @@ between two polls of a moving axis, longer than the 1 s for which another bus ma
 
 import contextlib
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer, unless_late
 from goniotwin.drivers.motion.stop import StopPhase, StopSteps
 from goniotwin.drivers.motion.stop_lock import StopLock
 from goniotwin.drivers.motion.tmcl.port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, Targets, TmclPort
@@ -47,6 +47,8 @@ from goniotwin.protocols.tmcl_parameters import USER_BANK, GlobalParameter
 MODELS = (6214, 1240)
 TIMEOUT_S = 0.06
 SLOW_LINE_TIMEOUT_S = 0.5
+PATIENT_TIMEOUT_S = 0.5
+ATTEMPTS, PATIENT_ATTEMPTS = 2, 3
 HEARTBEAT_S = 2.0
 RESYNCHRONISATIONS = 2
 EVENTS_KEPT = 100
@@ -75,6 +77,7 @@ class TmclModule:
         self._clock = clock
         self._baudrate = baudrate
         self._timeout_s = TIMEOUT_S if baudrate >= 57600 else SLOW_LINE_TIMEOUT_S
+        self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
         self._frame_s = FRAME_S_BITS / baudrate
         self._patience_s = 3.0 * self._frame_s + SLICE_S
         self._tap = tap
@@ -108,14 +111,27 @@ class TmclModule:
         Nothing moves. Raises DeviceError if the port cannot be opened, a module does not respond or has a wrong number.
         """
         self._open()
-        with self._lock.hold():
+        with self._lock.hold(), self.patiently():
             numbers = [self._initialise(address) for address in self.addresses]
         return numbers[0]
 
     def identify(self) -> int:
         """Open the port and read the first module's number; nothing is written to the module. Raises DeviceError."""
         self._open()
-        return self.exchange(CommandFrame(self.addresses[0], Command.FIRMWARE_VERSION, 1, 0)) >> 16
+        with self.patiently():
+            return self.exchange(CommandFrame(self.addresses[0], Command.FIRMWARE_VERSION, 1, 0)) >> 16
+
+    @contextlib.contextmanager
+    def patiently(self) -> Iterator[None]:
+        """Exchanges that wait longer for a reply and are repeated more often. A stop does not wait for them any longer.
+
+        For connecting: no motion is watched by it, and a computer that is busy, or serves the module itself, is often late.
+        """
+        self._reply_s, self._attempts = max(self._timeout_s, PATIENT_TIMEOUT_S), PATIENT_ATTEMPTS
+        try:
+            yield
+        finally:
+            self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
 
     def close(self) -> None:
         """Close the port. Nothing is sent; the heartbeat stops motors that still turn."""
@@ -127,25 +143,26 @@ class TmclModule:
     def exchange(self, request: CommandFrame, stop_count: int | None = None) -> int:
         """Send a request and return the value of its reply.
 
-        A repeatable request is repeated once after a fault. A request that starts a motion is not sent, or not sent again,
-        if a stop was requested after `stop_count` was read (default: after this call). Takes seven timeouts at most.
+        A repeatable request is repeated once after a fault, `patiently` twice. A request that starts a motion is not sent, or
+        not sent again, if a stop was requested after `stop_count` was read (default: after this call). Takes seven timeouts at
+        most.
         Raises NoAnswer, BadAnswer, Refused or Interrupted.
         """
         limit = self._lock.requested if stop_count is None else stop_count
         with self._lock.hold():
-            for last in (False, True):
+            for attempt in range(1, self._attempts + 1):
                 try:
                     if self._out_of_step and request.command != Command.FIRMWARE_VERSION:
                         self._resynchronise(request)  # an unknown module is identified before anything is written to it
                     if starts_motion(request):
                         if limit != self._lock.requested:
                             raise Interrupted(self.name, self._describe(request), "not sent because a stop was requested")
-                        if last:
+                        if attempt > 1:
                             self._check_before_repeating(request)
                     return self._once(request)
                 except (NoAnswer, BadAnswer):
                     self._out_of_step = True
-                    if last or not is_repeatable(request) or self._lock.stop_waiting:
+                    if attempt == self._attempts or not is_repeatable(request) or self._lock.stop_waiting:
                         raise
         raise AssertionError("not reached")
 
@@ -253,11 +270,12 @@ class TmclModule:
             port.send(request.encode())
             started = self._clock.now()
             while True:
-                frame = port.frame(started + self._timeout_s, lambda: self._gives_way(stops, started))
+                frame = port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
                 if stops != self._lock.acquired:
                     raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply")
                 if frame is None:
-                    raise NoAnswer(self.name, self._describe(request), port.describe_missing(started))
+                    missing = unless_late(port.late_s, self._reply_s, port.describe_missing(started))
+                    raise NoAnswer(self.name, self._describe(request), *missing)
                 reply = check_reply(request, frame, self.name, self._describe)
                 if reply is not None:
                     self._last = (request.command, request.value, self._clock.now())
@@ -281,7 +299,7 @@ class TmclModule:
                 port.send(marker.encode())
                 started = self._clock.now()
                 echo = ReplyFrame(HOST_ADDRESS, request.address, ReplyStatus.OK, Command.SGP, self._marker).encode()
-                if port.await_bytes(echo, started + self._timeout_s, partial(self._gives_way, stops, started)):
+                if port.await_bytes(echo, started + self._reply_s, partial(self._gives_way, stops, started)):
                     self._out_of_step = False
                     self.events.append("line resynchronised")
                     self._last = (Command.SGP, self._marker, self._clock.now())
@@ -290,7 +308,8 @@ class TmclModule:
                     break
         except PORT_FAULTS as error:
             raise NoAnswer(self.name, self._describe(request), f"the port failed: {error}", "check cable and power") from None
-        raise NoAnswer(self.name, self._describe(request), "not responding, not even to a marker", "check cable and power")
+        silent = unless_late(port.late_s, self._reply_s, "not responding, not even to a marker", "check cable and power")
+        raise NoAnswer(self.name, self._describe(request), *silent)
 
     def _opened(self, request: CommandFrame) -> TmclPort:
         if self._port is None:

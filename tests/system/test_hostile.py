@@ -1,0 +1,95 @@
+"""What is hostile to a run and is no fault of its devices: each of these must leave a run, its archive and its rig unharmed."""
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from goniotwin.app.rig import open_rig, read_rig
+from goniotwin.mocks.faults import Fault, FaultPlan
+from goniotwin.mocks.faulty_line import FaultyLine
+from goniotwin.protocols.clock import RealClock, VirtualClock
+from tests.conftest import RIG, RigOpener
+from tests.drivers.endless_wires import QUICK, WIRES, check_calls, check_stops
+from tests.system.conftest import Serve
+
+# ---- a busy computer ----
+
+
+class BusyClock(VirtualClock):
+    """The clock of a busy computer: every third wait lasts up to `LATE_S` longer than it should, by a seed."""
+
+    LATE_S = 0.3
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(1.0)
+        self._draws = FaultPlan(seed, ())
+        self._waits = 0
+
+    def sleep_until(self, t: float) -> None:
+        self._waits += 1
+        late = self._draws.draw(self._waits, 1000) / 1000.0 if self._draws.draw(self._waits + (1 << 32), 3) == 0 else 0.0
+        super().sleep_until(t + self.LATE_S * late)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rig_connects_on_a_busy_computer(seed: int) -> None:
+    """Its own waits are late, and so are replies, as those of a rig that the same computer serves."""
+    with open_rig(read_rig(RIG), BusyClock(seed)) as opened:
+        assert opened.virtual is not None
+        serial = opened.virtual.serial
+        serial["axes"] = FaultyLine(serial["axes"], FaultPlan(seed, (Fault.LATE,), share=0.2), late_s=0.3)
+        assert [str(error) for error in opened.rig.connect().values() if error is not None] == []
+
+
+@contextlib.contextmanager
+def busy_processes(count: int) -> Iterator[None]:
+    """Processes that use all the time that they get."""
+    processes = [subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.wait()
+
+
+@pytest.mark.long
+@pytest.mark.endpoint
+def test_one_process_connects_a_hundred_times_beside_twenty_busy_ones(serve: Serve, tmp_path: Path) -> None:
+    rig = tmp_path / "served.toml"
+    serve(RIG, "--write-rig", rig)
+    failed = []
+    with busy_processes(20):
+        for _ in range(100):
+            with open_rig(read_rig(rig), RealClock()) as opened:
+                failed += [str(error) for error in opened.rig.connect().values() if error is not None]
+    assert failed == []
+
+
+# ---- a device that never stops sending ----
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_every_call_of_a_driver_ends_within_five_seconds_though_its_device_never_stops_sending(
+    opened: RigOpener, name: str
+) -> None:
+    check_calls(opened, name, (0, 5))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", WIRES)
+def test_every_call_ends_at_whichever_request_the_device_begins_to_send_without_end(opened: RigOpener, name: str) -> None:
+    check_calls(opened, name, (*range(20), 34, 55, 89))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [each if each in QUICK else pytest.param(each, marks=pytest.mark.long) for each in WIRES if each.startswith("axes")],
+)
+def test_a_stop_is_on_the_wire_in_time_though_the_module_never_stops_sending(opened: RigOpener, name: str) -> None:
+    check_stops(opened, name)
