@@ -188,3 +188,35 @@ def check_stops(opened: RigOpener, name: str) -> None:
             frames = [t for t, data in sender.received if t >= started + delay_s and data[1] == Command.MST]
             assert len(frames) >= len(rig.axes)
             assert frames[len(rig.axes) - 1] - started - delay_s < STOP_S
+
+
+class FloodedPort:
+    """A serial port at which there is always more to read: its sender is faster than the reader, whose reads take READ_S."""
+
+    READ_S = 4e-3
+    in_waiting = 4096
+
+    def __init__(self, clock: VirtualClock, piece: bytes) -> None:
+        self._clock = clock
+        self._piece = piece
+        self.timeout = self.write_timeout = 0.0
+        self.written: list[tuple[float, bytes]] = []
+
+    def read(self, size: int) -> bytes:
+        self._clock.sleep_until(self._clock.now() + self.READ_S)
+        return (self._piece * size)[:size]
+
+    def write(self, data: bytes) -> None:
+        self.written.append((self._clock.now(), data))
+
+    def close(self) -> None:
+        pass
+
+
+def check_flood(clock: VirtualClock, *calls: Callable[[], object]) -> None:
+    """Each call fails, and in time."""
+    bounded = BoundedCalls(clock, "", MOST_S)
+    for call in calls:
+        with bounded.attempt(), bounded.call():
+            call()
+    assert len(bounded.errors) == len(calls)

@@ -5,15 +5,20 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from goniotwin.app.rig import open_rig, read_rig
+from goniotwin.app.rig import AXES, open_rig, read_rig
+from goniotwin.drivers import Monochromator, MonochromatorSettings
+from goniotwin.drivers.motion.stop import stop_all
+from goniotwin.drivers.motion.tmcl.module import TmclModule
 from goniotwin.mocks.faults import Fault, FaultPlan
 from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols.clock import RealClock, VirtualClock
+from goniotwin.protocols.tmcl import Command, CommandFrame
 from tests.conftest import RIG, RigOpener
-from tests.drivers.endless_wires import QUICK, WIRES, check_calls, check_stops
+from tests.drivers.endless_wires import QUICK, WIRES, FloodedPort, check_calls, check_flood, check_stops
 from tests.system.conftest import Serve
 
 # ---- a busy computer ----
@@ -93,3 +98,24 @@ def test_every_call_ends_at_whichever_request_the_device_begins_to_send_without_
 )
 def test_a_stop_is_on_the_wire_in_time_though_the_module_never_stops_sending(opened: RigOpener, name: str) -> None:
     check_stops(opened, name)
+
+
+@pytest.mark.parametrize("piece", [b"x", b"00\r\n"])
+def test_a_flooded_monochromator_holds_no_call_for_longer_than_five_seconds(piece: bytes) -> None:
+    clock = VirtualClock(1.0)
+    port: Any = FloodedPort(clock, piece)
+    driver = Monochromator(lambda *_: port, MonochromatorSettings(), clock)
+    check_flood(clock, driver.connect, driver.wavelength_nm, lambda: driver.start_wavelength(600.0), driver.shutter_is_open)
+
+
+def test_stop_frames_are_on_a_flooded_line_within_200_ms() -> None:
+    clock = VirtualClock(1.0)
+    port: Any = FloodedPort(clock, b"\2\1")
+    module = TmclModule(lambda *_: port, clock)
+    check_flood(clock, module.connect, module.identify)
+    started = clock.now()
+    stops = {"axes": module.begin_stop([(name, CommandFrame(1, Command.MST, 0, k)) for k, name in enumerate(AXES)])}
+    assert [each.device for each in stop_all(stops)] == list(AXES)
+    frames = [t - started for t, data in port.written if t >= started and data[1] == Command.MST]
+    assert frames[len(AXES) - 1] < 0.2
+    assert clock.now() - started < 5.0
