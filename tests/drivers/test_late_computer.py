@@ -77,7 +77,7 @@ def test_a_reply_that_came_while_the_computer_was_late_is_accepted(opened: RigOp
 
 @pytest.mark.skipif(sys.platform == "win32", reason="it has no pseudo-terminals")
 @pytest.mark.parametrize(("client", "found"), [(RtuClient, b"reply"), (ModbusSerialClient, b"")])
-def test_a_serial_client_of_modbus_takes_what_is_there_whatever_the_calendar_says(
+def test_a_serial_client_of_modbus_takes_what_is_there_though_the_calendar_leaps(
     client: type[ModbusSerialClient], found: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """pymodbus's own does not, which is why there is another one."""

@@ -14,7 +14,7 @@ SLEPT_S = 10.0
 ANSWER_S = 5.0
 """Longest time in which the system grants that this computer stays awake."""
 HOLD = "echo; exec cat"
-"""Says that the lock is held, and ends when its input ends, as it does when this program ends in whatever way."""
+"""Prints a line when the lock is held, and ends when its input ends, as it does when this program ends in whatever way."""
 ES_CONTINUOUS, ES_SYSTEM_REQUIRED = 0x8000_0000, 0x1
 
 
