@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
@@ -23,7 +24,7 @@ class Outcome:
     """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
 
     `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
-    `seconds` is the duration on the rig's clock.
+    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes.
     """
 
     state: State
@@ -34,6 +35,7 @@ class Outcome:
     seconds: float
     faults: tuple[str, ...]
     simulated: bool
+    chain: Chain
 
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
@@ -124,7 +126,9 @@ def _run_engine(
     (rows, planned), skipped = journal.row_counts(), len(journal.skipped_numbers())
     failure = opened.transcript_failure
     faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
-    return Outcome(state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated)
+    return Outcome(
+        state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain
+    )
 
 
 def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:

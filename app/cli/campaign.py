@@ -147,6 +147,7 @@ def run(
         "duration_s": outcome.seconds,
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
+        "chain": outcome.chain.as_dict(),
     }
     if (checks := check_journal(journal)) is not None:
         result["checks"] = checks.as_dict()
@@ -156,7 +157,11 @@ def run(
     skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
     rows = f"{outcome.rows} of {outcome.planned} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
-    answer(as_json, result, lambda: print("\n".join([text, *(checks.lines if checks is not None else [])])))
+    answer(
+        as_json,
+        result,
+        lambda: print("\n".join([text, outcome.chain.statement, *(checks.lines if checks is not None else [])])),
+    )
     if outcome.ended_by_schedule:
         errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
     if outcome.rows < outcome.planned:

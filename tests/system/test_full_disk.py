@@ -25,9 +25,9 @@ pytestmark = FORKED
 SPEED = 10
 MAX_TRIES = 8
 TOO_FEW_BYTES = (5_000, 20_000, 40_000, 60_000)
-MIN_BYTES, MAX_BYTES = 70_000, 190_000
+MIN_BYTES, MAX_BYTES = 80_000, 110_000
 """Limits of the file size: below it no journal can be created, above it the whole campaign has room."""
-MIN_KB, MAX_KB = 176, 248
+MIN_KB, MAX_KB = 176, 196
 """The same limits for the size of a disk."""
 FreeSpace = Callable[[], object]
 SmallDisk = Callable[..., Path]

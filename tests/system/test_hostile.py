@@ -1,14 +1,25 @@
 """What is hostile to a run and is no fault of its devices: each of these must leave a run, its archive and its rig unharmed."""
 
 import contextlib
+import io
+import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.reading import DamagedJournal
+from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, Journal, copy_journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli.main import app as command
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
 from goniotwin.drivers import Monochromator, MonochromatorSettings
 from goniotwin.drivers.motion.stop import stop_all
@@ -17,8 +28,9 @@ from goniotwin.mocks.faults import Fault, FaultPlan
 from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
-from tests.conftest import RIG, RigOpener
+from tests.conftest import RIG, RigOpener, Writer
 from tests.drivers.endless_wires import QUICK, WIRES, FloodedPort, check_calls, check_flood, check_stops
+from tests.system.command_process import FORKED, CommandProcess, row_digest
 from tests.system.conftest import Serve
 
 # ---- a busy computer ----
@@ -129,3 +141,89 @@ def test_stop_frames_are_on_a_flooded_line_within_200_ms() -> None:
     frames = [t - started for t, data in port.written if t >= started and data[1] == Command.MST]
     assert frames[len(AXES) - 1] < 0.2
     assert clock.now() - started < 5.0
+
+
+# ---- a journal with a flipped bit ----
+
+
+def export_csv(journal: Path, out: Path) -> bytes | None:
+    """What `goniotwin export` writes with status 0; None where it refuses the journal in one line and writes nothing."""
+    out.unlink(missing_ok=True)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            status = command(["export", str(journal), "--format", "csv", "--out", str(out)], standalone_mode=False)
+    except UserError as error:
+        return None if error.status and "\n" not in str(error) and not out.exists() else b"other"
+    return None if status else out.read_bytes()
+
+
+@pytest.mark.parametrize("flips", [pytest.param(200, id="200"), pytest.param(10_000, id="10000", marks=pytest.mark.long)])
+def test_no_flipped_bit_of_a_journal_gives_other_values(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, flips: int
+) -> None:
+    """Of all bytes, and where there are few flips of those that are not zero: most others are unused, and change nothing."""
+    plan = make_plan(read_schedule(write_schedule(("shift_deg = [0, 1]", "shift_deg = [0]"))), read_rig(write_rig()))
+    path, out = tmp_path / "a.journal", tmp_path / "a.csv"
+    run_campaign(plan, path)
+    whole, sound = path.read_bytes(), export_csv(path, out)
+    assert sound is not None
+    places = np.arange(len(whole)) if flips > 1000 else np.flatnonzero(np.frombuffer(whole, dtype=np.uint8))
+    outcomes: Counter[str] = Counter()
+    for k in np.random.default_rng(flips).choice(8 * len(places), flips, replace=False).tolist():
+        bit = 8 * int(places[k // 8]) + k % 8
+        content = bytearray(whole)
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+        found = export_csv(path, out)
+        outcomes["refused" if found is None else "same" if found == sound else "other"] += 1
+        assert found in (None, sound), f"bit {bit}"
+    print(f"\n{dict(outcomes)}")
+    assert outcomes["refused"] > flips // 5
+
+
+# ---- copies of a journal during a run ----
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("runs", [10])
+@FORKED[0]
+def test_copies_of_a_journal_during_a_run_are_whole(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, runs: int
+) -> None:
+    """By `goniotwin copy` with every row that was reported before; plain ones without at most ten rows, or refused as torn."""
+    rig = write_rig()
+    schedule = write_schedule(("wavelength_nm = [550]", "wavelength_nm = [500, 550, 600, 650, 700]"))
+    plain, exact = tmp_path / "plain.journal", tmp_path / "exact.journal"
+    copies: Counter[str] = Counter()
+    for k in range(runs):
+        path = tmp_path / f"{k}.journal"
+        process = CommandProcess(tmp_path, "run", schedule, "--rig", rig, "--out", path)
+        process.wait_for_rows(1)
+        while process.alive:
+            before = process.committed
+            shutil.copyfile(path, plain)
+            exact.unlink(missing_ok=True)
+            try:
+                found = committed_rows(plain)
+                assert found.items() <= process.committed.items()
+                assert len(found) > len(before) - CHECKPOINT_ROWS
+                copies["plain"] += 1
+            except DamagedJournal:
+                copies["torn"] += 1
+            before = process.committed
+            copy_journal(path, exact)
+            assert before.items() <= committed_rows(exact).items()
+            copies["exact"] += 1
+        assert process.wait() == 0, process.errors
+        shutil.copyfile(path, plain)
+        assert committed_rows(plain) == process.committed
+    print(f"\n{dict(copies)}")
+    assert copies["exact"] > 3 * runs
+
+
+def committed_rows(path: Path) -> dict[int, str]:
+    """The rows of a journal, by number, with the digests of their data. Raises DamagedJournal."""
+    with Journal.open(path) as journal:
+        if journal.chain.damage:
+            raise DamagedJournal(journal.chain.damage)
+        return {each.row.number: row_digest(each.data) for each in journal.rows()}

@@ -34,12 +34,12 @@ MAX_TRIES = 8
 """Number of attempts: on a busy machine the answer of a device may come too late."""
 SAMPLE = "gaussian-5"
 BLACK = (("width_deg = 5.0", "width_deg = 40.0"), ("reflectance = 0.9\n", "reflectance = 0.0009\n"))
-STEPS = 2000
-"""Steps of SQLite's virtual machine: the journal gets its name after about 1050, its first row after 1250, and a further row
-every 150.
+STEPS = 3000
+"""Steps of SQLite's virtual machine: the journal gets its name after about 1450, its first row after 1850, and a further row
+every 300.
 """
-MIGRATION_STEPS = 4200
-"""Steps for a journal of schema 1: first a copy is migrated, in 2000 steps, then the file; then the first row follows."""
+MIGRATION_STEPS = 9000
+"""Steps for a journal of schema 1: first a copy is migrated and checked, then the file; then the first row follows."""
 
 
 @dataclass

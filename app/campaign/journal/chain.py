@@ -10,7 +10,7 @@ import json
 import operator
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 ENTRY = "chain"
@@ -41,28 +41,37 @@ class Chain:
     """The chain of a journal as found: its length and its tip, the hash of the last link (of the campaign, without rows).
 
     `damaged` are the rows that differ from what was committed, by number, with their identities; `parts` names what else is
-    damaged. `unchecked` is the number of attempts from before the chain: they were committed by an earlier version.
+    damaged. `given_up` are damaged rows without a repetition: unplanned ones from before the last resume. `unchecked` is the
+    number of attempts from before the chain: they were committed by an earlier version.
     """
 
     length: int = 0
     tip: str = ""
     unchecked: int = 0
     damaged: dict[int, str] = field(default_factory=dict)
+    given_up: dict[int, str] = field(default_factory=dict)
     parts: tuple[str, ...] = ()
 
     @property
     def damage(self) -> str:
         """What is damaged, as a list in words; empty for a sound journal."""
-        named = [f"row {number} ({name})" if name else f"row {number}" for number, name in sorted(self.damaged.items())]
-        more = [f"{len(named) - NAMED_ROWS} more rows"] if len(named) > NAMED_ROWS else []
-        return ", ".join([*named[:NAMED_ROWS], *more, *self.parts])
+        return ", ".join([*_named(self.damaged), *self.parts])
+
+    def as_dict(self) -> dict[str, object]:
+        """Length and tip, for JSON; `unchecked` rows have no checksums."""
+        return {"length": self.length, "tip": self.tip, "unchecked": self.unchecked}
+
+    @property
+    def without_values(self) -> dict[int, str]:
+        """The rows that have no values because they are damaged."""
+        return self.damaged | self.given_up
 
     @property
     def statement(self) -> str:
         """What a report states of the chain."""
         if not self.length and self.unchecked:
             return "no checksums: an earlier version of the program wrote this journal"
-        earlier = f"; the {self.unchecked} rows before it have no checksums" if self.unchecked else ""
+        earlier = f"; {self.unchecked} rows before it have no checksums" if self.unchecked else ""
         return f"{self.length} rows in the chain of checksums, tip {self.tip}{earlier}"
 
 
@@ -91,7 +100,8 @@ def add_link(db: sqlite3.Connection, chain: Chain, number: int, attempt: int) ->
     link = chain.length + 1
     tip = _link_hash(chain.tip, link, row, readings.fetchall())
     db.execute("INSERT INTO chain VALUES (?, ?, ?, ?)", (link, number, attempt, tip))
-    return Chain(link, tip, chain.unchecked, {key: name for key, name in chain.damaged.items() if key != number}, chain.parts)
+    damaged = {key: name for key, name in chain.damaged.items() if key != number}
+    return replace(chain, length=link, tip=tip, damaged=damaged)
 
 
 def seal_session(db: sqlite3.Connection, session: int) -> None:
@@ -122,7 +132,10 @@ def _check(db: sqlite3.Connection) -> Chain:
     (unchecked,) = db.execute("SELECT COUNT(*) FROM attempt WHERE session <= ?", (after,)).fetchone()
     (checked,) = db.execute("SELECT COUNT(*) FROM attempt WHERE session > ?", (after,)).fetchone()
     damaged = {} if sound == checked and not links.bad else _damaged_rows(db, after, links.bad)
-    return Chain(links.last, links.tip, unchecked, damaged, (*parts, *_check_sessions(db, after, links, rows=bool(damaged))))
+    parts += _check_sessions(db, after, links, rows=bool(damaged))
+    given_up = _before_the_resume(db, damaged)
+    damaged = {number: name for number, name in damaged.items() if number not in given_up}
+    return Chain(links.last, links.tip, unchecked, damaged, given_up, tuple(parts))
 
 
 def _check_entries(db: sqlite3.Connection) -> tuple[int, dict[str, str]]:
@@ -201,6 +214,17 @@ def _damaged_rows(db: sqlite3.Connection, after: int, bad: set[int]) -> dict[int
     return damaged
 
 
+def _before_the_resume(db: sqlite3.Connection, damaged: dict[int, str]) -> dict[int, str]:
+    """Damaged rows that are not part of the plan, of earlier sessions than the last one: a resume does not repeat them."""
+    (last,) = db.execute("SELECT COALESCE(MAX(id), 0) FROM session").fetchone()
+    session_of = {number: db.execute("SELECT session FROM plan WHERE number = ?", (number,)).fetchone() for number in damaged}
+    return {
+        number: damaged[number]
+        for number, found in session_of.items()
+        if found is not None and found[0] is not None and found[0] < last
+    }
+
+
 def _check_sessions(db: sqlite3.Connection, after: int, links: _Links, *, rows: bool) -> list[str]:
     """What is damaged of the sessions since the chain, and whether the chain ends as the last one states."""
     sessions = db.execute(f"SELECT {SESSION}, sha256 FROM session WHERE id > ? ORDER BY id", (after,)).fetchall()
@@ -257,6 +281,12 @@ def _parse(about: str | bytes) -> tuple[int, dict[str, str]]:
         return int(found["after_session"]), {str(key): str(value) for key, value in found["sha256"].items()}
     except (ValueError, KeyError, TypeError, AttributeError):
         raise ChainError(f"its entry {ENTRY!r} cannot be read") from None
+
+
+def _named(rows: dict[int, str]) -> list[str]:
+    """Rows in words; beyond NAMED_ROWS their number."""
+    named = [f"row {number} ({name})" if name else f"row {number}" for number, name in sorted(rows.items())]
+    return [*named[:NAMED_ROWS], *([f"{len(named) - NAMED_ROWS} more rows"] if len(named) > NAMED_ROWS else [])]
 
 
 def _text(value: str | bytes) -> str:

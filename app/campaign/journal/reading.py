@@ -34,9 +34,16 @@ ROW_INDEX = np.dtype(
 sample names that comes with the index.
 """
 ROW_COLUMNS = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
+USE_A_COPY = "use a copy of it, if there is one; goniotwin copy makes copies that are whole, also during a run"
 LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
+
+
+class DamagedJournal(UserError):
+    """A journal that differs from what was written."""
+
+    status = 1
 
 
 @dataclass(frozen=True)
@@ -67,9 +74,9 @@ class JournalReader:
         self.path = path
         self.chain = chain
         self._sound = ""
-        if chain.damaged:
+        if chain.without_values:
             self._db.execute("CREATE TEMP TABLE damaged (number INTEGER PRIMARY KEY)")
-            self._db.executemany("INSERT INTO temp.damaged VALUES (?)", [(number,) for number in chain.damaged])
+            self._db.executemany("INSERT INTO temp.damaged VALUES (?)", [(number,) for number in chain.without_values])
             self._db.commit()
             self._sound = " AND p.number NOT IN temp.damaged"
 
@@ -81,7 +88,7 @@ class JournalReader:
         with self._reading():
             found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
         if found is None:
-            raise UserError(f"{self.path}: has no entry {key!r}: the file is incomplete; use a copy of it, if there is one")
+            raise DamagedJournal(f"{self.path}: has no entry {key!r}: the file is incomplete; {USE_A_COPY}")
         return str(found[0])
 
     @property
@@ -123,7 +130,7 @@ class JournalReader:
         """Numbers of the rows that are measured, unplanned ones included, skipped and damaged ones excluded."""
         with self._reading():
             attempted = {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
-        return attempted - self._last_skipped() - self.chain.damaged.keys()
+        return attempted - self._last_skipped() - self.chain.without_values.keys()
 
     def skipped_numbers(self) -> set[int]:
         """Numbers of the planned rows that were skipped because of a fault and not measured since."""
@@ -137,7 +144,9 @@ class JournalReader:
                 " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = a.number)",
                 (f"%{SKIPPED}%",),
             )
-            return {number for number, flags in found if number not in self.chain.damaged and SKIPPED in json.loads(flags)}
+            return {
+                number for number, flags in found if number not in self.chain.without_values and SKIPPED in json.loads(flags)
+            }
 
     def _planned_numbers(self) -> set[int]:
         with self._reading():
@@ -243,12 +252,12 @@ def _recovered_copy(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def report_damage(path: Path) -> Iterator[None]:
-    """Convert errors of the database and of the stored values into a UserError: the journal is damaged."""
+    """Convert errors of the database and of the stored values into DamagedJournal."""
     try:
         yield
     except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
         line, *more = str(error).splitlines() or [type(error).__name__]
-        raise UserError(f"{path}: is damaged: {line}{' ...' if more else ''}; use a copy of it, if there is one") from None
+        raise DamagedJournal(f"{path}: is damaged: {line}{' ...' if more else ''}; {USE_A_COPY}") from None
 
 
 def _row(*columns: Any) -> Row:

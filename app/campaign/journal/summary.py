@@ -12,7 +12,7 @@ SUFFIX = ".journal"
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """A journal in short; the fields are the keys of the JSON output.
+    """A journal in short; the fields are the keys of the JSON output, without `damage`, which is an error message.
 
     `state`: "done", "stopped" or "failed" as the last session recorded it; "killed" where the last session has no end;
     "running" while a program has the journal open; "empty" before the first session. `rows` counts the measured planned rows,
@@ -33,10 +33,11 @@ class CampaignSummary:
     ended: str | None
     sessions: int
     faults: list[str]
+    damage: str
 
     def as_dict(self) -> dict[str, object]:
         """The summary as a dictionary, for JSON."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if key != "damage"}
 
 
 def campaign_summary(path: Path) -> CampaignSummary:
@@ -62,11 +63,12 @@ def campaign_summary(path: Path) -> CampaignSummary:
             ended=last.wall_ended if last is not None and not held else None,
             sessions=len(sessions),
             faults=journal.faults(),
+            damage=journal.chain.damage,
         )
 
 
 def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
-    """Summaries of all `.journal` files of a folder, by name, and an error message for each that cannot be read.
+    """Summaries of all `.journal` files of a folder, by name, and an error message for each that is damaged or no journal.
 
     Raises UserError where the folder does not exist.
     """
@@ -76,6 +78,8 @@ def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:
             summaries.append(campaign_summary(path))
+            if damage := summaries[-1].damage:
+                errors.append(f"{path}: differs from what was measured: {damage}")
         except UserError as error:
             errors.append(str(error))
     return summaries, errors

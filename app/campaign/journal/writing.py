@@ -6,6 +6,7 @@ and the raw counts; everything else can be derived from these again. docs/journa
 
 import contextlib
 import json
+import os
 import platform
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -20,8 +21,13 @@ from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats.file import sync_folder
 from goniotwin.protocols.clock import calendar_stamp
 
+CHECKPOINT_ROWS, CHECKPOINT_S = 10, 60.0
+"""After so many rows, or so many seconds after the first of them, they are brought from the -wal file into the journal."""
+READERS_END_S = 5.0
+"""Longest time that is waited for other programs' reading."""
 OLDEST_READABLE = 2
 """Older schemas lack columns that are read: a copy of them is migrated."""
 PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
@@ -39,9 +45,12 @@ class JournalError(Exception):
 class Journal(JournalReader):
     """An open journal. A row is on the disk when `commit` returns."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, chain: Chain) -> None:
+    def __init__(self, connection: sqlite3.Connection, path: Path, chain: Chain, *, written: bool = False) -> None:
         super().__init__(connection, path, chain)
         self._session: int | None = None
+        self._written = written
+        self._fresh = 0  # committed since the last checkpoint
+        self._due_s: float | None = None  # time of the next checkpoint; None if there is nothing to bring into the file
 
     @classmethod
     def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
@@ -60,7 +69,7 @@ class Journal(JournalReader):
                 raise UserError(
                     f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
                 )
-        spare = path.with_name(f".{path.name}.new")
+        spare = _spare(path)
         try:
             _remove(spare)  # left by a program that was killed here
             with contextlib.closing(_connect(spare, durable=durable)) as db:
@@ -73,7 +82,7 @@ class Journal(JournalReader):
             raise _unwritable(path, error) from None
         try:
             db = _connect(path, durable=durable)
-            return cls(db, path, Chain(tip=campaign_hash(db)))
+            return cls(db, path, Chain(tip=campaign_hash(db)), written=durable)
         except sqlite3.Error as error:
             _remove(path)
             raise _unwritable(path, error) from None
@@ -109,13 +118,59 @@ class Journal(JournalReader):
             ) from None
         with report_damage(path):
             migrate(db)
-        return cls(db, path, _checked(db, path))
+        return cls(db, path, _checked(db, path), written=True)
 
     def close(self) -> None:
-        """Close the journal. A written journal is then a single file, readable on any medium."""
-        with contextlib.suppress(sqlite3.Error):
+        """Close the journal. A written journal is then whole in its one file, also while other programs read it."""
+        try:
             self._db.execute("PRAGMA journal_mode = DELETE")
+        except sqlite3.Error:  # another program has it open
+            if self._written:
+                self._finish()
         self._db.close()
+
+    def _finish(self) -> None:
+        """Bring all rows into the file of a journal that other programs have open.
+
+        SQLite waits some seconds for their reading to end. If it does not end, the journal is replaced by a copy; they keep
+        the file that they have open. Windows does not permit that: rows may then remain in the -wal file.
+        """
+        with contextlib.suppress(sqlite3.Error):
+            if not self._db.execute("PRAGMA wal_checkpoint(FULL)").fetchone()[0]:
+                return
+        file = Path(os.path.realpath(self.path))
+        spare = _spare(file)
+        with contextlib.suppress(sqlite3.Error, OSError):
+            if os.name != "nt" and file.stat().st_nlink == 1:
+                _copy(self._db, spare)
+                self._db.close()
+                spare.replace(file)
+                sync_folder(file.parent)
+                for suffix in ("-wal", "-shm"):
+                    Path(f"{file}{suffix}").unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            _remove(spare)
+
+    def tend(self, t: float) -> None:
+        """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock."""
+        if self._due_s is not None and t >= self._due_s:
+            self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Bring the rows into the journal's one file as far as readers permit, so that a plain copy of it has them."""
+        self._fresh, self._due_s = 0, None
+        if self._written:
+            with contextlib.suppress(sqlite3.Error):  # the rows are on the disk, in the -wal file
+                self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+
+    def _expect_checkpoint(self, t: float, rows: int = 0) -> None:
+        """Count what was committed at the time `t`, and make the checkpoint that is due."""
+        self._fresh += rows
+        if self._due_s is None:
+            self._due_s = t + CHECKPOINT_S
+        if self._fresh >= CHECKPOINT_ROWS:
+            self.checkpoint()
+        self.tend(t)
 
     def __enter__(self) -> "Journal":
         return self
@@ -136,6 +191,7 @@ class Journal(JournalReader):
             session = int(cursor.lastrowid or 0)
             seal_session(self._db, session)
         self._session = session
+        self._expect_checkpoint(t)
         return session
 
     def add_rows(self, rows: Sequence[Row]) -> None:
@@ -156,6 +212,7 @@ class Journal(JournalReader):
         """Record an event of a kind (fault, stop, drift, encoder, ...) at time `t` on the rig's clock."""
         with self._writing():
             self._db.execute("INSERT INTO event (session, t_s, kind, text) VALUES (?, ?, ?, ?)", (self._session, t, kind, text))
+        self._expect_checkpoint(t)
 
     def faults(self) -> list[str]:
         """Texts of all fault events, in order of time."""
@@ -165,9 +222,7 @@ class Journal(JournalReader):
         """Write one row in one transaction; it is on the disk on return. Raises JournalError."""
         positions = None if data.positions is None else json.dumps(data.positions)
         with self._writing():
-            (attempt,) = self._db.execute(
-                "SELECT COALESCE(MAX(attempt), 0) + 1 FROM attempt WHERE number = ?", (row.number,)
-            ).fetchone()
+            (attempt,) = self._db.execute(NEXT_ATTEMPT, (row.number, row.number)).fetchone()
             self._db.execute(
                 "INSERT INTO attempt (number, attempt, session, started_s, ended_s, positions, flags)"
                 " VALUES (?, ?, ?, ?, ?, ?, ?)",
@@ -185,6 +240,7 @@ class Journal(JournalReader):
             if row.number in self.chain.damaged:
                 self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
         self.chain = chain
+        self._expect_checkpoint(data.ended_s, rows=1)
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -217,7 +273,7 @@ def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> N
 
 
 def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
-    db = sqlite3.connect(path, check_same_thread=False)
+    db = sqlite3.connect(path, timeout=READERS_END_S, check_same_thread=False)
     try:
         db.execute("PRAGMA journal_mode = WAL")
         db.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
@@ -259,6 +315,44 @@ def _known_version(path: Path) -> int:
     return version
 
 
+def copy_journal(path: Path, copy: Path) -> Chain:
+    """Copy a journal as it is now to one file, also while its campaign runs, and check the copy; return its chain.
+
+    The copy has its name when it is whole. Raises UserError where it cannot be made, and DamagedJournal for a journal of which
+    more than rows, plan or sessions is damaged.
+    """
+    if copy.exists():
+        raise UserError(f"{copy}: exists, and nothing is overwritten; choose another name")
+    _known_version(path)
+    spare = _spare(copy)
+    try:
+        _remove(spare)
+        with contextlib.closing(open_read_only(path)) as db:
+            _copy(db, spare)
+        with contextlib.closing(open_read_only(spare)) as db:
+            chain = _checked(db, path)
+        spare.rename(copy)
+        sync_folder(copy.parent)
+        return chain
+    except (sqlite3.Error, OSError) as error:
+        raise _unwritable(copy, error) from None
+    finally:
+        with contextlib.suppress(OSError):
+            _remove(spare)
+
+
+def _copy(db: sqlite3.Connection, to: Path) -> None:
+    """Copy a snapshot of a database to a new file, which is then on the disk. Raises sqlite3.Error."""
+    with contextlib.closing(sqlite3.connect(to)) as copy:
+        db.backup(copy)
+        copy.execute("PRAGMA journal_mode = DELETE")
+
+
+def _spare(path: Path) -> Path:
+    """The name of a journal until it is complete."""
+    return path.with_name(f".{path.name}.new")
+
+
 def _checked(db: sqlite3.Connection, path: Path) -> Chain:
     """The chain of a journal, compared with all of it in one snapshot.
 
@@ -278,6 +372,13 @@ def _checked(db: sqlite3.Connection, path: Path) -> Chain:
         raise
 
 
+NEXT_ATTEMPT = """
+SELECT 1 + MAX(
+    COALESCE((SELECT MAX(attempt) FROM attempt WHERE number = ?), 0),
+    COALESCE((SELECT MAX(attempt) FROM reading WHERE number = ?), 0)
+)
+"""
+"""A damaged journal may have readings without their attempt."""
 INSERT_ROW = (
     "INSERT INTO plan (number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds,"
     " detail, session) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"

@@ -163,6 +163,8 @@ class Engine:
         self._stop_conditions.session_start_s = self._clock.now()
         for k, row in enumerate(self._work, 1):
             self._wait_while_paused()
+            if row.kind == "mount":
+                self._journal.checkpoint()  # a person may take an hour
             self._notify(RowStarted(row))
             data = self._execute_awake(row)
             self._journal.commit(row, data)
@@ -264,6 +266,7 @@ class Engine:
         """Ask the operator to fix a fault, with the shutter closed if possible; return whether it is fixed."""
         with contextlib.suppress(DeviceError):
             self._executor.set_shutter(opened=False)
+        self._journal.checkpoint()
         fixed = self._operator.confirm_fix(fault)
         self._executor.forget_settings()
         return fixed
@@ -299,6 +302,7 @@ class Engine:
             self._enter_unless_pausing(State.RUNNING)
             return
         self._apply_policies("the pause", self._close_shutter)
+        self._journal.checkpoint()
         with self._changed:
             if not self._stop_request.requested:
                 self._enter(State.PAUSED)
@@ -314,6 +318,7 @@ class Engine:
     def _on_poll(self) -> None:
         self._stop_request.check()
         now = self._clock.now()
+        self._journal.tend(now)
         if self._positions_every_s and now >= self._positions_due:
             self._positions_due = now + self._positions_every_s
             self._notify(Positions({name: axis.position_deg() for name, axis in self._rig.axes.items()}))

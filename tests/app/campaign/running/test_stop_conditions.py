@@ -76,15 +76,17 @@ def test_a_journal_is_locked_under_all_its_names(write_rig: Writer, write_schedu
     assert resume_campaign(second).rows == len(plan.rows)
 
 
-def test_a_damaged_journal_is_not_resumed_and_not_changed(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+def test_a_journal_with_a_damaged_plan_is_not_resumed_and_not_changed(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
     plan = make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET)))
     path = tmp_path / "a.journal"
     run_until(plan, path, 0.5 * plan.seconds)
     database = sqlite3.connect(path)
     with database:
-        database.execute("UPDATE reading SET counts = x'00' WHERE number = (SELECT MIN(number) FROM reading)")
+        database.execute("UPDATE plan SET beta_deg = 0.0 WHERE number = 9")
     database.close()
-    with pytest.raises(UserError, match=r"a\.journal: is damaged: [^\n]*; use a copy of it"):
+    with pytest.raises(UserError, match=r"a\.journal: is damaged: the plan; use a copy of it"):
         resume_campaign(path)
     with Journal.open(path) as journal:
         assert len(journal.sessions()) == 1
