@@ -3,10 +3,12 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 from goniotwin.app.rig import OpenRig
 from goniotwin.drivers import DeviceError, Rig, wait
 from goniotwin.mocks.faulty_line import foreign_tmcl
+from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.tmcl import Command, ReplyFrame
 from goniotwin.twin.devices.modbus import TcpStation
@@ -220,3 +222,33 @@ def check_flood(clock: VirtualClock, *calls: Callable[[], object]) -> None:
         with bounded.attempt(), bounded.call():
             call()
     assert len(bounded.errors) == len(calls)
+
+
+class EndlessServer:
+    """The connection to a USB/IP server that exports a device, and then sends `stream` without end, a piece for each read.
+
+    It is its own clock: each read takes READ_S.
+    """
+
+    READ_S = 0.01
+
+    def __init__(self, stream: Iterator[bytes]) -> None:
+        device = usbip.ExportedDevice("/x", "1-1", 1, 1, usbip.FULL_SPEED, 0x1313, 0x8078, 0x0100, (0, 0, 0), 1, 1, 0)
+        self._stream = chain([usbip.Imported(device).encode()], stream)
+        self._now = 0.0
+
+    def now(self) -> float:
+        return self._now
+
+    def settimeout(self, _: float | None) -> None:
+        pass
+
+    def sendall(self, _: bytes) -> None:
+        pass
+
+    def recv(self, _: int) -> bytes:
+        self._now += self.READ_S
+        return next(self._stream)
+
+    def close(self) -> None:
+        pass

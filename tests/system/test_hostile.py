@@ -7,11 +7,13 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import usb.core
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.reading import DamagedJournal
@@ -24,12 +26,14 @@ from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
 from goniotwin.drivers import Monochromator, MonochromatorSettings
 from goniotwin.drivers.motion.stop import stop_all
 from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.usb.usbip import UsbIpLink
 from goniotwin.mocks.faults import Fault, FaultPlan
 from goniotwin.mocks.faulty_line import FaultyLine
+from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
 from tests.conftest import RIG, RigOpener, Writer
-from tests.drivers.endless_wires import QUICK, WIRES, FloodedPort, check_calls, check_flood, check_stops
+from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
 from tests.system.command_process import FORKED, CommandProcess, row_digest
 from tests.system.conftest import Serve
 
@@ -141,6 +145,23 @@ def test_stop_frames_are_on_a_flooded_line_within_200_ms() -> None:
     frames = [t - started for t, data in port.written if t >= started and data[1] == Command.MST]
     assert frames[len(AXES) - 1] < 0.2
     assert clock.now() - started < 5.0
+
+
+@pytest.mark.parametrize(
+    "stream",
+    [repeat(usbip.Submitted(999, 0, 0).encode()), chain([usbip.Submitted(1, 0, 1 << 20).encode()], repeat(b"x"))],
+    ids=["results of other transfers", "a byte at a time"],
+)
+def test_a_transfer_over_usbip_ends_though_the_server_never_stops_sending(
+    stream: Iterator[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server: Any = EndlessServer(stream)
+    monkeypatch.setattr("goniotwin.drivers.usb.usbip._connect", lambda *_: server)
+    monkeypatch.setattr("goniotwin.drivers.usb.usbip._clock", server)
+    link = UsbIpLink("host", 3240, "1-1")
+    with pytest.raises(usb.core.USBError):
+        link.read(1, 1 << 20, 1000)
+    assert 1.0 < server.now() < 5.0
 
 
 # ---- a journal with a flipped bit ----
