@@ -193,7 +193,7 @@ def check_stops(opened: RigOpener, name: str) -> None:
 
 
 class FloodedPort:
-    """A serial port at which there is always more to read: its sender is faster than the reader, whose reads take READ_S."""
+    """A serial port at which there is always more to read: its sender is faster than the reader, for a read takes READ_S."""
 
     READ_S = 4e-3
     in_waiting = 4096
@@ -227,7 +227,7 @@ def check_flood(clock: VirtualClock, *calls: Callable[[], object]) -> None:
 class EndlessServer:
     """The connection to a USB/IP server that exports a device, and then sends `stream` without end, a piece for each read.
 
-    It is its own clock: each read takes READ_S.
+    It is the clock too: each read takes READ_S.
     """
 
     READ_S = 0.01
