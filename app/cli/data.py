@@ -59,7 +59,7 @@ def export(
     text = f"{mark}{exported.values} measured values: {', '.join(files)}\n{reduced.chain}"
     answer(as_json, result, lambda: print(text))
     if chain.damage:
-        print_error(f"{journal}: left out, because it differs from what was measured: {chain.damage}")
+        print_error(f"{journal}: exported without what differs from what was measured: {chain.damage}")
 
 
 @app.command()
