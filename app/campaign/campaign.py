@@ -1,7 +1,7 @@
 """Run or resume a campaign, from its files to its journal, in one call: for the command line and for scripts."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
-from goniotwin.app.campaign.running.operator import HumanOperator, Operator, ServedOperator, VirtualOperator
+from goniotwin.app.campaign.running.operator import Ask, HumanOperator, Operator, ServedOperator, VirtualOperator
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
@@ -51,7 +51,7 @@ def run_campaign(
     *,
     listeners: list[Listener] | None = None,
     transcript: Path | None = None,
-    ask: Callable[[str], None] | None = None,
+    ask: Ask | None = None,
 ) -> Outcome:
     """Run a plan until it is done, stopped, or ended by a fault.
 
@@ -71,7 +71,7 @@ def resume_campaign(
     *,
     listeners: list[Listener] | None = None,
     transcript: Path | None = None,
-    ask: Callable[[str], None] | None = None,
+    ask: Ask | None = None,
 ) -> Outcome:
     """Resume a campaign at the first planned row that is not in its journal; home unreferenced axes first.
 
@@ -110,7 +110,7 @@ def _lock(resource: str, journal_path: Path, plan: Plan) -> Iterator[None]:
         lock.release()
 
 
-def _connect(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None, *, homing: bool = False) -> Operator:
+def _connect(opened: OpenRig, plan: Plan, ask: Ask | None, *, homing: bool = False) -> Operator:
     """Connect the rig, check its axes (`homing` as in `check_referenced`), and return its operator."""
     operator = operator_for(opened, plan.rig.file, ask)
     opened.connect()
@@ -146,12 +146,18 @@ def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) ->
         )
 
 
-def operator_for(opened: OpenRig, rig: RigFile, ask: Callable[[str], None] | None) -> Operator:
-    """The operator of a rig: the program at a virtual rig, else a person, through `ask`. Raises UserError without `ask`."""
+def operator_for(opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool = False) -> Operator:
+    """The operator of a rig: the program at a virtual rig, unless `person`; else a person, asked through `ask`.
+
+    Raises UserError for a person without `ask`.
+    """
+    program: Operator | None = None
     if opened.virtual is not None:
-        return VirtualOperator(opened.virtual)
-    if rig.simulated is not None and rig.simulated.control_port is not None:
-        return ServedOperator(rig.simulated.control_port)
+        program = VirtualOperator(opened.virtual)
+    elif rig.simulated is not None and rig.simulated.control_port is not None:
+        program = ServedOperator(rig.simulated.control_port)
+    if program is not None and not person:
+        return program
     if ask is None:
         raise UserError(f"{rig.name}: a person has to mount the samples, and this program has no way to ask one")
-    return HumanOperator(ask)
+    return HumanOperator(ask, program)

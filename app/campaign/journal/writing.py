@@ -9,6 +9,7 @@ import json
 import os
 import platform
 import sqlite3
+import threading
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -51,6 +52,7 @@ class Journal(JournalReader):
         self._written = written
         self._fresh = 0  # committed since the last checkpoint
         self._due_s: float | None = None  # time of the next checkpoint; None if there is nothing to bring into the file
+        self._writes = threading.RLock()
 
     @classmethod
     def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
@@ -153,8 +155,9 @@ class Journal(JournalReader):
 
     def tend(self, t: float) -> None:
         """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock."""
-        if self._due_s is not None and t >= self._due_s:
-            self.checkpoint()
+        with self._writes:
+            if self._due_s is not None and t >= self._due_s:
+                self.checkpoint()
 
     def checkpoint(self) -> None:
         """Bring the rows into the journal's one file as far as readers permit, so that a plain copy of it has them."""
@@ -165,12 +168,13 @@ class Journal(JournalReader):
 
     def _expect_checkpoint(self, t: float, rows: int = 0) -> None:
         """Count what was committed at the time `t`, and make the checkpoint that is due."""
-        self._fresh += rows
-        if self._due_s is None:
-            self._due_s = t + CHECKPOINT_S
-        if self._fresh >= CHECKPOINT_ROWS:
-            self.checkpoint()
-        self.tend(t)
+        with self._writes:
+            self._fresh += rows
+            if self._due_s is None:
+                self._due_s = t + CHECKPOINT_S
+            if self._fresh >= CHECKPOINT_ROWS:
+                self.checkpoint()
+            self.tend(t)
 
     def __enter__(self) -> "Journal":
         return self
@@ -209,9 +213,15 @@ class Journal(JournalReader):
             seal_session(self._db, session)
 
     def event(self, t: float, kind: str, text: str) -> None:
-        """Record an event of a kind (fault, stop, drift, encoder, ...) at time `t` on the rig's clock."""
+        """Record an event of a kind (fault, stop, drift, order, ...) at time `t` on the rig's clock. From any thread.
+
+        An event outside of a session belongs to the last one.
+        """
+        session = "COALESCE(?, (SELECT MAX(id) FROM session))"
         with self._writing():
-            self._db.execute("INSERT INTO event (session, t_s, kind, text) VALUES (?, ?, ?, ?)", (self._session, t, kind, text))
+            self._db.execute(
+                f"INSERT INTO event (session, t_s, kind, text) VALUES ({session}, ?, ?, ?)", (self._session, t, kind, text)
+            )
         self._expect_checkpoint(t)
 
     def faults(self) -> list[str]:
@@ -244,9 +254,9 @@ class Journal(JournalReader):
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """One transaction. Raises JournalError where it cannot be written."""
+        """One transaction, of one thread at a time. Raises JournalError where it cannot be written."""
         try:
-            with self._db:
+            with self._writes, self._db:
                 yield
         except sqlite3.Error as error:
             raise JournalError(f"{self.path}: cannot be written: {error}; free space on the disk") from None

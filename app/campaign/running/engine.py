@@ -15,8 +15,20 @@ from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row
-from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.campaign.running.events import (
+    Event,
+    EventLogged,
+    Listener,
+    Positions,
+    RowCommitted,
+    RowStarted,
+    SafetyOrder,
+    State,
+    StateChanged,
+    close_shutter_order,
+    cut_power_order,
+)
+from goniotwin.app.campaign.running.operator import Answer, Operator
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
 from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for
@@ -60,6 +72,7 @@ class Engine:
         self.faults: list[str] = []
         self.ended_by_schedule = ""
         self._state = State.IDLE
+        self._action = ""
         self._changed = threading.Condition()
         self._pause = False
         self._stop_request = StopRequest(rig)
@@ -136,6 +149,8 @@ class Engine:
             if self._state in (State.RUNNING, State.RECOVERING, State.PAUSING, State.PAUSED):
                 self._enter(State.STOPPING)
             self._changed.notify_all()
+        if (order := cut_power_order(self._rig, failures)) is not None:
+            self._give_order(order)
         return failures
 
     def _read_earlier_rows(self) -> None:
@@ -151,7 +166,7 @@ class Engine:
         """On resume, home unreferenced axes first."""
         axes = self._recovery.homeable_axes if self._resumed else []
         for axis in axes:
-            self._log_event("home", f"{axis.name}: {axis.unreferenced_reason}")
+            self._log_event("home", f"{axis.name}: {axis.unreferenced_reason}", axis.name, "homing it")
             self._apply_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
 
     def _execute_rows(self) -> None:
@@ -172,7 +187,7 @@ class Engine:
             event = self._stop_conditions.check(row, data)
             if event is not None:
                 kind, text = event
-                self._log_event(kind, text)
+                self._log_event(kind, text, row.identity, "the run ends" if kind == "stop" else "")
                 if kind == "stop" and k < len(self._work):
                     self._apply_policies("the end of the run", self._close_shutter)
                     raise EndedBySchedule(text)
@@ -242,6 +257,7 @@ class Engine:
         Raises DeviceError where the policy is to stop the run, or to skip an action that is not `skippable`.
         """
         policies = FaultPolicies(self._plan.schedule.file.faults)
+        self._action = what
         while True:
             try:
                 return action()
@@ -250,40 +266,50 @@ class Engine:
                 policy = policies.policy_for(error, slept=self._slept())
                 if policy == "stop" or (policy == "skip" and not skippable):
                     raise
-                self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})")
+                self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})", what, POLICY_TEXT[policy], str(error))
                 self._enter_unless_pausing(State.RECOVERING, str(error))
                 self._executor.forget_settings()
-                if policy == "ask" and not self._ask_operator(f"{what}: {error}"):
+                answer = self._ask_operator(what, error, skippable=skippable) if policy == "ask" else None
+                if answer is Answer.STOP:
                     raise
+                if answer is Answer.PAUSE:
+                    self._pause = True
+                    self._wait_for_resume()
                 for failure in self._recovery.wait_for_rest() if policy == "retry" else self._recovery.recover(error.device):
-                    self._log_event("fault", f"{failure} (after a fault at {what})")
-                if policy == "skip":
+                    self._log_event("fault", f"{failure} (after a fault at {what})", what, "", str(failure))
+                if policy == "skip" or answer is Answer.SKIP:
                     return None
                 self._executor.wait(Until(self._clock, self._clock.now() + policies.wait_s))
                 self._enter_unless_pausing(State.RUNNING)
 
-    def _ask_operator(self, fault: str) -> bool:
-        """Ask the operator to fix a fault, with the shutter closed if possible; return whether it is fixed."""
-        with contextlib.suppress(DeviceError):
+    def _ask_operator(self, what: str, fault: DeviceError, *, skippable: bool) -> Answer:
+        """Ask the operator to fix a fault, with the shutter closed, if necessary by hand."""
+        try:
             self._executor.set_shutter(opened=False)
+        except DeviceError as error:
+            self._give_order(close_shutter_order(error))
         self._journal.checkpoint()
-        fixed = self._operator.confirm_fix(fault)
+        answer = self._operator.resolve_fault(f"{what}: {fault}", skippable=skippable)
+        self._log_event("answer", f"{answer} (at {what})", what, "", f"Answer of the operator: {answer}")
         self._executor.forget_settings()
-        return fixed
+        return answer
 
     def _finish(self, session: int, outcome: State, reason: str) -> None:
         """Stop the axes unless the plan is done, close the shutter after a failure, and record faults and end of session."""
         now = self._clock.now()
-        failures = [] if outcome is State.DONE else [str(failure) for failure in self._rig.stop()]
-        self.faults = ([reason] if outcome is State.FAILED else []) + failures
+        failures = [] if outcome is State.DONE else self._rig.stop()
+        self.faults = [*([reason] if outcome is State.FAILED else []), *map(str, failures)]
         for fault in self.faults:
             self._log_fault(now, fault)
+        if (order := cut_power_order(self._rig, failures)) is not None:
+            self._give_order(order)
         if outcome is State.FAILED and not self._stop_request.requested:
             try:
                 self._close_shutter()
             except DeviceError as error:
                 self.faults.append(f"{error}; close the shutter by hand")
                 self._log_fault(now, self.faults[-1])
+                self._give_order(close_shutter_order(error))
             except (Stopped, KeyboardInterrupt):
                 pass  # no motion after a stop
         with contextlib.suppress(JournalError):
@@ -292,8 +318,15 @@ class Engine:
         self._stay_awake.end()
 
     def _log_fault(self, t: float, fault: str) -> None:
+        self._notify(EventLogged("fault", fault, self._action, "the run ends"))
         with contextlib.suppress(JournalError):
             self._journal.event(t, "fault", fault)
+
+    def _give_order(self, order: SafetyOrder) -> None:
+        """Give a safety order, and record it if possible. From any thread."""
+        self._notify(order)
+        with contextlib.suppress(JournalError):
+            self._journal.event(self._clock.now(), "order", order.text)
 
     def _wait_while_paused(self) -> None:
         """Wait between two rows if a pause is requested. Raises Stopped."""
@@ -303,6 +336,10 @@ class Engine:
             return
         self._apply_policies("the pause", self._close_shutter)
         self._journal.checkpoint()
+        self._wait_for_resume()
+
+    def _wait_for_resume(self) -> None:
+        """Wait until `resume` is called. Raises Stopped."""
         with self._changed:
             if not self._stop_request.requested:
                 self._enter(State.PAUSED)
@@ -339,8 +376,10 @@ class Engine:
             if self._state is not state and self._state in (State.RUNNING, State.RECOVERING):
                 self._enter(state, reason)
 
-    def _log_event(self, kind: str, text: str) -> None:
+    def _log_event(self, kind: str, text: str, where: str = "", consequence: str = "", what: str = "") -> None:
+        """Write an event to the journal, and show it; `what` is what of the text is neither place nor consequence."""
         self._journal.event(self._clock.now(), kind, text)
+        self._notify(EventLogged(kind, what or text.removeprefix(f"{where}: "), where, consequence))
 
     def _notify(self, event: Event) -> None:
         """Send an event to all listeners. A listener that fails is removed and named in the journal; the run continues."""
