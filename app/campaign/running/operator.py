@@ -26,8 +26,8 @@ class Answer(StrEnum):
 EFFECTS = {
     Answer.MOUNTED: "The run continues with this sample.",
     Answer.WAIT: "The run waits, with the shutter closed.",
-    Answer.RETRY: "The device is connected again, and the row is measured again.",
-    Answer.SKIP: "The row stays empty; a resume of the campaign measures it.",
+    Answer.RETRY: "The device is reconnected and the row measured again.",
+    Answer.SKIP: "The row stays empty until a resume measures it.",
     Answer.PAUSE: "The run waits; Resume measures the row again.",
     Answer.STOP: "All axes come to rest and the run ends; measured rows stay in the journal.",
 }
