@@ -31,8 +31,7 @@ class RigPanel(QGroupBox):
         self.person = QCheckBox("A person is the &operator")
         self.person.setToolTip("Questions about mounting and faults, as on a real rig; from the next run on")
         self.person.setAccessibleName("A person is the operator")
-        _fill(self, [self._name], self.buttons)
-        self.layout().addWidget(self.person)
+        _fill(self, [self._name], self.buttons).addWidget(self.person)
         self.person.hide()
 
     def set_rig(self, rig: RigOpened | None, path: Path) -> None:
@@ -83,7 +82,7 @@ class SchedulePanel(QGroupBox):
         self._folder.setToolTip(str(folder))
 
 
-def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> None:
+def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> QVBoxLayout:
     layout = QVBoxLayout(box)
     layout.setSpacing(4)
     for label in labels:
@@ -92,3 +91,4 @@ def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]
     for button in buttons:
         row.addWidget(button)
     layout.addLayout(row)
+    return layout
