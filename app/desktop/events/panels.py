@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 
-from PySide6.QtCore import QDateTime, Qt, QTimer, Signal
+from PySide6.QtCore import QDateTime, Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -45,7 +45,7 @@ class EventTable(QTableWidget):
         self._fit.timeout.connect(self.resizeRowsToContents)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Share the width among the columns; Qt calls it, also where the scroll bar appears."""
+        """Share the width among the columns; Qt calls it."""
         super().resizeEvent(event)
         time = self.fontMetrics().horizontalAdvance("00:00:00") + 14
         rest = max(self.viewport().width() - time, 0)
@@ -71,6 +71,7 @@ class EventLog(QWidget):
         self._table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self._table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self._table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self._table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOn)  # else the width follows the heights
         self._table.setTabKeyNavigation(False)
         header = self._table.horizontalHeader()
         header.setHighlightSections(False)
@@ -133,7 +134,7 @@ class OrdersPanel(QWidget):
     def __init__(self, colours: Colours) -> None:
         super().__init__()
         self._colours = colours
-        self._rows: dict[SafetyOrder, QFrame] = {}
+        self._rows: dict[SafetyOrder, OrderRow] = {}
         self._layout = QVBoxLayout(self)
         self._layout.setContentsMargins(0, 0, 0, 0)
         self._layout.setSpacing(1)
@@ -148,7 +149,38 @@ class OrdersPanel(QWidget):
         """Show an order; one that is shown already is not shown twice."""
         if order in self._rows:
             return
-        row = QFrame()
+        row = OrderRow(order)
+        row.acknowledged.connect(self._acknowledge)
+        self._rows[order] = row
+        self._layout.addWidget(row)
+        row.set_colours(self._colours)
+        self.setAccessibleName(f"Safety order: {order.text}")
+        self.show()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self._colours = colours
+        for row in self._rows.values():
+            row.set_colours(colours)
+
+    @Slot(object)
+    def _acknowledge(self, order: SafetyOrder) -> None:
+        row = self._rows.pop(order, None)
+        if row is not None:
+            row.hide()
+            row.deleteLater()
+            self.setVisible(bool(self._rows))
+            self.acknowledged.emit(order)
+
+
+class OrderRow(QFrame):
+    """A safety order with its button."""
+
+    acknowledged = Signal(object)
+
+    def __init__(self, order: SafetyOrder) -> None:
+        super().__init__()
+        self._order = order
         text = QLabel(f"SAFETY: {order.order}")
         font = text.font()
         font.setBold(True)
@@ -163,42 +195,29 @@ class OrdersPanel(QWidget):
         button.setAccessibleName(f"Acknowledge: {order.text}")
         button.setToolTip("It is done, or seen to. The journal records it.")
         button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        button.clicked.connect(lambda: self._acknowledge(order))
+        button.clicked.connect(self._acknowledge)
         texts = QVBoxLayout()
         texts.setSpacing(2)
         texts.addWidget(text)
         texts.addWidget(reason)
-        layout = QHBoxLayout(row)
+        layout = QHBoxLayout(self)
         layout.setContentsMargins(12, 6, 12, 6)
         layout.setSpacing(16)
         layout.addLayout(texts, 1)
         layout.addWidget(button)
-        self._rows[order] = row
-        self._layout.addWidget(row)
-        self._colour(row)
-        self.setAccessibleName(f"Safety order: {order.text}")
-        self.show()
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
-        self._colours = colours
-        for row in self._rows.values():
-            self._colour(row)
-
-    def _colour(self, row: QFrame) -> None:
-        row.setStyleSheet(
-            f"QFrame {{ background: {self._colours.stop}; }} QLabel {{ color: white; }}"
-            f"QPushButton {{ background: {self._colours.base}; color: {self._colours.text}; border: 1px solid white;"
+        self.setStyleSheet(
+            f"QFrame {{ background: {colours.stop}; }} QLabel {{ color: white; }}"
+            f"QPushButton {{ background: {colours.base}; color: {colours.text}; border: 1px solid white;"
             " border-radius: 4px; padding: 6px 14px; font-weight: bold }"
-            f"QPushButton:focus {{ border: 2px solid {self._colours.accent} }}"
+            f"QPushButton:focus {{ border: 2px solid {colours.accent} }}"
         )
 
-    def _acknowledge(self, order: SafetyOrder) -> None:
-        row = self._rows.pop(order)
-        row.hide()
-        row.deleteLater()
-        self.setVisible(bool(self._rows))
-        self.acknowledged.emit(order)
+    @Slot()
+    def _acknowledge(self) -> None:
+        self.acknowledged.emit(self._order)
 
 
 class QuestionBar(QFrame):

@@ -1,5 +1,6 @@
 """Policies for faults: each fault is handled as the schedule defines, is in the journal, and adds no value."""
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,9 +20,12 @@ from goniotwin.app.campaign.running.events import (
     State,
     StateChanged,
 )
-from goniotwin.app.campaign.running.operator import Answer
+from goniotwin.app.campaign.running.operator import Answer, HumanOperator
 from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
+from goniotwin.app.campaign.running.stop_request import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli.campaign import _ask_operator
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Pending, Refused
 from goniotwin.drivers.errors import Interrupted, Unreferenced
@@ -153,6 +157,22 @@ def test_with_ask_the_operator_decides(
     assert "photodiodes module 2" in operator.faults[0]
     assert [each.data.flags for each in run.rows[ROW:]][:1] == ([] if flags is None else [flags])
     assert any(kind == "answer" and text.startswith(answer) for kind, text in run.events)
+
+
+def test_a_terminal_takes_the_beginning_of_an_answer_and_never_enter_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n s\nSK\n"))
+    operator = HumanOperator(_ask_operator)
+    assert operator.resolve_fault("row 3: monitor: no reply", skippable=True) is Answer.SKIP
+    shown = capsys.readouterr().err
+    assert shown.count("Type Retry or Skip row or Stop") == 2  # after Enter, and after what may be Skip row or Stop
+    assert "Pause" not in shown
+    with pytest.raises(UserError, match="standard input is closed"):
+        operator.mount("paper")
+    monkeypatch.setattr("sys.stdin", io.StringIO("st\n"))
+    with pytest.raises(Stopped):
+        operator.mount("paper")
 
 
 def test_a_shutter_that_cannot_be_closed_for_the_operator_is_a_safety_order(make: MakePlan, tmp_path: Path) -> None:
