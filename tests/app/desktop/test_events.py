@@ -207,13 +207,6 @@ def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, ques
     assert "Stopped after" in asking.view.status
 
 
-def test_the_program_mounts_unless_a_person_is_the_operator(qtbot: QtBot, window: MainWindow) -> None:
-    click(window.view.run.start_button)
-    assert not window.view.rig.person.isEnabled()
-    wait_for_end(qtbot, window, State.DONE)
-    assert not any("Question" in entry.what for entry in window.view.log.entries)
-
-
 def test_a_question_can_wait_and_no_key_answers_it_by_accident(qtbot: QtBot, asking: MainWindow) -> None:
     mount = wait_for_question(qtbot, asking, "etalon")
     for key in ACCIDENTS:

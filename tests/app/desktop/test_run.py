@@ -38,7 +38,9 @@ def test_a_run_measures_all_rows_into_the_journal(qtbot: QtBot, window: MainWind
     click(window.view.run.start_button)
     assert not window.view.run.start_button.isEnabled()
     assert not window.view.rig.open_button.isEnabled()
+    assert not window.view.rig.person.isEnabled()
     wait_for_end(qtbot, window, State.DONE)
+    assert not any("Question" in entry.what for entry in window.view.log.entries)  # the program mounts
     assert window.view.run.progress.value() == window.view.run.progress.maximum() == ROWS
     assert "100 %" in window.view.run.progress.text()
     assert list(journals.iterdir()) == [journals / "small-001.journal"]
