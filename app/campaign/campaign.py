@@ -155,7 +155,7 @@ def operator_for(opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool
     if opened.virtual is not None:
         program = VirtualOperator(opened.virtual)
     elif rig.simulated is not None and rig.simulated.control_port is not None:
-        program = ServedOperator(rig.simulated.control_port)
+        program = ServedOperator(rig.simulated.control_port, rig.simulated.control_token or "")
     if program is not None and not person:
         return program
     if ask is None:

@@ -24,7 +24,7 @@ from goniotwin.mocks.control import ControlClient
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
-from tests.system.conftest import Serve, at
+from tests.system.conftest import Serve, control_client
 
 pytestmark = FORKED
 SPEED = 10
@@ -121,7 +121,7 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
         schedule = write_schedule(THREE_SHIFTS, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
         _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
         plan = make_plan(read_schedule(schedule), read_rig(here))
-        control = ControlClient(at(lines, "control", "port")["port"])
+        control = control_client(lines)
         made.append(Bench(tmp_path, schedule, there, control, plan, np.random.default_rng(seed)))
         return made[-1]
 

@@ -77,19 +77,21 @@ class VirtualOperator:
 class ServedOperator:
     """Operator of a virtual rig that another process serves: mounts through the simulation control port, fixes nothing."""
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    def __init__(self, port: int, token: str) -> None:
+        self._port, self._token = port, token
 
     def mount(self, sample: str) -> None:
         """Mount a sample. Raises UserError where the rig is not served any more, or has no such sample."""
         try:
-            control = ControlClient(self._port)
+            control = ControlClient(self._port, self._token)
             try:
                 control.do("mount", sample=None if sample == NO_SAMPLE else sample)
             finally:
                 control.close()
         except (OSError, OrderRefused) as error:
-            raise UserError(f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running?") from None
+            raise UserError(
+                f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running, with this rig file?"
+            ) from None
 
     def resolve_fault(self, _fault: str, /, *, skippable: bool) -> Answer:
         """Return STOP: there is no person to fix a fault."""

@@ -264,7 +264,7 @@ def served(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[OpenRig, Control
     server = ServedRig(model, 1.0, tmp_path / "ptys")
     server.start()
     assert {each.device: each.kind for each in server.endpoints}["second"] == "tmcl"
-    control = ControlClient(server.endpoints[-1].port or 0)
+    control = ControlClient(server.endpoints[-1].port or 0, server.endpoints[-1].token or "")
     with open_rig(parse_rig(served_rig(description, server.endpoints, 1.0), tmp_path, "served.toml"), RealClock()) as opened:
         yield opened, control
     control.close()
