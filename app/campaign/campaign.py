@@ -1,7 +1,6 @@
 """Run or resume a campaign, from its files to its journal, in one call: for the command line and for scripts."""
 
-import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from goniotwin.app.campaign.running.operator import Ask, HumanOperator, Operator
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
-from goniotwin.app.rig.lock import RigInUse, RigLock
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -57,11 +55,11 @@ def run_campaign(
 
     Raises UserError, before anything is written, where it cannot start.
     """
-    with _lock_name(journal_path, plan), open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
+    with open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # raises the error before the rig is connected
         operator = _connect(opened, plan, ask)
-        with Journal.create(journal_path, plan, software_versions()) as journal, _lock_file(journal_path, plan):
+        with Journal.create(journal_path, plan, software_versions()) as journal:
             return _run_engine(opened, plan, journal, operator, listeners, plan.rows)
 
 
@@ -78,36 +76,12 @@ def resume_campaign(
     Raises UserError, without a change of the journal, where the campaign cannot be resumed: see `remaining_work`.
     """
     with Journal.open(journal_path) as unlocked:
-        plan = remaining_work(unlocked, rig).plan
-    with _lock_name(journal_path, plan), _lock_file(journal_path, plan), Journal.reopen(journal_path) as journal:
+        remaining_work(unlocked, rig)  # raises the error before the journal is changed
+    with Journal.reopen(journal_path) as journal:
         remaining = remaining_work(journal, rig)  # again, now that no other program can change the journal
         with open_rig(remaining.plan.rig, clock_for(remaining.plan.rig.file, remaining.start_s), transcript) as opened:
             operator = _connect(opened, remaining.plan, ask, homing=True)
             return _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work)
-
-
-def _lock_name(journal_path: Path, plan: Plan) -> contextlib.AbstractContextManager[None]:
-    """Lock the path of a journal against other programs."""
-    return _lock(str(journal_path.absolute()), journal_path, plan)
-
-
-def _lock_file(journal_path: Path, plan: Plan) -> contextlib.AbstractContextManager[None]:
-    """Lock the file of an existing journal against other programs, whatever name (hard link) they open it by."""
-    status = journal_path.stat()
-    return _lock(f"/goniotwin-journal/{status.st_dev}/{status.st_ino}", journal_path, plan)
-
-
-@contextlib.contextmanager
-def _lock(resource: str, journal_path: Path, plan: Plan) -> Iterator[None]:
-    """Hold the lock of a resource. Raises UserError with the program that holds it already."""
-    try:
-        lock = RigLock([resource], f"{plan.schedule.file.name} ({journal_path})")
-    except RigInUse as held:
-        raise RigInUse(str(journal_path), held.holder) from None
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def _connect(opened: OpenRig, plan: Plan, ask: Ask | None, *, homing: bool = False) -> Operator:

@@ -1,6 +1,8 @@
 """Wires of a rig: openers for the addresses of its file, and taps. Only this module opens ports and devices by name."""
 
+import errno
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import serial
@@ -17,6 +19,16 @@ from goniotwin.drivers.usb.usbtmc import UsbOpener
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.doors import TwinUsbBackend
+
+
+def open_serial(address: str, baudrate: int, timeout_s: float) -> serial.Serial:
+    """Open a port, which no other program, of any user, can open in this way then. Raises SerialException, OSError."""
+    try:
+        return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s, exclusive=True)
+    except serial.SerialException as error:
+        if error.errno in (errno.EAGAIN, errno.EBUSY):
+            raise serial.SerialException(f"{address} is in use by another program; end that program") from None
+        raise
 
 
 class Wires:
@@ -46,10 +58,7 @@ class Wires:
         """An opener for the name of a port, or for any URL of pyserial."""
         address = self._in_this_process(file_address)
 
-        def opener(baudrate: int, timeout_s: float) -> serial.Serial:
-            return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s)
-
-        return opener
+        return partial(open_serial, address)
 
     def modbus(self, file_address: str, device: str) -> ModbusUnit:
         """The unit of an address, with its tap. Raises UserError with an address that is not valid."""

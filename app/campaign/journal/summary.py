@@ -5,7 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.lock import holder_of
+from goniotwin.app.rig.lock import journal_holder
 
 SUFFIX = ".journal"
 
@@ -42,7 +42,7 @@ class CampaignSummary:
 
 def campaign_summary(path: Path) -> CampaignSummary:
     """The summary of one journal. Raises UserError for a file that is not a journal, or is damaged."""
-    held = holder_of(str(path.absolute()))
+    held = journal_holder(path)
     with Journal.open(path) as journal:
         sessions = journal.sessions()
         done = journal.committed_numbers()

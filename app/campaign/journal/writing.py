@@ -23,6 +23,7 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import sync_folder
+from goniotwin.app.rig.lock import LockFile, lock_journal
 from goniotwin.protocols.clock import calendar_stamp
 
 CHECKPOINT_ROWS, CHECKPOINT_S = 10, 60.0
@@ -46,8 +47,11 @@ class JournalError(Exception):
 class Journal(JournalReader):
     """An open journal. A row is on the disk when `commit` returns."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, chain: Chain, *, written: bool = False) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, path: Path, chain: Chain, lock: LockFile | None = None, *, written: bool = False
+    ) -> None:
         super().__init__(connection, path, chain)
+        self._lock = lock
         self._session: int | None = None
         self._written = written
         self._fresh = 0  # committed since the last checkpoint
@@ -62,15 +66,24 @@ class Journal(JournalReader):
         journal or one that can be resumed. The name is on the disk before the first commit returns: SQLite syncs the folder
         with each new -wal file. With `durable` False nothing waits for the disk: a rehearsal need not survive a power failure.
         """
-        if path.exists():
-            raise UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
         if not path.parent.is_dir():
             raise UserError(f"{path}: there is no folder {path.parent}; create it first")
-        for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
-            if leftover.exists():  # SQLite would apply it to the new database
-                raise UserError(
-                    f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
-                )
+        with contextlib.ExitStack() as failed:
+            lock = lock_journal(path, plan.schedule.file.name)
+            failed.callback(lock.release, remove=True)
+            if path.exists():
+                raise UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
+            for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
+                if leftover.exists():  # SQLite would apply it to the new database
+                    raise UserError(
+                        f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
+                    )
+            journal = cls._create(path, plan, versions, lock, durable=durable)
+            failed.pop_all()
+        return journal
+
+    @classmethod
+    def _create(cls, path: Path, plan: Plan, versions: dict[str, str], lock: LockFile, *, durable: bool) -> "Journal":
         spare = _spare(path)
         try:
             _remove(spare)  # left by a program that was killed here
@@ -84,7 +97,7 @@ class Journal(JournalReader):
             raise _unwritable(path, error) from None
         try:
             db = _connect(path, durable=durable)
-            return cls(db, path, Chain(tip=campaign_hash(db)), written=durable)
+            return cls(db, path, Chain(tip=campaign_hash(db)), lock, written=durable)
         except sqlite3.Error as error:
             _remove(path)
             raise _unwritable(path, error) from None
@@ -112,15 +125,22 @@ class Journal(JournalReader):
         Raises UserError for a file that is not a journal, or cannot be written.
         """
         _known_version(path)
-        try:
-            db = _connect(path)
-        except sqlite3.Error as error:
-            raise UserError(
-                f"{path}: cannot be written: {error}; check its permissions, and whether another program has it open"
-            ) from None
-        with report_damage(path):
-            migrate(db)
-        return cls(db, path, _checked(db, path), written=True)
+        if path.stat().st_nlink > 1:  # SQLite keeps the latest rows in a file that has the journal's name
+            raise UserError(f"{path}: has another name too (a hard link), and could lose rows; copy it, and resume the copy")
+        with contextlib.ExitStack() as failed:
+            lock = lock_journal(path, "resumed")
+            failed.callback(lock.release, remove=True)
+            try:
+                db = _connect(path)
+            except sqlite3.Error as error:
+                raise UserError(
+                    f"{path}: cannot be written: {error}; check its permissions, and whether another program has it open"
+                ) from None
+            with report_damage(path):
+                migrate(db)
+            journal = cls(db, path, _checked(db, path), lock, written=True)
+            failed.pop_all()
+        return journal
 
     def close(self) -> None:
         """Close the journal. A written journal is then whole in its one file, also while other programs read it."""
@@ -130,6 +150,8 @@ class Journal(JournalReader):
             if self._written:
                 self._finish()
         self._db.close()
+        if self._lock is not None:
+            self._lock.release(remove=True)
 
     def _finish(self) -> None:
         """Bring all rows into the file of a journal that other programs have open.
