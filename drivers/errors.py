@@ -33,6 +33,10 @@ class Forgotten(DeviceError):
     """The device responds but has lost its settings: it has reset, or its settings were changed elsewhere."""
 
 
+class Taken(Forgotten):
+    """Another program has connected to the device since: it has the settings of that program, and is left to it."""
+
+
 class Interrupted(DeviceError):
     """A motion that was not sent because a stop was requested."""
 

@@ -1,6 +1,7 @@
 """Wires of a rig: openers for the addresses of its file, and taps. Only this module opens ports and devices by name."""
 
 import errno
+import secrets
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -12,6 +13,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import TWIN, USBIP, ModbusUnits, usbip_address
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
+from goniotwin.drivers.motion.tmcl import CANARY
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.drivers.tap import Explain, Tap, no_tap
 from goniotwin.drivers.usb.usbip import find_usbip
@@ -34,6 +36,9 @@ def open_serial(address: str, baudrate: int, timeout_s: float) -> serial.Serial:
 class Wires:
     """Openers for addresses as a rig file has them; `virtual` is the rig behind `twin://`.
 
+    `session` is a number by which a controller's driver knows its own settings from those of another program. On the virtual
+    rig it is always the same, as all bytes are.
+
     `in_this_process` gives the address in this process of one in the file: another virtual rig may have the same name.
     """
 
@@ -45,6 +50,7 @@ class Wires:
         in_this_process: Callable[[str], str] = str,
     ) -> None:
         self.clock = clock
+        self.session = CANARY if virtual is not None else secrets.randbelow(2**31 - 1) + 1
         self._virtual = virtual
         self._transcripts = transcripts
         self._in_this_process = in_this_process

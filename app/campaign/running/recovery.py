@@ -8,7 +8,7 @@ from goniotwin.app.campaign.running.stop_request import StopRequest
 from goniotwin.app.campaign.schedule.file import FaultsTable, Policy
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Poll, Refused, Rig
-from goniotwin.drivers.errors import Interrupted, Unreferenced
+from goniotwin.drivers.errors import Interrupted, Taken, Unreferenced
 from goniotwin.drivers.motion import Axis
 
 FaultKind = Literal["wire", "reset", "refused", "axis"]
@@ -55,8 +55,8 @@ class FaultPolicies:
         An attempt in which the computer `slept` does not count.
         """
         table = self._table
-        if isinstance(error, Interrupted):  # an axis was stopped on purpose, and must not move again
-            return "stop"
+        if isinstance(error, Interrupted | Taken):
+            return "stop"  # an axis was stopped on purpose and must not move again; or the controller is another program's
         if slept:
             return "reconnect"
         policy: Policy = getattr(table, fault_kind(error))

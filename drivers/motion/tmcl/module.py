@@ -12,8 +12,10 @@ Limits of the damage: about 1 frame in 1000 is corrupted on USB, mostly in one b
 MVP and SAP shows a wrong value; positions are read back by counter and encoder in every row; soft limits restrict targets,
 limit switches and the encoder deviation restrict the motor.
 
-`connect` writes a canary to a user variable that is lost with the power. A missing canary means that the module has reset
-and lost its settings. The heartbeat makes the module stop its motors after 2 s without a request: four times the interval
+`connect` writes a canary, the number of this session, to a user variable that is lost with the power. A missing canary means
+that the module has reset and lost its settings; that of another session, that another program has connected since, past all
+locks: from another computer, or another network of this one. The module is left to it, and nothing but a stop is sent any
+more. The heartbeat makes the module stop its motors after 2 s without a request: four times the interval
 between two polls of a moving axis, longer than the 1 s for which another bus may block the engine.
 (*) Firmware keeps the heartbeat in EEPROM: it is written only if it differs.
 """
@@ -25,7 +27,7 @@ from dataclasses import replace
 from functools import partial
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer, unless_late
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer, Taken, unless_late
 from goniotwin.drivers.motion.stop import StopPhase, StopSteps
 from goniotwin.drivers.motion.stop_lock import StopLock
 from goniotwin.drivers.motion.tmcl.port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, Targets, TmclPort
@@ -71,8 +73,11 @@ class TmclModule:
         addresses: Sequence[int] = (1,),
         heartbeat_s: float = HEARTBEAT_S,
         name: str = "axes",
+        session: int = CANARY,
     ) -> None:
         self.name = name
+        self._session = session
+        self._taken: Taken | None = None
         self._open_port = open_port
         self._clock = clock
         self._baudrate = baudrate
@@ -150,6 +155,8 @@ class TmclModule:
         """
         limit = self._lock.requested if stop_count is None else stop_count
         with self._lock.hold():
+            if self._taken is not None:
+                raise self._taken
             for attempt in range(1, self._attempts + 1):
                 try:
                     if self._out_of_step and request.command != Command.FIRMWARE_VERSION:
@@ -173,9 +180,10 @@ class TmclModule:
         return value
 
     def check_canary(self, address: int) -> None:
-        """Raise Forgotten if a module has reset since it was connected, until it is connected again."""
+        """Raise Forgotten if a module has reset since it was connected, until it is connected again, and Taken for good."""
         value = self.exchange(CommandFrame(address, Command.GGP, CANARY_VARIABLE, USER_BANK))
-        if value != CANARY:
+        if value != self._session:
+            self._check_not_taken(address, value)
             self._note_reset(address)
             raise Forgotten(
                 self.name, f"check the canary of module {address}", "the module has reset and lost its settings",
@@ -238,9 +246,10 @@ class TmclModule:
                 self.name, f"identify module {address}", f"it is a TMCM-{number}",
                 f"this driver supports {' and '.join(f'TMCM-{each}' for each in MODELS)}",
             )  # fmt: skip
-        canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, CANARY)
-        if self.exchange(replace(canary, command=Command.GGP, value=0)) != CANARY:
+        canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, self._session)
+        if (found := self.exchange(replace(canary, command=Command.GGP, value=0))) != self._session:
             if address in self._connected:
+                self._check_not_taken(address, found)
                 self._note_reset(address)
             self.exchange(canary)
         heartbeat = CommandFrame(address, Command.SGP, GlobalParameter.HEARTBEAT, 0, round(self.heartbeat_s * 1000.0))
@@ -249,6 +258,16 @@ class TmclModule:
         self._connected.add(address)
         self._reset.discard(address)
         return number
+
+    def _check_not_taken(self, address: int, value: int) -> None:
+        """Raise Taken for the canary of another session, if it is read twice: a value can be corrupted unnoticed."""
+        again = CommandFrame(address, Command.GGP, CANARY_VARIABLE, USER_BANK)
+        if value != 0 and self.exchange(again) == value:
+            self._taken = Taken(
+                self.name, f"check the canary of module {address}", "another program has taken the controller",
+                "end that program, on this computer or another, then start again",
+            )  # fmt: skip
+            raise self._taken
 
     def _note_reset(self, address: int) -> None:
         """Count a reset, and mark the axes unreferenced in the module, if the line works, for the next process."""

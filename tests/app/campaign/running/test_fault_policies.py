@@ -28,7 +28,7 @@ from goniotwin.app.cli.campaign import _ask_operator
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Pending, Refused
-from goniotwin.drivers.errors import Interrupted, Unreferenced
+from goniotwin.drivers.errors import Interrupted, Taken, Unreferenced
 from tests.app.campaign.campaign_bench import QUIET, RunResult, planned_values, run_plan, run_until
 from tests.conftest import SMALL, Writer
 
@@ -285,3 +285,4 @@ def test_each_error_has_a_kind(error: DeviceError, kind: str) -> None:
 def test_a_stop_is_never_overridden_by_a_policy(make: MakePlan) -> None:
     table = make('\n[faults]\nrefused = "retry"\n').schedule.file.faults
     assert FaultPolicies(table).policy_for(Interrupted("beta", "go", "not sent because a stop was requested")) == "stop"
+    assert FaultPolicies(table).policy_for(Taken("axes", "go", "another program has taken the controller")) == "stop"
