@@ -1,6 +1,6 @@
 """Stable names of pseudo-terminals: symbolic links in a folder that is one server's alone for as long as it serves.
 
-A folder belongs to this user, so that nobody else can put another end there, and has no blank in its name, at which many a
+A folder belongs to this user, so that no other user can put another end there, and has no blank in its name, at which many a
 program would end a port's name. It is claimed by a lock on the folder itself, which the system lifts when its holder ends,
 however it ends. So a link to a pseudo-terminal in a folder that was just claimed is left over from an ended server, and may
 be replaced. Nothing else is: neither a file, nor a folder, nor a link to something else. What is removed is what was put.

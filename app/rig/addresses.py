@@ -63,7 +63,7 @@ def device_names(address: str) -> frozenset[str]:
 
 
 def _port_names(path: str) -> frozenset[str]:
-    """A serial port by its path and by its device number: macOS has two paths for each port, and anybody may make more."""
+    """A serial port by its path and by its device number: macOS has two paths for each port, and more can be made."""
     names = {f"serial:{path.replace('/dev/tty.', '/dev/cu.')}"}
     with contextlib.suppress(OSError):
         status = Path(path).stat()
@@ -96,8 +96,9 @@ def _tcp_names(place: str, default_port: str) -> frozenset[str]:
     with contextlib.suppress(OSError, UnicodeError):
         for family, *_, address in socket.getaddrinfo(host, None, proto=socket.IPPROTO_TCP):
             number = ip_address(str(address[0]).partition("%")[0])
-            mapped = number.ipv4_mapped if isinstance(number, IPv6Address) else None
-            found.add("localhost" if _is_of_this_computer(family, address) else str(mapped or number))
+            number = (number.ipv4_mapped if isinstance(number, IPv6Address) else None) or number
+            here = number.is_loopback or number.is_unspecified or _is_of_this_computer(family, address)
+            found.add("localhost" if here else str(number))
     return frozenset(f"tcp:{each}:{port}" for each in found or {host})
 
 

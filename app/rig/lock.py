@@ -4,8 +4,8 @@ A rig has two guards. Among the programs of one user it is a lock file for each 
 users it is the device itself: a serial port is opened exclusively, the interface of a USB instrument is claimed, and for a TCP
 address a name of the system is taken, which every user sees: see `SystemName`. A journal has a lock file beside it.
 
-A lock file is empty and stays so, and no link is followed to it. The note of who holds it and since when is a file beside
-it, replaced by renaming. So no byte changes of a file that somebody else has put there.
+A lock file is empty and stays so, and no link is followed to it. The note of its holder, and since when, is a file beside it,
+replaced by renaming. So no byte changes of a file that another user has put there.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ from goniotwin.protocols.clock import calendar_stamp
 LONGEST_NOTE = 400
 PROBE_S = 0.05
 """How long another program can hold a lock only to check it."""
-SOMEBODY = "another program"
+UNKNOWN = "another program"
 
 
 class RigInUse(UserError):
@@ -197,8 +197,8 @@ def _read_note(path: Path) -> str:
         finally:
             os.close(handle)
     except OSError:
-        return SOMEBODY
-    return "".join(each for each in note.decode(errors="replace").strip() if each.isprintable()) or SOMEBODY
+        return UNKNOWN
+    return "".join(each for each in note.decode(errors="replace").strip() if each.isprintable()) or UNKNOWN
 
 
 def _user() -> str:
@@ -218,7 +218,7 @@ def _process_on_port(name: str) -> str | None:
             return None
         status = Path(name.removeprefix("serial:")).stat()
         place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
-        locks = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]
+        locks = [line.split() for line in Path("/proc/locks").read_text(encoding="utf-8").splitlines()]
     except OSError:
         return None
     return next((f"process {each[4]}" for each in locks if each[1] == "FLOCK" and place in each), None)
@@ -264,7 +264,7 @@ if sys.platform == "win32":
         if handle:
             kernel.CloseHandle(ctypes.c_void_p(handle))
         if error in (ACCESS_DENIED, ALREADY_EXISTS):  # that of another user cannot be opened
-            raise RigInUse(address, SOMEBODY)
+            raise RigInUse(address, UNKNOWN)
         raise ctypes.WinError(error)
 
 elif sys.platform.startswith("linux"):
@@ -286,7 +286,7 @@ elif sys.platform.startswith("linux"):
                 probe.connect(f"\0{name}")
                 process, user, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
             except OSError:
-                return SOMEBODY
+                return UNKNOWN
         return f"process {process} of the user with the number {user}"
 
 else:

@@ -2,12 +2,18 @@
 
 import contextlib
 import io
+import multiprocessing
+import os
 import shutil
+import socket
 import subprocess
 import sys
+import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import chain, repeat
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +38,9 @@ from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
-from tests.conftest import RIG, RigOpener, Writer
+from tests.conftest import RIG, SMALL, RigOpener, Writer, changed
 from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
+from tests.system.command import invoke
 from tests.system.command_process import FORKED, CommandProcess, row_digest
 from tests.system.conftest import Serve
 
@@ -248,3 +255,248 @@ def committed_rows(path: Path) -> dict[int, str]:
         if journal.chain.damage:
             raise DamagedJournal(journal.chain.damage)
         return {each.row.number: row_digest(each.data) for each in journal.rows()}
+
+
+# ---- the rig belongs to one program ----
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows closes a user's folders to others")
+ANOTHER_USER = 65_534
+TCP = ["socket://127.0.0.1:{}", "socket://localhost:{}", "rfc2217://[::1]:{}", "SOCKET://LOCALHOST:{}/", "socket://0.0.0.0:{}"]
+USERS = [(None, None), (None, ANOTHER_USER), (ANOTHER_USER, None)]
+"""User of the first and of the second program; None is the one of the tests."""
+
+
+@dataclass(frozen=True)
+class Ports:
+    """A TCP port and a serial port that both programs want, and the TCP port of all other devices of the second one."""
+
+    tcp: int
+    serial: str
+    link: str
+    own: socket.socket
+
+    def untouched(self) -> bool:
+        """Whether no program has connected to the devices that only the second one has."""
+        try:
+            self.own.accept()
+        except BlockingIOError:
+            return True
+        return False
+
+
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder that every user can read: those of pytest are closed."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def ports(open_folder: Path) -> Iterator[Ports]:
+    """The ports, for every user."""
+    with socket.create_server(("127.0.0.1", 0)) as shared, socket.create_server(("127.0.0.1", 0)) as own:
+        own.setblocking(False)
+        server, port = os.openpty()
+        os.fchmod(port, 0o666)
+        link = open_folder / "by-id"
+        link.symlink_to(os.ttyname(port))
+        yield Ports(shared.getsockname()[1], os.ttyname(port), str(link), own)
+        os.close(server)
+        os.close(port)
+
+
+def rig_on(folder: Path, port: str, others: int) -> Path:
+    """The rig file of a rig that has its axes at a port, and everything else at a TCP port."""
+    text = RIG.read_text(encoding="utf-8")
+    text = text[: text.index("\n[simulated]")] + text[text.index("\n[axes]") : text.index("\n[twin]")]
+    text = text.replace('"twin://virtual/axes"', f'"{port}"').replace(
+        '"twin://virtual/monitor"', f'"usbip:localhost:{others}/1"'
+    )
+    text = text.replace('"twin://virtual/mono"', f'"socket://localhost:{others}"')
+    for number in range(10):
+        text = text.replace(f'"twin://virtual/adc-{number}"', f'"rtu:socket://localhost:{others}?unit={number + 1}"')
+    assert "twin://" not in text
+    path = folder / f"rig-{len(list(folder.iterdir()))}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def become(user: int | None, folder: Path) -> None:
+    """Go on as another user, which may not be able to load anything any more, with temporary files of this process' own."""
+    if user is not None:
+        from goniotwin.app.rig.addresses import device_names
+        from goniotwin.app.rig.lock import RigLock
+
+        assert device_names("localhost:1")
+        RigLock(["/dev/null"], "loading", folder / "loading").release()
+        assert invoke("devices", "--rig", RIG).returncode == 0
+        assert invoke("devices", "--rig", folder / "no such file").returncode == 2
+    own = folder / str(os.getpid())
+    own.mkdir()
+    state = folder / f"state-{user}"
+    state.mkdir(exist_ok=True)
+    os.environ.update(TMPDIR=str(own), XDG_STATE_HOME=str(state))
+    tempfile.tempdir = None
+    if user is not None:
+        for each in (own, state):
+            os.chown(each, user, user)
+        os.setgroups([])
+        os.setgid(user)
+        os.setuid(user)
+
+
+def hold(pipe: Connection, rig: Path, port: str, user: int | None) -> None:
+    """The first program: it has opened its rig, and its serial port, until the test has ended."""
+    from goniotwin.app.rig import open_rig, read_rig
+    from goniotwin.app.rig.wires import open_serial
+    from goniotwin.protocols.clock import RealClock
+
+    become(user, rig.parent)
+    with open_rig(read_rig(rig), RealClock()):
+        line = open_serial(port, 115200, 1.0) if port.startswith("/") else None
+        pipe.send("held")
+        pipe.recv()
+        if line is not None:
+            line.close()
+
+
+def connect(pipe: Connection, rig: Path, user: int | None) -> None:
+    """The second program."""
+    become(user, rig.parent)
+    done = invoke("devices", "--rig", rig)
+    pipe.send((done.returncode, done.stderr))
+
+
+@contextlib.contextmanager
+def process(work: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    """A process that does some work, and the pipe to it."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["goniotwin.app.cli.main", "goniotwin.app.cli.device_search", __name__])
+    ours, theirs = context.Pipe()
+    started = context.Process(target=work, args=(theirs, *arguments))
+    started.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        started.kill()
+        started.join()
+        started.close()
+        ours.close()
+
+
+def check_refused(status: int, errors: str, ports: Ports) -> None:
+    """Check that a program was refused in one line, before it opened anything."""
+    assert status == 2, errors
+    assert "is in use by process" in errors
+    assert "Traceback" not in errors
+    assert ports.untouched()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a TCP address has no guard among folders of state")
+def test_no_spelling_of_a_port_gets_a_second_program_onto_a_rig(
+    open_folder: Path, ports: Ports, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Neither in its own temporary folder, nor with its own folder of locks."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    own = ports.own.getsockname()[1]
+    with process(hold, rig_on(open_folder, ports.serial, ports.tcp), ports.serial, None) as holder:
+        assert holder.recv() == "held"
+        for port in (ports.serial, ports.link, *(each.format(ports.tcp) for each in TCP)):
+            for state in (open_folder / "state-None", tmp_path):
+                monkeypatch.setenv("XDG_STATE_HOME", str(state))
+                done = invoke("devices", "--rig", rig_on(open_folder, port, own))
+                check_refused(done.returncode, done.stderr, ports)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only the system's administrator can be two users")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a TCP address has no guard among users")
+@pytest.mark.parametrize("users", USERS, ids=["one user", "another second", "another first"])
+def test_two_processes_of_any_users_do_not_get_onto_one_rig(open_folder: Path, ports: Ports, users: tuple[Any, Any]) -> None:
+    first_user, second_user = users
+    own = ports.own.getsockname()[1]
+    tcp = [each.format(ports.tcp) for each in TCP]
+    pairs = [*zip(tcp, tcp[1:] + tcp[:1], strict=True), (ports.serial, ports.link), (ports.link, ports.serial)]
+    for first, second in pairs:
+        with process(hold, rig_on(open_folder, first, ports.tcp), first, first_user) as holder:
+            assert holder.recv() == "held"
+            with process(connect, rig_on(open_folder, second, own), second_user) as pipe:
+                status, errors = pipe.recv()
+                check_refused(status, errors, ports)
+
+
+# ---- folders and files that another user has prepared ----
+
+
+def owned_by_another(folder: Path, foreign: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only the system's administrator can prepare the folder of another user")
+    folder.mkdir(parents=True)
+    os.chown(folder, ANOTHER_USER, ANOTHER_USER)
+
+
+def linked(folder: Path, foreign: Path) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.symlink_to(foreign, target_is_directory=True)
+
+
+def writable_by_all(folder: Path, foreign: Path) -> None:
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+
+
+@contextlib.contextmanager
+def unchanged(foreign: Path) -> Iterator[None]:
+    """Check that no byte of a foreign folder changes, and no file comes."""
+    before = {each: each.read_bytes() for each in foreign.iterdir()}
+    yield
+    assert {each: each.read_bytes() for each in foreign.iterdir()} == before
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """A folder with a file that is not to change."""
+    folder = tmp_path / "foreign"
+    folder.mkdir()
+    (folder / "precious").write_text("precious", encoding="utf-8")
+    return folder
+
+
+@posix
+@pytest.mark.parametrize("prepare", [owned_by_another, linked, writable_by_all])
+def test_a_prepared_folder_of_locks_is_refused(
+    prepare: Callable[[Path, Path], None], open_folder: Path, foreign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    prepare(tmp_path / "state" / "goniotwin" / "locks", foreign)
+    with unchanged(foreign):
+        done = invoke("devices", "--rig", rig_on(open_folder, "/dev/ttyACM7", 9))
+    assert done.returncode == 2
+    assert "the lock of /dev/ttyACM7 cannot be made" in done.stderr
+
+
+@posix
+@pytest.mark.parametrize("prepare", [owned_by_another, linked, writable_by_all])
+def test_a_prepared_folder_of_pseudo_terminals_is_refused(
+    prepare: Callable[[Path, Path], None], foreign: Path, tmp_path: Path
+) -> None:
+    prepare(tmp_path / "ports", foreign)
+    with unchanged(foreign):
+        done = invoke("serve", "--rig", RIG, "--ptys", tmp_path / "ports")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "cannot be served" in done.stderr
+
+
+@posix
+@pytest.mark.parametrize("name", ["a.journal.lock", "a.journal.holder", ".a.journal.new", "a.journal"])
+def test_no_byte_changes_of_a_file_to_which_a_prepared_link_leads(name: str, foreign: Path, tmp_path: Path) -> None:
+    schedule = tmp_path / "schedule.toml"
+    schedule.write_text(changed(SMALL, (("readings = 2", "readings = 1"),)), encoding="utf-8")
+    (tmp_path / name).symlink_to(foreign / "precious")
+    with unchanged(foreign):
+        done = invoke("run", schedule, "--rig", RIG, "--out", tmp_path / "a.journal")
+    assert "Traceback" not in done.stderr
+    assert done.returncode == (0 if name in ("a.journal.holder", ".a.journal.new") else 2), done.stderr
