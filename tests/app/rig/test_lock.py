@@ -64,7 +64,8 @@ def test_the_lock_ends_with_its_process(tmp_path: Path) -> None:
 def test_a_check_of_the_lock_does_not_keep_another_program_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "PROBE_S", 60.0)
     RigLock(["COM4"], "makes the file", tmp_path).release()
-    probe = FileLock(*tmp_path.glob("*.lock"), thread_local=False)
+    (file,) = tmp_path.glob("*.lock")
+    probe = FileLock(file, thread_local=False)
     probe.acquire()
     threading.Timer(0.02, probe.release).start()
     RigLock(["COM4"], "first", tmp_path).release()
@@ -144,7 +145,10 @@ def test_no_byte_of_a_file_changes_that_is_linked_to_as_lock_or_note(tmp_path: P
     foreign.write_text("not yours", encoding="utf-8")
     for name in ("a.journal.lock", "a.journal.holder"):
         link = tmp_path / name
-        link.symlink_to(foreign) if kind == "symbolic link" else os.link(foreign, link)
+        if kind == "symbolic link":
+            link.symlink_to(foreign)
+        else:
+            os.link(foreign, link)
     if kind == "symbolic link":
         with pytest.raises(UserError, match="its lock file cannot be made"):
             lock_journal(journal, "measuring")
