@@ -109,8 +109,10 @@ class RigLock:
 
     def release(self) -> None:
         """Release all locks. A second call has no effect."""
-        for each in (*self._names, *self._files):
-            each.release()
+        for name in self._names:
+            name.release()
+        for file in self._files:
+            file.release()
         self._names, self._files = [], []
 
     def _lock(self, name: str, address: str, purpose: str) -> None:
