@@ -73,17 +73,22 @@ def test_a_rig_connects_on_a_busy_computer(seed: int) -> None:
         assert [str(error) for error in opened.rig.connect().values() if error is not None] == []
 
 
+BUSY = """
+import os, sys, threading
+threading.Thread(target=lambda: os._exit(len(sys.stdin.read())), daemon=True).start()
+while True:
+    pass
+"""
+"""Uses all the time that it gets, until its input ends, as it does when the tests are killed."""
+
+
 @contextlib.contextmanager
 def busy_processes(count: int) -> Iterator[None]:
-    """Processes that use all the time that they get."""
-    processes = [subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"]) for _ in range(count)]
-    try:
+    with contextlib.ExitStack() as stack:
+        for _ in range(count):
+            process = stack.enter_context(subprocess.Popen([sys.executable, "-S", "-c", BUSY], stdin=subprocess.PIPE))
+            stack.callback(process.kill)
         yield
-    finally:
-        for process in processes:
-            process.kill()
-        for process in processes:
-            process.wait()
 
 
 def connection_errors(rig: RigDescription, clock: Clock) -> list[str]:
