@@ -4,5 +4,7 @@
 class UserError(Exception):
     """User-facing error: one line that names the file, option or device, the fault and the remedy; no traceback.
 
-    The command ends with status 2.
+    The command ends with `status`.
     """
+
+    status = 2

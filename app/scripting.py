@@ -27,15 +27,16 @@ def open_journal(path: str | Path) -> Journal:
     return Journal.open(Path(path))
 
 
-def reduce_journal(journal: Journal | str | Path) -> BsdfDataset:
+def reduce_journal(journal: Journal | str | Path, *, without_damaged: bool = False) -> BsdfDataset:
     """Reduce a journal to the BSDF of each sample (1/sr), its standard uncertainty (1/sr), flags and directions (deg).
 
-    Takes an open journal or a path. Raises UserError for a file that is not a journal, or has no readings of the etalon.
+    Takes an open journal or a path. Raises UserError for a file that is not a journal, or has no readings of the etalon; and
+    for a damaged one, unless `without_damaged`: then the damaged rows have no values.
     """
     if isinstance(journal, Journal):
-        return reduce_open_journal(journal)
+        return reduce_open_journal(journal, without_damaged=without_damaged)
     with open_journal(journal) as opened:
-        return reduce_open_journal(opened)
+        return reduce_open_journal(opened, without_damaged=without_damaged)
 
 
 def simulate(

@@ -5,7 +5,7 @@ import threading
 from dataclasses import dataclass, field
 
 from goniotwin.drivers.device import Device
-from goniotwin.drivers.errors import BadAnswer, DeviceError, LimitError
+from goniotwin.drivers.errors import BadAnswer, DeviceError, LimitError, NoAnswer
 from goniotwin.drivers.monitor.monitor import Monitor
 from goniotwin.drivers.monochromator.monochromator import Monochromator
 from goniotwin.drivers.motion.axis import Axis, PendingMove
@@ -129,7 +129,10 @@ class Rig:
 
     def _connect(self, device: Device) -> DeviceError | None:
         try:
-            identity = device.connect()
+            try:
+                identity = device.connect()
+            except (NoAnswer, BadAnswer):  # nothing moves: once more
+                identity = device.connect()
             if SIMULATED_SERIAL in identity and not self.simulated:
                 device.close()
                 raise BadAnswer(

@@ -1,25 +1,22 @@
-"""The simulation control port of a served virtual rig: one JSON object a line, over TCP on loopback; no wire of the instrument.
+"""The simulation control port of a served virtual rig: one JSON object a line, over a channel; no wire of the instrument.
 
     {"do": "mount", "sample": "etalon"}         {"do": "lamp", "drift_per_hour": 0.1, "level": 0.9}
     {"do": "tilt", "deg": 0.05}                 {"do": "jam", "axis": "beta", "jammed": true}
     {"do": "state"}                             {"do": "faults", ...} and the plugs: see `mocks.faulty_wires`
 
-Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`.
+Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`, as does the hello with the server's token, which comes first:
+see `protocols.channel`.
 """
 
 import contextlib
-import json
 import reprlib
-import socket
-import socketserver
 from collections.abc import Callable
 from typing import Any
 
-from goniotwin.mocks.loopback import LOOPBACK, LoopbackServer
+from goniotwin.protocols.channel import PROTOCOL, Channel, ChannelServer, connect, new_token
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import VirtualRig
 
-LONGEST_LINE = 65_536
 STEEPEST_TILT_DEG = 10.0
 
 
@@ -46,10 +43,9 @@ class ControlPort:
         }
         self._actions = {**self._own, **(others or {})}
 
-    def obey(self, line: bytes) -> dict[str, Any]:
-        """Carry out the order in one line; return the answer, which contains any error."""
+    def obey(self, order: Order) -> dict[str, Any]:
+        """Carry out an order; return the answer, which contains any error."""
         try:
-            order = parse_order(line)
             what = order.get("do")
             if not isinstance(what, str) or what not in self._actions:
                 raise OrderRefused(f'an order is {{"do": ...}} with one of: {", ".join(sorted(self._actions))}')
@@ -117,58 +113,42 @@ def truth_value(order: Order, key: str, *, default: bool) -> bool:
     return value
 
 
-def parse_order(line: bytes) -> Order:
-    """Order in a line of any content. Raises OrderRefused."""
-    try:
-        order = json.loads(line)
-    except RecursionError:
-        raise OrderRefused("not JSON: nested too deeply") from None
-    except ValueError as error:  # of JSON, of UTF-8, or of a number with thousands of digits
-        raise OrderRefused(f"not JSON: {error}") from None
-    return order if isinstance(order, dict) else {}
-
-
 def refusal(error: str) -> dict[str, Any]:
     """The answer to a refused order, with the reason."""
     return {"ok": False, "error": error}
 
 
-class ControlServer(LoopbackServer):
-    """Server of the control port on loopback, one thread for each client."""
+class ControlServer(ChannelServer):
+    """Server of the control port, with a token of its own."""
 
     def __init__(self, door: ControlPort, port: int = 0) -> None:
-        class ControlHandler(socketserver.StreamRequestHandler):
-            def handle(self) -> None:
-                with contextlib.suppress(OSError):
-                    while line := self.rfile.readline(LONGEST_LINE):
-                        answer = door.obey(line) if self._ends(line) else refusal("the line is too long")
-                        self.wfile.write(json.dumps(answer).encode() + b"\n")
+        def serve(channel: Channel) -> None:
+            channel.send({"ok": True, "protocol": PROTOCOL})
+            while (order := channel.receive()) is not None:
+                channel.send(door.obey(order))
 
-            def _ends(self, line: bytes) -> bool:
-                """Whether the line is complete; read the rest of it if not."""
-                whole = len(line) < LONGEST_LINE or line.endswith(b"\n")
-                while len(line) == LONGEST_LINE and not line.endswith(b"\n"):
-                    line = self.rfile.readline(LONGEST_LINE)
-                return whole
-
-        super().__init__("control", ControlHandler, port)
+        super().__init__("control", new_token(), serve, port)
 
 
 class ControlClient:
     """A client: the operator of a rig that another process serves."""
 
-    def __init__(self, port: int, timeout_s: float = 10.0) -> None:
-        self._socket = socket.create_connection((LOOPBACK, port), timeout=timeout_s)
-        self._file = self._socket.makefile("rwb")
+    def __init__(self, port: int, token: str, timeout_s: float = 10.0) -> None:
+        """Connect. Raises OSError where nothing is served, or another server that has another token."""
+        self._channel = connect(port, token, timeout_s)
+        try:
+            if self._channel.receive() is None:
+                raise ConnectionRefusedError("the token is not that of the server at this port")
+        except OSError:
+            self.close()
+            raise
 
     def do(self, what: str, **order: object) -> dict[str, Any]:
         """Carry out an order. Raises OrderRefused where it cannot be, OSError after the end of the server."""
-        self._file.write(json.dumps({"do": what, **order}).encode() + b"\n")
-        self._file.flush()
-        line = self._file.readline()
-        if not line:
+        self._channel.send({"do": what, **order})
+        answer = self._channel.receive()
+        if answer is None:
             raise ConnectionResetError("the rig is not served any more")
-        answer: dict[str, Any] = json.loads(line)
         if not answer.pop("ok"):
             raise OrderRefused(answer["error"])
         return answer
@@ -179,5 +159,4 @@ class ControlClient:
 
     def close(self) -> None:
         """Close the connection."""
-        self._file.close()
-        self._socket.close()
+        self._channel.close()

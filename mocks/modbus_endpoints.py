@@ -18,10 +18,10 @@ from pymodbus.server.base import ModbusBaseServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from goniotwin.mocks.loopback import LOOPBACK
 from goniotwin.mocks.serial_ends import HEARD_AT_ONCE, OWED_AT_MOST, owed
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.loopback import LOOPBACK
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.modbus import RtuStation, TcpStation

@@ -1,13 +1,16 @@
 """Stable names of pseudo-terminals: symbolic links in a folder that is one server's alone for as long as it serves.
 
-A folder is claimed by a lock on the folder itself, which the system lifts when its holder ends, however it ends. So a link
-to a pseudo-terminal in a folder that was just claimed is left over from an ended server, and may be replaced.
-Nothing else is: neither a file, nor a folder, nor a link to something else. What is removed is what was put.
+A folder belongs to this user, so that no other user can put another end there, and has no blank in its name, at which many a
+program would end a port's name. It is claimed by a lock on the folder itself, which the system lifts when its holder ends,
+however it ends. So a link to a pseudo-terminal in a folder that was just claimed is left over from an ended server, and may
+be replaced. Nothing else is: neither a file, nor a folder, nor a link to something else. What is removed is what was put.
 """
 
 import contextlib
 import os
 from pathlib import Path
+
+from goniotwin.mocks.own_folder import make_own_folder
 
 
 class PtyNames:
@@ -50,18 +53,18 @@ class PtyNames:
 
         if folder in self._claimed:
             return
+        if any(letter.isspace() for letter in str(folder)):
+            raise OSError(f"{folder}: has a blank in its name; choose another folder")
+        make_own_folder(folder)
         descriptor = None
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(folder, os.O_RDONLY)
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             if descriptor is not None:
                 os.close(descriptor)
             if isinstance(error, BlockingIOError):
                 raise OSError(f"{folder}: another server has its names there; end it or choose another folder") from None
-            if isinstance(error, FileExistsError | NotADirectoryError):
-                raise OSError(f"{folder}: is not a folder; choose another") from None
             raise OSError(f"{folder}: cannot be used: {error.strerror}; choose another folder") from None
         self._claimed[folder] = descriptor
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from goniotwin.mocks.control import ControlPort, ControlServer
 from goniotwin.mocks.faulty_wires import FaultyWires
-from goniotwin.mocks.loopback import LOOPBACK
 from goniotwin.mocks.modbus_endpoints import GAP_S, ModbusEndpoints
 from goniotwin.mocks.serial_endpoints import SerialEndpoints, ptys_exist
 from goniotwin.mocks.usb_endpoints import UsbEndpoints
 from goniotwin.protocols.clock import RealClock
+from goniotwin.protocols.loopback import LOOPBACK
 from goniotwin.twin import TwinModel, VirtualRig
 from goniotwin.twin.devices import RtuStation, TmclLine
 from goniotwin.twin.devices.line import SerialDevice
@@ -37,7 +37,8 @@ class Wire(StrEnum):
 class Endpoint:
     """Where a device can be reached: a path for a pseudo-terminal, host and port for TCP; a serial line has a baud rate.
 
-    With the unit for Modbus. A USB device has its bus id on the USB/IP server that host and port name.
+    With the unit for Modbus. A USB device has its bus id on the USB/IP server that host and port name. The control port has a
+    token.
     """
 
     device: str
@@ -49,6 +50,7 @@ class Endpoint:
     port: int | None = None
     unit: int | None = None
     bus_id: str | None = None
+    token: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The fields that are set."""
@@ -81,7 +83,14 @@ class ServedRig:
         if self._control is not None:
             self._control.start()
             self._endpoints.append(
-                Endpoint(CONTROL, "simulation control port", Wire.JSON, host=LOOPBACK, port=self._control.port)
+                Endpoint(
+                    CONTROL,
+                    "simulation control port",
+                    Wire.JSON,
+                    host=LOOPBACK,
+                    port=self._control.port,
+                    token=self._control.token,
+                )
             )
 
     def stop(self) -> None:

@@ -20,8 +20,8 @@ import usb.backend.libusb1
 import usb.core
 from usb.backend import IBackend
 
-from goniotwin.mocks.loopback import LoopbackServer
 from goniotwin.protocols import usbip
+from goniotwin.protocols.loopback import LoopbackServer
 from goniotwin.protocols.usb_descriptors import decode_configuration
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.devices.usb_standard import ENDPOINTS, configuration_descriptor

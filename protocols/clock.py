@@ -3,8 +3,10 @@
 `RealClock` is monotonic time, `VirtualClock` jumps. No other module imports `time` (a lint rule sees to it).
 """
 
+import ctypes
 import heapq
 import itertools
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +19,20 @@ Action = Callable[[], object]
 def calendar_stamp() -> str:
     """The calendar's time now, UTC, ISO 8601 to the second: for people and files, never for intervals."""
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def calendar_s() -> float:
+    """The calendar's time, s. It may be set, and goes on while the computer sleeps."""
+    return time.time()
+
+
+def awake_s() -> float:
+    """The time in which this computer was awake, s since an arbitrary start."""
+    if sys.platform == "win32":  # monotonic time goes on there while the computer sleeps
+        ticks = ctypes.c_ulonglong()
+        ctypes.windll.kernel32.QueryUnbiasedInterruptTime(ctypes.byref(ticks))
+        return ticks.value * 1e-7
+    return time.monotonic()
 
 
 class Clock(Protocol):

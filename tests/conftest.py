@@ -157,6 +157,16 @@ def tmcl_exchange_s(file: RigFile) -> float:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _own_state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A state folder of the tests' own, for the programs that they start too: it has the locks of rigs."""
+    folder = str(tmp_path_factory.mktemp("state"))
+    with pytest.MonkeyPatch.context() as patch:
+        for variable in ("XDG_STATE_HOME", "WIN_PD_OVERRIDE_LOCAL_APPDATA"):
+            patch.setenv(variable, folder)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _no_bare_names() -> Iterator[None]:
     """No folder is imported under its bare name: from the repository's root both names work, and give different classes."""
     yield

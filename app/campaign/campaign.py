@@ -1,20 +1,19 @@
 """Run or resume a campaign, from its files to its journal, in one call: for the command line and for scripts."""
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
-from goniotwin.app.campaign.running.operator import HumanOperator, Operator, ServedOperator, VirtualOperator
+from goniotwin.app.campaign.running.operator import Ask, HumanOperator, Operator, ServedOperator, VirtualOperator
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
-from goniotwin.app.rig.lock import RigInUse, RigLock
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -23,7 +22,7 @@ class Outcome:
     """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
 
     `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
-    `seconds` is the duration on the rig's clock.
+    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes.
     """
 
     state: State
@@ -34,6 +33,7 @@ class Outcome:
     seconds: float
     faults: tuple[str, ...]
     simulated: bool
+    chain: Chain
 
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
@@ -49,17 +49,17 @@ def run_campaign(
     *,
     listeners: list[Listener] | None = None,
     transcript: Path | None = None,
-    ask: Callable[[str], None] | None = None,
+    ask: Ask | None = None,
 ) -> Outcome:
     """Run a plan until it is done, stopped, or ended by a fault.
 
     Raises UserError, before anything is written, where it cannot start.
     """
-    with _lock_name(journal_path, plan), open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
+    with open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # raises the error before the rig is connected
         operator = _connect(opened, plan, ask)
-        with Journal.create(journal_path, plan, software_versions()) as journal, _lock_file(journal_path, plan):
+        with Journal.create(journal_path, plan, software_versions()) as journal:
             return _run_engine(opened, plan, journal, operator, listeners, plan.rows)
 
 
@@ -69,46 +69,22 @@ def resume_campaign(
     *,
     listeners: list[Listener] | None = None,
     transcript: Path | None = None,
-    ask: Callable[[str], None] | None = None,
+    ask: Ask | None = None,
 ) -> Outcome:
     """Resume a campaign at the first planned row that is not in its journal; home unreferenced axes first.
 
     Raises UserError, without a change of the journal, where the campaign cannot be resumed: see `remaining_work`.
     """
     with Journal.open(journal_path) as unlocked:
-        plan = remaining_work(unlocked, rig).plan
-    with _lock_name(journal_path, plan), _lock_file(journal_path, plan), Journal.reopen(journal_path) as journal:
+        remaining_work(unlocked, rig)  # raises the error before the journal is changed
+    with Journal.reopen(journal_path) as journal:
         remaining = remaining_work(journal, rig)  # again, now that no other program can change the journal
         with open_rig(remaining.plan.rig, clock_for(remaining.plan.rig.file, remaining.start_s), transcript) as opened:
             operator = _connect(opened, remaining.plan, ask, homing=True)
             return _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work)
 
 
-def _lock_name(journal_path: Path, plan: Plan) -> contextlib.AbstractContextManager[None]:
-    """Lock the path of a journal against other programs."""
-    return _lock(str(journal_path.absolute()), journal_path, plan)
-
-
-def _lock_file(journal_path: Path, plan: Plan) -> contextlib.AbstractContextManager[None]:
-    """Lock the file of an existing journal against other programs, whatever name (hard link) they open it by."""
-    status = journal_path.stat()
-    return _lock(f"/goniotwin-journal/{status.st_dev}/{status.st_ino}", journal_path, plan)
-
-
-@contextlib.contextmanager
-def _lock(resource: str, journal_path: Path, plan: Plan) -> Iterator[None]:
-    """Hold the lock of a resource. Raises UserError with the program that holds it already."""
-    try:
-        lock = RigLock([resource], f"{plan.schedule.file.name} ({journal_path})")
-    except RigInUse as held:
-        raise RigInUse(str(journal_path), held.holder) from None
-    try:
-        yield
-    finally:
-        lock.release()
-
-
-def _connect(opened: OpenRig, plan: Plan, ask: Callable[[str], None] | None, *, homing: bool = False) -> Operator:
+def _connect(opened: OpenRig, plan: Plan, ask: Ask | None, *, homing: bool = False) -> Operator:
     """Connect the rig, check its axes (`homing` as in `check_referenced`), and return its operator."""
     operator = operator_for(opened, plan.rig.file, ask)
     opened.connect()
@@ -124,7 +100,9 @@ def _run_engine(
     (rows, planned), skipped = journal.row_counts(), len(journal.skipped_numbers())
     failure = opened.transcript_failure
     faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
-    return Outcome(state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated)
+    return Outcome(
+        state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain
+    )
 
 
 def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:
@@ -142,12 +120,18 @@ def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) ->
         )
 
 
-def operator_for(opened: OpenRig, rig: RigFile, ask: Callable[[str], None] | None) -> Operator:
-    """The operator of a rig: the program at a virtual rig, else a person, through `ask`. Raises UserError without `ask`."""
+def operator_for(opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool = False) -> Operator:
+    """The operator of a rig: the program at a virtual rig, unless `person`; else a person, asked through `ask`.
+
+    Raises UserError for a person without `ask`.
+    """
+    program: Operator | None = None
     if opened.virtual is not None:
-        return VirtualOperator(opened.virtual)
-    if rig.simulated is not None and rig.simulated.control_port is not None:
-        return ServedOperator(rig.simulated.control_port)
+        program = VirtualOperator(opened.virtual)
+    elif rig.simulated is not None and rig.simulated.control_port is not None:
+        program = ServedOperator(rig.simulated.control_port, rig.simulated.control_token or "")
+    if program is not None and not person:
+        return program
     if ask is None:
         raise UserError(f"{rig.name}: a person has to mount the samples, and this program has no way to ask one")
-    return HumanOperator(ask)
+    return HumanOperator(ask, program)

@@ -12,6 +12,8 @@ SKIPPED = "skipped"
 """Flag of a row that was skipped because of a fault."""
 RESUME_PREFIX = "resumed "
 """Beginning of the identity of an unplanned row: a resumed session starts with such rows."""
+WAKE_PREFIX = "awake "
+"""Beginning of the identity of an unplanned row that follows a sleep of the computer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,5 +49,5 @@ class Row:
 
     @property
     def unplanned(self) -> bool:
-        """Whether the row belongs to the start of a resumed session and not to the plan."""
-        return self.identity.startswith(RESUME_PREFIX)
+        """Whether the row belongs to the start of a resumed session, or to the end of a sleep, and not to the plan."""
+        return self.identity.startswith((RESUME_PREFIX, WAKE_PREFIX))

@@ -23,6 +23,7 @@ from goniotwin.app.errors import UserError
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
     from goniotwin.app.campaign.journal.summary import CampaignSummary
     from goniotwin.app.campaign.planning.plan import NewPlan
+    from goniotwin.app.campaign.running.operator import Answer, Question
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
@@ -147,6 +148,7 @@ def run(
         "duration_s": outcome.seconds,
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
+        "chain": outcome.chain.as_dict(),
     }
     if (checks := check_journal(journal)) is not None:
         result["checks"] = checks.as_dict()
@@ -156,7 +158,11 @@ def run(
     skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
     rows = f"{outcome.rows} of {outcome.planned} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
     text = f"{mark}{result['state']}: {rows}: {journal}"
-    answer(as_json, result, lambda: print("\n".join([text, *(checks.lines if checks is not None else [])])))
+    answer(
+        as_json,
+        result,
+        lambda: print("\n".join([text, outcome.chain.statement, *(checks.lines if checks is not None else [])])),
+    )
     if outcome.ended_by_schedule:
         errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
     if outcome.rows < outcome.planned:
@@ -261,8 +267,19 @@ def _make_plan(schedule: Path, rig: Path) -> "NewPlan":
     return make_plan(read_schedule(schedule), read_rig(rig))
 
 
-def _ask_operator(text: str) -> None:
-    """Print what the operator has to do and wait for Enter. Raises UserError without a terminal."""
-    errors.print(f"{text}  (Enter)", style="bold", markup=False)
-    if not sys.stdin.readline():
-        raise UserError("samples are mounted by hand, and standard input is closed; run it in a terminal")
+def _ask_operator(question: "Question") -> "Answer":
+    """Print a question and read the beginning of an answer. Enter alone is no answer. Raises UserError without a terminal."""
+    from goniotwin.app.campaign.running.operator import EFFECTS, Answer
+
+    # A pause would last for ever, because a terminal has no Resume; waiting is what a question does by itself.
+    answers = [each for each in question.answers if each not in (Answer.PAUSE, Answer.WAIT)]
+    errors.print(f"{question.title}. {question.text}", style="bold", markup=False)
+    for each in answers:
+        errors.print(f"  {each}: {EFFECTS[each]}", markup=False)
+    while line := sys.stdin.readline():
+        start = line.strip().lower()
+        found = [each for each in answers if start and each.lower().startswith(start)]
+        if len(found) == 1:
+            return found[0]
+        errors.print(f"Type {' or '.join(answers)}, or the beginning of it, then Enter.", markup=False)
+    raise UserError("samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal")

@@ -1,11 +1,11 @@
-"""Commands on measured data: `goniotwin export`."""
+"""Commands on measured data: `goniotwin export` and `copy`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from goniotwin.app.cli.output import CommandWithFormats, Json, answer
+from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error
 from goniotwin.app.errors import UserError
 
 app = typer.Typer()
@@ -25,6 +25,9 @@ def export(
         Literal["reflected", "transmitted"] | None,
         typer.Option("--light", help="Light, if the journal has both and the format holds one table.", show_default=False),
     ] = None,
+    without_damaged: Annotated[
+        bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of writing nothing.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Reduce a data file (journal) and write the BSDF.
@@ -32,6 +35,8 @@ def export(
     The journal is not changed. A .csv has every measured point, with its standard uncertainty. A table such as a .ddr is in
     specular coordinates and has no gaps: directions without a measurement are filled and listed at its top. The standard
     uncertainties of FILE.ddr are in FILE.u.ddr, on the same grid.
+
+    Exit status: 1 if the journal differs from what was measured, row by row or as a whole.
     """
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.reduction.export import check_files, export_format
@@ -43,11 +48,37 @@ def export(
         raise UserError(f"{out}: is the journal itself; choose another name")
     check_files(out, form)
     with Journal.open(journal) as opened:
-        reduced = reduce_journal(opened)
+        reduced, chain = reduce_journal(opened, without_damaged=without_damaged), opened.chain
     exported = export_reduced(reduced, sample, out, form, light)
     files = [str(file) for file in exported.files]
     result = {
         "file": files[0], "files": files, "format": form.name, "values": exported.values, "simulated": reduced.simulated,
+        "chain": chain.as_dict(), "damaged": sorted(chain.without_values),
     }  # fmt: skip
     mark = "SIMULATED, " if reduced.simulated else ""
-    answer(as_json, result, lambda: print(f"{mark}{exported.values} measured values: {', '.join(files)}"))
+    text = f"{mark}{exported.values} measured values: {', '.join(files)}\n{reduced.chain}"
+    answer(as_json, result, lambda: print(text))
+    if chain.damage:
+        print_error(f"{journal}: exported without what differs from what was measured: {chain.damage}")
+
+
+@app.command()
+def copy(
+    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Copy to make; not overwritten.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Copy a data file (journal), also while its campaign runs.
+
+    The copy has every row that is committed when it begins, in one file, and is checked.
+
+    Exit status: 1 if the journal is damaged; with damaged rows the copy is kept.
+    """
+    from goniotwin.app.campaign.journal.writing import copy_journal
+
+    chain = copy_journal(journal, file)
+    result = {"file": str(file), "chain": chain.as_dict(), "damaged": sorted(chain.damaged)}
+    answer(as_json, result, lambda: print(f"{file}\n{chain.statement}"))
+    if chain.damage:
+        print_error(f"{file}: differs from what was measured, as {journal} does: {chain.damage}")
+        raise typer.Exit(1)

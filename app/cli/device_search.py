@@ -5,10 +5,10 @@ Only identities are read, so nothing moves.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import serial
 import usb.core
 from serial.tools import list_ports
 
@@ -16,6 +16,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, read_rig
 from goniotwin.app.rig.kinds import kinds
 from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.wires import open_serial
 from goniotwin.drivers import DeviceError
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import INTERFACE_CLASS
@@ -87,12 +88,9 @@ def _probe_port(device: str, clock: Clock) -> PortStatus:
     """Ask for the identity with each protocol in turn."""
     tried = []
 
-    def opener(baudrate: int, timeout_s: float) -> serial.Serial:
-        return serial.serial_for_url(device, baudrate=baudrate, timeout=timeout_s)
-
     for name, probe in [each for kind in kinds() for each in kind.probes]:
         try:
-            return PortStatus("serial", device, probe(opener, clock))
+            return PortStatus("serial", device, probe(partial(open_serial, device), clock))
         except DeviceError as error:
             tried.append(f"{name}: {error.happened}")
     return PortStatus("serial", device, None, "; ".join(tried))

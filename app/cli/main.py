@@ -22,7 +22,7 @@ from goniotwin.app.errors import UserError
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 COMMANDS = (
-    "devices", "home", "here", "check", "rehearse", "run", "runs", "export", "simulate",
+    "devices", "home", "here", "check", "rehearse", "run", "runs", "export", "copy", "simulate",
     "demo", "examples", "schema", "serve", "usb", "replay", "desktop",
 )  # fmt: skip
 """In the order of an operator's day; then what is needed less often."""
@@ -154,7 +154,7 @@ def copy_examples(
 
 
 def main() -> None:
-    """Run the command. An error of the user's is one line on standard error, with exit status 2."""
+    """Run the command. An error of the user's is one line on standard error, with exit status 2 (1: a damaged journal)."""
     logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors are raised as exceptions too
     interrupt_on_end_signal()  # a stop in order: axes at rest, journal closed
     try:
@@ -167,7 +167,7 @@ def main() -> None:
         sys.exit(2)
     except UserError as error:
         print_error(error)
-        sys.exit(2)
+        sys.exit(error.status)
 
 
 @app.command()

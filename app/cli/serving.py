@@ -2,6 +2,7 @@
 
 import getpass
 import json
+import re
 import runpy
 import sys
 import tempfile
@@ -52,9 +53,7 @@ def serve(
     from goniotwin.mocks.served import ServedRig
 
     description = read_rig(rig)
-    folder = (
-        ptys if ptys is not None else Path(tempfile.gettempdir()) / f"goniotwin-{getpass.getuser()}" / description.file.name
-    )
+    folder = ptys if ptys is not None else default_folder(description.file.name)
     if write_rig is not None:
         check_served_rig(write_rig)
     served = ServedRig(_twin_model(description), speed, folder.absolute(), control=control)
@@ -128,6 +127,12 @@ def replay(
     result = replay_transcripts(transcripts, read_rig(rig), device, mount)
     answer(as_json, result.as_dict(), lambda: print(result.text()))
     raise typer.Exit(1 if result.differences else 0)
+
+
+def default_folder(rig: str) -> Path:
+    """The folder of a rig's pseudo-terminals: a name of this user's and this rig's own, without blanks and separators."""
+    user, name = (re.sub(r"[^\w-]+", "-", each) for each in (getpass.getuser(), rig))
+    return Path(tempfile.gettempdir()) / f"goniotwin-{user}" / name
 
 
 def _twin_model(rig: "RigDescription") -> "TwinModel":

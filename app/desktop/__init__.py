@@ -1,7 +1,7 @@
 """The desktop: a window on a rig and its campaign. The only package that imports Qt.
 
 `model` owns the rig and runs the engine, without Qt. `presenter` receives its messages through one signal and shows them in
-the panels of `view`. `window` passes on what the operator does. Each screen has a folder: setup, rig, run.
+the panels of `view`. `window` passes on what the operator does. Each screen has a folder: setup, rig, run, events.
 """
 
 from pathlib import Path

@@ -4,8 +4,9 @@ from itertools import pairwise
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Slot
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QSplitter, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop.events.panels import EventLog, OrdersPanel, QuestionBar
 from goniotwin.app.desktop.rig.panels import AxesPanel, DevicesPanel
 from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.run.panel import RunPanel
@@ -13,6 +14,8 @@ from goniotwin.app.desktop.setup.panels import RigPanel, SchedulePanel
 from goniotwin.app.desktop.theme import Colours
 
 LEFT_WIDTH = 330
+PLOT_HEIGHT, LOG_HEIGHT = 360, 190
+"""Heights of plot and log at the start."""
 
 
 class MainView(QWidget):
@@ -24,6 +27,9 @@ class MainView(QWidget):
         self._status_is_error = False
         self._banner = QLabel()
         self._banner.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.orders = OrdersPanel(colours)
+        self.question = QuestionBar(colours)
+        self.log = EventLog(colours)
         self.rig = RigPanel()
         self.devices = DevicesPanel(colours)
         self.axes = AxesPanel()
@@ -88,6 +94,9 @@ class MainView(QWidget):
         self._banner.setStyleSheet(
             f"background: {colours.simulated}; color: {colours.on_simulated}; font-weight: bold; padding: 4px"
         )
+        self.orders.set_colours(colours)
+        self.question.set_colours(colours)
+        self.log.set_colours(colours)
         self.devices.set_colours(colours)
         self.run.set_colours(colours)
         self.plot.set_colours(colours)
@@ -114,7 +123,16 @@ class MainView(QWidget):
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         right = QVBoxLayout()
         right.setSpacing(6)
-        right.addWidget(self.plot, 1)
+        middle = QSplitter(Qt.Orientation.Vertical)
+        middle.addWidget(self.plot)
+        middle.addWidget(self.log)
+        self.plot.setMinimumHeight(220)
+        self.log.setMinimumHeight(90)
+        middle.setSizes([PLOT_HEIGHT, LOG_HEIGHT])
+        middle.setStretchFactor(0, 2)
+        middle.setStretchFactor(1, 1)
+        middle.setChildrenCollapsible(False)
+        right.addWidget(middle, 1)
         for each in (self._plot_error, self.run, self._status, self._saved):
             right.addWidget(each)
         body = QHBoxLayout()
@@ -126,15 +144,18 @@ class MainView(QWidget):
         whole.setContentsMargins(0, 0, 0, 0)
         whole.setSpacing(0)
         whole.addWidget(self._banner)
+        whole.addWidget(self.orders)
+        whole.addWidget(self.question)
         whole.addLayout(body, 1)
         self.setMinimumSize(880, 560)
         self._order_tabs()
 
     def _order_tabs(self) -> None:
-        """Set the tab order to that of the work: set-up first. Stop has keys of its own."""
+        """Set the tab order to that of the work: set-up first. Stop is not in it: it has keys of its own."""
         order = [
-            self.rig.open_button, self.rig.again_button, self.schedule.open_button, self.schedule.folder_button,
-            self.run.start_button, self.run.pause_button, self.run.speeds, self.run.stop_button,
+            self.rig.open_button, self.rig.again_button, self.rig.person,
+            self.schedule.open_button, self.schedule.folder_button,
+            self.run.start_button, self.run.pause_button, self.run.speeds,
         ]  # fmt: skip
         for first, second in pairwise(order):
             QWidget.setTabOrder(first, second)

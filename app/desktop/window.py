@@ -1,20 +1,22 @@
 """The main window: passes on what the operator does, asks questions, and closes in order."""
 
-from collections.abc import Callable
 from pathlib import Path
 
-from PySide6.QtCore import Slot
-from PySide6.QtGui import QCloseEvent
-from PySide6.QtWidgets import QFileDialog, QMainWindow, QMessageBox, QWidget
+from PySide6.QtCore import Qt, Slot
+from PySide6.QtGui import QCloseEvent, QKeyEvent
+from PySide6.QtWidgets import QFileDialog, QMainWindow
 
+from goniotwin.app.campaign.running.events import SafetyOrder
+from goniotwin.app.campaign.running.operator import EFFECTS, Answer
 from goniotwin.app.desktop.event_loop import GarbageCollector
+from goniotwin.app.desktop.events.question import Choice, QuestionBox
+from goniotwin.app.desktop.model.messages import QuestionAsked
 from goniotwin.app.desktop.model.rig_thread import RigThread
 from goniotwin.app.desktop.presenter import Presenter
 from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.view import MainView
 
-Choice = tuple[str, Callable[[], None]]
-"""The text of a button, and what it does."""
+KEEP_RUNNING, STOP_AND_CLOSE = "Keep running", "Stop and close"
 
 
 class MainWindow(QMainWindow):
@@ -23,8 +25,9 @@ class MainWindow(QMainWindow):
     def __init__(self, theme: Theme, rig: Path, schedule: Path | None, folder: Path, speed: float = 1.0) -> None:
         super().__init__()
         self.theme = theme
-        self.mount_question: Question | None = None
-        self.close_question: Question | None = None
+        self.question: QuestionBox | None = None
+        self.close_question: QuestionBox | None = None
+        self._asked = 0
         self._folder = folder
         self._closing = False
         self._closed = False
@@ -43,7 +46,7 @@ class MainWindow(QMainWindow):
     def _connect(self) -> None:
         self.theme.changed.connect(self._recolour)
         self.presenter.changed.connect(self._refresh)
-        self.presenter.mount_requested.connect(self._ask_to_mount)
+        self.presenter.question_asked.connect(self._ask)
         self.presenter.run_ended.connect(self._after_run)
         run, rig, schedule = self.view.run, self.view.rig, self.view.schedule
         run.start.connect(self._start)
@@ -51,8 +54,11 @@ class MainWindow(QMainWindow):
         run.resume.connect(self._resume)
         run.stop.connect(self._stop)
         run.speed_chosen.connect(self._set_speed)
+        self.view.orders.acknowledged.connect(self._acknowledge)
+        self.view.question.show_question.connect(self._show_question)
         rig.open.connect(self._choose_rig)
         rig.connect_again.connect(self._connect_again)
+        rig.person.toggled.connect(self._set_person)
         schedule.open.connect(self._choose_schedule)
         schedule.choose_folder.connect(self._choose_folder)
 
@@ -60,7 +66,7 @@ class MainWindow(QMainWindow):
     def _refresh(self) -> None:
         permissions = self.presenter.permissions
         self.view.run.set_permissions(permissions)
-        for button in (*self.view.rig.buttons, *self.view.schedule.buttons):
+        for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
             button.setEnabled(permissions.open)
         self.setWindowTitle(self.presenter.title)
 
@@ -94,27 +100,72 @@ class MainWindow(QMainWindow):
     def _set_speed(self, speed: float) -> None:
         self.rig_thread.set_speed(speed)
 
-    @Slot(str)
-    def _ask_to_mount(self, text: str) -> None:
-        choices = ("It is mounted", self._confirm_mounted), ("Stop the run", self._stop_mounting)
-        self.mount_question = Question(self, "mount", text, *choices)
+    @Slot(bool)
+    def _set_person(self, person: bool) -> None:
+        self.rig_thread.set_person(person)
 
-    def _confirm_mounted(self) -> None:
-        self.mount_question = None
-        self.rig_thread.confirm_mounted()
-
-    def _stop_mounting(self) -> None:
-        self.mount_question = None
-        self._stop()
+    @Slot(object)
+    def _acknowledge(self, order: SafetyOrder) -> None:
+        self.presenter.acknowledge(order)
+        self.rig_thread.acknowledge(order)
 
     @Slot()
     def _after_run(self) -> None:
-        for question in (self.mount_question, self.close_question):
-            if question is not None:
-                question.dismiss()
-        self.mount_question = self.close_question = None
+        self._dismiss_question()
+        self._dismiss_close_question()
         if self._closing:
             self.close()
+
+    # The questions.
+
+    @Slot(object)
+    def _ask(self, asked: QuestionAsked) -> None:
+        self._dismiss_question()
+        question, self._asked = asked.question, asked.number
+        choices = [Choice(each, EFFECTS[each], each is Answer.STOP, each is question.default) for each in question.answers]
+        self.question = self._question_box(question.title, question.text, choices)
+        self.question.chosen.connect(self._answer)
+        self.view.question.set_question(question.title)
+
+    @Slot(str)
+    def _answer(self, label: str) -> None:
+        answer = Answer(label)
+        if answer is Answer.WAIT:
+            assert self.question is not None
+            self.question.hide()
+            return
+        self._dismiss_question()
+        if answer is Answer.STOP:
+            self._stop()
+        else:
+            self.rig_thread.answer(self._asked, answer)
+
+    @Slot()
+    def _show_question(self) -> None:
+        if self.question is not None:
+            self.question.appear()
+
+    def _question_box(self, title: str, text: str, choices: list[Choice]) -> QuestionBox:
+        box = QuestionBox(self, title, text, choices)
+        box.escape_released.connect(self.view.run.release_hold)
+        return box
+
+    def _dismiss_question(self) -> None:
+        if self.question is not None:
+            self.question.dismiss()
+        self.question = None
+        self.view.question.set_question("")
+
+    def _dismiss_close_question(self) -> None:
+        if self.close_question is not None:
+            self.close_question.dismiss()
+        self.close_question = None
+
+    def keyReleaseEvent(self, event: QKeyEvent) -> None:
+        """Esc is held no longer; Qt calls it."""
+        if event.key() == Qt.Key.Key_Escape and not event.isAutoRepeat():
+            self.view.run.release_hold()
+        super().keyReleaseEvent(event)
 
     # The files.
 
@@ -154,11 +205,13 @@ class MainWindow(QMainWindow):
         """Ask during a run; otherwise close the rig and end its thread."""
         if self.presenter.busy and not self._closed:
             event.ignore()
-            if self.close_question is not None:
-                self.close_question.dismiss()
-            text = "A run is in progress. Stop brings all axes to rest; measured rows stay in the journal."
-            choices = ("Stop and close", self._stop_and_close), ("Keep running", self._keep_running)
-            self.close_question = Question(self, "close", text, *choices)
+            self._dismiss_close_question()
+            choices = [
+                Choice(KEEP_RUNNING, "The window stays open.", default=True),
+                Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
+            ]
+            self.close_question = self._question_box("Close the window?", "A run is in progress.", choices)
+            self.close_question.chosen.connect(self._answer_close)
             return
         self.shut_down()
         event.accept()
@@ -169,17 +222,15 @@ class MainWindow(QMainWindow):
         if not self.presenter.busy:
             self.close()
             return
-        if self.close_question is not None:
-            self.close_question.dismiss()
-        self._stop_and_close()
-
-    def _keep_running(self) -> None:
-        self.close_question = None
-
-    def _stop_and_close(self) -> None:
-        self.close_question = None
+        self._dismiss_close_question()
         self._closing = True
         self._stop()
+
+    @Slot(str)
+    def _answer_close(self, label: str) -> None:
+        self._dismiss_close_question()
+        if label == STOP_AND_CLOSE:
+            self.stop_and_close()
 
     def shut_down(self) -> None:
         """End the rig's thread; a run is stopped first. Nothing is moved. A second call does nothing."""
@@ -188,34 +239,3 @@ class MainWindow(QMainWindow):
             self.presenter.close()
             self.rig_thread.close()
             self._collector.stop()
-
-
-class Question(QMessageBox):
-    """A question with two buttons. Closing it is the second one. It does not block: Stop stays within reach."""
-
-    def __init__(self, parent: QWidget, title: str, text: str, yes: Choice, no: Choice) -> None:
-        super().__init__(QMessageBox.Icon.Question, f"goniotwin: {title}", text, parent=parent)
-        self._yes, self._no = yes[1], no[1]
-        self._open = True
-        self.yes_button = self.addButton(yes[0], QMessageBox.ButtonRole.AcceptRole)
-        self.no_button = self.addButton(no[0], QMessageBox.ButtonRole.RejectRole)
-        self.setDefaultButton(self.no_button)
-        self.setEscapeButton(self.no_button)
-        self.setAccessibleName(text)
-        self.setModal(False)
-        self.finished.connect(self._finish)
-        self.show()
-
-    def dismiss(self) -> None:
-        """Close the question without an answer."""
-        if self._open:
-            self._open = False
-            self.close()
-            self.deleteLater()
-
-    @Slot()
-    def _finish(self) -> None:
-        if self._open:
-            self._open = False
-            (self._yes if self.clickedButton() is self.yes_button else self._no)()
-            self.deleteLater()

@@ -106,7 +106,7 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
             out.flush()
             os.fsync(out.fileno())
         spare.replace(file)
-        _sync_folder(file.parent)
+        sync_folder(file.parent)
     except OSError as error:
         wrong = f"cannot be written ({error.strerror})"
         raise FormatError(path, wrong, "check the folder, its permissions and the free space of the disk") from error
@@ -122,7 +122,7 @@ def _refuse_database(path: StrPath, file: Path) -> None:
         raise FormatError(path, wrong, "choose another name")
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     # Windows cannot open a folder, and some network disks cannot sync one; the file itself is on the disk by now.
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""Addresses of devices, as a rig file has them: parsing, and one canonical form for all spellings of one device.
+"""Addresses of devices, as a rig file has them: parsing, and names that all spellings of one device have in common.
 
 | bus | address |
 |---|---|
@@ -13,21 +13,25 @@ import contextlib
 import os
 import re
 import socket
+import stat
+from ipaddress import IPv6Address, ip_address
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qsl
 
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+import serial
+from pymodbus.client import ModbusTcpClient
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.framer import FramerType
 
 from goniotwin.app.errors import UserError
-from goniotwin.drivers.photodiodes.modbus import ModbusBus, ModbusOpener, ModbusUnit, Trace, explain, explain_rtu
+from goniotwin.drivers.photodiodes.modbus import ModbusBus, ModbusOpener, ModbusUnit, RtuClient, Trace, explain, explain_rtu
 from goniotwin.drivers.tap import Explain
 from goniotwin.protocols import adam, usbip
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.doors import TwinModbusClient, TwinRtuClient
 
-TWIN, RTU, USBIP = "twin://", "rtu:", "usbip:"
+TWIN, RTU, USBIP, HWGREP = "twin://", "rtu:", "usbip:", "hwgrep://"
 MODBUS_PORT, USBIP_PORT = "502", str(usbip.PORT)
 MODBUS_TIMEOUT_S = 1.0
 BAUDRATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
@@ -41,31 +45,77 @@ class InvalidAddress(UserError):
         self.address = address
 
 
-def canonical_address(address: str) -> str:
-    """The canonical form of an address: links followed, host names resolved, the port given, the query removed.
+def device_names(address: str) -> frozenset[str]:
+    """Names of the device at an address: links followed, host names resolved, the port given, the query removed.
 
-    Two addresses of one device have the same canonical form.
+    Two addresses of one device have a name in common, but for `1313:8078`, without a serial number, and `1313:8078:P1`:
+    `RigLock` compares these. Raises UserError for a search of ports that cannot be made, or would open them.
     """
-    plain = address.removeprefix(RTU).partition("?")[0]
-    for scheme, port in (("socket://", ""), ("rfc2217://", ""), (USBIP, USBIP_PORT)):
-        if plain.startswith(scheme):
-            host, slash, bus_id = plain.removeprefix(scheme).partition("/")
-            return f"{_canonical_host(host, port)}{slash}{bus_id}"
-    if plain.startswith(("/", "\\\\")) or Path(plain).exists():
-        return os.path.realpath(plain)
-    if re.fullmatch(r"(?i)com[0-9]+", plain):
-        return plain.upper()
+    rtu, plain = address.startswith(RTU), address.removeprefix(RTU)
+    if rtu or not plain.lower().startswith(HWGREP):  # a pattern may have a question mark
+        plain = plain.partition("?")[0]
+    if plain.lower().startswith(HWGREP):
+        plain = _found_port(plain)
+    if match := re.match(r"(?i)(socket|rfc2217)://", plain):
+        return _tcp_names(plain[match.end() :].partition("/")[0], "")
+    if plain.startswith(USBIP):
+        place, slash, bus_id = plain.removeprefix(USBIP).partition("/")
+        return frozenset(f"{each}{slash}{bus_id}" for each in _tcp_names(place, USBIP_PORT))
+    if match := re.fullmatch(r"(?i)(?:\\\\[.?]\\)?(com[0-9]+)", plain):
+        return frozenset({f"serial:{match[1].upper()}"})
+    if plain.startswith("/") or Path(plain).exists():
+        return _port_names(os.path.realpath(plain))
     if re.fullmatch(r"[0-9a-fA-F]{4}:[0-9a-fA-F]{4}(:.*)?", plain):
-        return plain[:9].lower() + plain[9:]
-    return _canonical_host(plain, MODBUS_PORT)
+        return frozenset({f"usb:{plain[:9].lower()}{plain[9:]}"})
+    return _tcp_names(plain, MODBUS_PORT)
 
 
-def _canonical_host(place: str, default_port: str) -> str:
-    """`HOST:PORT` with the numeric address of the host, or with its name where the name cannot be resolved."""
-    host, port = host_and_port(place.lower(), default_port)
+def _port_names(path: str) -> frozenset[str]:
+    """A serial port by its path and by its device number: macOS has two paths for each port, and more can be made."""
+    names = {f"serial:{path.replace('/dev/tty.', '/dev/cu.')}"}
     with contextlib.suppress(OSError):
-        host = str(socket.getaddrinfo(host, None, proto=socket.IPPROTO_TCP)[0][4][0])
-    return f"{host}:{port}"
+        status = Path(path).stat()
+        if stat.S_ISCHR(status.st_mode):
+            names.add(f"serial:{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}")
+    return frozenset(names)
+
+
+def _found_port(url: str) -> str:
+    """The port that pyserial finds for `hwgrep://PATTERN`; the URL itself where there is none. Raises UserError."""
+    from serial.urlhandler.protocol_hwgrep import Serial as Search
+
+    if any(each.startswith("skip_busy") for each in url.split("&")[1:]):
+        raise UserError(f"{url}: skip_busy opens ports of other devices; leave it out, and name this device")
+    try:
+        return str(Search().from_url(url))
+    except serial.SerialException:
+        return url
+    except (ValueError, re.error) as error:
+        raise UserError(f"{url}: {error}; correct it in the rig file") from None
+
+
+def _tcp_names(place: str, default_port: str) -> frozenset[str]:
+    """`tcp:HOST:PORT` for each numeric address of the host, or with its name where the name cannot be resolved.
+
+    All addresses of this computer are `localhost`: a server listens on several of them, mostly.
+    """
+    host, port = host_and_port(place.lower(), default_port)
+    found: set[str] = set()
+    with contextlib.suppress(OSError, UnicodeError):
+        for family, *_, address in socket.getaddrinfo(host, None, proto=socket.IPPROTO_TCP):
+            number = ip_address(str(address[0]).partition("%")[0])
+            number = (number.ipv4_mapped if isinstance(number, IPv6Address) else None) or number
+            here = number.is_loopback or number.is_unspecified or _is_of_this_computer(family, address)
+            found.add("localhost" if here else str(number))
+    return frozenset(f"tcp:{each}:{port}" for each in found or {host})
+
+
+def _is_of_this_computer(family: int, address: tuple[Any, ...]) -> bool:
+    """Whether a socket can have this address as its own."""
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as own:
+        own.bind((address[0], 0, *address[2:]))
+        return True
+    return False
 
 
 def host_and_port(place: str, default: str) -> tuple[str, str]:
@@ -172,7 +222,7 @@ def _tcp_opener(host: str, port: int) -> ModbusOpener:
 
 def _serial_opener(port: str, baudrate: int) -> ModbusOpener:
     def opener(trace: Trace | None) -> ModbusBaseSyncClient:
-        return ModbusSerialClient(
+        return RtuClient(
             port, framer=FramerType.RTU, baudrate=baudrate, timeout=MODBUS_TIMEOUT_S, retries=0, trace_packet=trace
         )
 

@@ -57,7 +57,7 @@ class SimulatedTable:
 
     A rig that another process serves has no [twin] in its file. Its table has the hash of the `model` (`old_model` is the hash
     in its first version, which older journals have), the simulation `speed`, and the simulation `control_port`, through which
-    samples are mounted.
+    samples are mounted, with its `control_token`.
     """
 
     seed: int = 1
@@ -65,6 +65,7 @@ class SimulatedTable:
     old_model: str | None = None
     speed: Positive = 1.0
     control_port: Annotated[int, Ge(1), Le(65535)] | None = None
+    control_token: str | None = None
 
 
 @dataclass(frozen=True)

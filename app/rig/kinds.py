@@ -264,7 +264,8 @@ class MonitorTable(MonitorSettings):
 
 
 def _open_tmcl(wires: Wires, name: str, table: Any, axes: Mapping[str, AxisSettings]) -> TmclController:
-    return TmclController(name, wires.serial(table.port), wires.clock, table, axes, wires.tap(name, tmcl.explain))
+    tap = wires.tap(name, tmcl.explain)
+    return TmclController(name, wires.serial(table.port), wires.clock, table, axes, tap, wires.session)
 
 
 def _check_motors(axes: Mapping[str, AxisSettings]) -> None:

@@ -1,106 +1,206 @@
-"""One controlling program per rig: a lock on each device address; the system releases it when its process ends."""
+"""One controlling program per rig and per journal: locks that the system lifts when their process ends, however it ends.
+
+A rig has two guards. Among the programs of one user it is a lock file for each device, in the user's state folder. Among
+users it is the device itself: a serial port is opened exclusively, the interface of a USB instrument is claimed, and for a TCP
+address a name of the system is taken, which every user sees: see `SystemName`. A journal has a lock file beside it.
+
+A lock file is empty and stays so, and no link is followed to it. The note of its holder, and since when, is a file beside it,
+replaced by renaming. So no byte changes of a file that another user has put there.
+"""
 
 import contextlib
 import getpass
 import hashlib
 import os
+import re
 import socket
+import stat
+import struct
 import sys
 import tempfile
 from pathlib import Path
-from typing import IO
+
+from filelock import FileLock, Timeout
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import canonical_address
-from goniotwin.protocols.clock import RealClock, calendar_stamp
+from goniotwin.app.rig.addresses import device_names
+from goniotwin.mocks.own_folder import make_own_folder
+from goniotwin.protocols.clock import calendar_stamp
 
-FOLDER = "goniotwin-locks"
 LONGEST_NOTE = 400
 PROBE_S = 0.05
-"""How long `holder_of` of another program can hold a lock."""
+"""How long another program can hold a lock only to check it."""
+UNKNOWN = "another program"
 
 
 class RigInUse(UserError):
-    """An address is locked by another program; `holder` is the text of its note."""
+    """An address or a journal is locked by another program; `holder` is the text of its note."""
 
     def __init__(self, address: str, holder: str) -> None:
         super().__init__(f"{address}: is in use by {holder}; wait for it, or end it")
         self.holder = holder
 
 
+def state_folder() -> Path:
+    """The folder of this user's programs for what outlives them. It is not looked at."""
+    from platformdirs import user_state_path  # most commands do without
+
+    return user_state_path("goniotwin", appauthor=False)
+
+
+class LockFile:
+    """A lock file, locked until `release` or until the process ends, also if it is killed."""
+
+    def __init__(self, path: Path, what: str, purpose: str, mode: int) -> None:
+        """Lock the file; `what` it stands for is in the errors. Raises RigInUse with the holder's note, OSError."""
+        self._path = path
+        self._note = _note_of(path)
+        self._lock = FileLock(path, PROBE_S, mode, thread_local=False, fallback_to_soft=False, poll_interval=0.01)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise RigInUse(what, _read_note(self._note)) from None
+        _write_note(
+            self._note, f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {purpose}"
+        )
+
+    def release(self, *, remove: bool = False) -> None:
+        """Release the lock; `remove` the file too. A second call has no effect."""
+        if self._lock.is_locked:
+            for file in (self._note, self._path) if remove else (self._note,):
+                with contextlib.suppress(OSError):  # Windows removes no open file: an empty one stays
+                    file.unlink()  # of two programs that wait for a removed file, FileLock gives neither the lock
+            self._lock.release()
+
+
+def holder_of(path: Path) -> str | None:
+    """The note of the program that holds a lock file, None if it is free. Makes no file."""
+    if not path.exists():
+        return None
+    try:
+        with FileLock(path, PROBE_S, 0o666, thread_local=False, fallback_to_soft=False, poll_interval=0.01):
+            return None
+    except Timeout:
+        return _read_note(_note_of(path))
+    except OSError:  # a read-only medium, which no program can write to
+        return None
+
+
 class RigLock:
     """Locks on device addresses, held until `release` or until the process ends, also if it is killed."""
 
     def __init__(self, addresses: list[str], purpose: str, folder: Path | None = None) -> None:
-        """Lock all addresses or none. Raises RigInUse with the holder of an address and the start of its lock."""
-        self._folder = folder if folder is not None else Path(tempfile.gettempdir()) / FOLDER
-        self._files: list[IO[str]] = []
-        note = f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {purpose}"
+        """Lock all addresses or none; nothing is opened. `folder` is that of the lock files.
+
+        Raises RigInUse with the holder of an address and the start of its lock.
+        """
+        self._folder = folder if folder is not None else state_folder() / "locks"
+        self._files: list[LockFile] = []
+        self._names: list[SystemName] = []
         try:
-            for canonical, address in sorted({canonical_address(address): address for address in addresses}.items()):
-                self._lock(canonical, address, note)
+            devices = sorted({name: address for address in addresses for name in device_names(address)}.items())
+            for name, address in devices:
+                self._lock(name, address, purpose)
+            for name, address in devices:
+                self._check_relatives(name, address)
         except UserError:
             self.release()
             raise
 
     def release(self) -> None:
         """Release all locks. A second call has no effect."""
+        for name in self._names:
+            name.release()
         for file in self._files:
-            file.close()
-        self._files = []
+            file.release()
+        self._names, self._files = [], []
 
-    def _lock(self, canonical: str, address: str, note: str) -> None:
-        path = self._folder / f"{hashlib.sha256(canonical.encode()).hexdigest()[:20]}.lock"
+    def _lock(self, name: str, address: str, purpose: str) -> None:
+        path = self._path(name)
         try:
-            self._folder.mkdir(mode=0o777, parents=True, exist_ok=True)
-            with contextlib.suppress(OSError):
-                self._folder.chmod(0o1777)  # other users of this computer use the same rig
-            file = _open(path)
+            make_own_folder(self._folder)
+            self._files.append(LockFile(path, address, purpose, 0o600))
+            if name.startswith("tcp:"):
+                self._names.append(SystemName(name, address))
+            elif (process := _process_on_port(name)) is not None:
+                raise RigInUse(address, process)
         except OSError as error:
-            raise UserError(f"{path}: the lock of {address} cannot be made: {error.strerror}; check that folder") from None
-        if not _try_lock(file) and not _try_lock_again(file):
-            file.seek(0)
-            holder = file.read(LONGEST_NOTE).strip() or "another program"
-            file.close()
-            raise RigInUse(address, holder)
-        self._files.append(file)
-        with contextlib.suppress(OSError):  # a full disk has no space for the note; the lock is held without it
-            os.ftruncate(file.fileno(), 0)
-            os.lseek(file.fileno(), 0, os.SEEK_SET)
-            os.write(file.fileno(), f"{note}\n".encode())
+            reason = f"{error.strerror}; check that folder" if error.strerror else str(error)
+            raise UserError(f"{path}: the lock of {address} cannot be made: {reason}") from None
+
+    def _check_relatives(self, name: str, address: str) -> None:
+        """`usb:1313:8078` may be the instrument `usb:1313:8078:P1`, which has another lock: raise RigInUse if that is held.
+
+        Its own lock is taken before. So of two programs at once at least one sees the other.
+        """
+        product = re.fullmatch(r"(usb:[0-9a-f]{4}:[0-9a-f]{4})(:.*)?", name)
+        if product is None:
+            return
+        plain = self._path(product[1])
+        relatives = (
+            [plain] if product[2] else [each for each in self._folder.glob(f"{_stem(product[1])}-*.lock") if each != plain]
+        )
+        for each in relatives:
+            if (holder := holder_of(each)) is not None:
+                raise RigInUse(address, holder)
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{_stem(name)}-{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock"
 
 
-def _open(path: Path) -> IO[str]:
-    """Open a lock file with permissions for all users: the next program with this rig or journal may be another user's.
+def lock_journal(path: Path, purpose: str) -> LockFile:
+    """Lock a journal, which need not exist yet, by a file beside it: among all users of its folder. Raises UserError.
 
-    A file of another user without write permission can still be locked; it keeps its note. Raises OSError.
+    The journal itself is not opened: SQLite's own locks on it end when any other opening of it in this process is closed.
     """
     try:
-        return os.fdopen(os.open(path, os.O_RDWR), "r+", encoding="utf-8")
-    except FileNotFoundError:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        if hasattr(os, "fchmod"):
-            with contextlib.suppress(OSError):  # another user's program was faster, and has set them
-                os.fchmod(handle, 0o666)  # the umask of the process may have removed permissions of others
-        return os.fdopen(handle, "r+", encoding="utf-8")
-    except PermissionError:
-        return os.fdopen(os.open(path, os.O_RDONLY), "r", encoding="utf-8")
+        return LockFile(_journal_lock(path), str(path), purpose, 0o666)
+    except OSError as error:
+        raise UserError(f"{path}: its lock file cannot be made: {error.strerror}; check the folder") from None
 
 
-def holder_of(address: str) -> str | None:
-    """The note of the program that holds the lock of an address, None if it is free. Raises UserError if that is unknown."""
+def journal_holder(path: Path) -> str | None:
+    """The note of the program that has a journal open for writing, None if there is none."""
+    return holder_of(_journal_lock(path))
+
+
+def _journal_lock(path: Path) -> Path:
+    real = Path(os.path.realpath(path))
+    return real.with_name(f"{real.name}.lock")
+
+
+def _stem(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", name)[:60].strip("-")
+
+
+def _note_of(lock: Path) -> Path:
+    return lock.with_suffix(".holder")
+
+
+def _write_note(path: Path, note: str) -> None:
+    """Replace a note; without one the lock holds as well, so that a full disk is no error."""
+    with contextlib.suppress(OSError):
+        handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(f"{note}\n")
+            Path(spare).chmod(0o644)
+            Path(spare).replace(path)
+        except OSError:
+            Path(spare).unlink()
+
+
+def _read_note(path: Path) -> str:
+    """A note as one printable line, whatever the file is."""
     try:
-        RigLock([address], "checking the lock").release()
-    except RigInUse as error:
-        return error.holder
-    return None
-
-
-def _try_lock_again(file: IO[str]) -> bool:
-    """Try again after `PROBE_S`: a program that only checks the lock holds it for a moment."""
-    clock = RealClock()
-    clock.sleep_until(clock.now() + PROBE_S)
-    return _try_lock(file)
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        try:
+            note = os.read(handle, LONGEST_NOTE) if stat.S_ISREG(os.fstat(handle).st_mode) else b""
+        finally:
+            os.close(handle)
+    except OSError:
+        return UNKNOWN
+    return "".join(each for each in note.decode(errors="replace").strip() if each.isprintable()) or UNKNOWN
 
 
 def _user() -> str:
@@ -110,25 +210,88 @@ def _user() -> str:
         return "an unknown user"
 
 
-if sys.platform == "win32":
-    import msvcrt
+def _process_on_port(name: str) -> str | None:
+    """The process that has a serial port open exclusively, None if none is seen: only Linux lists them.
 
-    def _try_lock(file: IO[str]) -> bool:
-        """Lock the file; False if another program has it. The locked byte is far behind the note, which stays readable."""
+    This refuses before anything is opened; the guard itself is the exclusive opening.
+    """
+    try:
+        if not name.startswith("serial:/") or not sys.platform.startswith("linux"):
+            return None
+        status = Path(name.removeprefix("serial:")).stat()
+        place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+        locks = [line.split() for line in Path("/proc/locks").read_text(encoding="utf-8").splitlines()]
+    except OSError:
+        return None
+    return next((f"process {each[4]}" for each in locks if each[1] == "FLOCK" and place in each), None)
+
+
+class SystemName:
+    """A name that one process of this computer holds, of whichever user: it ends with the process.
+
+    On Linux it is an abstract socket, which ends at the border of a container with a network of its own; on Windows a mutex.
+    On macOS there is no such name, and nothing is held.
+    """
+
+    def __init__(self, name: str, address: str) -> None:
+        """Take the name. Raises RigInUse, OSError."""
+        self._held = _take("goniotwin-" + hashlib.sha256(name.encode()).hexdigest()[:32], address)
+
+    def release(self) -> None:
+        """Give the name back. A second call has no effect."""
+        held, self._held = self._held, None
+        if held is not None:
+            held.close()
+
+
+if sys.platform == "win32":
+    import ctypes
+
+    ACCESS_DENIED, ALREADY_EXISTS = 5, 183
+
+    class _Mutex:
+        def __init__(self, handle: int) -> None:
+            self._handle = handle
+
+        def close(self) -> None:
+            ctypes.windll.kernel32.CloseHandle(ctypes.c_void_p(self._handle))
+
+    def _take(name: str, address: str) -> _Mutex | None:
+        kernel = ctypes.WinDLL("kernel32", use_last_error=True)
+        kernel.CreateMutexW.restype = ctypes.c_void_p
+        handle = kernel.CreateMutexW(None, False, f"Global\\{name}")
+        error = ctypes.get_last_error()
+        if handle and error != ALREADY_EXISTS:
+            return _Mutex(handle)
+        if handle:
+            kernel.CloseHandle(ctypes.c_void_p(handle))
+        if error in (ACCESS_DENIED, ALREADY_EXISTS):  # that of another user cannot be opened
+            raise RigInUse(address, UNKNOWN)
+        raise ctypes.WinError(error)
+
+elif sys.platform.startswith("linux"):
+
+    def _take(name: str, address: str) -> socket.socket | None:
+        held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            file.seek(1 << 20)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            held.bind(f"\0{name}")
+            held.listen()  # so that the next one learns which process this is
         except OSError:
-            return False
-        return True
+            held.close()
+            raise RigInUse(address, _holder_of_socket(name)) from None
+        return held
+
+    def _holder_of_socket(name: str) -> str:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.setblocking(False)
+            try:
+                probe.connect(f"\0{name}")
+                process, user, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+            except OSError:
+                return UNKNOWN
+        return f"process {process} of the user with the number {user}"
 
 else:
-    import fcntl
 
-    def _try_lock(file: IO[str]) -> bool:
-        """Lock the file; False if another program has it."""
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return False
-        return True
+    def _take(name: str, address: str) -> None:
+        del name, address

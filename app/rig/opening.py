@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import TWIN, InvalidAddress, canonical_address
+from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names
 from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table
 from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
 from goniotwin.app.rig.lock import RigLock
@@ -156,10 +156,7 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
         raise
     opened = OpenRig(rig, virtual, name, transcripts)
     try:
-        opened.lock(
-            [each.partition("?")[0] for each in file.addresses if not each.startswith(TWIN)],
-            f"{file.name} ({description.name})",
-        )
+        opened.lock([each for each in file.addresses if not each.startswith(TWIN)], f"{file.name} ({description.name})")
     except UserError:
         opened.close()
         raise
@@ -171,12 +168,13 @@ def _rig(description: RigDescription, wires: Wires) -> Rig:
     file = description.file
     lines: dict[str, Controller] = {}
     for each in file.axes.controllers:
-        other = lines.setdefault(each.port if each.port.startswith(TWIN) else canonical_address(each.port), each)
-        if other is not each:
+        names = {each.port} if each.port.startswith(TWIN) else device_names(each.port)
+        if (other := next((lines[name] for name in names if name in lines), None)) is not None:
             place = f"{description.name}: {'.'.join(each.places[0])}.port"
             raise UserError(
                 f"{place}: {each.port} is the same line as {other.port} of {'.'.join(other.places[0])}; write both alike"
             )
+        lines |= dict.fromkeys(names, each)
     try:
         controllers = tuple(each.kind.open(wires, each.name, each.table, each.axes) for each in file.axes.controllers)
         devices: dict[str, Any] = {role: _open(wires, role, getattr(file, role)) for role in ROLES[1:]}

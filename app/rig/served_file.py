@@ -1,5 +1,7 @@
 """The rig file that `goniotwin serve` writes: with it another process measures on the virtual rig that is served here."""
 
+import os
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -19,10 +21,10 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     Of the [twin] table it has only the hash of the model, in both versions.
     """
     addresses: dict[str, str] = {}
-    control: int | None = None
+    control: Endpoint | None = None
     for endpoint in endpoints:
         if endpoint.device == CONTROL:
-            control = endpoint.port
+            control = endpoint
         else:
             addresses.setdefault(endpoint.device, endpoint_address(endpoint))  # a pseudo-terminal comes before its TCP port
     document = tomlkit.parse(description.text)
@@ -32,7 +34,7 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     hashes = zip(("model", "old_model"), description.model_hashes(), strict=False)  # not every model has an old hash
     simulated.update({"seed": description.seed, **dict(hashes), "speed": speed})
     if control is not None:
-        simulated["control_port"] = control
+        simulated.update({"control_port": control.port, "control_token": control.token})
     document["simulated"] = simulated
     return f"{FIRST_LINE}\n{tomlkit.dumps(document)}"
 
@@ -58,19 +60,27 @@ def check_served_rig(path: Path) -> None:
         exists = path.exists() or path.is_symlink()
         if exists and not (path.is_file() and path.read_text(encoding="utf-8", errors="replace").startswith(FIRST_LINE)):
             raise UserError(f"{path}: exists already, and was not written by goniotwin serve; choose another name")
-        with path.open("a", encoding="utf-8"):
+        with tempfile.TemporaryFile(dir=path.parent):
             pass
-        if not exists:
-            path.unlink()
     except OSError as error:
         raise _unwritable(path, error) from None
 
 
 def write_served_rig(path: Path, text: str) -> None:
-    """Write the file. Raises UserError; a file that was not written by `goniotwin serve` is not replaced."""
+    """Write the file, for this user alone: it has the token of the control port.
+
+    Raises UserError; a file that was not written by `goniotwin serve` is not replaced.
+    """
     check_served_rig(path)
     try:
-        path.write_text(text, encoding="utf-8")
+        handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")  # its mode is 0600
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            Path(spare).replace(path)
+        except OSError:
+            Path(spare).unlink()
+            raise
     except OSError as error:
         raise _unwritable(path, error) from None
 

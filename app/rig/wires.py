@@ -1,6 +1,9 @@
 """Wires of a rig: openers for the addresses of its file, and taps. Only this module opens ports and devices by name."""
 
+import errno
+import secrets
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import serial
@@ -9,6 +12,7 @@ import usb.core
 from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, usbip_address
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
+from goniotwin.drivers.motion.tmcl import CANARY
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.drivers.tap import Explain, Tap, no_tap
 from goniotwin.drivers.usb.usbip import find_usbip
@@ -18,8 +22,21 @@ from goniotwin.twin import VirtualRig
 from goniotwin.twin.doors import TwinUsbBackend
 
 
+def open_serial(address: str, baudrate: int, timeout_s: float) -> serial.Serial:
+    """Open a port, which no other program, of any user, can open in this way then. Raises SerialException, OSError."""
+    try:
+        return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s, exclusive=True)
+    except serial.SerialException as error:
+        if error.errno in (errno.EAGAIN, errno.EBUSY):
+            raise serial.SerialException(f"{address} is in use by another program; end that program") from None
+        raise
+
+
 class Wires:
     """Openers for addresses as a rig file has them; `virtual` is the rig behind `twin://`.
+
+    `session` is a number by which a controller's driver knows its own settings from those of another program. On the virtual
+    rig it is always the same, as all bytes are.
 
     `in_this_process` gives the address in this process of one in the file: another virtual rig may have the same name.
     """
@@ -32,6 +49,7 @@ class Wires:
         in_this_process: Callable[[str], str] = str,
     ) -> None:
         self.clock = clock
+        self.session = CANARY if virtual is not None else secrets.randbelow(2**31 - 1) + 1
         self._virtual = virtual
         self._transcripts = transcripts
         self._in_this_process = in_this_process
@@ -45,10 +63,7 @@ class Wires:
         """An opener for the name of a port, or for any URL of pyserial."""
         address = self._in_this_process(file_address)
 
-        def opener(baudrate: int, timeout_s: float) -> serial.Serial:
-            return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s)
-
-        return opener
+        return partial(open_serial, address)
 
     def modbus(self, file_address: str, device: str) -> ModbusUnit:
         """The unit of an address, with its tap. Raises InvalidAddress."""

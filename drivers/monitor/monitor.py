@@ -35,6 +35,8 @@ LONGEST_READING_S = 1.0
 OVERRANGE = 1.1
 NEXT_ERROR = "SYST:ERR?"
 MOST_ERRORS = 40
+LONGEST_ERRORS_S = 1.0
+"""Longest time for reading the error queue."""
 COMMAND_ERRORS = range(-199, -99)
 ZERO_POLL_S = 0.2
 LONGEST_ZERO_S = 30.0
@@ -128,7 +130,7 @@ class Monitor:
     parts: tuple[str, ...] = ()
 
     def __init__(self, opener: UsbOpener, settings: MonitorSettings, clock: Clock, tap: Tap = no_tap) -> None:
-        self._wire = UsbTmc(NAME, opener, tap=tap)
+        self._wire = UsbTmc(NAME, opener, clock, tap=tap)
         self._clock = clock
         self._dialect = DIALECTS[settings.dialect]
         self.settings = settings
@@ -305,9 +307,10 @@ class Monitor:
 
     def _check_errors(self, doing: str, query: str = NEXT_ERROR) -> None:
         """Read the error queue until it is empty. Raises Refused with its first error."""
+        deadline = self._clock.now() + LONGEST_ERRORS_S
         code, _ = first = self._next_error(doing, query)
         for _ in range(MOST_ERRORS):
-            if code == 0:
+            if code == 0 or self._clock.now() > deadline:
                 break
             code, _ = self._next_error(doing)
         if first[0] != 0:

@@ -12,7 +12,7 @@ from collections import deque
 from serial import Serial, SerialException
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, unless_late
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import (
@@ -30,7 +30,8 @@ from goniotwin.protocols.cornerstone import (
 NAME = "monochromator"
 REPLY_S = 1.0
 QUIET_S = 0.1
-LONGEST_REPLY_S = 3.0
+LONGEST_NOISE_S = 1.5
+"""Longest time in which a unit may send more than its replies while the line is resynchronised, all in all."""
 MOST_READS = 64
 """Reads of MAX_LINE bytes in one go. A line of 9600 Bd sends that much in 17 s."""
 EVENTS_KEPT = 100
@@ -51,6 +52,8 @@ class CornerstoneLine:
         self._lines: deque[bytes] = deque()
         self._pending = b""
         self._untapped = b""
+        self._late_s = 0.0  # by how much this computer was late, s, since the last statement
+        self._noise_left_s = LONGEST_NOISE_S
         self.in_step = False
         self.echoes = False
         self.handshake = False
@@ -118,6 +121,7 @@ class CornerstoneLine:
     def send(self, statement: Statement) -> None:
         """Write a statement. Raises NoAnswer if the port fails."""
         self._lines.clear()
+        self._late_s = 0.0
         self._write(statement.encode(), str(statement))
 
     def send_now(self, statement: Statement) -> None:
@@ -146,7 +150,8 @@ class CornerstoneLine:
             left = deadline - self._clock.now()
             # A computer that is late reads once more: the reply may have been there in time.
             if over or not self._read(max(left, 0.0), 1):
-                raise NoAnswer(NAME, str(statement), f"no line within {seconds:g} s", CHECK_LINE)
+                silent = unless_late(self._late_s, seconds, f"no line within {seconds:g} s", CHECK_LINE)
+                raise NoAnswer(NAME, str(statement), *silent)
             over = left <= 0.0
             self.receive()
         return self._lines.popleft()
@@ -163,6 +168,7 @@ class CornerstoneLine:
     def _resynchronise(self) -> None:
         """Drain the line, query the markers, restore the settings. Raises DeviceError, Forgotten if these were lost."""
         known_identity, had_handshake = self.identity, self.handshake
+        self._noise_left_s = LONGEST_NOISE_S
         self._drain()
         self.echoes = False
         reply, _ = self._query_until_quiet(Statement("INFO", query=True))
@@ -226,14 +232,14 @@ class CornerstoneLine:
 
     def _until_quiet(self, statement: Statement) -> list[bytes]:
         """Lines received until QUIET_S without a byte. Raises BadAnswer if the unit does not stop sending."""
-        deadline = self._clock.now() + LONGEST_REPLY_S
-        over = False
+        started, over = self._clock.now(), False
         while self._read(QUIET_S, 1):
             if over:
                 raise BadAnswer(NAME, str(statement), "it does not stop sending", CHECK_LINE)
             # Before the rest is read: a computer that is late finds all of the reply in one go, and nothing after it.
-            over = self._clock.now() > deadline
+            over = self._clock.now() - started > self._noise_left_s
             self.receive()
+        self._noise_left_s -= max(0.0, self._clock.now() - started - QUIET_S)
         lines = list(self._lines)
         self._lines.clear()
         return lines
@@ -271,12 +277,14 @@ class CornerstoneLine:
     def _read(self, timeout_s: float, size: int) -> bytes:
         if self._port is None:
             raise NoAnswer(NAME, "read", "the port is not open", "check cable and power")
+        started = self._clock.now()
         try:
             self._port.timeout = timeout_s
             data = self._port.read(size)
         except (SerialException, OSError) as error:
             self._drop()
             raise NoAnswer(NAME, "read", f"the port failed: {error}", "check cable and power") from None
+        self._late_s = max(self._late_s, self._clock.now() - started - timeout_s)
         lines, self._pending = take_lines(self._pending, data)
         self._lines.extend(lines)
         self._untapped += data

@@ -28,8 +28,8 @@ from typing import TypeVar
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.pdu import ModbusPDU
 
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
-from goniotwin.drivers.photodiodes.modbus import WIRE_FAULTS, ModbusUnit, describe_fault
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, unless_late
+from goniotwin.drivers.photodiodes.modbus import WIRE_FAULTS, ModbusBus, ModbusUnit, describe_fault
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
 
@@ -90,6 +90,11 @@ class AdamModule:
         self._function_index = self._marker = 0
 
     # ---- connection ----
+
+    @property
+    def bus(self) -> ModbusBus:
+        """Its wire."""
+        return self._bus
 
     def connect(self) -> str:
         """Open the wire, identify the module, write its settings; return its identity. Raises DeviceError."""
@@ -286,10 +291,11 @@ class AdamModule:
     def _exchange(self, call: Call, doing: str, function: int) -> ModbusPDU:
         """One exchange, whose reply must have the function code and the unit. Raises DeviceError."""
         try:
-            reply = self._bus.exchange(call, self._tap)
+            reply = self._bus.exchange(call, self._tap, self._clock)
         except WIRE_FAULTS as error:
             self._unverified = self._bus.stale = True
-            raise NoAnswer(self.name, doing, describe_fault(error), CHECK_WIRING) from None
+            happened = unless_late(self._bus.late_s, self._bus.timeout_s, describe_fault(error), CHECK_WIRING)
+            raise NoAnswer(self.name, doing, *happened) from None
         if reply.function_code & 0x7F != function or reply.dev_id != self._unit:
             self._reject(doing, f"a reply to function {reply.function_code} of unit {reply.dev_id} instead of {function}")
         if reply.isError():

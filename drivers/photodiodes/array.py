@@ -15,8 +15,8 @@ from annotated_types import Gt, Le, MaxLen, MinLen
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers.device import Pending, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
-from goniotwin.drivers.photodiodes.adam import AdamModule, SettingsCheck
-from goniotwin.drivers.photodiodes.modbus import ModbusUnit, explain, explain_rtu
+from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, AdamModule, SettingsCheck
+from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit, explain, explain_rtu
 from goniotwin.keys import Fraction, PolarAngle, Positive
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
@@ -201,6 +201,8 @@ class PhotodiodeArray:
         failed: list[DeviceError] = []
         for module in self._modules:
             try:
+                if failed and module.bus.noisy:  # a line of several modules, of which none can be heard
+                    raise NoAnswer(module.name, "use its line", NOT_QUIET, CHECK_WIRING)
                 outcome = action(module)
                 done.append(outcome if isinstance(outcome, list) else [outcome])
             except DeviceError as error:

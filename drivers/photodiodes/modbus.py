@@ -4,6 +4,8 @@ A TCP connection has one module, an RTU line several. Over TCP the transaction i
 the connection is closed, with everything still in transmission. Over RTU a late reply would be taken for the next one:
 after a fault the line is read until it is quiet, and the module must then return a marker (see `drivers.photodiodes.adam`).
 The library's own retries are off: a retry that reuses an identifier would accept a late reply.
+
+An exchange ends after one timeout, however its reply is divided, and whatever else the wire brings.
 """
 
 import contextlib
@@ -12,12 +14,14 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from pymodbus.client import ModbusSerialClient
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.protocols import adam
+from goniotwin.protocols.clock import Clock
 
 Trace = Callable[[bool, bytes], bytes]
 ModbusOpener = Callable[[Trace | None], ModbusBaseSyncClient]
@@ -27,6 +31,11 @@ WIRE_FAULTS = (ModbusException, OSError, ValueError, LookupError, struct.error)
 """Exceptions of pymodbus for a wire that fails, or for bytes that it cannot decode."""
 QUIET_S = 0.1
 DRAINED_CHUNKS = 8
+CHUNK = 256
+LONGEST_RECEIVED = 4096
+"""More bytes than any reply, with what a wire may bring before it."""
+SHORTEST_WAIT_S = 1e-3
+NOT_QUIET = "it does not stop sending"
 
 
 def describe_fault(error: Exception) -> str:
@@ -39,13 +48,45 @@ def describe_fault(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
+class RtuClient(ModbusSerialClient):
+    """pymodbus's client for a serial port, but its waits are the port's own.
+
+    The library's go by the calendar, which may be set, and a computer that is late gives up before it has looked.
+    """
+
+    def recv(self, size: int | None) -> bytes:
+        """What comes until a short silence; nothing after the timeout. Raises ConnectionException."""
+        del size
+        port = self.socket
+        if port is None:
+            raise ConnectionException(str(self))
+        try:
+            port.timeout = self.comm_params.timeout_connect
+            data = bytes(port.read(1))
+            port.timeout = self._recv_interval
+            while data and len(data) < LONGEST_RECEIVED and (chunk := port.read(CHUNK)):
+                data += chunk
+        except OSError:
+            self.close()  # type: ignore[no-untyped-call]
+            raise ConnectionException(str(self)) from None
+        return data
+
+
 class ModbusBus:
-    """One wire. `rtu`: an RTU line, without transaction identifiers. `stale`: a late reply may still arrive."""
+    """One wire. `rtu`: an RTU line, without transaction identifiers. `stale`: a late reply may still arrive.
+
+    `noisy`: at the last renewal it did not fall silent. `late_s` is by how much this computer was late in the last exchange, s,
+    whose reply had `timeout_s`.
+    """
 
     def __init__(self, opener: ModbusOpener, *, rtu: bool = False) -> None:
         self.rtu = rtu
         self.lock = threading.RLock()
-        self.stale = False
+        self.stale = self.noisy = False
+        self.late_s, self.timeout_s = 0.0, 0.0
+        self._clock: Clock | None = None
+        self._deadline = self._waiting_since = 0.0
+        self._over = False
         self._opener = opener
         self._client: ModbusBaseSyncClient | None = None
         self._users: set[int] = set()
@@ -68,20 +109,27 @@ class ModbusBus:
                 self._client.close()  # type: ignore[no-untyped-call]
                 self._client = None
 
-    def exchange(self, call: Callable[[ModbusBaseSyncClient], ModbusPDU], tap: Tap) -> ModbusPDU:
-        """One exchange; the caller checks that the reply belongs to its request. Raises WIRE_FAULTS.
+    def exchange(self, call: Callable[[ModbusBaseSyncClient], ModbusPDU], tap: Tap, clock: Clock) -> ModbusPDU:
+        """One exchange, timed by `clock`; the caller checks that the reply belongs to its request. Raises WIRE_FAULTS.
 
         A connection or port that fails is closed: `renew` opens another one.
         """
-        if self._client is None:
+        client = self._client
+        if client is None:
             raise ConnectionError("the connection is not open")
         self._tap, self._received = tap, b""
+        self.timeout_s = client.comm_params.timeout_connect
+        self._clock, self._over, self._waiting_since = clock, False, clock.now()
+        self._deadline = self._waiting_since + self.timeout_s
         try:
-            return call(self._client)
+            return call(client)
         except OSError:
             self._close_client()
             raise
         finally:
+            self.late_s = clock.now() - self._waiting_since - client.comm_params.timeout_connect
+            client.comm_params.timeout_connect = self.timeout_s
+            self._clock = None
             self._tap(FROM_DEVICE, self._received)
 
     def renew(self) -> bool:
@@ -99,6 +147,7 @@ class ModbusBus:
             for _ in range(DRAINED_CHUNKS):
                 late = self._client.recv(None)
                 self._tap(FROM_DEVICE, late)
+                self.noisy = bool(late)
                 if not late:
                     break
         except OSError:
@@ -106,6 +155,8 @@ class ModbusBus:
             raise
         finally:
             self._client.comm_params.timeout_connect = timeout
+        if self.noisy:
+            raise ModbusIOException(NOT_QUIET)
         return True
 
     def _close_client(self) -> None:
@@ -114,13 +165,23 @@ class ModbusBus:
             self._client.close()  # type: ignore[no-untyped-call]
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """Pass packets to the tap. pymodbus repeats a reply with each piece that is received; the tap gets it once."""
+        """Pass packets to the tap. pymodbus repeats a reply with each piece that is received; the tap gets it once.
+
+        Each piece shortens the wait for the next one. Raises ModbusException after the deadline: a piece that comes first then
+        is accepted, because a computer that was late finds a reply that came in time.
+        """
         if sending:
             self._tap(TO_DEVICE, data)
         else:
             if not data.startswith(self._received):
                 self._tap(FROM_DEVICE, self._received)
             self._received = data
+            if self._clock is not None and self._client is not None:
+                now = self._clock.now()
+                if self._over or len(data) > LONGEST_RECEIVED:
+                    raise ModbusIOException(NOT_QUIET)
+                self._over, self._waiting_since = now > self._deadline, now
+                self._client.comm_params.timeout_connect = max(self._deadline - now, SHORTEST_WAIT_S)
         return data
 
 

@@ -5,17 +5,21 @@ Source: USB-IF, USBTMC 1.0 section 4.2.1; USB488 section 4.3.1.
 
 import contextlib
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 import usb.core
 
 from goniotwin.drivers.errors import BadAnswer
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
+from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.usbtmc import HEADER_BYTES, ClassRequest, Header, HeaderError, MsgId, RequestStatus
 
 TO_INTERFACE, TO_ENDPOINT = 0xA1, 0xA2
 CLEAR_FEATURE = (0x02, 1)
 ROUNDS = 20
+LONGEST_S = 2.0
+"""Longest duration of all rounds of one request."""
 DRAIN_BYTES = 4096
 DRAIN_MS = 100
 
@@ -23,8 +27,9 @@ DRAIN_MS = 100
 class ControlEndpoint:
     """Control requests of one device. All methods raise pyusb's USBError, or BadAnswer."""
 
-    def __init__(self, name: str, device: Any, interface: int, timeout_ms: int, tap: Tap) -> None:
+    def __init__(self, name: str, device: Any, interface: int, timeout_ms: int, clock: Clock, tap: Tap) -> None:
         self._name = name
+        self._clock = clock
         self._device = device
         self._interface = interface
         self._timeout_ms = timeout_ms
@@ -45,7 +50,7 @@ class ControlEndpoint:
         status = self.request(ClassRequest.INITIATE_CLEAR, 0, self._interface, 1)
         if status[0] != RequestStatus.SUCCESS:
             raise BadAnswer(self._name, "clear its buffers", f"status {status[0]:#04x}", "switch it off and on")
-        for _ in range(ROUNDS):
+        for _ in self._rounds():
             status = self.request(ClassRequest.CHECK_CLEAR_STATUS, 0, self._interface, 2)
             if status[0] != RequestStatus.PENDING:
                 break
@@ -60,7 +65,7 @@ class ControlEndpoint:
         status = self.request(ClassRequest.INITIATE_ABORT_BULK_IN, tag, bulk_in, 2)
         if status[0] != RequestStatus.SUCCESS:
             return  # nothing in progress, or another transfer: the clear that follows ends it
-        for _ in range(ROUNDS):
+        for _ in self._rounds():
             self._drain(bulk_in)
             status = self.request(ClassRequest.CHECK_ABORT_BULK_IN_STATUS, 0, bulk_in, 8)
             if status[0] != RequestStatus.PENDING:
@@ -72,7 +77,7 @@ class ControlEndpoint:
         status = self.request(ClassRequest.INITIATE_ABORT_BULK_OUT, tag, bulk_out, 2)
         if status[0] != RequestStatus.SUCCESS:
             return
-        for _ in range(ROUNDS):
+        for _ in self._rounds():
             if self.request(ClassRequest.CHECK_ABORT_BULK_OUT_STATUS, 0, bulk_out, 8)[0] != RequestStatus.PENDING:
                 break
         self.clear_halt(bulk_out)
@@ -87,7 +92,7 @@ class ControlEndpoint:
             raise BadAnswer(self._name, "READ_STATUS_BYTE", f"{reply.hex(' ')} for tag {tag}", "ask again")
         if interrupt is None:
             return reply[2]
-        for _ in range(ROUNDS):
+        for _ in self._rounds():
             kind, status = self._notice(interrupt)
             if kind == 0x80 | tag:
                 return status
@@ -104,6 +109,14 @@ class ControlEndpoint:
         if len(notice) != 2:
             raise BadAnswer(self._name, "READ_STATUS_BYTE", f"a notice of {len(notice)} bytes", "ask again")
         return notice[0], notice[1]
+
+    def _rounds(self) -> Iterator[int]:
+        """Rounds of questions to a device that is not ready yet, at least two and at most ROUNDS, for LONGEST_S."""
+        deadline = self._clock.now() + LONGEST_S
+        for k in range(ROUNDS):
+            if k > 1 and self._clock.now() > deadline:
+                return
+            yield k
 
     def _drain(self, bulk_in: int) -> None:
         with contextlib.suppress(usb.core.USBTimeoutError):

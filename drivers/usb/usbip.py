@@ -4,7 +4,8 @@
 while it is open and, briefly, to read its descriptors; no other program can use it meanwhile.
 
 Transfers go over one TCP connection per device, one at a time, each with its number and its timeout. A transfer that has
-not ended in time is unlinked before the next begins, so that a late reply is not taken for another's.
+not ended in time is unlinked before the next begins, so that a late reply is not taken for another's. Whatever a server
+sends, no wait is longer than its timeout: after that only what is there already is looked at, once.
 
 Errors are pyusb's, with libusb's codes: a timeout is USBTimeoutError(-7, ETIMEDOUT), a stall USBError(-9, EPIPE), a packet
 that is too large USBError(-8, EOVERFLOW), and a device or server that is disconnected USBError(-4, ENODEV).
@@ -16,7 +17,7 @@ import socket
 import struct
 import threading
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, TypeVar
 
@@ -24,6 +25,7 @@ import usb.core
 from usb.backend import IBackend
 
 from goniotwin.protocols import usbip
+from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.usb_descriptors import (
     CONFIGURATION,
     CONFIGURATION_BYTES,
@@ -39,6 +41,8 @@ CONNECT_S = 2.0
 ANSWER_S = 2.0
 """Longest reply time of the server itself, without a device."""
 CHUNK = 65_536
+SHORTEST_WAIT_S = 1e-3
+_clock = RealClock()
 # Status numbers on the wire are Linux's on every system.
 STALLED, TOO_LARGE, BUSY = -32, -75, -16
 DISCONNECTED = {-19, -104, -108}
@@ -103,10 +107,8 @@ class UsbIpLink:
             submit = usbip.Submit(number, self._device, endpoint, to_host, length, b"" if to_host else data, setup)
             reading = {number} if to_host else set()
             try:
-                self._socket.sendall(submit.encode())
-                result = self._result(reading, timeout_ms / 1000.0 if timeout_ms else None)
-                while result is not None and result.number != number:
-                    result = self._result(reading, timeout_ms / 1000.0 if timeout_ms else None)
+                self._send(submit.encode())
+                result = next((each for each in self._results(reading, timeout_ms / 1000.0) if each.number == number), None)
                 if result is None:
                     result = self._unlink(number, reading)
             except (OSError, usbip.UsbIpError) as error:
@@ -118,35 +120,29 @@ class UsbIpLink:
         _raise_for(result.status)
         return result
 
-    def _result(self, reading: set[int], seconds: float | None) -> usbip.Submitted | usbip.Unlinked | None:
-        """Next result; None after a timeout. Raises OSError, UsbIpError."""
-        self._socket.settimeout(seconds)
-        while (result := usbip.take_result(self._buffer, reading)) is None:
-            try:
-                data = self._socket.recv(CHUNK)
-            except TimeoutError:
-                return None
-            if not data:
-                raise ConnectionResetError
-            self._buffer += data
-        return result
+    def _send(self, data: bytes) -> None:
+        self._socket.settimeout(ANSWER_S)
+        self._socket.sendall(data)
+
+    def _results(self, reading: set[int], seconds: float) -> Iterator[usbip.Submitted | usbip.Unlinked]:
+        """Results as they come, until the timeout; 0 is none. Raises OSError, UsbIpError."""
+        for _ in _received(self._socket, self._buffer, seconds):
+            while (result := usbip.take_result(self._buffer, reading)) is not None:
+                yield result
 
     def _unlink(self, number: int, reading: set[int]) -> usbip.Submitted:
         """Unlink a transfer. If it has ended meanwhile, its result counts. Raises USBTimeoutError."""
         self._number += 1
-        self._socket.sendall(usbip.Unlink(self._number, self._device, number).encode())
+        self._send(usbip.Unlink(self._number, self._device, number).encode())
         ended: usbip.Submitted | None = None
-        while True:
-            result = self._result(reading, ANSWER_S)
-            if result is None:
-                raise ConnectionResetError
+        for result in self._results(reading, ANSWER_S):
             if isinstance(result, usbip.Submitted) and result.number == number:
                 ended = result
             if isinstance(result, usbip.Unlinked) and result.number == self._number:
-                break
-        if ended is None:
-            raise usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
-        return ended
+                if ended is None:
+                    raise usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+                return ended
+        raise ConnectionResetError
 
 
 class UsbIpDevice:
@@ -319,15 +315,33 @@ def _connect(host: str, port: int) -> socket.socket:
 
 
 def _receive(connection: socket.socket, buffer: bytearray, take: Callable[[bytearray], T | None]) -> T:
-    connection.settimeout(ANSWER_S)
     try:
-        while (reply := take(buffer)) is None:
-            data = connection.recv(CHUNK)
-            if not data:
-                raise ConnectionResetError("the server closed the connection")
-            buffer += data
+        for _ in _received(connection, buffer, ANSWER_S):
+            if (reply := take(buffer)) is not None:
+                return reply
+        raise TimeoutError("timed out")
     except (OSError, usbip.UsbIpError) as error:
         with contextlib.suppress(OSError):
             connection.close()
         raise usb.core.USBError(f"the USB/IP server is not responding: {error}", -4, errno.ENODEV) from None
-    return reply
+
+
+def _received(connection: socket.socket, buffer: bytearray, seconds: float) -> Iterator[None]:
+    """Append to `buffer` what comes: once before the first wait, then after each piece, until a timeout; 0 is none.
+
+    Raises OSError.
+    """
+    yield
+    deadline, over = _clock.now() + seconds, False
+    while not over:
+        left = deadline - _clock.now()
+        over = seconds > 0.0 and left <= 0.0
+        connection.settimeout(max(left, SHORTEST_WAIT_S) if seconds else None)
+        try:
+            data = connection.recv(CHUNK)
+        except TimeoutError:
+            return
+        if not data:
+            raise ConnectionResetError("the server closed the connection")
+        buffer += data
+        yield

@@ -21,9 +21,10 @@ from typing import Any
 import usb.core
 import usb.util
 
-from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer
+from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer, unless_late
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.drivers.usb.control_endpoint import ControlEndpoint, explain
+from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.usbtmc import (
     HEADER_BYTES,
     INTERFACE_CLASS,
@@ -52,9 +53,11 @@ DISCONNECTED = (errno.ENODEV, errno.ENOENT)
 class UsbTmc:
     """The wire to one instrument. `events` are its own actions (resynchronised, found again), newest last."""
 
-    def __init__(self, name: str, opener: UsbOpener, timeout_s: float = 1.0, tap: Tap = no_tap) -> None:
+    def __init__(self, name: str, opener: UsbOpener, clock: Clock, timeout_s: float = 1.0, tap: Tap = no_tap) -> None:
         self.name = name
         self._opener = opener
+        self._clock = clock
+        self._waiting_since = 0.0
         self._timeout_ms = round(1000 * timeout_s)
         self._tap = tap
         self._lock = threading.RLock()
@@ -174,6 +177,7 @@ class UsbTmc:
 
     def _read(self, query: str) -> bytes:
         reply = b""
+        deadline, over = self._clock.now() + self._timeout_ms / 1000.0, False
         with self._fault(query):
             while True:
                 self._tag = next_tag(self._tag)
@@ -186,17 +190,20 @@ class UsbTmc:
                 reply += payload
                 if header.end:
                     return reply.rstrip(b"\r\n")
-                if not payload or len(reply) > LONGEST_REPLY:
+                if over or not payload or len(reply) > LONGEST_REPLY:
                     raise BadAnswer(self.name, query, f"a reply without an end: {len(reply)} bytes", "ask again")
+                over = self._clock.now() > deadline
 
     def _send(self, data: bytes) -> None:
         self._tap(TO_DEVICE, data)
+        self._waiting_since = self._clock.now()
         sent = self._device.write(self._out, data, self._timeout_ms)
         if sent != len(data):
             raise BadAnswer(self.name, "write", f"{sent} of {len(data)} bytes were sent", "ask again")
 
     def _receive(self, doing: str) -> tuple[Header, bytes]:
         size = -(-(REPLY_BYTES + HEADER_BYTES + 3) // LARGEST_PACKET) * LARGEST_PACKET
+        self._waiting_since = self._clock.now()
         data = bytes(self._device.read(self._in, size, self._timeout_ms))
         self._tap(FROM_DEVICE, data)
         try:
@@ -213,12 +220,15 @@ class UsbTmc:
         """Turn pyusb's exceptions into DeviceErrors; the wire is then out of step."""
         if self._device is None:
             raise NoAnswer(self.name, doing, "not connected", "connect it first")
+        self._waiting_since = self._clock.now()
         try:
             yield
         except usb.core.USBTimeoutError:
             self.in_step = False
-            within = f"not responding within {self._timeout_ms / 1000:g} s"
-            raise NoAnswer(self.name, doing, within, "check cable and power") from None
+            timeout_s = self._timeout_ms / 1000
+            late_s = self._clock.now() - self._waiting_since - timeout_s
+            silent = unless_late(late_s, timeout_s, f"not responding within {timeout_s:g} s", "check cable and power")
+            raise NoAnswer(self.name, doing, *silent) from None
         except usb.core.USBError as error:
             self.in_step = False
             if error.errno in DISCONNECTED:
@@ -271,4 +281,4 @@ class UsbTmc:
             if device.is_kernel_driver_active(number):
                 device.detach_kernel_driver(number)
         usb.util.claim_interface(device, number)
-        self._control = ControlEndpoint(self.name, device, number, self._timeout_ms, self._tap)
+        self._control = ControlEndpoint(self.name, device, number, self._timeout_ms, self._clock, self._tap)

@@ -37,14 +37,14 @@ class AxisBench:
         self.line = TmclLine(self.plant)
         self.device = wire(self.line)
         self.ports: list[Serial] = []
-        self.module = TmclModule(self._open, self.clock, heartbeat_s=heartbeat_s)
+        self.module = TmclModule(self.open_port, self.clock, heartbeat_s=heartbeat_s)
         axis_settings = replace(SIGMA, **(settings or {}))
         self.axes = {
             name: TmclAxis(name, self.module, replace(axis_settings, motor=motor), self.clock) for name, motor in motors.items()
         }
         self.axis = self.axes["sigma"]
 
-    def _open(self, baudrate: int, timeout_s: float) -> Any:
+    def open_port(self, baudrate: int, timeout_s: float) -> Any:
         port = Serial(baudrate=baudrate, timeout=timeout_s)
         port.connect_to(self.device, self.clock)
         self.ports.append(port)
@@ -60,7 +60,7 @@ class AxisBench:
     def next_process(self, **settings: Any) -> "AxisBench":
         """New drivers with changed settings on the same module, as in the next process; connected."""
         self.module.close()
-        self.module = TmclModule(self._open, self.clock, heartbeat_s=self.module.heartbeat_s)
+        self.module = TmclModule(self.open_port, self.clock, heartbeat_s=self.module.heartbeat_s)
         self.axes = {
             name: TmclAxis(name, self.module, replace(axis.settings, **settings), self.clock)
             for name, axis in self.axes.items()

@@ -5,12 +5,25 @@ from collections.abc import Callable
 import pytest
 import serial
 
-from goniotwin.drivers import AxisSettings, BadAnswer, DeviceError, LimitError, NoAnswer, Refused, TmclModule, wait
-from goniotwin.drivers.motion.tmcl.rules import CANARY, MARKER_VARIABLE
+from goniotwin.drivers import (
+    AxisSettings,
+    BadAnswer,
+    DeviceError,
+    Forgotten,
+    LimitError,
+    NoAnswer,
+    Refused,
+    TmclAxis,
+    TmclModule,
+    wait,
+)
+from goniotwin.drivers.errors import Taken
+from goniotwin.drivers.motion.tmcl.rules import CANARY, MARKER_VARIABLE, UNREFERENCED
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame, ReplyStatus
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RigOpener, tmcl_axis
+from tests.drivers.axis_bench import AxisBench
 
 
 def test_nothing_moves_on_connect(opened: RigOpener) -> None:
@@ -188,3 +201,48 @@ def test_the_error_of_a_missing_port_names_the_remedy() -> None:
 
     with pytest.raises(DeviceError, match=r"COM9.*rig file"):
         TmclModule(nothing, VirtualClock()).connect()
+
+
+def other_program(bench: AxisBench, session: int) -> TmclModule:
+    """Another program that has connected to the controller."""
+    other = TmclModule(bench.open_port, bench.clock, session=session)
+    other.connect()
+    return other
+
+
+def test_a_program_leaves_the_controller_to_another_one_that_has_taken_it() -> None:
+    bench = AxisBench().connect()
+    bench.move(10.0)
+    other = other_program(bench, session=77)
+    for act in (lambda: bench.axis.start(20.0), bench.axis.position_deg, bench.axis.connect, bench.module.connect):
+        with pytest.raises(Taken, match="another program has taken the controller; end that program"):
+            act()
+    assert bench.angle() == pytest.approx(10.0, abs=0.01)
+    other.check_canary(1)  # nothing of it has been overwritten
+    bench.axis.stop()  # a stop is sent all the same
+    assert TmclAxis("sigma", other, bench.axis.settings, bench.clock).position_deg() == pytest.approx(10.0, abs=0.01)
+
+
+def test_a_connection_is_not_restored_to_a_controller_that_another_program_has_taken() -> None:
+    bench = AxisBench().connect()
+    other = other_program(bench, session=77)
+    with pytest.raises(Taken):
+        bench.module.connect()
+    other.check_canary(1)
+
+
+def test_a_dead_program_leaves_nothing_that_would_have_to_be_released() -> None:
+    bench = AxisBench().connect()
+    bench.move(10.0)
+    axis = TmclAxis("sigma", other_program(bench, session=77), bench.axis.settings, bench.clock)
+    axis.connect()
+    assert axis.referenced
+    assert axis.position_deg() == pytest.approx(10.0, abs=0.01)
+
+
+def test_a_canary_that_was_corrupted_once_is_no_other_program(module: Module) -> None:
+    corrupted = ReplyFrame(2, 1, ReplyStatus.OK, Command.GGP, CANARY ^ 0x0101).encode()
+    marks = [ReplyFrame(2, 1, ReplyStatus.OK, Command.SGP, UNREFERENCED).encode()] * 6
+    driver, _ = module(corrupted, CANARY_REPLY, *marks)
+    with pytest.raises(Forgotten, match="has reset"):
+        driver.check_canary(1)

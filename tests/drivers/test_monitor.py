@@ -57,7 +57,7 @@ def test_an_abandoned_measurement_does_not_disturb_the_next_one(bench: MonitorBe
 
 
 def test_a_read_without_a_query_is_an_error(bench: MonitorBench) -> None:
-    wire = UsbTmc("monitor", lambda: None)
+    wire = UsbTmc("monitor", lambda: None, VirtualClock())
     with pytest.raises(NoAnswer, match="not connected"):
         wire.query("*IDN?")
     with pytest.raises(NoAnswer, match="not connected"):

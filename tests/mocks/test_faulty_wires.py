@@ -27,7 +27,7 @@ def server(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[str, ControlClie
     assert model is not None
     server = ServedRig(model, SPEED, tmp_path / "ptys")
     server.start()
-    control = ControlClient(server.endpoints[-1].port or 0)
+    control = ControlClient(server.endpoints[-1].port or 0, server.endpoints[-1].token or "")
     yield served_rig(description, server.endpoints, SPEED), control
     control.close()
     server.stop()

@@ -61,3 +61,20 @@ def test_a_link_to_something_else_is_refused(tmp_path: Path, terminal: str) -> N
         names.put(tmp_path / "axes", terminal)
     names.close()
     assert (tmp_path / "axes").is_symlink()
+
+
+@pytest.mark.parametrize("kind", ["link", "blank", "open to all"])
+def test_a_folder_that_is_not_surely_of_this_user_is_refused(tmp_path: Path, terminal: str, kind: str) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    folder = tmp_path / ("my ports" if kind == "blank" else "ports")
+    if kind == "link":
+        folder.symlink_to(foreign, target_is_directory=True)
+    if kind == "open to all":
+        folder.mkdir()
+        folder.chmod(0o777)
+    names = PtyNames()
+    with pytest.raises(OSError, match=r"ports: .*; choose another"):
+        names.put(folder / "axes", terminal)
+    names.close()
+    assert [*foreign.iterdir()] == []

@@ -68,6 +68,11 @@ class CommandProcess:
             self._clock.sleep_until(self._clock.now() + 0.01)
 
     @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return bool(self._process.is_alive())
+
+    @property
     def pid(self) -> int:
         """The process number."""
         return int(self._process.pid)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from goniotwin.mocks.control import ControlClient
 from goniotwin.protocols.clock import RealClock
 
 MAIN = [sys.executable, "-m", "goniotwin"]
@@ -49,3 +50,9 @@ def until(condition: Callable[[], bool], period_s: float = 0.01) -> None:
 def at(lines: list[dict[str, Any]], device: str, key: str) -> dict[str, Any]:
     """The address line of a device that has `key`."""
     return next(line for line in lines if line["device"] == device and key in line)
+
+
+def control_client(lines: list[dict[str, Any]]) -> ControlClient:
+    """A client of the simulation control port."""
+    line = at(lines, "control", "port")
+    return ControlClient(line["port"], line["token"])

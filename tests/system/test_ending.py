@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.mocks.control import ControlClient
 from tests.conftest import Writer
-from tests.system.conftest import MAIN, Serve, at, until
+from tests.system.conftest import MAIN, Serve, control_client, until
 
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 
@@ -20,7 +19,7 @@ def test_a_second_signal_does_not_interrupt_the_stop(
 ) -> None:
     there = tmp_path / "served.toml"
     _, lines = serve(write_rig(*QUIET), "--write-rig", there)
-    control = ControlClient(at(lines, "control", "port")["port"])
+    control = control_client(lines)
     journal = tmp_path / "c.journal"
     run = subprocess.Popen(
         [*MAIN, "run", str(write_schedule()), "--rig", str(there), "--out", str(journal), "--transcript", tmp_path / "wires"],

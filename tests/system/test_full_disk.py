@@ -19,15 +19,15 @@ from goniotwin.mocks.control import ControlClient
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_values
 from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
-from tests.system.conftest import Serve, at
+from tests.system.conftest import Serve, control_client
 
 pytestmark = FORKED
 SPEED = 10
 MAX_TRIES = 8
 TOO_FEW_BYTES = (5_000, 20_000, 40_000, 60_000)
-MIN_BYTES, MAX_BYTES = 70_000, 190_000
+MIN_BYTES, MAX_BYTES = 80_000, 110_000
 """Limits of the file size: below it no journal can be created, above it the whole campaign has room."""
-MIN_KB, MAX_KB = 176, 248
+MIN_KB, MAX_KB = 176, 196
 """The same limits for the size of a disk."""
 FreeSpace = Callable[[], object]
 SmallDisk = Callable[..., Path]
@@ -86,7 +86,7 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
     here, there, schedule = write_rig(*QUIET), tmp_path / "served.toml", write_schedule(THREE_SHIFTS)
     _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
     run_campaign(make_plan(read_schedule(schedule), read_rig(here)), tmp_path / "undisturbed.journal")
-    control = ControlClient(at(lines, "control", "port")["port"])
+    control = control_client(lines)
     yield Bench(tmp_path, schedule, there, control, tmp_path / "undisturbed.journal")
     control.close()
 

@@ -24,7 +24,7 @@ from goniotwin.mocks.control import ControlClient
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
-from tests.system.conftest import Serve, at
+from tests.system.conftest import Serve, control_client
 
 pytestmark = FORKED
 SPEED = 10
@@ -34,12 +34,12 @@ MAX_TRIES = 8
 """Number of attempts: on a busy machine the answer of a device may come too late."""
 SAMPLE = "gaussian-5"
 BLACK = (("width_deg = 5.0", "width_deg = 40.0"), ("reflectance = 0.9\n", "reflectance = 0.0009\n"))
-STEPS = 2000
-"""Steps of SQLite's virtual machine: the journal gets its name after about 1050, its first row after 1250, and a further row
-every 150.
+STEPS = 3000
+"""Steps of SQLite's virtual machine: the journal gets its name after about 1450, its first row after 1850, and a further row
+every 300.
 """
-MIGRATION_STEPS = 4200
-"""Steps for a journal of schema 1: first a copy is migrated, in 2000 steps, then the file; then the first row follows."""
+MIGRATION_STEPS = 9000
+"""Steps for a journal of schema 1: first a copy is migrated and checked, then the file; then the first row follows."""
 
 
 @dataclass
@@ -121,7 +121,7 @@ def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Pat
         schedule = write_schedule(THREE_SHIFTS, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
         _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
         plan = make_plan(read_schedule(schedule), read_rig(here))
-        control = ControlClient(at(lines, "control", "port")["port"])
+        control = control_client(lines)
         made.append(Bench(tmp_path, schedule, there, control, plan, np.random.default_rng(seed)))
         return made[-1]
 

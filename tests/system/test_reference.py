@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.rig import AXES
-from goniotwin.mocks.control import ControlClient
 from tests.conftest import RIG, Writer
 from tests.system.command_process import FORKED, CommandProcess
-from tests.system.conftest import Serve, at
+from tests.system.conftest import Serve, control_client
 
 pytestmark = FORKED
 
@@ -21,7 +20,7 @@ def test_after_a_reset_between_two_runs_nothing_is_measured_until_the_positions_
     anywhere.write_text("\n".join(line for line in lines if not line.startswith("power_up_at_reference")), encoding="utf-8")
     rig, schedule = tmp_path / "served.toml", write_schedule()
     _, endpoints = serve(anywhere, "--speed", 10, "--write-rig", rig)
-    control = ControlClient(at(endpoints, "control", "port")["port"])
+    control = control_client(endpoints)
 
     def status(*arguments: object) -> int:
         return CommandProcess(tmp_path, *arguments).wait()

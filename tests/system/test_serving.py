@@ -10,12 +10,12 @@ import pytest
 import serial
 from pymodbus.client import ModbusTcpClient
 
-from goniotwin.mocks.control import ControlClient, OrderRefused
+from goniotwin.mocks.control import OrderRefused
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RIG
 from tests.system.command import CALLS, Call, goniotwin
-from tests.system.conftest import Serve, Served, at, until
+from tests.system.conftest import Serve, Served, at, control_client, until
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def served(serve: Serve) -> Served:
 def test_all_devices_share_one_plant(served: Served) -> None:
     """A move over the serial port changes what the Modbus registers read."""
     _, lines = served
-    control = ControlClient(at(lines, "control", "port")["port"])
+    control = control_client(lines)
     control.mount("etalon")
     mono = serial.serial_for_url(f"socket://127.0.0.1:{at(lines, 'mono', 'port')['port']}", timeout=5.0)
     mono.write(b"SHUTTER O\n")
@@ -56,7 +56,7 @@ def test_all_devices_share_one_plant(served: Served) -> None:
 
 def test_the_control_port_refuses_wrong_commands_with_a_message(served: Served) -> None:
     _, lines = served
-    control = ControlClient(at(lines, "control", "port")["port"])
+    control = control_client(lines)
     with pytest.raises(OrderRefused, match="no sample 'satin'"):
         control.mount("satin")
     with pytest.raises(OrderRefused, match="an order is"):

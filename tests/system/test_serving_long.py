@@ -17,7 +17,7 @@ import pytest
 from goniotwin.mocks.control import ControlClient
 from goniotwin.protocols.clock import RealClock
 from tests.conftest import REPOSITORY, RIG
-from tests.system.conftest import Serve, at
+from tests.system.conftest import Serve, control_client
 from tests.system.serve_clients import KINDS, TALKING, talk
 
 SECONDS = float(os.environ.get("GONIOTWIN_SERVE_S", "600"))
@@ -108,7 +108,7 @@ def kill_clients(addresses: dict[str, list[str]], seconds: float) -> Iterator[st
 def test_clients_that_disconnect_leave_no_descriptors_and_threads(serve: Serve) -> None:
     process, lines = serve(RIG)
     addresses = addresses_of(lines)
-    served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
+    served, control = Process(process.pid), control_client(lines)
     control.do("state")
     before = served.descriptors, served.threads
     with ThreadPoolExecutor() as threads:
@@ -126,7 +126,7 @@ def test_memory_does_not_grow_in_ten_minutes_with_clients(serve: Serve, capsys: 
     """Ten minutes, or GONIOTWIN_SERVE_S seconds."""
     process, lines = serve(RIG)
     addresses = addresses_of(lines)
-    served, control = Process(process.pid), ControlClient(at(lines, "control", "port")["port"])
+    served, control = Process(process.pid), control_client(lines)
     control.do("state")
     before = served.descriptors, served.threads
     clock = RealClock()

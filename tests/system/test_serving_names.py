@@ -62,3 +62,15 @@ def test_a_rig_file_that_cannot_be_written_is_refused_before_any_port_opens(tmp_
     (tmp_path / "file").write_text("other", encoding="utf-8")
     assert "is not a folder" in refusal(call, "--ptys", tmp_path / "file", "--write-rig", tmp_path / "rig.toml")
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
+
+
+def test_the_rig_file_with_the_token_of_the_control_port_is_for_this_user_alone(serve: Serve, tmp_path: Path) -> None:
+    rig = tmp_path / "served.toml"
+    for _ in range(2):  # the second time it replaces the file, which was made readable meanwhile
+        process, lines = serve(RIG, "--write-rig", rig)
+        assert f'control_token = "{at(lines, "control", "port")["token"]}"' in rig.read_text(encoding="utf-8")
+        assert rig.stat().st_mode & 0o777 == 0o600
+        assert [each.name for each in tmp_path.iterdir() if each.is_file()] == ["served.toml"]
+        rig.chmod(0o644)
+        process.kill()
+        process.wait()

@@ -16,11 +16,10 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
-from goniotwin.mocks.control import ControlClient
 from goniotwin.protocols.clock import RealClock
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
-from tests.system.conftest import Serve, at
+from tests.system.conftest import Serve, control_client
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
 LONGEST_S = 300.0
@@ -139,7 +138,7 @@ def test_a_signal_brings_moving_axes_to_rest_and_later_signals_are_ignored(
     """The rig is served by another process, whose control port has the positions of the axes."""
     served = tmp_path / "served.toml"
     _, lines = serve(write_rig(*QUIET), "--write-rig", served)
-    control = ControlClient(at(lines, "control", "port")["port"])
+    control = control_client(lines)
     window = start_window(served, write_schedule())
     window.wait_for_rows(2)
     while control.do("state")["angles_deg"]["beta"] < 20.0:

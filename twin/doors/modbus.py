@@ -74,7 +74,8 @@ class TwinModbusClient(ModbusTcpClient):
         deadline = self._clock.now() + self.comm_params.timeout_connect
         if not self._answers or self._answers[0][0] > deadline:
             self._clock.sleep_until(deadline)
-            return b""
+            if not self._answers or self._answers[0][0] > self._clock.now():  # it may be later than asked for
+                return b""
         ready, data = self._answers.popleft()
         self._clock.sleep_until(ready)
         return data
@@ -118,7 +119,8 @@ class TwinRtuClient(ModbusSerialClient):
         data = bytes(port.read(1))
         if data:
             port.timeout = self._gap_s
-            while chunk := port.read(CHUNK):
+            deadline = self._clock.now() + self.comm_params.timeout_connect
+            while (chunk := port.read(CHUNK)) and self._clock.now() < deadline:
                 data += chunk
             self._quiet_since = self._clock.now() - self._gap_s
         return data

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.record import CommittedRow, Reading, RowData
 from goniotwin.app.campaign.row import MIRRORED_MARK, SKIPPED, Row, RowKind
 from goniotwin.app.errors import UserError
@@ -33,9 +34,16 @@ ROW_INDEX = np.dtype(
 sample names that comes with the index.
 """
 ROW_COLUMNS = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
+USE_A_COPY = "use a copy of it, if there is one; goniotwin copy makes copies that are whole, also during a run"
 LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
+
+
+class DamagedJournal(UserError):
+    """A journal that differs from what was written."""
+
+    status = 1
 
 
 @dataclass(frozen=True)
@@ -55,11 +63,22 @@ class Session:
 
 
 class JournalReader:
-    """The contents of a journal. All methods raise UserError for a damaged file."""
+    """The contents of a journal. All methods raise UserError for a damaged file.
 
-    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+    `chain` is its chain of hashes as it was when the journal was opened. Rows that differ from what was committed count as not
+    measured.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, path: Path, chain: Chain) -> None:
         self._db = connection
         self.path = path
+        self.chain = chain
+        self._sound = ""
+        if chain.without_values:
+            self._db.execute("CREATE TEMP TABLE damaged (number INTEGER PRIMARY KEY)")
+            self._db.executemany("INSERT INTO temp.damaged VALUES (?)", [(number,) for number in chain.without_values])
+            self._db.commit()
+            self._sound = " AND p.number NOT IN temp.damaged"
 
     def value(self, key: str) -> str:
         """A value of the table `campaign`: schedule, rig, name, simulated, seed, model or versions.
@@ -69,7 +88,7 @@ class JournalReader:
         with self._reading():
             found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
         if found is None:
-            raise UserError(f"{self.path}: has no entry {key!r}: the file is incomplete; use a copy of it, if there is one")
+            raise DamagedJournal(f"{self.path}: has no entry {key!r}: the file is incomplete; {USE_A_COPY}")
         return str(found[0])
 
     @property
@@ -108,10 +127,10 @@ class JournalReader:
             )
 
     def committed_numbers(self) -> set[int]:
-        """Numbers of the rows that are measured, unplanned ones included, skipped ones excluded."""
+        """Numbers of the rows that are measured, unplanned ones included, skipped and damaged ones excluded."""
         with self._reading():
             attempted = {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
-        return attempted - self._last_skipped()
+        return attempted - self._last_skipped() - self.chain.without_values.keys()
 
     def skipped_numbers(self) -> set[int]:
         """Numbers of the planned rows that were skipped because of a fault and not measured since."""
@@ -125,7 +144,9 @@ class JournalReader:
                 " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = a.number)",
                 (f"%{SKIPPED}%",),
             )
-            return {number for number, flags in found if SKIPPED in json.loads(flags)}
+            return {
+                number for number, flags in found if number not in self.chain.without_values and SKIPPED in json.loads(flags)
+            }
 
     def _planned_numbers(self) -> set[int]:
         with self._reading():
@@ -146,13 +167,13 @@ class JournalReader:
         """Committed rows, of all kinds or of some, in order of their start; each with its last attempt."""
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
-            yield from self._rows(f"{LAST_ATTEMPT} {chosen} ORDER BY started_s, p.number", kinds)
+            yield from self._rows(f"{LAST_ATTEMPT}{self._sound} {chosen} ORDER BY started_s, p.number", kinds)
 
     def rows_of(self, numbers: Iterable[int]) -> Iterator[CommittedRow]:
         """Committed rows by their numbers, in that order; each with its last attempt."""
         with self._reading():
             for number in numbers:
-                yield from self._rows(f"{LAST_ATTEMPT} AND p.number = ?", (number,))
+                yield from self._rows(f"{LAST_ATTEMPT}{self._sound} AND p.number = ?", (number,))
 
     def row_index(self) -> tuple[npt.NDArray[np.void], list[str]]:
         """Index (ROW_INDEX) of the measured rows that have readings, in order of their start, and the names of the samples."""
@@ -162,7 +183,7 @@ class JournalReader:
                 "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg"
                 " FROM plan p JOIN attempt a USING (number) WHERE kind = 'measure'"
                 " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
-                " AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt)"
+                f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}"
                 " ORDER BY started_s, p.number",
                 (MIRRORED_MARK,),
             )
@@ -231,12 +252,12 @@ def _recovered_copy(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def report_damage(path: Path) -> Iterator[None]:
-    """Convert errors of the database and of the stored values into a UserError: the journal is damaged."""
+    """Convert errors of the database and of the stored values into DamagedJournal."""
     try:
         yield
     except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
         line, *more = str(error).splitlines() or [type(error).__name__]
-        raise UserError(f"{path}: is damaged: {line}{' ...' if more else ''}; use a copy of it, if there is one") from None
+        raise DamagedJournal(f"{path}: is damaged: {line}{' ...' if more else ''}; {USE_A_COPY}") from None
 
 
 def _row(*columns: Any) -> Row:

@@ -5,13 +5,18 @@ import sqlite3
 import tomllib
 from collections.abc import Callable
 
-SCHEMA_VERSION = 2
+from goniotwin.app.campaign.journal.chain import begin_chain
+
+SCHEMA_VERSION = 3
 APPLICATION_ID = 0x474F4E49  # "GONI"
-SCHEMA = """
+CHAIN_TABLE = """CREATE TABLE chain (
+    link INTEGER PRIMARY KEY, number INTEGER NOT NULL, attempt INTEGER NOT NULL, sha256 TEXT NOT NULL
+) STRICT"""
+SCHEMA = f"""
 CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE session (
     id INTEGER PRIMARY KEY, started_s REAL NOT NULL, ended_s REAL, outcome TEXT, wall_started TEXT NOT NULL, wall_ended TEXT,
-    rig TEXT NOT NULL, versions TEXT NOT NULL
+    rig TEXT NOT NULL, versions TEXT NOT NULL, first_link INTEGER, last_link INTEGER, tip TEXT, sha256 TEXT
 ) STRICT;
 CREATE TABLE plan (
     number INTEGER PRIMARY KEY, identity TEXT NOT NULL UNIQUE, kind TEXT NOT NULL, sample TEXT NOT NULL,
@@ -31,6 +36,7 @@ CREATE TABLE reading (
 CREATE TABLE event (
     id INTEGER PRIMARY KEY, session INTEGER REFERENCES session, t_s REAL NOT NULL, kind TEXT NOT NULL, text TEXT NOT NULL
 ) STRICT;
+{CHAIN_TABLE};
 """
 
 
@@ -94,5 +100,13 @@ def _from_1(db: sqlite3.Connection) -> None:
         db.execute("UPDATE plan SET detail = ? WHERE kind = ?", (detail(kind), kind))
 
 
-STEPS: dict[int, Callable[[sqlite3.Connection], None]] = {1: _from_1}
+def _from_2(db: sqlite3.Connection) -> None:
+    """Migrate schema 2, which has no chain of hashes: it begins after the rows that are there."""
+    for column in ("first_link INTEGER", "last_link INTEGER", "tip TEXT", "sha256 TEXT"):
+        db.execute(f"ALTER TABLE session ADD COLUMN {column}")
+    db.execute(CHAIN_TABLE)
+    begin_chain(db)
+
+
+STEPS: dict[int, Callable[[sqlite3.Connection], None]] = {1: _from_1, 2: _from_2}
 """Migration from each older schema version to the next."""

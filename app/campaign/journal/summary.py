@@ -5,14 +5,14 @@ from pathlib import Path
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.lock import holder_of
+from goniotwin.app.rig.lock import journal_holder
 
 SUFFIX = ".journal"
 
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """A journal in short; the fields are the keys of the JSON output.
+    """A journal in short; the fields are the keys of the JSON output, without `damage`, which is an error message.
 
     `state`: "done", "stopped" or "failed" as the last session recorded it; "killed" where the last session has no end;
     "running" while a program has the journal open; "empty" before the first session. `rows` counts the measured planned rows,
@@ -33,15 +33,16 @@ class CampaignSummary:
     ended: str | None
     sessions: int
     faults: list[str]
+    damage: str
 
     def as_dict(self) -> dict[str, object]:
         """The summary as a dictionary, for JSON."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if key != "damage"}
 
 
 def campaign_summary(path: Path) -> CampaignSummary:
     """The summary of one journal. Raises UserError for a file that is not a journal, or is damaged."""
-    held = holder_of(str(path.absolute()))
+    held = journal_holder(path)
     with Journal.open(path) as journal:
         sessions = journal.sessions()
         done = journal.committed_numbers()
@@ -62,11 +63,12 @@ def campaign_summary(path: Path) -> CampaignSummary:
             ended=last.wall_ended if last is not None and not held else None,
             sessions=len(sessions),
             faults=journal.faults(),
+            damage=journal.chain.damage,
         )
 
 
 def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
-    """Summaries of all `.journal` files of a folder, by name, and an error message for each that cannot be read.
+    """Summaries of all `.journal` files of a folder, by name, and an error message for each that is damaged or no journal.
 
     Raises UserError where the folder does not exist.
     """
@@ -76,6 +78,8 @@ def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:
             summaries.append(campaign_summary(path))
+            if damage := summaries[-1].damage:
+                errors.append(f"{path}: differs from what was measured: {damage}")
         except UserError as error:
             errors.append(str(error))
     return summaries, errors

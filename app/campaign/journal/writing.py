@@ -6,21 +6,32 @@ and the raw counts; everything else can be derived from these again. docs/journa
 
 import contextlib
 import json
+import os
 import platform
 import sqlite3
+import threading
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 
+from goniotwin.app.campaign.journal.chain import Chain, add_link, begin_chain, campaign_hash, check_chain, seal_session
 from goniotwin.app.campaign.journal.reading import DETAIL_KEYS, JournalReader, open_read_only, report_damage
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats.file import sync_folder
+from goniotwin.app.rig.lock import LockFile, lock_journal
 from goniotwin.protocols.clock import calendar_stamp
 
+CHECKPOINT_ROWS, CHECKPOINT_S = 10, 60.0
+"""After so many rows, or so many seconds after the first of them, they are brought from the -wal file into the journal."""
+READERS_END_S = 5.0
+"""Longest time that is waited for other programs' reading."""
+OLDEST_READABLE = 2
+"""Older schemas lack columns that are read: a copy of them is migrated."""
 PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
 
 
@@ -36,9 +47,16 @@ class JournalError(Exception):
 class Journal(JournalReader):
     """An open journal. A row is on the disk when `commit` returns."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
-        super().__init__(connection, path)
+    def __init__(
+        self, connection: sqlite3.Connection, path: Path, chain: Chain, lock: LockFile | None = None, *, written: bool = False
+    ) -> None:
+        super().__init__(connection, path, chain)
+        self._lock = lock
         self._session: int | None = None
+        self._written = written
+        self._fresh = 0  # committed since the last checkpoint
+        self._due_s: float | None = None  # time of the next checkpoint; None if there is nothing to bring into the file
+        self._writes = threading.RLock()
 
     @classmethod
     def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
@@ -48,28 +66,38 @@ class Journal(JournalReader):
         journal or one that can be resumed. The name is on the disk before the first commit returns: SQLite syncs the folder
         with each new -wal file. With `durable` False nothing waits for the disk: a rehearsal need not survive a power failure.
         """
-        if path.exists():
-            raise UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
         if not path.parent.is_dir():
             raise UserError(f"{path}: there is no folder {path.parent}; create it first")
-        for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
-            if leftover.exists():  # SQLite would apply it to the new database
-                raise UserError(
-                    f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
-                )
-        spare = path.with_name(f".{path.name}.new")
+        with contextlib.ExitStack() as failed:
+            lock = lock_journal(path, plan.schedule.file.name)
+            failed.callback(lock.release, remove=True)
+            if path.exists():
+                raise UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
+            for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
+                if leftover.exists():  # SQLite would apply it to the new database
+                    raise UserError(
+                        f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
+                    )
+            journal = cls._create(path, plan, versions, lock, durable=durable)
+            failed.pop_all()
+        return journal
+
+    @classmethod
+    def _create(cls, path: Path, plan: Plan, versions: dict[str, str], lock: LockFile, *, durable: bool) -> "Journal":
+        spare = _spare(path)
         try:
             _remove(spare)  # left by a program that was killed here
             with contextlib.closing(_connect(spare, durable=durable)) as db:
                 create_tables(db)
-                cls(db, spare)._describe(plan, versions)
+                _describe(db, plan, versions)
                 db.execute("PRAGMA wal_checkpoint")  # closing does this too, but ignores errors
             spare.rename(path)
         except (sqlite3.Error, OSError) as error:
             _remove(spare)
             raise _unwritable(path, error) from None
         try:
-            return cls(_connect(path, durable=durable), path)
+            db = _connect(path, durable=durable)
+            return cls(db, path, Chain(tip=campaign_hash(db)), lock, written=durable)
         except sqlite3.Error as error:
             _remove(path)
             raise _unwritable(path, error) from None
@@ -82,13 +110,13 @@ class Journal(JournalReader):
         """
         version = _known_version(path)
         db = open_read_only(path)
-        if version == SCHEMA_VERSION:
-            return cls(db, path)
-        copy = sqlite3.connect(":memory:", check_same_thread=False)
-        with contextlib.closing(db), report_damage(path):
-            db.backup(copy)
-            migrate(copy)
-        return cls(copy, path)
+        if version < OLDEST_READABLE:
+            copy = sqlite3.connect(":memory:", check_same_thread=False)
+            with contextlib.closing(db), report_damage(path):
+                db.backup(copy)
+                migrate(copy)
+            db = copy
+        return cls(db, path, _checked(db, path))
 
     @classmethod
     def reopen(cls, path: Path) -> "Journal":
@@ -97,21 +125,78 @@ class Journal(JournalReader):
         Raises UserError for a file that is not a journal, or cannot be written.
         """
         _known_version(path)
-        try:
-            db = _connect(path)
-        except sqlite3.Error as error:
-            raise UserError(
-                f"{path}: cannot be written: {error}; check its permissions, and whether another program has it open"
-            ) from None
-        with report_damage(path):
-            migrate(db)
-        return cls(db, path)
+        if path.stat().st_nlink > 1:  # SQLite keeps the latest rows in a file that has the journal's name
+            raise UserError(f"{path}: has another name too (a hard link), and could lose rows; copy it, and resume the copy")
+        with contextlib.ExitStack() as failed:
+            lock = lock_journal(path, "resumed")
+            failed.callback(lock.release, remove=True)
+            try:
+                db = _connect(path)
+            except sqlite3.Error as error:
+                raise UserError(
+                    f"{path}: cannot be written: {error}; check its permissions, and whether another program has it open"
+                ) from None
+            with report_damage(path):
+                migrate(db)
+            journal = cls(db, path, _checked(db, path), lock, written=True)
+            failed.pop_all()
+        return journal
 
     def close(self) -> None:
-        """Close the journal. A written journal is then a single file, readable on any medium."""
-        with contextlib.suppress(sqlite3.Error):
+        """Close the journal. A written journal is then whole in its one file, also while other programs read it."""
+        try:
             self._db.execute("PRAGMA journal_mode = DELETE")
+        except sqlite3.Error:  # another program has it open
+            if self._written:
+                self._finish()
         self._db.close()
+        if self._lock is not None:
+            self._lock.release(remove=True)
+
+    def _finish(self) -> None:
+        """Bring all rows into the file of a journal that other programs have open.
+
+        SQLite waits some seconds for their reading to end. If it does not end, the journal is replaced by a copy; they keep
+        the file that they have open. Windows does not permit that: rows may then remain in the -wal file.
+        """
+        with contextlib.suppress(sqlite3.Error):
+            if not self._db.execute("PRAGMA wal_checkpoint(FULL)").fetchone()[0]:
+                return
+        file = Path(os.path.realpath(self.path))
+        spare = _spare(file)
+        with contextlib.suppress(sqlite3.Error, OSError):
+            if os.name != "nt" and file.stat().st_nlink == 1:
+                _copy(self._db, spare)
+                self._db.close()
+                spare.replace(file)
+                sync_folder(file.parent)
+                for suffix in ("-wal", "-shm"):
+                    Path(f"{file}{suffix}").unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            _remove(spare)
+
+    def tend(self, t: float) -> None:
+        """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock."""
+        with self._writes:
+            if self._due_s is not None and t >= self._due_s:
+                self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Bring the rows into the journal's one file as far as readers permit, so that a plain copy of it has them."""
+        self._fresh, self._due_s = 0, None
+        if self._written:
+            with contextlib.suppress(sqlite3.Error):  # the rows are on the disk, in the -wal file
+                self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+
+    def _expect_checkpoint(self, t: float, rows: int = 0) -> None:
+        """Count what was committed at the time `t`, and make the checkpoint that is due."""
+        with self._writes:
+            self._fresh += rows
+            if self._due_s is None:
+                self._due_s = t + CHECKPOINT_S
+            if self._fresh >= CHECKPOINT_ROWS:
+                self.checkpoint()
+            self.tend(t)
 
     def __enter__(self) -> "Journal":
         return self
@@ -124,11 +209,16 @@ class Journal(JournalReader):
 
         All rows and events from now on belong to this session.
         """
-        about = (t, calendar_stamp(), rig, json.dumps(versions, sort_keys=True))
+        about = (t, calendar_stamp(), rig, json.dumps(versions, sort_keys=True), self.chain.length + 1)
         with self._writing():
-            cursor = self._db.execute("INSERT INTO session (started_s, wall_started, rig, versions) VALUES (?, ?, ?, ?)", about)
-        self._session = int(cursor.lastrowid or 0)
-        return self._session
+            cursor = self._db.execute(
+                "INSERT INTO session (started_s, wall_started, rig, versions, first_link) VALUES (?, ?, ?, ?, ?)", about
+            )
+            session = int(cursor.lastrowid or 0)
+            seal_session(self._db, session)
+        self._session = session
+        self._expect_checkpoint(t)
+        return session
 
     def add_rows(self, rows: Sequence[Row]) -> None:
         """Record the unplanned rows of this session: those with which a resumed campaign starts."""
@@ -136,17 +226,25 @@ class Journal(JournalReader):
             self._db.executemany(INSERT_ROW, [(*_planned(row), self._session) for row in rows])
 
     def end_session(self, session: int, t: float, outcome: str) -> None:
-        """Record the end of a session; `outcome` is done, stopped or failed."""
+        """Record the end of a session, with the tip and length of the chain; `outcome` is done, stopped or failed."""
         with self._writing():
             self._db.execute(
-                "UPDATE session SET ended_s = ?, outcome = ?, wall_ended = ? WHERE id = ?",
-                (t, outcome, calendar_stamp(), session),
+                "UPDATE session SET ended_s = ?, outcome = ?, wall_ended = ?, last_link = ?, tip = ? WHERE id = ?",
+                (t, outcome, calendar_stamp(), self.chain.length, self.chain.tip, session),
             )
+            seal_session(self._db, session)
 
     def event(self, t: float, kind: str, text: str) -> None:
-        """Record an event of a kind (fault, stop, drift, encoder, ...) at time `t` on the rig's clock."""
+        """Record an event of a kind (fault, stop, drift, order, ...) at time `t` on the rig's clock. From any thread.
+
+        An event outside of a session belongs to the last one.
+        """
+        session = "COALESCE(?, (SELECT MAX(id) FROM session))"
         with self._writing():
-            self._db.execute("INSERT INTO event (session, t_s, kind, text) VALUES (?, ?, ?, ?)", (self._session, t, kind, text))
+            self._db.execute(
+                f"INSERT INTO event (session, t_s, kind, text) VALUES ({session}, ?, ?, ?)", (self._session, t, kind, text)
+            )
+        self._expect_checkpoint(t)
 
     def faults(self) -> list[str]:
         """Texts of all fault events, in order of time."""
@@ -156,9 +254,7 @@ class Journal(JournalReader):
         """Write one row in one transaction; it is on the disk on return. Raises JournalError."""
         positions = None if data.positions is None else json.dumps(data.positions)
         with self._writing():
-            (attempt,) = self._db.execute(
-                "SELECT COALESCE(MAX(attempt), 0) + 1 FROM attempt WHERE number = ?", (row.number,)
-            ).fetchone()
+            (attempt,) = self._db.execute(NEXT_ATTEMPT, (row.number, row.number)).fetchone()
             self._db.execute(
                 "INSERT INTO attempt (number, attempt, session, started_s, ended_s, positions, flags)"
                 " VALUES (?, ?, ?, ?, ?, ?, ?)",
@@ -172,36 +268,44 @@ class Journal(JournalReader):
                     for each in data.readings
                 ],
             )  # fmt: skip
+            chain = add_link(self._db, self.chain, row.number, attempt)
+            if row.number in self.chain.damaged:
+                self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
+        self.chain = chain
+        self._expect_checkpoint(data.ended_s, rows=1)
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """One transaction. Raises JournalError where it cannot be written."""
+        """One transaction, of one thread at a time. Raises JournalError where it cannot be written."""
         try:
-            with self._db:
+            with self._writes, self._db:
                 yield
         except sqlite3.Error as error:
             raise JournalError(f"{self.path}: cannot be written: {error}; free space on the disk") from None
 
-    def _describe(self, plan: Plan, versions: dict[str, str]) -> None:
-        about = {
-            "name": plan.schedule.file.name,
-            "schedule": plan.schedule.text,
-            "rig": plan.rig.text,
-            "rig_folder": str(plan.rig.folder.absolute()),
-            "simulated": json.dumps(plan.rig.simulated),
-            "seed": json.dumps(plan.rig.seed),
-            "model": json.dumps(plan.rig.model_hash()),
-            "versions": json.dumps(versions, sort_keys=True),
-        }
-        if plan.schedule.certificate is not None:
-            about["certificate"] = plan.schedule.certificate
-        with self._db:
-            self._db.executemany("INSERT INTO campaign VALUES (?, ?)", about.items())
-            self._db.executemany(INSERT_ROW, [(*_planned(row), None) for row in plan.rows])
+
+def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> None:
+    """Write what the campaign begins with. Raises sqlite3.Error."""
+    about = {
+        "name": plan.schedule.file.name,
+        "schedule": plan.schedule.text,
+        "rig": plan.rig.text,
+        "rig_folder": str(plan.rig.folder.absolute()),
+        "simulated": json.dumps(plan.rig.simulated),
+        "seed": json.dumps(plan.rig.seed),
+        "model": json.dumps(plan.rig.model_hash()),
+        "versions": json.dumps(versions, sort_keys=True),
+    }
+    if plan.schedule.certificate is not None:
+        about["certificate"] = plan.schedule.certificate
+    with db:
+        db.executemany("INSERT INTO campaign VALUES (?, ?)", about.items())
+        db.executemany(INSERT_ROW, [(*_planned(row), None) for row in plan.rows])
+        begin_chain(db)
 
 
 def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
-    db = sqlite3.connect(path, check_same_thread=False)
+    db = sqlite3.connect(path, timeout=READERS_END_S, check_same_thread=False)
     try:
         db.execute("PRAGMA journal_mode = WAL")
         db.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
@@ -243,6 +347,70 @@ def _known_version(path: Path) -> int:
     return version
 
 
+def copy_journal(path: Path, copy: Path) -> Chain:
+    """Copy a journal as it is now to one file, also while its campaign runs, and check the copy; return its chain.
+
+    The copy has its name when it is whole. Raises UserError where it cannot be made, and DamagedJournal for a journal of which
+    more than rows, plan or sessions is damaged.
+    """
+    if copy.exists():
+        raise UserError(f"{copy}: exists, and nothing is overwritten; choose another name")
+    _known_version(path)
+    spare = _spare(copy)
+    try:
+        _remove(spare)
+        with contextlib.closing(open_read_only(path)) as db:
+            _copy(db, spare)
+        with contextlib.closing(open_read_only(spare)) as db:
+            chain = _checked(db, path)
+        spare.rename(copy)
+        sync_folder(copy.parent)
+        return chain
+    except (sqlite3.Error, OSError) as error:
+        raise _unwritable(copy, error) from None
+    finally:
+        with contextlib.suppress(OSError):
+            _remove(spare)
+
+
+def _copy(db: sqlite3.Connection, to: Path) -> None:
+    """Copy a snapshot of a database to a new file, which is then on the disk. Raises sqlite3.Error."""
+    with contextlib.closing(sqlite3.connect(to)) as copy:
+        db.backup(copy)
+        copy.execute("PRAGMA journal_mode = DELETE")
+
+
+def _spare(path: Path) -> Path:
+    """The name of a journal until it is complete."""
+    return path.with_name(f".{path.name}.new")
+
+
+def _checked(db: sqlite3.Connection, path: Path) -> Chain:
+    """The chain of a journal, compared with all of it in one snapshot.
+
+    Raises UserError, and closes `db`, where more than rows, plan or sessions is damaged.
+    """
+    try:
+        with report_damage(path):
+            db.execute("BEGIN")
+            (found,) = db.execute("PRAGMA integrity_check(1)").fetchone()
+            if found != "ok":
+                raise ValueError(found)
+            chain = check_chain(db)
+            db.execute("COMMIT")
+            return chain
+    except UserError:
+        db.close()
+        raise
+
+
+NEXT_ATTEMPT = """
+SELECT 1 + MAX(
+    COALESCE((SELECT MAX(attempt) FROM attempt WHERE number = ?), 0),
+    COALESCE((SELECT MAX(attempt) FROM reading WHERE number = ?), 0)
+)
+"""
+"""A damaged journal may have readings without their attempt."""
 INSERT_ROW = (
     "INSERT INTO plan (number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds,"
     " detail, session) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"

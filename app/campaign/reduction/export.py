@@ -76,6 +76,8 @@ def heading(reduced: BsdfDataset) -> list[str]:
     lines = [f"campaign: {reduced.name}", f"rig: {reduced.rig.file.name}"]
     if reduced.simulated:
         lines.append(f"SIMULATED: measured on a virtual rig, seed {reduced.rig.seed}; no value is from a real instrument")
+    if reduced.chain:
+        lines.append(f"journal: {reduced.chain}")
     return lines
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
-from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.journal.reading import DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
@@ -43,7 +43,7 @@ class BsdfDataset:
 
     By sample: `overlaps` is the agreement of photodiodes that measured the same direction, `symmetry` the test of the stated
     symmetry, for schedules that ask for it. `notes` are remarks on the reduction, for the reader of the values. `unchecked`
-    are, by the mounted sample, the photodiodes that its drift checks do not cover.
+    are, by the mounted sample, the photodiodes that its drift checks do not cover. `chain` states the journal's checksums.
     """
 
     name: str
@@ -54,6 +54,7 @@ class BsdfDataset:
     notes: tuple[str, ...]
     symmetry: dict[str, SymmetryResult] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    chain: str = ""
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,16 @@ class Reduction:
     """A journal during its reduction: what is common to all of it, and its points in blocks, which are not kept in memory.
 
     Nothing of it changes while blocks are read: what depends on the points is computed from the tallies of all blocks. Raises
-    UserError for a journal without readings of the etalon.
+    UserError for a journal without readings of the etalon, and DamagedJournal for a damaged one, unless `without_damaged`: its
+    damaged rows then have no values.
     """
 
-    def __init__(self, journal: JournalReader) -> None:
+    def __init__(self, journal: JournalReader, *, without_damaged: bool = False) -> None:
+        if journal.chain.damage and not without_damaged:
+            raise DamagedJournal(
+                f"{journal.path}: differs from what was measured: {journal.chain.damage}; {RESUME}; or use a copy of it, or "
+                "export the rest with --without-damaged"
+            )
         self.journal = journal
         self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
@@ -191,9 +198,9 @@ def reduction_settings(rig: RigFile, schedule: ScheduleFile, certificate: str | 
     return ReductionSettings(rig, ArcGeometry(rig), schedule, parsed)
 
 
-def reduce_journal(journal: JournalReader) -> BsdfDataset:
-    """Reduce all samples of a journal; the campaign may be unfinished. Raises UserError if the etalon has not been measured."""
-    reduction = Reduction(journal)
+def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> BsdfDataset:
+    """Reduce all samples of a journal; the campaign may be unfinished. Raises UserError as Reduction does."""
+    reduction = Reduction(journal, without_damaged=without_damaged)
     samples, overlaps, symmetry, tallies = {}, {}, {}, {}
     for name in reduction.schedule.samples:
         checks, blocks = reduction.checks(name), list(reduction.blocks(name))
@@ -212,7 +219,7 @@ def reduce_journal(journal: JournalReader) -> BsdfDataset:
     notes += [f"overlaps of {name}: {note}" for name, each in overlaps.items() for note in reduction.calibration_notes(each)]
     return BsdfDataset(
         journal.value("name"), reduction.rig, journal.simulated, samples, overlaps, tuple(notes), symmetry,
-        reduction.unchecked(tallies),
+        reduction.unchecked(tallies), journal.chain.statement,
     )  # fmt: skip
 
 
@@ -242,6 +249,8 @@ def missing_notes(journal: JournalReader, without_etalon: Mapping[str, int]) -> 
     """
     done, of = journal.row_counts()
     skipped = journal.skipped_numbers()
+    if lost := journal.chain.without_values:
+        yield f"damaged rows, without values: {', '.join(map(str, sorted(lost)))}; {RESUME}"
     if done + len(skipped) < of:
         yield f"the campaign is not finished: {done} of {of} rows are done"
     if skipped:

@@ -6,6 +6,7 @@ Plain Python for one thread; pause, resume and stop may be called from any other
 import contextlib
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from typing import TypeVar
@@ -13,11 +14,24 @@ from typing import TypeVar
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.row import SKIPPED, Row
-from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
-from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row
+from goniotwin.app.campaign.running.events import (
+    Event,
+    EventLogged,
+    Listener,
+    Positions,
+    RowCommitted,
+    RowStarted,
+    SafetyOrder,
+    State,
+    StateChanged,
+    close_shutter_order,
+    cut_power_order,
+)
+from goniotwin.app.campaign.running.operator import Answer, Operator
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
+from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for
 from goniotwin.app.campaign.running.stop_conditions import EndedBySchedule, StopConditions
 from goniotwin.app.campaign.running.stop_request import Stopped, StopRequest
 from goniotwin.app.errors import UserError
@@ -31,7 +45,8 @@ class Engine:
     """Runs a plan once.
 
     `work` are the rows to execute, where some rows of the plan are measured already. `positions_every_s` is the time between
-    two Positions events while axes move; with 0 the positions are not read, and only the rows use the wires.
+    two Positions events while axes move; with 0 the positions are not read, and only the rows use the wires. `sleep_watch`
+    notices a sleep of this computer; without it that of the rig's clock.
     `faults` are the faults with which the run ended; `ended_by_schedule` is the reason where a stop condition ended it.
     """
 
@@ -44,6 +59,7 @@ class Engine:
         listeners: list[Listener] | None = None,
         positions_every_s: float = 0.0,
         work: Sequence[Row] | None = None,
+        sleep_watch: SleepWatch | None = None,
     ) -> None:
         self._rig = rig
         self._clock = rig.clock
@@ -56,11 +72,15 @@ class Engine:
         self.faults: list[str] = []
         self.ended_by_schedule = ""
         self._state = State.IDLE
+        self._action = ""
         self._changed = threading.Condition()
         self._pause = False
         self._stop_request = StopRequest(rig)
         self._executor = RowExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event)
         self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
+        self._sleep_watch = sleep_watch or watch_for(rig.clock)
+        self._stay_awake = StayAwake()
+        self._sleeps, self._dark_is_old = 0, False
         self._stop_conditions = StopConditions(plan.schedule.file, plan.rig.file)
         self._resumed = work is not None and work is not plan.rows
         self._work = plan.rows if work is None else work
@@ -82,6 +102,7 @@ class Engine:
         self._enter(State.RUNNING)
         try:
             session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, software_versions())
+            self._prevent_sleep()
             self._home_unreferenced()
             self._execute_rows()
             self._apply_policies("the end of the run", self._close_shutter)
@@ -128,6 +149,8 @@ class Engine:
             if self._state in (State.RUNNING, State.RECOVERING, State.PAUSING, State.PAUSED):
                 self._enter(State.STOPPING)
             self._changed.notify_all()
+        if (order := cut_power_order(self._rig, failures)) is not None:
+            self._give_order(order)
         return failures
 
     def _read_earlier_rows(self) -> None:
@@ -143,7 +166,7 @@ class Engine:
         """On resume, home unreferenced axes first."""
         axes = self._recovery.homeable_axes if self._resumed else []
         for axis in axes:
-            self._log_event("home", f"{axis.name}: {axis.unreferenced_reason}")
+            self._log_event("home", f"{axis.name}: {axis.unreferenced_reason}", axis.name, "homing it")
             self._apply_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
 
     def _execute_rows(self) -> None:
@@ -155,17 +178,61 @@ class Engine:
         self._stop_conditions.session_start_s = self._clock.now()
         for k, row in enumerate(self._work, 1):
             self._wait_while_paused()
+            if row.kind == "mount":
+                self._journal.checkpoint()  # a person may take an hour
             self._notify(RowStarted(row))
-            data = self._execute_row(row)
+            data = self._execute_awake(row)
             self._journal.commit(row, data)
             self._notify(RowCommitted(row, data, before + k, before + len(self._work), self._seconds_left[k]))
             event = self._stop_conditions.check(row, data)
             if event is not None:
                 kind, text = event
-                self._log_event(kind, text)
+                self._log_event(kind, text, row.identity, "the run ends" if kind == "stop" else "")
                 if kind == "stop" and k < len(self._work):
                     self._apply_policies("the end of the run", self._close_shutter)
                     raise EndedBySchedule(text)
+
+    def _execute_awake(self, row: Row) -> RowData:
+        """Execute a row; after a sleep of the computer take the dark reading again, and repeat a row in which it slept."""
+        self._slept()
+        while True:
+            if self._dark_is_old and row.kind in ("measure", "drift"):
+                self._dark_is_old = False
+                self._renew_dark(row.sample)
+            sleeps = self._sleeps
+            data = self._execute_row(row)
+            self._slept()
+            if self._sleeps == sleeps:
+                self._dark_is_old = self._dark_is_old and row.kind != "dark"
+            if self._sleeps == sleeps or row.kind == "mount":
+                return data
+
+    def _renew_dark(self, sample: str) -> None:
+        """Take a dark reading as an unplanned row, if the plan has dark readings."""
+        planned = next((row for row in self._plan.rows if row.kind == "dark"), None)
+        if planned is not None:
+            number = self._journal.last_number() + 1
+            row = replace(planned, number=number, identity=f"{WAKE_PREFIX}{number}/{sample}/dark", sample=sample)
+            self._journal.add_rows([row])
+            self._journal.commit(row, self._execute_row(row))
+
+    def _slept(self) -> bool:
+        """Whether the computer slept since the last call: devices and dark currents may be other than before."""
+        seconds = self._sleep_watch.slept_s()
+        if seconds:
+            self._sleeps += 1
+            self._dark_is_old = True
+            self._executor.forget_settings()
+            text = f"this computer slept for {seconds / 60.0:.1f} min; the row in progress and the dark reading are taken again"
+            self._log_event("sleep", text)
+        return seconds > 0.0
+
+    def _prevent_sleep(self) -> None:
+        """Keep the computer awake until the end of the run, unless the rig is in virtual time."""
+        if not isinstance(self._sleep_watch, NoSleepWatch):
+            reason = self._stay_awake.begin(f"measuring {self._plan.schedule.file.name}")
+            if reason:
+                self._log_event("sleep", f"this computer may go to sleep during the run: {reason}; switch its sleep off")
 
     def _execute_row(self, row: Row) -> RowData:
         """Execute a row; return its data, or empty data if it is skipped. Raises DeviceError where a fault stops the run."""
@@ -190,56 +257,76 @@ class Engine:
         Raises DeviceError where the policy is to stop the run, or to skip an action that is not `skippable`.
         """
         policies = FaultPolicies(self._plan.schedule.file.faults)
+        self._action = what
         while True:
             try:
                 return action()
             except DeviceError as error:
                 self._stop_request.check()
-                policy = policies.policy_for(error)
+                policy = policies.policy_for(error, slept=self._slept())
                 if policy == "stop" or (policy == "skip" and not skippable):
                     raise
-                self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})")
+                self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})", what, POLICY_TEXT[policy], str(error))
                 self._enter_unless_pausing(State.RECOVERING, str(error))
                 self._executor.forget_settings()
-                if policy == "ask" and not self._ask_operator(f"{what}: {error}"):
+                answer = self._ask_operator(what, error, skippable=skippable) if policy == "ask" else None
+                if answer is Answer.STOP:
                     raise
+                if answer is Answer.PAUSE:
+                    self._pause = True
+                    self._wait_for_resume()
                 for failure in self._recovery.wait_for_rest() if policy == "retry" else self._recovery.recover(error.device):
-                    self._log_event("fault", f"{failure} (after a fault at {what})")
-                if policy == "skip":
+                    self._log_event("fault", f"{failure} (after a fault at {what})", what, "", str(failure))
+                if policy == "skip" or answer is Answer.SKIP:
                     return None
                 self._executor.wait(Until(self._clock, self._clock.now() + policies.wait_s))
                 self._enter_unless_pausing(State.RUNNING)
 
-    def _ask_operator(self, fault: str) -> bool:
-        """Ask the operator to fix a fault, with the shutter closed if possible; return whether it is fixed."""
-        with contextlib.suppress(DeviceError):
+    def _ask_operator(self, what: str, fault: DeviceError, *, skippable: bool) -> Answer:
+        """Ask the operator to fix a fault, with the shutter closed, if necessary by hand."""
+        try:
             self._executor.set_shutter(opened=False)
-        fixed = self._operator.confirm_fix(fault)
+        except DeviceError as error:
+            self._give_order(close_shutter_order(error))
+        self._journal.checkpoint()
+        answer = self._operator.resolve_fault(f"{what}: {fault}", skippable=skippable)
+        self._log_event("answer", f"{answer} (at {what})", what, "", f"Answer of the operator: {answer}")
         self._executor.forget_settings()
-        return fixed
+        return answer
 
     def _finish(self, session: int, outcome: State, reason: str) -> None:
         """Stop the axes unless the plan is done, close the shutter after a failure, and record faults and end of session."""
         now = self._clock.now()
-        failures = [] if outcome is State.DONE else [str(failure) for failure in self._rig.stop()]
-        self.faults = ([reason] if outcome is State.FAILED else []) + failures
+        failures = [] if outcome is State.DONE else self._rig.stop()
+        self.faults = [*([reason] if outcome is State.FAILED else []), *map(str, failures)]
         for fault in self.faults:
             self._log_fault(now, fault)
+        if (order := cut_power_order(self._rig, failures)) is not None:
+            self._give_order(order)
         if outcome is State.FAILED and not self._stop_request.requested:
             try:
                 self._close_shutter()
             except DeviceError as error:
                 self.faults.append(f"{error}; close the shutter by hand")
                 self._log_fault(now, self.faults[-1])
+                self._give_order(close_shutter_order(error))
             except (Stopped, KeyboardInterrupt):
                 pass  # no motion after a stop
         with contextlib.suppress(JournalError):
             ended = {State.DONE: "done", State.FAILED: "failed"}.get(outcome, "stopped")
             self._journal.end_session(session, now, ended)
+        self._stay_awake.end()
 
     def _log_fault(self, t: float, fault: str) -> None:
+        self._notify(EventLogged("fault", fault, self._action, "the run ends"))
         with contextlib.suppress(JournalError):
             self._journal.event(t, "fault", fault)
+
+    def _give_order(self, order: SafetyOrder) -> None:
+        """Give a safety order, and record it if possible. From any thread."""
+        self._notify(order)
+        with contextlib.suppress(JournalError):
+            self._journal.event(self._clock.now(), "order", order.text)
 
     def _wait_while_paused(self) -> None:
         """Wait between two rows if a pause is requested. Raises Stopped."""
@@ -248,6 +335,11 @@ class Engine:
             self._enter_unless_pausing(State.RUNNING)
             return
         self._apply_policies("the pause", self._close_shutter)
+        self._journal.checkpoint()
+        self._wait_for_resume()
+
+    def _wait_for_resume(self) -> None:
+        """Wait until `resume` is called. Raises Stopped."""
         with self._changed:
             if not self._stop_request.requested:
                 self._enter(State.PAUSED)
@@ -263,6 +355,7 @@ class Engine:
     def _on_poll(self) -> None:
         self._stop_request.check()
         now = self._clock.now()
+        self._journal.tend(now)
         if self._positions_every_s and now >= self._positions_due:
             self._positions_due = now + self._positions_every_s
             self._notify(Positions({name: axis.position_deg() for name, axis in self._rig.axes.items()}))
@@ -283,8 +376,10 @@ class Engine:
             if self._state is not state and self._state in (State.RUNNING, State.RECOVERING):
                 self._enter(state, reason)
 
-    def _log_event(self, kind: str, text: str) -> None:
+    def _log_event(self, kind: str, text: str, where: str = "", consequence: str = "", what: str = "") -> None:
+        """Write an event to the journal, and show it; `what` is what of the text is neither place nor consequence."""
         self._journal.event(self._clock.now(), kind, text)
+        self._notify(EventLogged(kind, what or text.removeprefix(f"{where}: "), where, consequence))
 
     def _notify(self, event: Event) -> None:
         """Send an event to all listeners. A listener that fails is removed and named in the journal; the run continues."""

@@ -1,11 +1,12 @@
 """Events of the engine for its listeners. A listener that fails does not disturb the run."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.row import Row
+from goniotwin.drivers import DeviceError, Rig
 
 
 class State(StrEnum):
@@ -54,5 +55,40 @@ class Positions:
     degrees: dict[str, float]
 
 
-Event = StateChanged | RowStarted | RowCommitted | Positions
+@dataclass(frozen=True)
+class EventLogged:
+    """An event was written to the journal: its kind, what happened, where (a row, an axis), and the consequence for the run."""
+
+    kind: str
+    what: str
+    where: str = ""
+    consequence: str = ""
+
+
+@dataclass(frozen=True)
+class SafetyOrder:
+    """An order to the persons at the rig, for what the program cannot do itself. It stands until it is acknowledged."""
+
+    order: str
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """Order and reason, as in the journal."""
+        return f"{self.order}: {self.reason}"
+
+
+def close_shutter_order(error: DeviceError) -> SafetyOrder:
+    """The order where the shutter cannot be closed."""
+    return SafetyOrder("Close the shutter by hand", f"it may be open; {error}")
+
+
+def cut_power_order(rig: Rig, failures: Sequence[DeviceError]) -> SafetyOrder | None:
+    """The order where a stop failed; None where every axis has confirmed it. A grating that turns on is no danger."""
+    grating = (rig.monochromator.name, *rig.monochromator.parts)
+    reasons = [str(each) for each in failures if each.device not in grating]
+    return SafetyOrder("Cut the motors' power", "the stop is not confirmed; " + "; ".join(reasons)) if reasons else None
+
+
+Event = StateChanged | RowStarted | RowCommitted | Positions | EventLogged | SafetyOrder
 Listener = Callable[[Event], None]

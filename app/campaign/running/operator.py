@@ -1,22 +1,61 @@
-"""Operator of a rig: mounts samples and fixes faults. A person at a real rig; at a virtual rig the program itself."""
+"""Operator of a rig: mounts samples and fixes faults. A person at a real rig; at a virtual rig the program, or a person too."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
 from goniotwin.app.campaign.row import NO_SAMPLE
+from goniotwin.app.campaign.running.stop_request import Stopped
 from goniotwin.app.errors import UserError
 from goniotwin.mocks.control import ControlClient, OrderRefused
 from goniotwin.twin import VirtualRig
+
+
+class Answer(StrEnum):
+    """Answer of the operator to a question."""
+
+    MOUNTED = "Mounted"
+    WAIT = "Wait"
+    RETRY = "Retry"
+    SKIP = "Skip row"
+    PAUSE = "Pause"
+    STOP = "Stop"
+
+
+EFFECTS = {
+    Answer.MOUNTED: "The run continues with this sample.",
+    Answer.WAIT: "The run waits, with the shutter closed.",
+    Answer.RETRY: "The device is reconnected and the row measured again.",
+    Answer.SKIP: "The row stays empty until a resume measures it.",
+    Answer.PAUSE: "The run waits; Resume measures the row again.",
+    Answer.STOP: "All axes come to rest and the run ends; measured rows stay in the journal.",
+}
+"""What follows from each answer."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question to the operator. `default` is the answer to a key that was pressed by accident: it changes nothing."""
+
+    title: str
+    text: str
+    answers: tuple[Answer, ...]
+    default: Answer | None = None
+
+
+Ask = Callable[[Question], Answer]
+"""Function that asks a person a question and returns the answer."""
 
 
 class Operator(Protocol):
     """Operator of the rig."""
 
     def mount(self, sample: str) -> None:
-        """Return when `sample` is in the sample unit; for NO_SAMPLE, when the sample unit is empty."""
+        """Return when `sample` is in the sample unit; for NO_SAMPLE, when the sample unit is empty. Raises Stopped."""
 
-    def confirm_fix(self, fault: str, /) -> bool:
-        """Ask for a fault to be fixed; return whether it is fixed and the row is to be retried."""
+    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
+        """Ask for a fault to be fixed; return RETRY, PAUSE, STOP, or, of what is `skippable`, SKIP."""
 
 
 class VirtualOperator:
@@ -29,46 +68,59 @@ class VirtualOperator:
         """Mount a sample. Raises KeyError for a sample that the virtual rig does not have."""
         self._rig.mount(None if sample == NO_SAMPLE else sample)
 
-    def confirm_fix(self, _fault: str, /) -> bool:
-        """Return False: a virtual rig has no person to fix a fault."""
-        return False
+    def resolve_fault(self, _fault: str, /, *, skippable: bool) -> Answer:
+        """Return STOP: there is no person to fix a fault."""
+        del skippable
+        return Answer.STOP
 
 
 class ServedOperator:
     """Operator of a virtual rig that another process serves: mounts through the simulation control port, fixes nothing."""
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    def __init__(self, port: int, token: str) -> None:
+        self._port, self._token = port, token
 
     def mount(self, sample: str) -> None:
         """Mount a sample. Raises UserError where the rig is not served any more, or has no such sample."""
         try:
-            control = ControlClient(self._port)
+            control = ControlClient(self._port, self._token)
             try:
                 control.do("mount", sample=None if sample == NO_SAMPLE else sample)
             finally:
                 control.close()
         except (OSError, OrderRefused) as error:
-            raise UserError(f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running?") from None
+            raise UserError(
+                f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running, with this rig file?"
+            ) from None
 
-    def confirm_fix(self, _fault: str, /) -> bool:
-        """Return False: a virtual rig has no person to fix a fault."""
-        return False
+    def resolve_fault(self, _fault: str, /, *, skippable: bool) -> Answer:
+        """Return STOP: there is no person to fix a fault."""
+        del skippable
+        return Answer.STOP
 
 
 class HumanOperator:
-    """Person at the rig. `ask` shows a text and returns when the person confirms."""
+    """Person at the rig, asked through `ask`. At a virtual rig `hands` mounts what the person has confirmed."""
 
-    def __init__(self, ask: Callable[[str], None]) -> None:
+    def __init__(self, ask: Ask, hands: Operator | None = None) -> None:
         self._ask = ask
+        self._hands = hands
 
     def mount(self, sample: str) -> None:
         """Ask for a sample to be mounted, or for the sample unit to be emptied. The shutter is closed meanwhile."""
-        empty = "Take the sample out, so that the sample unit is empty"
-        what = empty if sample == NO_SAMPLE else f"Mount {sample!r} in the sample unit"
-        self._ask(f"{what}, then confirm.")
+        if sample == NO_SAMPLE:
+            title, what = "Empty the sample unit", "Take the sample out, so that the sample unit is empty"
+        else:
+            title, what = f"Mount {sample}", f"Mount {sample!r} in the sample unit"
+        text = f"{what}, then confirm. The shutter is closed."
+        answer = self._ask(Question(title, text, (Answer.MOUNTED, Answer.WAIT, Answer.STOP), Answer.WAIT))
+        if answer is not Answer.MOUNTED:
+            raise Stopped
+        if self._hands is not None:
+            self._hands.mount(sample)
 
-    def confirm_fix(self, fault: str, /) -> bool:
-        """Ask for a fault to be fixed. To end the run instead, stop it without confirming."""
-        self._ask(f"{fault}. Fix the fault, then confirm: the row is retried.")
-        return True
+    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
+        """Ask for a fault to be fixed."""
+        skip = (Answer.SKIP,) if skippable else ()
+        answers = (Answer.RETRY, *skip, Answer.PAUSE, Answer.STOP)
+        return self._ask(Question("Device fault", f"{fault}.", answers))

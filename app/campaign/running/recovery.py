@@ -8,7 +8,7 @@ from goniotwin.app.campaign.running.stop_request import StopRequest
 from goniotwin.app.campaign.schedule.file import FaultsTable, Policy
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Poll, Refused, Rig
-from goniotwin.drivers.errors import Interrupted, Unreferenced
+from goniotwin.drivers.errors import Interrupted, Taken, Unreferenced
 from goniotwin.drivers.motion import Axis
 
 FaultKind = Literal["wire", "reset", "refused", "axis"]
@@ -43,17 +43,22 @@ def fault_kind(error: DeviceError) -> FaultKind:
 
 
 class FaultPolicies:
-    """Policies for the faults of one row. Without a table `[faults]` every fault stops the run."""
+    """Policies for the faults of one row. A schedule without a table `[faults]` has its defaults."""
 
     def __init__(self, table: FaultsTable | None) -> None:
-        self._table = table
+        self._table = table if table is not None else FaultsTable()
         self._attempt = 1
 
-    def policy_for(self, error: DeviceError) -> Policy:
-        """The policy for the fault that ended the current attempt. Counts the attempts: after the last one it is `then`."""
+    def policy_for(self, error: DeviceError, *, slept: bool = False) -> Policy:
+        """The policy for the fault that ended the current attempt. Counts the attempts: after the last one it is `then`.
+
+        An attempt in which the computer `slept` does not count.
+        """
         table = self._table
-        if table is None or isinstance(error, Interrupted):  # an axis was stopped on purpose, and must not move again
-            return "stop"
+        if isinstance(error, Interrupted | Taken):
+            return "stop"  # an axis was stopped on purpose and must not move again; or the controller is another program's
+        if slept:
+            return "reconnect"
         policy: Policy = getattr(table, fault_kind(error))
         if policy in ("retry", "reconnect"):
             if self._attempt >= table.attempts:
@@ -67,7 +72,7 @@ class FaultPolicies:
     @property
     def wait_s(self) -> float:
         """Time to wait before a retry."""
-        return self._table.wait_s if self._table is not None else 0.0
+        return self._table.wait_s
 
 
 class Recovery:

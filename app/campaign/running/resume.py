@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.durations import UNKNOWN_STATE, Timing
 from goniotwin.app.campaign.planning.plan import Plan
@@ -38,8 +38,11 @@ class RemainingWork:
 def remaining_work(journal: Journal, rig: RigDescription | None) -> RemainingWork:
     """The remaining work of a journal's campaign, on the recorded rig or on `rig`, which may differ in its ports only.
 
-    Raises UserError for a campaign that is complete, and for a different rig.
+    Damaged rows are measured again. Raises UserError for a campaign that is complete, for a different rig, and where more than
+    rows is damaged.
     """
+    if journal.chain.parts:
+        raise DamagedJournal(f"{journal.path}: is damaged: {', '.join(journal.chain.parts)}; {USE_A_COPY}")
     recorded = recorded_rig(journal)
     check_same_rig(journal, recorded, rig or recorded)
     schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)")

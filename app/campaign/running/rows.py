@@ -35,8 +35,8 @@ MAX_REST_TIME_S = 5.0
 """Longest time after the settling time in which the encoders must come to rest."""
 WARM_UP_EVENT_PERIOD_S = 60.0
 """Time between two events of a warm-up in the journal."""
-LogEvent = Callable[[str, str], None]
-"""Function that writes an event (kind, text) to the journal."""
+LogEvent = Callable[[str, str, str], None]
+"""Function that writes an event to the journal: kind, text, and the place, which the text may begin with."""
 
 
 class RowExecutor:
@@ -131,6 +131,7 @@ class RowExecutor:
                 f"{name}: the encoder is {difference_deg:+.3f} deg ahead of the counter. That is within the backlash. But each "
                 f"move arrives from {settings.approach_from}: the zero of the axis, and each of its angles, is off by as much. "
                 f"Home the axis, or set its current position after a move from {settings.approach_from}",
+                name,
             )
 
     def wait(self, *started: Pending) -> None:
@@ -221,7 +222,7 @@ class RowExecutor:
             if slope is not None and (steady or timed_out or now - logged >= WARM_UP_EVENT_PERIOD_S):
                 logged = now
                 change, u = (100.0 * relative for relative in slope)
-                self._log_event("warm-up", f"monitor {mean.current_a:.6g} A, {change:+.3f} % in 10 min (u {u:.3f} %)")
+                self._log_event("warm-up", f"monitor {mean.current_a:.6g} A, {change:+.3f} % in 10 min (u {u:.3f} %)", "lamp")
             if steady or timed_out:
                 return () if steady else (NOT_WARM,)
             self.wait(Until(self._clock, now + WARM_UP_PERIOD_S - MONITOR_MEAN_S))

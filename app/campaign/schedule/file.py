@@ -96,7 +96,7 @@ class StopTable(TomlTable):
 
 
 class FaultsTable(TomlTable):
-    """`[faults]`: what happens to a row where a device fails, by the kind of fault; without this table the run stops safely.
+    """`[faults]`: what happens to a row where a device fails, by the kind of fault; without this table the defaults apply.
 
     Kinds. `wire`: no reply, or a wrong one. `reset`: a device has lost its settings. `refused`: a device refuses a command.
     `axis`: an axis is unreferenced, or did not arrive.

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Event, State
+from goniotwin.app.campaign.running.operator import Question
 from goniotwin.app.rig import RigDescription
 
 
@@ -84,20 +85,13 @@ class RunRefused:
 
 
 @dataclass(frozen=True)
-class MountRequested:
-    """The operator has to mount a sample; the run waits for `RigThread.confirm_mounted`."""
+class QuestionAsked:
+    """The run waits for the operator's answer: `RigThread.answer` with the question's number."""
 
-    text: str
-
-
-@dataclass(frozen=True)
-class StopFailed:
-    """A stop command did not reach some axes. Only the main switch stops them."""
-
-    reasons: tuple[str, ...]
+    number: int
+    question: Question
 
 
 Message = (
-    Event | RigOpened | RigClosed | DeviceFault | PlanMade | PlanRefused | RunStarted | RunEnded | RunRefused | MountRequested
-    | StopFailed
-)  # fmt: skip
+    Event | RigOpened | RigClosed | DeviceFault | PlanMade | PlanRefused | RunStarted | RunEnded | RunRefused | QuestionAsked
+)

@@ -4,6 +4,7 @@ Everything that may take long (a port that does not respond, a long plan) happen
 Stop does not pass through it, because it may be waiting for a device: Stop has a thread of its own.
 """
 
+import contextlib
 import queue
 import re
 import threading
@@ -13,38 +14,72 @@ from pathlib import Path
 
 from goniotwin.app.campaign.campaign import operator_for
 from goniotwin.app.campaign.journal.summary import SUFFIX
-from goniotwin.app.campaign.journal.writing import Journal, software_versions
+from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import Engine
-from goniotwin.app.campaign.running.events import Event, Positions, State, StateChanged
+from goniotwin.app.campaign.running.events import (
+    Event,
+    EventLogged,
+    Positions,
+    SafetyOrder,
+    State,
+    StateChanged,
+    cut_power_order,
+)
+from goniotwin.app.campaign.running.operator import Answer, Question
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.messages import (
     DeviceFault,
     DeviceStatus,
     Message,
-    MountRequested,
     PlanMade,
     PlanRefused,
+    QuestionAsked,
     RigClosed,
     RigOpened,
     RunEnded,
     RunRefused,
     RunStarted,
-    StopFailed,
 )
 from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.drivers import DeviceError
+from goniotwin.protocols.clock import Clock
 
 Send = Callable[[Message], None]
-AskOperator = Callable[[str], None]
 NO_RIG = "no rig is open"
 POLL_S = 0.2
 """Real time between two readings of the axis positions."""
 NO_HEARTBEAT_S = float("inf")
 """A virtual rig has the longest heartbeat of its controllers: it counts simulated time, but the host is slow in real time. At
 simulation speed 60, a repaint of 35 ms would exceed a short heartbeat."""
+
+
+class RunRecord:
+    """The journal of a run, for events from any thread, also after the run has closed it."""
+
+    def __init__(self, journal: Journal, clock: Clock) -> None:
+        self._journal = journal
+        self._clock = clock
+        self._open = True
+        self._lock = threading.Lock()
+
+    def event(self, kind: str, text: str) -> None:
+        """Write an event. Raises JournalError, UserError."""
+        t = self._clock.now()
+        with self._lock:
+            if self._open:
+                self._journal.event(t, kind, text)
+            else:
+                with Journal.reopen(self._journal.path) as journal:
+                    journal.event(t, kind, text)
+
+    def close(self) -> None:
+        """Close the journal."""
+        with self._lock:
+            self._open = False
+            self._journal.close()
 
 
 class RigThread:
@@ -61,9 +96,13 @@ class RigThread:
         self._engine: Engine | None = None
         self._reason = ""
         self._axes_connected = False
-        self._stops: list[threading.Thread] = []
+        self._short: list[threading.Thread] = []
         self._stop_requested = threading.Event()
-        self._mounted = threading.Event()
+        self._person = False
+        self._asked = 0
+        self._answers: queue.SimpleQueue[tuple[int, Answer] | None] = queue.SimpleQueue()
+        self._record: RunRecord | None = None
+        self._ordered: dict[SafetyOrder, RunRecord | None] = {}
         self._thread = threading.Thread(target=self._work, name="rig")
         self._thread.start()
 
@@ -96,13 +135,19 @@ class RigThread:
 
     def stop(self) -> None:
         """Bring all axes to rest and end the run. An axis that does not respond delays no other."""
-        thread = threading.Thread(target=self._stop, name="stop")
-        self._stops = [each for each in self._stops if each.is_alive()] + [thread]
-        thread.start()
+        self._start_short("stop", self._stop)
 
-    def confirm_mounted(self) -> None:
-        """Confirm that the requested sample is mounted."""
-        self._mounted.set()
+    def answer(self, number: int, answer: Answer) -> None:
+        """Answer a question by its number; ignored if it is not open any more."""
+        self._answers.put((number, answer))
+
+    def acknowledge(self, order: SafetyOrder) -> None:
+        """Record in the journal of its run that a safety order has been acknowledged."""
+        self._start_short("acknowledge", lambda: self._acknowledge(order))
+
+    def set_person(self, person: bool) -> None:
+        """Set whether a person is the operator of a virtual rig, from the next run on."""
+        self._person = person
 
     def set_speed(self, speed: float) -> None:
         """Set the simulation speed of a virtual rig; ignored for a real one."""
@@ -117,8 +162,14 @@ class RigThread:
             self.stop()
         self._tasks.put(None)
         self._thread.join()
-        for each in self._stops:
+        for each in self._short:
             each.join()
+
+    def _start_short(self, name: str, work: Callable[[], None]) -> None:
+        """Start a thread for what may wait for a device or a disk."""
+        thread = threading.Thread(target=work, name=name)
+        self._short = [each for each in self._short if each.is_alive()] + [thread]
+        thread.start()
 
     # In the thread.
 
@@ -202,10 +253,11 @@ class RigThread:
         except (UserError, OSError) as error:
             self._send(RunRefused(f"the journal cannot be created: {error}"))
             return
-        with journal:
+        self._record = RunRecord(journal, self._opened.rig.clock)
+        with contextlib.closing(self._record):
             # Often enough for the operator to see the positions change, at any simulation speed.
             every_s = max(POLL_S, 0.25 * POLL_S * self._clock.speed)
-            operator = operator_for(self._opened, plan.rig.file, self._ask_operator)
+            operator = operator_for(self._opened, plan.rig.file, self._ask, person=self._person)
             self._reason = ""
             engine = Engine(self._opened.rig, plan, journal, operator, [self._forward], every_s)
             self._engine = engine
@@ -222,33 +274,48 @@ class RigThread:
             return engine.run()
         except Exception as error:  # noqa: BLE001  (last resort of the thread: reported, and nothing moves on)
             self._reason = f"the run was aborted: {type(error).__name__}: {error}"
-            self._report_stop(engine.stop())
+            engine.stop()
             return State.FAILED
 
     def _forward(self, event: Event) -> None:
         if isinstance(event, StateChanged) and event.reason:
             self._reason = event.reason
+        if isinstance(event, SafetyOrder):
+            self._ordered[event] = self._record
         self._send(event)
 
-    def _ask_operator(self, text: str) -> None:
-        """Wait until the operator has mounted a sample, or for Stop."""
-        self._mounted.clear()
+    def _ask(self, question: Question) -> Answer:
+        """Wait for the operator's answer, or for Stop."""
+        self._asked += 1
         if not self._stop_requested.is_set():
-            self._send(MountRequested(text))
-            self._mounted.wait()
+            self._send(QuestionAsked(self._asked, question))
+        while not self._stop_requested.is_set():
+            match self._answers.get():
+                case (self._asked, Answer() as answer):
+                    return answer
+        return Answer.STOP
 
     def _stop(self) -> None:
         self._stop_requested.set()  # before the engine is looked up: `_run` checks it after it has created one
         engine, opened = self._engine, self._opened
         if engine is not None:
-            self._report_stop(engine.stop())
+            engine.stop()
         elif opened is not None:
-            self._report_stop(opened.rig.stop())
-        self._mounted.set()
+            failures = opened.rig.stop()
+            for each in failures:
+                self._send(EventLogged("fault", str(each), each.device))
+            if (order := cut_power_order(opened.rig, failures)) is not None:
+                self._ordered[order] = None
+                self._send(order)
+        self._answers.put(None)  # wakes a run that waits for an answer
 
-    def _report_stop(self, failures: list[DeviceError]) -> None:
-        if failures:
-            self._send(StopFailed(tuple(str(each) for each in failures)))
+    def _acknowledge(self, order: SafetyOrder) -> None:
+        record = self._ordered.pop(order, None)  # None: no run was on when it was given
+        if record is not None:
+            try:
+                record.event("acknowledged", order.text)
+            except (JournalError, UserError) as error:
+                self._send(EventLogged("fault", f"the acknowledgement is not in the journal: {error}", "journal"))
 
     def _close_rig(self) -> None:
         opened, self._opened, self._description = self._opened, None, None

@@ -22,6 +22,8 @@ REDRAW_MS = 100
 LONGEST_BAR = 0.9
 """Share of a value to which its error bar is cut: a bar to 0 has no end on a logarithmic axis."""
 POINT_SIZE = 7
+PIXELS_OF_ALL, PIXELS_OF_SOME = 350.0, 60.0
+"""Heights of a decade above which the texts of all its ticks, and those of 2 and 5, have room."""
 
 
 class LogAxis(pg.AxisItem):
@@ -34,9 +36,12 @@ class LogAxis(pg.AxisItem):
         self.setWidth(64)
 
     def logTickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        """The texts of the ticks (pyqtgraph calls it)."""
+        """The texts of the ticks, as many as there is room for: all, those of 1, 2 and 5, or of 1 (pyqtgraph calls it)."""
         del scale, spacing
-        return [f"{10.0**value:.2g}" if value < 2.0 else f"{10.0**value:.0f}" for value in values]
+        decade = self.size().height() / max(self.range[1] - self.range[0], 1e-9)
+        digits = "123456789" if decade > PIXELS_OF_ALL else "125" if decade > PIXELS_OF_SOME else "1"
+        texts = [f"{10.0**value:.2g}" if value < 2.0 else f"{10.0**value:.0f}" for value in values]
+        return [text if f"{10.0**value:.0e}"[0] in digits else "" for value, text in zip(values, texts, strict=True)]
 
 
 class ScanPlot(QWidget):
@@ -169,10 +174,12 @@ class ScanPlot(QWidget):
     def _label(self) -> None:
         title = self._scan.title if self._scan else "No scan yet"
         marked = f"<b style='color:{self._colours.bad}'>{self._mark}</b>&nbsp;&nbsp; " if self._mark else ""
-        self._plot.setTitle(marked + title, color=self._colours.text, size="10pt")
+        self._plot.setTitle(marked + title, color=self._colours.text, size="9pt")
         style = {"color": self._colours.text}
         self._plot.setLabel("bottom", self._scan.x_label if self._scan else "aspecular angle θ (°)", **style)
         self._plot.setLabel("left", self._scan.y_label if self._scan else "BSDF (1/sr)", **style)
+        for name in ("bottom", "left"):
+            self._plot.getAxis(name).resizeEvent()  # centres the label: pyqtgraph does so for a new size, not for a new text
 
 
 class LivePlot(QObject):

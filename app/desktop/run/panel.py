@@ -1,15 +1,28 @@
 """The controls of a run: Start, Pause, Stop; its progress, the time left and the simulation speed."""
 
-from PySide6.QtCore import Qt, Signal, Slot
-from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtCore import Qt, QTimer, Signal, Slot
+from PySide6.QtGui import QGuiApplication, QKeySequence, QShortcut
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
 
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.model.permissions import Permissions
 from goniotwin.app.desktop.theme import Colours
 
 SPEEDS = (1.0, 10.0, 60.0)
-STOP_KEYS = ("Esc", "F12")
+STOP_KEY = "Ctrl+."
+"""Stops at once. Enter and Space never stop, so that a key pressed by accident ends no run."""
+HOLD_KEY = "Esc"
+HOLD_MS = 1000
+"""Time for which HOLD_KEY has to be held."""
 
 
 class RunPanel(QWidget):
@@ -29,8 +42,12 @@ class RunPanel(QWidget):
         self.start_button = _button("&Start", "Start the run", "Ctrl+R")
         self.pause_button = _button("&Pause", "Pause the run", "Ctrl+P")
         self.stop_button = _button("STOP", "Stop all axes and the run", "")
-        self.stop_button.setToolTip(f"All axes come to rest and the run ends ({' or '.join(STOP_KEYS)})")
+        self.stop_button.setToolTip(f"All axes come to rest and the run ends (hold {HOLD_KEY} for a second, or {STOP_KEY})")
         self.stop_button.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
+        self.stop_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._stop_keys = QLabel()
+        self._stop_keys.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._hold = QTimer(self, interval=HOLD_MS, singleShot=True)
         self.progress = QProgressBar()
         self.progress.setAccessibleName("Rows done")
         self.progress.setMinimumWidth(160)
@@ -49,10 +66,14 @@ class RunPanel(QWidget):
         self.stop_button.clicked.connect(self.stop)
         self.pause_button.clicked.connect(self._pause_or_resume)
         self.speeds.currentIndexChanged.connect(self._choose_speed)
-        for key in STOP_KEYS:
-            # In every window of the program, and also while the key repeats.
-            shortcut = QShortcut(QKeySequence(key), self, context=Qt.ShortcutContext.ApplicationShortcut)
-            shortcut.activated.connect(self.stop_button.click)
+        self._hold.timeout.connect(self._stop_held)
+        # In every window of the program, and also while the key repeats.
+        for key, slot in ((STOP_KEY, self.stop_button.click), (HOLD_KEY, self._start_hold)):
+            QShortcut(QKeySequence(key), self, context=Qt.ShortcutContext.ApplicationShortcut).activated.connect(slot)
+        application = QGuiApplication.instance()
+        assert isinstance(application, QGuiApplication)
+        application.applicationStateChanged.connect(self.release_hold)  # another program may get the release
+        self.release_hold()
         self.set_colours(colours)
         self.set_progress(0, 0, None)
 
@@ -68,6 +89,18 @@ class RunPanel(QWidget):
         self.pause_button.setShortcut("Ctrl+P")  # setText removes it
         self.pause_button.setAccessibleName("Resume the run" if permissions.resume else "Pause the run")
         self.stop_button.setEnabled(permissions.stop)
+
+    @property
+    def holding(self) -> bool:
+        """Whether the key that has to be held is down."""
+        return self._hold.isActive()
+
+    @Slot()
+    def release_hold(self) -> None:
+        """The key that has to be held is up again."""
+        self._hold.stop()
+        self.stop_button.setDown(False)
+        self._stop_keys.setText(f"hold {HOLD_KEY}, or {STOP_KEY}")
 
     def set_progress(self, done: int, of: int, left_s: float | None) -> None:
         """Show the rows done and planned, and the instrument time of the rest, s."""
@@ -113,7 +146,11 @@ class RunPanel(QWidget):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(rows, 1)
         layout.addSpacing(8)
-        layout.addWidget(self.stop_button)
+        stop = QVBoxLayout()
+        stop.setSpacing(2)
+        stop.addWidget(self.stop_button)
+        stop.addWidget(self._stop_keys)
+        layout.addLayout(stop)
 
     def _show_left(self) -> None:
         if not self._left_s:
@@ -124,6 +161,18 @@ class RunPanel(QWidget):
             self.left.setText(f"{left} left")
         else:
             self.left.setText(f"{left} simulated, about {rounded_duration_text(self._left_s / self._speed)} to wait")
+
+    @Slot()
+    def _start_hold(self) -> None:
+        if self.stop_button.isEnabled() and not self._hold.isActive():  # it repeats while it is down
+            self._hold.start()
+            self.stop_button.setDown(True)
+            self._stop_keys.setText(f"keep {HOLD_KEY} down …")
+
+    @Slot()
+    def _stop_held(self) -> None:
+        self.release_hold()
+        self.stop_button.click()
 
     @Slot()
     def _pause_or_resume(self) -> None:

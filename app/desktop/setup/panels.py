@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
+from PySide6.QtWidgets import QCheckBox, QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.wording import rounded_duration_text
@@ -28,10 +28,15 @@ class RigPanel(QGroupBox):
         self.open_button.clicked.connect(self.open)
         self.again_button.clicked.connect(self.connect_again)
         self.buttons = (self.open_button, self.again_button)
-        _fill(self, [self._name], self.buttons)
+        self.person = QCheckBox("A person is the &operator")
+        self.person.setToolTip("Questions about mounting and faults, as on a real rig; from the next run on")
+        self.person.setAccessibleName("A person is the operator")
+        _fill(self, [self._name], self.buttons).addWidget(self.person)
+        self.person.hide()
 
     def set_rig(self, rig: RigOpened | None, path: Path) -> None:
-        """Show the open rig, or that the one of a file is not open."""
+        """Show the open rig, or that the one of a file is not open. At a real rig a person always is the operator."""
+        self.person.setVisible(rig is not None and rig.description.simulated)
         self._name.setText(rig.description.file.name if rig else f"no rig: {path.name}")
         self._name.setToolTip(str(path))
 
@@ -77,7 +82,7 @@ class SchedulePanel(QGroupBox):
         self._folder.setToolTip(str(folder))
 
 
-def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> None:
+def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> QVBoxLayout:
     layout = QVBoxLayout(box)
     layout.setSpacing(4)
     for label in labels:
@@ -86,3 +91,4 @@ def _fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]
     for button in buttons:
         row.addWidget(button)
     layout.addLayout(row)
+    return layout

@@ -12,9 +12,10 @@ from goniotwin.drivers.motion.tmcl.module import TmclModule
 from goniotwin.drivers.motion.tmcl.move import Move
 from goniotwin.drivers.motion.tmcl.port import exchange_seconds
 from goniotwin.drivers.motion.tmcl.registers import Switches
-from goniotwin.drivers.motion.tmcl.rules import explain
+from goniotwin.drivers.motion.tmcl.rules import CANARY, explain
 
 __all__ = [
+    "CANARY",
     "HomingSearch",
     "Move",
     "Switches",

@@ -79,12 +79,12 @@ class TmclAxis:
         for parameter, value in self._parameters():
             self._registers.write(parameter, value)
         try:
-            earlier = self._registers.error_flags()  # reading clears them
+            self._reference.errors |= self._registers.error_flags()  # reading clears them: another connection needs them too
         except (Refused, Interrupted):
             raise
         except DeviceError:
-            earlier = self._registers.error_flags()
-        self._reference.restore(earlier)
+            self._reference.errors |= self._registers.error_flags()
+        self._reference.restore(self._reference.errors)
         if self.settings.encoder and self.referenced and not self.is_moving():
             self._read_and_compare()
         self._reference.errors = ErrorFlag(0)

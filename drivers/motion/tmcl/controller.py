@@ -11,6 +11,7 @@ from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.drivers.motion.stop import StopSteps
 from goniotwin.drivers.motion.tmcl.axis import TmclAxis
 from goniotwin.drivers.motion.tmcl.module import HEARTBEAT_S, TmclModule
+from goniotwin.drivers.motion.tmcl.rules import CANARY
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.keys import Count
 from goniotwin.protocols.clock import Clock
@@ -38,10 +39,12 @@ class TmclController:
         settings: TmclSettings,
         axes: Mapping[str, AxisSettings],
         tap: Tap = no_tap,
+        session: int = CANARY,
     ) -> None:
+        """`session` is the canary: a number, not 0, that no other program has."""
         self.name = name
         addresses = [axis.module for axis in axes.values()]
-        self.module = TmclModule(open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name)
+        self.module = TmclModule(open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name, session)
         self.axes = {axis: TmclAxis(axis, self.module, table, clock) for axis, table in axes.items()}
 
     @property
@@ -60,8 +63,9 @@ class TmclController:
         Returns the identity. Nothing moves. Raises DeviceError.
         """
         number = self.module.connect()
-        for axis in self.axes.values():
-            axis.connect()
+        with self.module.patiently():
+            for axis in self.axes.values():
+                axis.connect()
         return f"TMCM-{number}"
 
     def reconnect(self) -> None:

@@ -12,20 +12,22 @@ Limits of the damage: about 1 frame in 1000 is corrupted on USB, mostly in one b
 MVP and SAP shows a wrong value; positions are read back by counter and encoder in every row; soft limits restrict targets,
 limit switches and the encoder deviation restrict the motor.
 
-`connect` writes a canary to a user variable that is lost with the power. A missing canary means that the module has reset
-and lost its settings. The heartbeat makes the module stop its motors after 2 s without a request: four times the interval
+`connect` writes a canary, the number of this session, to a user variable that is lost with the power. A missing canary means
+that the module has reset and lost its settings; that of another session, that another program has connected since, past all
+locks: from another computer, or another network of this one. The module is left to it, and nothing but a stop is sent any
+more. The heartbeat makes the module stop its motors after 2 s without a request: four times the interval
 between two polls of a moving axis, longer than the 1 s for which another bus may block the engine.
 (*) Firmware keeps the heartbeat in EEPROM: it is written only if it differs.
 """
 
 import contextlib
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer, Taken, unless_late
 from goniotwin.drivers.motion.stop import StopPhase, StopSteps
 from goniotwin.drivers.motion.stop_lock import StopLock
 from goniotwin.drivers.motion.tmcl.port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, Targets, TmclPort
@@ -47,6 +49,8 @@ from goniotwin.protocols.tmcl_parameters import USER_BANK, GlobalParameter
 MODELS = (6214, 1240)
 TIMEOUT_S = 0.06
 SLOW_LINE_TIMEOUT_S = 0.5
+PATIENT_TIMEOUT_S = 0.5
+ATTEMPTS, PATIENT_ATTEMPTS = 2, 3
 HEARTBEAT_S = 2.0
 RESYNCHRONISATIONS = 2
 EVENTS_KEPT = 100
@@ -69,12 +73,16 @@ class TmclModule:
         addresses: Sequence[int] = (1,),
         heartbeat_s: float = HEARTBEAT_S,
         name: str = "axes",
+        session: int = CANARY,
     ) -> None:
         self.name = name
+        self._session = session
+        self._taken: Taken | None = None
         self._open_port = open_port
         self._clock = clock
         self._baudrate = baudrate
         self._timeout_s = TIMEOUT_S if baudrate >= 57600 else SLOW_LINE_TIMEOUT_S
+        self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
         self._frame_s = FRAME_S_BITS / baudrate
         self._patience_s = 3.0 * self._frame_s + SLICE_S
         self._tap = tap
@@ -108,14 +116,27 @@ class TmclModule:
         Nothing moves. Raises DeviceError if the port cannot be opened, a module does not respond or has a wrong number.
         """
         self._open()
-        with self._lock.hold():
+        with self._lock.hold(), self.patiently():
             numbers = [self._initialise(address) for address in self.addresses]
         return numbers[0]
 
     def identify(self) -> int:
         """Open the port and read the first module's number; nothing is written to the module. Raises DeviceError."""
         self._open()
-        return self.exchange(CommandFrame(self.addresses[0], Command.FIRMWARE_VERSION, 1, 0)) >> 16
+        with self.patiently():
+            return self.exchange(CommandFrame(self.addresses[0], Command.FIRMWARE_VERSION, 1, 0)) >> 16
+
+    @contextlib.contextmanager
+    def patiently(self) -> Iterator[None]:
+        """Exchanges that wait longer for a reply and are repeated more often. A stop does not wait for them any longer.
+
+        For connecting: no motion is watched by it, and a computer that is busy, or serves the module itself, is often late.
+        """
+        self._reply_s, self._attempts = max(self._timeout_s, PATIENT_TIMEOUT_S), PATIENT_ATTEMPTS
+        try:
+            yield
+        finally:
+            self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
 
     def close(self) -> None:
         """Close the port. Nothing is sent; the heartbeat stops motors that still turn."""
@@ -127,25 +148,28 @@ class TmclModule:
     def exchange(self, request: CommandFrame, stop_count: int | None = None) -> int:
         """Send a request and return the value of its reply.
 
-        A repeatable request is repeated once after a fault. A request that starts a motion is not sent, or not sent again,
-        if a stop was requested after `stop_count` was read (default: after this call). Takes seven timeouts at most.
+        A repeatable request is repeated once after a fault, `patiently` twice. A request that starts a motion is not sent, or
+        not sent again, if a stop was requested after `stop_count` was read (default: after this call). Takes seven timeouts at
+        most.
         Raises NoAnswer, BadAnswer, Refused or Interrupted.
         """
         limit = self._lock.requested if stop_count is None else stop_count
         with self._lock.hold():
-            for last in (False, True):
+            if self._taken is not None:
+                raise self._taken
+            for attempt in range(1, self._attempts + 1):
                 try:
                     if self._out_of_step and request.command != Command.FIRMWARE_VERSION:
                         self._resynchronise(request)  # an unknown module is identified before anything is written to it
                     if starts_motion(request):
                         if limit != self._lock.requested:
                             raise Interrupted(self.name, self._describe(request), "not sent because a stop was requested")
-                        if last:
+                        if attempt > 1:
                             self._check_before_repeating(request)
                     return self._once(request)
                 except (NoAnswer, BadAnswer):
                     self._out_of_step = True
-                    if last or not is_repeatable(request) or self._lock.stop_waiting:
+                    if attempt == self._attempts or not is_repeatable(request) or self._lock.stop_waiting:
                         raise
         raise AssertionError("not reached")
 
@@ -156,9 +180,10 @@ class TmclModule:
         return value
 
     def check_canary(self, address: int) -> None:
-        """Raise Forgotten if a module has reset since it was connected, until it is connected again."""
+        """Raise Forgotten if a module has reset since it was connected, until it is connected again, and Taken for good."""
         value = self.exchange(CommandFrame(address, Command.GGP, CANARY_VARIABLE, USER_BANK))
-        if value != CANARY:
+        if value != self._session:
+            self._check_not_taken(address, value)
             self._note_reset(address)
             raise Forgotten(
                 self.name, f"check the canary of module {address}", "the module has reset and lost its settings",
@@ -221,9 +246,10 @@ class TmclModule:
                 self.name, f"identify module {address}", f"it is a TMCM-{number}",
                 f"this driver supports {' and '.join(f'TMCM-{each}' for each in MODELS)}",
             )  # fmt: skip
-        canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, CANARY)
-        if self.exchange(replace(canary, command=Command.GGP, value=0)) != CANARY:
+        canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, self._session)
+        if (found := self.exchange(replace(canary, command=Command.GGP, value=0))) != self._session:
             if address in self._connected:
+                self._check_not_taken(address, found)
                 self._note_reset(address)
             self.exchange(canary)
         heartbeat = CommandFrame(address, Command.SGP, GlobalParameter.HEARTBEAT, 0, round(self.heartbeat_s * 1000.0))
@@ -232,6 +258,16 @@ class TmclModule:
         self._connected.add(address)
         self._reset.discard(address)
         return number
+
+    def _check_not_taken(self, address: int, value: int) -> None:
+        """Raise Taken for the canary of another session, if it is read twice: a value can be corrupted unnoticed."""
+        again = CommandFrame(address, Command.GGP, CANARY_VARIABLE, USER_BANK)
+        if value != 0 and self.exchange(again) == value:
+            self._taken = Taken(
+                self.name, f"check the canary of module {address}", "another program has taken the controller",
+                "end that program, on this computer or another, then start again",
+            )  # fmt: skip
+            raise self._taken
 
     def _note_reset(self, address: int) -> None:
         """Count a reset, and mark the axes unreferenced in the module, if the line works, for the next process."""
@@ -253,11 +289,12 @@ class TmclModule:
             port.send(request.encode())
             started = self._clock.now()
             while True:
-                frame = port.frame(started + self._timeout_s, lambda: self._gives_way(stops, started))
+                frame = port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
                 if stops != self._lock.acquired:
                     raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply")
                 if frame is None:
-                    raise NoAnswer(self.name, self._describe(request), port.describe_missing(started))
+                    missing = unless_late(port.late_s, self._reply_s, port.describe_missing(started))
+                    raise NoAnswer(self.name, self._describe(request), *missing)
                 reply = check_reply(request, frame, self.name, self._describe)
                 if reply is not None:
                     self._last = (request.command, request.value, self._clock.now())
@@ -281,7 +318,7 @@ class TmclModule:
                 port.send(marker.encode())
                 started = self._clock.now()
                 echo = ReplyFrame(HOST_ADDRESS, request.address, ReplyStatus.OK, Command.SGP, self._marker).encode()
-                if port.await_bytes(echo, started + self._timeout_s, partial(self._gives_way, stops, started)):
+                if port.await_bytes(echo, started + self._reply_s, partial(self._gives_way, stops, started)):
                     self._out_of_step = False
                     self.events.append("line resynchronised")
                     self._last = (Command.SGP, self._marker, self._clock.now())
@@ -290,7 +327,8 @@ class TmclModule:
                     break
         except PORT_FAULTS as error:
             raise NoAnswer(self.name, self._describe(request), f"the port failed: {error}", "check cable and power") from None
-        raise NoAnswer(self.name, self._describe(request), "not responding, not even to a marker", "check cable and power")
+        silent = unless_late(port.late_s, self._reply_s, "not responding, not even to a marker", "check cable and power")
+        raise NoAnswer(self.name, self._describe(request), *silent)
 
     def _opened(self, request: CommandFrame) -> TmclPort:
         if self._port is None:

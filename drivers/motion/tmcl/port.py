@@ -35,7 +35,7 @@ def exchange_seconds(baudrate: int) -> float:
 class TmclPort:
     """A port that is opened at once and reads in slices. Raises SerialException, OSError or ValueError.
 
-    A reopening of the port is appended to `events`.
+    A reopening of the port is appended to `events`. `late_s` is by how much this computer was late, s, since the last request.
     """
 
     def __init__(self, open_port: Callable[[], Serial], clock: Clock, tap: Tap, timeout_s: float, events: deque[str]) -> None:
@@ -44,6 +44,7 @@ class TmclPort:
         self._tap = tap
         self._rest = b""
         self._taken_late = -math.inf  # the deadline after which was read once more
+        self.late_s = 0.0
         self._timeout_s = timeout_s
         self._events = events
         self._port: Serial | None = self._open_port()
@@ -60,6 +61,7 @@ class TmclPort:
     def send(self, frame: bytes) -> None:
         """Discard what was received unrequested, and write a frame. Raises SerialException or OSError."""
         self._discard_received()
+        self.late_s = 0.0
         self._write(frame)
 
     def frame(self, deadline: float, give_up: GiveUp) -> bytes | None:
@@ -111,12 +113,14 @@ class TmclPort:
 
         A request without reply by the deadline is appended to `missing`.
         """
+        compared = 0
         while True:
-            for place in range(len(self._rest) - FRAME_BYTES + 1):
+            for place in range(compared, len(self._rest) - FRAME_BYTES + 1):
                 if _confirms(self._rest[place : place + FRAME_BYTES], request):
                     self._rest = self._rest[place + FRAME_BYTES :]
                     return
             self._rest = self._rest[-MOST_STALE:]
+            compared = max(0, len(self._rest) - FRAME_BYTES + 1)
             yield StopPhase.SENDING
             if not self._receive(FRAME_BYTES, deadline, lambda: False):
                 missing.append((name, request))
@@ -143,11 +147,11 @@ class TmclPort:
         return True
 
     def _discard_received(self) -> None:
+        """Discard what is there, for a slice at most and then once more: a line may never fall silent."""
         self._rest = b""
-        for _ in range(MOST_STALE):
-            waiting = self._waiting()
-            if not waiting:
-                return
+        deadline, over = self._clock.now() + SLICE_S, False
+        while not over and (waiting := self._waiting()):
+            over = self._clock.now() >= deadline
             self._tap(FROM_DEVICE, self._read(waiting))
 
     def _waiting(self) -> int:
@@ -159,11 +163,14 @@ class TmclPort:
             raise
 
     def _read(self, size: int) -> bytes:
+        started = self._clock.now()
         try:
-            return bytes(self._ready().read(size))
+            data = bytes(self._ready().read(size))
         except PORT_FAULTS:
             self.close()
             raise
+        self.late_s = max(self.late_s, self._clock.now() - started - SLICE_S)
+        return data
 
     def _write(self, frame: bytes) -> None:
         self._tap(TO_DEVICE, frame)

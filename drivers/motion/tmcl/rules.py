@@ -25,6 +25,7 @@ REPEATABLE = frozenset({Command.GAP, Command.GGP, Command.SAP, Command.SGP, Comm
 FIRST_MARK_VARIABLE, CANARY_VARIABLE, MARKER_VARIABLE = 248, 254, 255
 MOTORS = 6
 CANARY, FIRST_MARKER = 0x676F_6E69, 0x4D41_0000
+"""The canary of a rig in this process, which no other program can take; otherwise it is a random number of the session."""
 REFERENCED, UNREFERENCED = 0x6B6E_6F77, 0x646F_7562
 """The two values of a mark; after a power-up it has neither."""
 

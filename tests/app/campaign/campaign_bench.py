@@ -126,7 +126,7 @@ def convert_to_schema_1(path: Path) -> None:
     for table in ("campaign", "plan", "attempt", "reading", "event", "session"):
         columns = ", ".join(name for _, name, *_ in database.execute(f"PRAGMA main.table_info({table})"))
         database.execute(f"INSERT INTO main.{table} SELECT {columns} FROM now.{table}")
-    database.execute("DELETE FROM campaign WHERE key = 'rig_folder'")
+    database.execute("DELETE FROM campaign WHERE key IN ('rig_folder', 'chain')")
     database.commit()
     database.execute("PRAGMA application_id = 0x474F4E49")
     database.execute("PRAGMA user_version = 1")

@@ -9,15 +9,18 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 import pytest
 from PySide6.QtCore import QEvent
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QAbstractButton, QApplication
 from pytestqt.qtbot import QtBot
 
+from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow, Theme
+from goniotwin.app.desktop.model.permissions import BUSY
 from tests.conftest import RIG, Writer
 
 WindowOpener = Callable[..., MainWindow]
 READY_MS = 30_000
 """Limit for steps of a second; it includes the compilation by numba on a fresh machine."""
+ROWS = 10
 
 
 @pytest.fixture(scope="package", autouse=True)
@@ -60,3 +63,15 @@ def ready(qtbot: QtBot, window: MainWindow) -> MainWindow:
     """Wait until Start is enabled; return the window."""
     qtbot.waitUntil(window.view.run.start_button.isEnabled, timeout=READY_MS)
     return window
+
+
+def click(button: QAbstractButton) -> None:
+    """Click a button, which must be enabled."""
+    assert button.isEnabled()
+    button.click()
+
+
+def wait_for_end(qtbot: QtBot, window: MainWindow, state: State) -> None:
+    """Wait until a run has ended, in this state."""
+    qtbot.waitUntil(lambda: window.presenter.state not in BUSY and "Saved in" in window.view.saved, timeout=READY_MS)
+    assert window.presenter.state is state, window.view.status

@@ -9,39 +9,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt, QTimer
-from PySide6.QtWidgets import QApplication, QFileDialog, QPushButton
+from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
-from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
-from goniotwin.app.desktop.model import rig_thread
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.model.permissions import BUSY
+from goniotwin.app.desktop.window import KEEP_RUNNING, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
-from goniotwin.app.rig import OpenRig, RigFile
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
-from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
+from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
 from tests.conftest import RIG, SMALL, Writer
-
-ROWS = 10
-
-
-def click(button: QPushButton) -> None:
-    """Click a button, which must be enabled."""
-    assert button.isEnabled()
-    button.click()
-
-
-def wait_for_end(qtbot: QtBot, window: MainWindow, state: State) -> None:
-    """Wait until a run has ended, in this state."""
-    qtbot.waitUntil(lambda: window.presenter.state not in BUSY and "Saved in" in window.view.saved, timeout=READY_MS)
-    assert window.presenter.state is state, window.view.status
 
 
 def row_counts(window: MainWindow) -> tuple[int, int]:
@@ -54,7 +38,9 @@ def test_a_run_measures_all_rows_into_the_journal(qtbot: QtBot, window: MainWind
     click(window.view.run.start_button)
     assert not window.view.run.start_button.isEnabled()
     assert not window.view.rig.open_button.isEnabled()
+    assert not window.view.rig.person.isEnabled()
     wait_for_end(qtbot, window, State.DONE)
+    assert not any("Question" in entry.what for entry in window.view.log.entries)  # the program mounts
     assert window.view.run.progress.value() == window.view.run.progress.maximum() == ROWS
     assert "100 %" in window.view.run.progress.text()
     assert list(journals.iterdir()) == [journals / "small-001.journal"]
@@ -131,17 +117,6 @@ def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(q
     assert window.view.run.start_button.isEnabled()
 
 
-@pytest.mark.parametrize("key", [Qt.Key.Key_Escape, Qt.Key.Key_F12])
-def test_stop_has_keys(qtbot: QtBot, open_window: WindowOpener, key: Qt.Key) -> None:
-    window = ready(qtbot, open_window(speed=1.0))
-    window.activateWindow()
-    qtbot.waitUntil(window.isActiveWindow)
-    click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
-    qtbot.keyClick(window, key)  # type: ignore[no-untyped-call]
-    wait_for_end(qtbot, window, State.IDLE)
-
-
 def test_the_window_does_not_wait_for_a_stop_that_takes_long(
     qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,19 +136,6 @@ def test_the_window_does_not_wait_for_a_stop_that_takes_long(
     assert window.presenter.state in BUSY
     answered.set()
     wait_for_end(qtbot, window, State.IDLE)
-
-
-def test_a_stop_that_did_not_reach_an_axis_stays_in_the_status(
-    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    window = ready(qtbot, open_window(speed=1.0))
-    click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
-    monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
-    click(window.view.run.stop_button)
-    wait_for_end(qtbot, window, State.IDLE)
-    qtbot.waitUntil(lambda: "main switch" in window.view.status, timeout=READY_MS)
-    assert "sigma: MST: nothing" in window.view.status
 
 
 def test_axes_that_stop_responding_are_shown_and_no_run_can_start(
@@ -348,12 +310,12 @@ def test_closing_during_a_run_asks_and_continues_or_stops_the_run(qtbot: QtBot, 
     qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     assert not window.close()
     assert window.close_question is not None
-    window.close_question.no_button.click()
+    window.close_question.buttons[KEEP_RUNNING].click()
     assert window.isVisible()
     assert window.presenter.state is State.RUNNING
     assert not window.close()
     assert window.close_question is not None
-    window.close_question.yes_button.click()
+    window.close_question.buttons[STOP_AND_CLOSE].click()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
     assert window.presenter.journal is not None
@@ -390,43 +352,3 @@ def leave_cycles() -> None:
     for _ in range(10 * gc.get_threshold()[0]):
         cycle: list[object] = []
         cycle.append(cycle)
-
-
-class ManualOperator:
-    """Asks the operator, then mounts the sample in the simulation."""
-
-    def __init__(self, opened: OpenRig, _rig: RigFile, ask: rig_thread.AskOperator) -> None:
-        assert opened.virtual is not None
-        self._operator = VirtualOperator(opened.virtual)
-        self._ask = ask
-
-    def mount(self, sample: str) -> None:
-        self._ask(f"Mount {sample!r}")
-        self._operator.mount(sample)
-
-
-def test_the_operator_is_asked_to_mount_and_the_run_waits(
-    qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rig_thread, "operator_for", ManualOperator)
-    click(window.view.run.start_button)
-    for sample in ("etalon", "gaussian-5"):
-        qtbot.waitUntil(lambda asked=sample: asks_for(window, asked), timeout=READY_MS)  # type: ignore[misc]
-        assert window.view.run.stop_button.isEnabled()
-        assert window.mount_question is not None
-        window.mount_question.yes_button.click()
-    wait_for_end(qtbot, window, State.DONE)
-
-
-def test_stop_ends_the_wait_for_the_operator(qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig_thread, "operator_for", ManualOperator)
-    click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: asks_for(window, "etalon"), timeout=READY_MS)
-    click(window.view.run.stop_button)
-    wait_for_end(qtbot, window, State.IDLE)
-    assert row_counts(window)[0] == 0
-    assert window.mount_question is None
-
-
-def asks_for(window: MainWindow, sample: str) -> bool:
-    return window.mount_question is not None and sample in window.mount_question.text()

@@ -115,7 +115,7 @@ def test_every_control_has_an_accessible_name(window: MainWindow) -> None:
         for control in window.view.findChildren(kind)
         if control.isVisible()
     ]
-    assert len(controls) == 9
+    assert len(controls) == 10
     assert [control for control in controls if not control.accessibleName()] == []
 
 

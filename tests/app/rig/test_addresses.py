@@ -1,12 +1,17 @@
 """Addresses in a rig file: canonical forms, and the parsing of Modbus addresses."""
 
+import os
+import re
+import stat
 from pathlib import Path
 
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, read_rig
-from goniotwin.app.rig.addresses import ModbusUnits, canonical_address, rtu_address
+from goniotwin.app.rig.addresses import ModbusUnits, device_names, rtu_address
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.doors import NoSuchTwin
@@ -56,12 +61,16 @@ def test_units_of_one_port_share_one_bus() -> None:
         ("LOCALHOST:4001", "localhost:4001"),
         ("usbip:127.0.0.1/1-1", "usbip:localhost:3240/1-1"),
         ("COM4", "com4"),
+        ("COM4", r"\\.\COM4"),
+        ("localhost:4001", "[::1]:4001"),
+        ("[::ffff:127.0.0.1]:4001", "0.0.0.0:4001"),
+        ("SOCKET://localhost:4001/", "rfc2217://127.0.0.1:4001?ign_set_control"),
         ("1313:807A:P1", "1313:807a:P1"),
         ("/dev/../dev/ttyUSB0", "/dev/ttyUSB0"),
     ],
 )
-def test_spellings_of_one_device_have_one_canonical_address(one: str, other: str) -> None:
-    assert canonical_address(one) == canonical_address(other)
+def test_spellings_of_one_device_have_a_name_in_common(one: str, other: str) -> None:
+    assert device_names(one) & device_names(other)
 
 
 @pytest.mark.parametrize(
@@ -72,10 +81,37 @@ def test_spellings_of_one_device_have_one_canonical_address(one: str, other: str
         ("1313:8078:P1", "1313:8078:P2"),
         ("no-such-host-anywhere.invalid:1", "another.invalid:1"),
         ("COM4", "COM5"),
+        ("192.0.2.1:4001", "192.0.2.2:4001"),
+        ("192.0.2.1:4001", "localhost:4001"),
     ],
 )
-def test_two_devices_have_two_canonical_addresses(one: str, other: str) -> None:
-    assert canonical_address(one) != canonical_address(other)
+def test_two_devices_have_no_name_in_common(one: str, other: str) -> None:
+    assert not device_names(one) & device_names(other)
+
+
+def test_a_search_has_the_name_of_the_port_that_it_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [ListPortInfo(f"/dev/ttyUSB{number}") for number in range(3)]
+    monkeypatch.setattr(list_ports, "grep", lambda pattern: [each for each in found if re.search(pattern, each.device)])
+    assert device_names("hwgrep://ttyUSB&n=2") == device_names("/dev/ttyUSB1")
+    assert device_names("rtu:hwgrep://USB2?unit=3") == device_names("HWGREP://USB2") == device_names("/dev/ttyUSB2")
+    for wrong in ("hwgrep://USB&skip_busy", "hwgrep://(", "hwgrep://USB&n=x", "hwgrep://USB&m=1"):
+        with pytest.raises(UserError, match="hwgrep://"):
+            device_names(wrong)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no device nodes")
+def test_two_nodes_of_one_port_have_a_name_in_common(tmp_path: Path) -> None:
+    server, port = os.openpty()
+    node = tmp_path / "port"
+    try:
+        os.mknod(node, 0o600 | stat.S_IFCHR, os.fstat(port).st_rdev)
+    except PermissionError:
+        pytest.skip("only the system's administrator makes device nodes")
+    finally:
+        names = device_names(os.ttyname(port))
+        os.close(port)
+        os.close(server)
+    assert names & device_names(str(node))
 
 
 def test_a_link_and_its_target_are_locked_together(tmp_path: Path) -> None:

@@ -16,8 +16,10 @@ from goniotwin.app.rig import AXES, OpenRig, open_rig, parse_rig, read_rig
 from goniotwin.app.rig import kinds as registry
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.app.rig.served_file import served_rig
+from goniotwin.app.rig.wires import Wires
 from goniotwin.drivers import wait
 from goniotwin.drivers.errors import Forgotten
+from goniotwin.drivers.motion.tmcl import CANARY
 from goniotwin.mocks.control import ControlClient
 from goniotwin.mocks.served import ServedRig
 from goniotwin.protocols.clock import RealClock, VirtualClock
@@ -265,7 +267,7 @@ def served(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[OpenRig, Control
     server = ServedRig(model, 1.0, tmp_path / "ptys")
     server.start()
     assert {each.device: each.kind for each in server.endpoints}["second"] == "tmcm-1240"
-    control = ControlClient(server.endpoints[-1].port or 0)
+    control = ControlClient(server.endpoints[-1].port or 0, server.endpoints[-1].token or "")
     with open_rig(parse_rig(served_rig(description, server.endpoints, 1.0), tmp_path, "served.toml"), RealClock()) as opened:
         yield opened, control
     control.close()
@@ -304,3 +306,12 @@ def test_a_kind_is_registered_once() -> None:
     registry.register(tmcl)
     with pytest.raises(ValueError, match="there is a kind 'tmcl' of axes already"):
         registry.register(registry.MotionKind("tmcl", tmcl.controller, tmcl.axis, tmcl.open, tmcl.timing))
+
+
+def test_the_session_has_a_number_of_its_own_except_on_the_virtual_rig(opened: RigOpener) -> None:
+    """All bytes of the virtual rig are the same in each run."""
+    virtual = opened().virtual
+    numbers = [Wires(VirtualClock(), None, None).session for _ in range(3)]
+    assert len({*numbers, 0, CANARY}) == 5
+    assert all(0 < each < 2**31 for each in numbers)
+    assert Wires(VirtualClock(), virtual, None).session == CANARY

@@ -136,7 +136,7 @@ def test_the_device_is_served_with_its_plug_and_faults(mixed_rig: MixedRig, tmp_
     assert model is not None
     server = ServedRig(model, 1.0, tmp_path / "ptys")
     server.start()
-    control = ControlClient(server.endpoints[-1].port or 0)
+    control = ControlClient(server.endpoints[-1].port or 0, server.endpoints[-1].token or "")
     text = served_rig(description, server.endpoints, 1.0)
     with open_rig(parse_rig(text, tmp_path, "served.toml"), RealClock()) as opened:
         opened.connect()

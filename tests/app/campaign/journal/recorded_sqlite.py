@@ -107,6 +107,8 @@ class Cursor:
 class Connection:
     """As `sqlite3.Connection`: a transaction starts with the first statement that changes data, and ends with `with`."""
 
+    text_factory: Any = str
+
     def __init__(self, disk: RecordingVfs, path: Path, translate: Callable[[str], str], checkpoint_pages: int) -> None:
         self._translate = translate
         self._db = apsw.Connection(str(path), vfs=disk.name)

@@ -1,12 +1,13 @@
 """The journal: refusals, its entries about the campaign, and damaged files."""
 
 import sqlite3
+import threading
 from pathlib import Path
 
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.journal.writing import Journal, JournalError
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.errors import UserError
@@ -68,3 +69,21 @@ def test_a_damaged_journal_gives_one_line(plan: Plan, tmp_path: Path, damage: st
     with pytest.raises(UserError, match=r"a\.journal") as caught, Journal.open(path) as journal:
         reduce_journal(journal)
     assert "\n" not in str(caught.value)
+
+
+def test_an_event_of_another_thread_is_no_part_of_a_transaction_that_fails(plan: Plan, tmp_path: Path) -> None:
+    with Journal.create(tmp_path / "a.journal", plan, {}) as journal:
+        other = threading.Thread(target=lambda: journal.event(2.0, "acknowledged", "done"))
+
+        def fail() -> None:
+            with journal._writing():
+                journal._db.execute("INSERT INTO event (t_s, kind, text) VALUES (1.0, 'order', 'undone')")
+                other.start()
+                other.join(timeout=0.1)
+                raise sqlite3.OperationalError
+
+        with pytest.raises(JournalError):
+            fail()
+        other.join()
+        assert journal.event_texts("acknowledged") == ["done"]
+        assert journal.event_texts("order") == []

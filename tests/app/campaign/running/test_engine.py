@@ -14,6 +14,7 @@ from goniotwin.app.campaign.planning.check import check_plan, describe_check
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
+from goniotwin.app.campaign.running.operator import Answer
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
@@ -250,7 +251,7 @@ class FaultyOperator:
     def mount(self, sample: str) -> None:
         raise ZeroDivisionError("an error of the program")
 
-    def confirm_fix(self, fault: str) -> bool:
+    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
         raise ZeroDivisionError(fault)
 
 

@@ -1,5 +1,6 @@
 """Policies for faults: each fault is handled as the schedule defines, is in the journal, and adds no value."""
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,12 +11,24 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import SKIPPED
-from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State, StateChanged
+from goniotwin.app.campaign.running.events import (
+    Event,
+    EventLogged,
+    RowCommitted,
+    RowStarted,
+    SafetyOrder,
+    State,
+    StateChanged,
+)
+from goniotwin.app.campaign.running.operator import Answer, HumanOperator
 from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
+from goniotwin.app.campaign.running.stop_request import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli.campaign import _ask_operator
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
-from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Refused
-from goniotwin.drivers.errors import Interrupted, Unreferenced
+from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Pending, Refused
+from goniotwin.drivers.errors import Interrupted, Taken, Unreferenced
 from tests.app.campaign.campaign_bench import QUIET, RunResult, planned_values, run_plan, run_until
 from tests.conftest import SMALL, Writer
 
@@ -67,11 +80,11 @@ def run_with_silence(plan: Plan, path: Path, silence: Silence, operator: "FaultO
 
 
 class FaultOperator:
-    """Operator of a virtual rig; with `fixes` it fixes a fault, otherwise not."""
+    """Operator of a virtual rig, with one answer to every fault."""
 
-    def __init__(self, silence: Silence, fixes: bool) -> None:
+    def __init__(self, silence: Silence, answer: Answer) -> None:
         self._silence = silence
-        self._fixes = fixes
+        self._answer = answer
         self.faults: list[str] = []
         self.shutter: list[bool] = []
 
@@ -81,13 +94,14 @@ class FaultOperator:
         assert opened.virtual is not None
         opened.virtual.mount(sample)
 
-    def confirm_fix(self, fault: str, /) -> bool:
+    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
+        assert skippable
         self.faults.append(fault)
         opened = self._silence.opened
         assert opened is not None
         assert opened.virtual is not None
         self.shutter.append(opened.virtual.plant.shutter_open.at(opened.rig.clock.now()))
-        return self._fixes
+        return self._answer
 
 
 @pytest.mark.parametrize("policy", ["retry", "reconnect"])
@@ -127,22 +141,74 @@ def test_a_skipped_row_is_not_in_the_bsdf(make: MakePlan, tmp_path: Path) -> Non
     assert set(points.shift_deg) == {0.0, 1.0} - {skipped[3]}
 
 
-def test_with_ask_the_row_is_retried_if_the_operator_fixes_the_fault(make: MakePlan, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("answer", "state", "flags"),
+    [(Answer.RETRY, State.DONE, ()), (Answer.SKIP, State.DONE, (SKIPPED,)), (Answer.STOP, State.FAILED, None)],
+)
+def test_with_ask_the_operator_decides(
+    make: MakePlan, tmp_path: Path, answer: Answer, state: State, flags: tuple[str, ...] | None
+) -> None:
     silence = Silence(1)
-    operator = FaultOperator(silence, fixes=True)
+    operator = FaultOperator(silence, answer)
     run = run_with_silence(make('\n[faults]\nwire = "ask"\n'), tmp_path / "a.journal", silence, operator)
-    assert run.state is State.DONE
+    assert run.state is state
     assert len(operator.faults) == 1
     assert operator.shutter == [False]
     assert "photodiodes module 2" in operator.faults[0]
+    assert [each.data.flags for each in run.rows[ROW:]][:1] == ([] if flags is None else [flags])
+    assert any(kind == "answer" and text.startswith(answer) for kind, text in run.events)
+
+
+def test_a_terminal_takes_the_beginning_of_an_answer_and_never_enter_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n s\nSK\n"))
+    operator = HumanOperator(_ask_operator)
+    assert operator.resolve_fault("row 3: monitor: no reply", skippable=True) is Answer.SKIP
+    shown = capsys.readouterr().err
+    assert shown.count("Type Retry or Skip row or Stop") == 2  # after Enter, and after what may be Skip row or Stop
+    assert "Pause" not in shown
+    with pytest.raises(UserError, match="standard input is closed"):
+        operator.mount("paper")
+    monkeypatch.setattr("sys.stdin", io.StringIO("st\n"))
+    with pytest.raises(Stopped):
+        operator.mount("paper")
+
+
+def test_a_shutter_that_cannot_be_closed_for_the_operator_is_a_safety_order(make: MakePlan, tmp_path: Path) -> None:
+    plan = make('\n[faults]\nwire = "ask"\n')
     silence = Silence(1)
-    run = run_with_silence(
-        make('\n[faults]\nwire = "ask"\n'), tmp_path / "b.journal", silence, FaultOperator(silence, fixes=False)
-    )
-    assert (run.state, len(run.rows)) == (State.FAILED, ROW)
+
+    def prepare(opened: OpenRig) -> None:
+        silence.prepare(opened)
+        monochromator = opened.rig.monochromator
+        start = monochromator.start_shutter
+
+        def start_shutter(*, opened: bool) -> Pending:
+            if not opened and any(isinstance(each, StateChanged) and each.reason for each in silence.events):
+                raise NoAnswer("monochromator", "SHUTTER C", "no reply")
+            return start(opened=opened)
+
+        monochromator.start_shutter = start_shutter  # type: ignore[method-assign]
+
+    run = run_plan(plan, tmp_path / "a.journal", prepare, FaultOperator(silence, Answer.STOP), [silence.listen])
+    orders = [text for kind, text in run.events if kind == "order"]
+    assert orders[0] == "Close the shutter by hand: it may be open; monochromator: SHUTTER C: no reply"
+    assert [each.text for each in silence.events if isinstance(each, SafetyOrder)] == orders
+    fault = next(each for each in silence.events if isinstance(each, EventLogged) and each.kind == "fault")
+    assert (fault.where, fault.consequence) == (plan.rows[ROW].identity, "ask the operator")
+    assert fault.what.startswith("photodiodes module 2: ")
+    assert run.faults[-1].endswith("close the shutter by hand")
 
 
-def test_without_a_table_of_policies_the_first_fault_stops_the_run_and_closes_the_shutter(
+def test_without_a_table_of_policies_a_row_is_repeated_twice(make: MakePlan, tmp_path: Path) -> None:
+    silence = Silence(2)
+    run = run_with_silence(make(""), tmp_path / "a.journal", silence)
+    assert run.state is State.DONE
+    assert silence.states.count(State.RECOVERING) == 2
+
+
+def test_without_a_table_of_policies_a_fault_that_stays_stops_the_run_and_closes_the_shutter(
     make: MakePlan, tmp_path: Path
 ) -> None:
     silence = Silence(9)
@@ -157,6 +223,7 @@ def test_without_a_table_of_policies_the_first_fault_stops_the_run_and_closes_th
 
     run = run_plan(make(""), tmp_path / "a.journal", silence.prepare, None, [silence.listen, look])
     assert run.state is State.FAILED
+    assert silence.states.count(State.RECOVERING) == 2
     assert open_at_the_end == [False]
 
 
@@ -218,3 +285,4 @@ def test_each_error_has_a_kind(error: DeviceError, kind: str) -> None:
 def test_a_stop_is_never_overridden_by_a_policy(make: MakePlan) -> None:
     table = make('\n[faults]\nrefused = "retry"\n').schedule.file.faults
     assert FaultPolicies(table).policy_for(Interrupted("beta", "go", "not sent because a stop was requested")) == "stop"
+    assert FaultPolicies(table).policy_for(Taken("axes", "go", "another program has taken the controller")) == "stop"

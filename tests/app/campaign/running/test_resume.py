@@ -18,7 +18,7 @@ from goniotwin.app.campaign.running.resume import check_same_rig, recorded_rig, 
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, parse_rig, read_rig
-from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.lock import lock_journal
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.golden import contents
@@ -141,7 +141,7 @@ def test_ports_may_change(plan: Plan, tmp_path: Path, write_rig: Writer) -> None
 def test_a_journal_in_use_is_refused_with_the_number_of_the_process(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     run_until(plan, path, 10.0)
-    held = RigLock([str(path.absolute())], "measuring paint")
+    held = lock_journal(path, "measuring paint")
     try:
         assert campaign_summary(path).state == "running"
         with pytest.raises(UserError, match=r"a\.journal: is in use by process \d+ .*measuring paint"):

@@ -1,4 +1,4 @@
-"""A TCP server on loopback, one thread for each client: the base of the control port and the USB/IP endpoint."""
+"""A TCP server on loopback, one thread for each client: the base of the channel and of the USB/IP endpoint."""
 
 import socketserver
 import threading

@@ -1,0 +1,293 @@
+"""The chain of a journal: each committed row has a SHA-256 over all that its values are made from, and over the hash before it.
+
+It shows damage: a changed bit, a missing row, a copy that is torn. It does not show forgery: a program that changes a row can
+compute the chain anew. docs/journal.md describes what is hashed, so that any program can check it.
+"""
+
+import hashlib
+import itertools
+import json
+import operator
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+ENTRY = "chain"
+"""Key in the table `campaign` of the hashes of the other entries and of the plan, and of the last session before the chain."""
+NOT_IN_VALUES = ("rig_folder", "versions")
+"""Entries that no value depends on, and that differ between computers: the chain does not begin with their hashes."""
+PLAN_NUMBERS = "wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds"
+PLAN_TEXTS = "identity, kind, sample, detail"
+SESSION = "id, started_s, ended_s, first_link, last_link, outcome, wall_started, wall_ended, rig, versions, tip"
+SESSION_NUMBERS = 5
+ROW = (
+    f"number, attempt, a.session, p.session, started_s, ended_s, {PLAN_NUMBERS}, {PLAN_TEXTS}, positions, flags"
+    " FROM {} LEFT JOIN plan p USING (number) LEFT JOIN attempt a USING (number, attempt)"
+)
+ROW_NUMBERS = 12
+READING = "gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts"
+NAMED_ROWS = 5
+"""Damaged rows that a message names."""
+_json = json.JSONEncoder(default=repr).encode  # a damaged value may be of any type
+
+
+class ChainError(ValueError):
+    """An entry that all values depend on is damaged."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The chain of a journal as found: its length and its tip, the hash of the last link (of the campaign, without rows).
+
+    `damaged` are the rows that differ from what was committed, by number, with their identities; `parts` names what else is
+    damaged. `given_up` are damaged rows without a repetition: unplanned ones from before the last resume. `unchecked` is the
+    number of attempts from before the chain: they were committed by an earlier version.
+    """
+
+    length: int = 0
+    tip: str = ""
+    unchecked: int = 0
+    damaged: dict[int, str] = field(default_factory=dict)
+    given_up: dict[int, str] = field(default_factory=dict)
+    parts: tuple[str, ...] = ()
+
+    @property
+    def damage(self) -> str:
+        """What is damaged, as a list in words; empty for a sound journal."""
+        return ", ".join([*_named(self.damaged), *self.parts])
+
+    def as_dict(self) -> dict[str, object]:
+        """Length and tip, for JSON; `unchecked` rows have no checksums."""
+        return {"length": self.length, "tip": self.tip, "unchecked": self.unchecked}
+
+    @property
+    def without_values(self) -> dict[int, str]:
+        """The rows that have no values because they are damaged."""
+        return self.damaged | self.given_up
+
+    @property
+    def statement(self) -> str:
+        """What a report states of the chain."""
+        if not self.length and self.unchecked:
+            return "no checksums: an earlier version of the program wrote this journal"
+        earlier = f"; {self.unchecked} rows before it have no checksums" if self.unchecked else ""
+        return f"{self.length} rows in the chain of checksums, tip {self.tip}{earlier}"
+
+
+def begin_chain(db: sqlite3.Connection) -> None:
+    """Write the hashes of the campaign's entries and of the plan: the chain begins with the next row."""
+    (after,) = db.execute("SELECT COALESCE(MAX(id), 0) FROM session").fetchone()
+    hashes = {
+        key: _hash([key], [value]) for key, value in db.execute("SELECT key, value FROM campaign ORDER BY key").fetchall()
+    }
+    about = json.dumps({"after_session": after, "sha256": {**hashes, "plan": _plan_hash(db)}})
+    db.execute("INSERT INTO campaign VALUES (?, ?)", (ENTRY, about))
+
+
+def campaign_hash(db: sqlite3.Connection) -> str:
+    """The hash with which the chain begins."""
+    (about,) = db.execute("SELECT value FROM campaign WHERE key = ?", (ENTRY,)).fetchone()
+    return _campaign_hash(*_parse(about))
+
+
+def add_link(db: sqlite3.Connection, chain: Chain, number: int, attempt: int) -> Chain:
+    """Add the link of a committed attempt; return the longer chain. The rows that it replaces are not damaged any more."""
+    (row,) = db.execute(f"SELECT {ROW.format('(SELECT ? AS number, ? AS attempt)')}", (number, attempt))
+    readings = db.execute(
+        f"SELECT {READING} FROM reading WHERE number = ? AND attempt = ? ORDER BY gain_v_per_a", (number, attempt)
+    )
+    link = chain.length + 1
+    tip = _link_hash(chain.tip, link, row, readings.fetchall())
+    db.execute("INSERT INTO chain VALUES (?, ?, ?, ?)", (link, number, attempt, tip))
+    damaged = {key: name for key, name in chain.damaged.items() if key != number}
+    return replace(chain, length=link, tip=tip, damaged=damaged)
+
+
+def seal_session(db: sqlite3.Connection, session: int) -> None:
+    """Write the hash of a session's entry, after each change of it."""
+    (row,) = db.execute(f"SELECT {SESSION} FROM session WHERE id = ?", (session,)).fetchall()
+    db.execute("UPDATE session SET sha256 = ? WHERE id = ?", (_session_hash(row), session))
+
+
+def check_chain(db: sqlite3.Connection) -> Chain:
+    """Compare all of a journal with its chain. It must not change meanwhile.
+
+    Raises ChainError where an entry is damaged on which all values depend, and sqlite3.Error.
+    """
+    if db.execute("SELECT 1 FROM sqlite_schema WHERE name = 'chain'").fetchone() is None:
+        return Chain(unchecked=db.execute("SELECT COUNT(*) FROM attempt").fetchone()[0])
+    factory, db.text_factory = db.text_factory, bytes  # a damaged text may not be UTF-8
+    try:
+        return _check(db)
+    finally:
+        db.text_factory = factory
+
+
+def _check(db: sqlite3.Connection) -> Chain:
+    after, hashes = _check_entries(db)
+    parts = [] if _plan_hash(db) == hashes["plan"] else ["the plan"]
+    links = _Links(db, _campaign_hash(after, hashes))
+    sound = links.count - len(links.bad)
+    (unchecked,) = db.execute("SELECT COUNT(*) FROM attempt WHERE session <= ?", (after,)).fetchone()
+    (checked,) = db.execute("SELECT COUNT(*) FROM attempt WHERE session > ?", (after,)).fetchone()
+    damaged = {} if sound == checked and not links.bad else _damaged_rows(db, after, links.bad)
+    parts += _check_sessions(db, after, links, rows=bool(damaged))
+    given_up = _before_the_resume(db, damaged)
+    damaged = {number: name for number, name in damaged.items() if number not in given_up}
+    return Chain(links.last, links.tip, unchecked, damaged, given_up, tuple(parts))
+
+
+def _check_entries(db: sqlite3.Connection) -> tuple[int, dict[str, str]]:
+    """The last session before the chain, and the hashes. Raises ChainError for a damaged entry."""
+    entries = {_text(key): value for key, value in db.execute("SELECT key, value FROM campaign")}
+    if ENTRY not in entries:
+        raise ChainError(f"has no entry {ENTRY!r}")
+    after, hashes = _parse(entries.pop(ENTRY))
+    found = {key: _hash([key], [value]) for key, value in entries.items()}
+    for key in sorted(hashes.keys() | found.keys()):
+        if key != "plan" and hashes.get(key) != found.get(key):
+            raise ChainError(f"its entry {key!r} does not have its checksum")
+    if "plan" not in hashes:
+        raise ChainError("has no checksum of its plan")
+    return after, hashes
+
+
+class _Links:
+    """All links, compared with the rows.
+
+    `bad` are those whose row differs; `gap` is the last link before which one is missing, or 0.
+    """
+
+    def __init__(self, db: sqlite3.Connection, tip: str) -> None:
+        self.bad: set[int] = set()
+        self.count = self.last = self.gap = 0
+        self.tip = tip
+        repaired: str | None = None  # the hash of the last link as computed, where it differs from the stored one
+        readings = _readings_by_link(db)
+        following = next(readings, (0, []))
+        for link, stored, *row in db.execute(f"SELECT link, sha256, {ROW.format('chain')} ORDER BY link"):
+            counted: list[Any] = []
+            if following[0] == link:
+                counted, following = following[1], next(readings, (0, []))
+            computed = _link_hash(self.tip, link, row, counted)
+            sound = computed == _text(stored)
+            if not sound and repaired is not None:  # the damage may be that of the hash before
+                sound = _link_hash(repaired, link, row, counted) == _text(stored)
+            if link != self.last + 1:
+                self.gap, sound = link, False
+            if not sound:
+                self.bad.add(link)
+            repaired = None if sound else computed
+            self.tip, self.last, self.count = _text(stored), link, self.count + 1
+
+
+def _readings_by_link(db: sqlite3.Connection) -> Iterator[tuple[int, list[Any]]]:
+    """The readings of each link that has some, in the order of the chain."""
+    found = db.execute(
+        f"SELECT link, {READING} FROM chain CROSS JOIN reading USING (number, attempt) ORDER BY link, gain_v_per_a"
+    )
+    for link, readings in itertools.groupby(found, operator.itemgetter(0)):
+        yield link, [reading[1:] for reading in readings]
+
+
+def _damaged_rows(db: sqlite3.Connection, after: int, bad: set[int]) -> dict[int, str]:
+    """The rows whose last attempt has no sound link, with their identities as they are now."""
+    last: dict[int, tuple[int, int]] = {}
+    linked, suspects = set(), set()
+    for link, number, attempt in db.execute("SELECT link, number, attempt FROM chain ORDER BY link"):
+        last[number] = (link, attempt)
+        if link in bad:
+            suspects.add(number)
+        else:
+            linked.add((number, attempt))
+    for number, attempt in db.execute("SELECT number, attempt FROM attempt WHERE session > ?", (after,)):
+        if (number, attempt) not in linked:
+            suspects.add(number)
+    damaged = {}
+    for number in suspects:
+        link, attempt = last.get(number, (0, 0))
+        (latest,) = db.execute("SELECT MAX(attempt) FROM attempt WHERE number = ?", (number,)).fetchone()
+        if link in bad or attempt != latest:
+            name = db.execute("SELECT identity FROM plan WHERE number = ?", (number,)).fetchone()
+            damaged[number] = "" if name is None else _text(name[0])
+    return damaged
+
+
+def _before_the_resume(db: sqlite3.Connection, damaged: dict[int, str]) -> dict[int, str]:
+    """Damaged rows that are not part of the plan, of earlier sessions than the last one: a resume does not repeat them."""
+    (last,) = db.execute("SELECT COALESCE(MAX(id), 0) FROM session").fetchone()
+    session_of = {number: db.execute("SELECT session FROM plan WHERE number = ?", (number,)).fetchone() for number in damaged}
+    return {
+        number: damaged[number]
+        for number, found in session_of.items()
+        if found is not None and found[0] is not None and found[0] < last
+    }
+
+
+def _check_sessions(db: sqlite3.Connection, after: int, links: _Links, *, rows: bool) -> list[str]:
+    """What is damaged of the sessions since the chain, and whether the chain ends as the last one states."""
+    sessions = db.execute(f"SELECT {SESSION}, sha256 FROM session WHERE id > ? ORDER BY id", (after,)).fetchall()
+    damaged = [f"session {row[0]}" for *row, stored in sessions if stored is None or _session_hash(row) != _text(stored)]
+    (latest,) = db.execute("SELECT COALESCE(MAX(session), 0) FROM attempt").fetchone()
+    if latest > max([after, *(row[0] for row in sessions)]):
+        damaged.append(f"session {latest}")
+    if not sessions or damaged:
+        return damaged
+    number, first, last, tip = (sessions[-1][k] for k in (0, 3, 4, 10))
+    if links.gap >= first or (last is not None and last > links.last):
+        damaged.append(f"rows of session {number}, which are missing")
+    elif last is not None and not rows and (last, _text(tip)) != (links.last, links.tip):
+        damaged.append(f"the end of session {number}")
+    return damaged
+
+
+def _plan_hash(db: sqlite3.Connection) -> str:
+    found = hashlib.sha256()
+    for number, *row in db.execute(
+        f"SELECT number, {PLAN_NUMBERS}, {PLAN_TEXTS} FROM plan WHERE session IS NULL ORDER BY number"
+    ):
+        found.update(_encoded([number, *row[:6]], row[6:]))
+    return found.hexdigest()
+
+
+def _campaign_hash(after: int, hashes: dict[str, str]) -> str:
+    return _hash([after, *(hashes[key] for key in sorted(hashes) if key not in NOT_IN_VALUES)], [])
+
+
+def _session_hash(row: Sequence[Any]) -> str:
+    return _hash(row[:SESSION_NUMBERS], row[SESSION_NUMBERS:])
+
+
+def _link_hash(previous: str, link: int, row: Sequence[Any], readings: Sequence[Sequence[Any]]) -> str:
+    numbers = [previous, link, *row[:ROW_NUMBERS], *(each for reading in readings for each in reading[:-1])]
+    return _hash(numbers, [*row[ROW_NUMBERS:], *(reading[-1] for reading in readings)])
+
+
+def _hash(numbers: Sequence[Any], contents: Iterable[Any]) -> str:
+    return hashlib.sha256(_encoded(numbers, contents)).hexdigest()
+
+
+def _encoded(numbers: Sequence[Any], contents: Iterable[Any]) -> bytes:
+    """A JSON list of the numbers and of the contents' lengths in bytes (null for NULL); then the contents."""
+    parts = [each if isinstance(each, bytes) or each is None else str(each).encode() for each in contents]
+    lengths = [None if each is None else len(each) for each in parts]
+    return b"".join([_json([*numbers, *lengths]).encode(), *(each for each in parts if each is not None)])
+
+
+def _parse(about: str | bytes) -> tuple[int, dict[str, str]]:
+    try:
+        found = json.loads(about)
+        return int(found["after_session"]), {str(key): str(value) for key, value in found["sha256"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise ChainError(f"its entry {ENTRY!r} cannot be read") from None
+
+
+def _named(rows: dict[int, str]) -> list[str]:
+    """Rows in words; beyond NAMED_ROWS their number."""
+    named = [f"row {number} ({name})" if name else f"row {number}" for number, name in sorted(rows.items())]
+    return [*named[:NAMED_ROWS], *([f"{len(named) - NAMED_ROWS} more rows"] if len(named) > NAMED_ROWS else [])]
+
+
+def _text(value: str | bytes) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)

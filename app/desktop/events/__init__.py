@@ -1,0 +1,1 @@
+"""Events: their log, safety orders, and questions to the operator."""

@@ -1,0 +1,111 @@
+"""A question to the operator, in a window of its own that blocks nothing: Stop stays within reach."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from PySide6.QtCore import Qt, Signal, Slot
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
+WIDTH = 540
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An answer: the text of its button and what follows. One that `stops` a run is given with the mouse alone.
+
+    `default` is that of a key pressed by accident, and of closing the question.
+    """
+
+    label: str
+    effect: str
+    stops: bool = False
+    default: bool = False
+
+
+class QuestionBox(QDialog):
+    """A question with its answers. Closing it is no answer: it can be shown again."""
+
+    chosen = Signal(str)
+    escape_released = Signal()
+
+    def __init__(self, parent: QWidget, title: str, text: str, choices: Sequence[Choice]) -> None:
+        super().__init__(parent)
+        self.setWindowTitle(f"goniotwin: {title}")
+        self.setAccessibleName(f"{title}. {text}")
+        self.setModal(False)
+        self.setMinimumWidth(WIDTH)
+        self._heading = QLabel(title)
+        font = self._heading.font()
+        font.setBold(True)
+        font.setPointSizeF(1.3 * font.pointSizeF())
+        self._heading.setFont(font)
+        self._text = QLabel(text)
+        self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextBrowserInteraction)
+        self._text.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        for label in (self._heading, self._text):
+            label.setTextFormat(Qt.TextFormat.PlainText)
+            label.setWordWrap(True)
+        self.buttons = {choice.label: self._button(choice) for choice in choices}
+        grid = QGridLayout()
+        grid.setColumnStretch(1, 1)
+        grid.setHorizontalSpacing(14)
+        for at, choice in enumerate(choices):
+            effect = QLabel(choice.effect)
+            effect.setWordWrap(True)
+            grid.addWidget(self.buttons[choice.label], at, 0)
+            grid.addWidget(effect, at, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(16, 14, 16, 14)
+        layout.setSpacing(10)
+        layout.addWidget(self._heading)
+        layout.addWidget(self._text)
+        layout.addSpacing(4)
+        layout.addLayout(grid)
+        default = next((choice.label for choice in choices if choice.default), None)
+        if default is None:
+            self._text.setFocus()
+        else:
+            self.buttons[default].setDefault(True)
+            self.buttons[default].setFocus()
+        self.appear()
+
+    @property
+    def text(self) -> str:
+        """Title and text."""
+        return f"{self._heading.text()}: {self._text.text()}"
+
+    def appear(self) -> None:
+        """Show the question, and draw the attention to it."""
+        self.show()
+        self.raise_()
+        self.activateWindow()
+        QApplication.alert(self)
+        QApplication.beep()
+
+    def dismiss(self) -> None:
+        """Remove the question."""
+        self.hide()
+        self.deleteLater()
+
+    def keyReleaseEvent(self, event: QKeyEvent) -> None:
+        """Report the release of Esc, which a window of its own does not pass on; Qt calls it."""
+        if event.key() == Qt.Key.Key_Escape and not event.isAutoRepeat():
+            self.escape_released.emit()
+        super().keyReleaseEvent(event)
+
+    def _button(self, choice: Choice) -> QPushButton:
+        button = QPushButton(choice.label)
+        button.setAutoDefault(False)
+        button.setMinimumWidth(120)
+        button.setAccessibleName(f"{choice.label}. {choice.effect}")
+        if choice.stops:
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        button.clicked.connect(self._choose)
+        return button
+
+    @Slot()
+    def _choose(self) -> None:
+        button = self.sender()
+        assert isinstance(button, QPushButton)
+        self.chosen.emit(button.text())

@@ -1,0 +1,32 @@
+"""Folders that belong to the user of this program alone: what is found there was put there by this user's programs."""
+
+import os
+import stat
+from pathlib import Path
+
+
+def make_own_folder(folder: Path) -> None:
+    """Make a folder with its parents, for this user alone, or check one that exists.
+
+    Raises OSError with the folder and the reason: it is a link, it or a folder above it belongs to another user, or others
+    may write to it. A link above it is followed if it belongs to this user or to the system. On Windows, where a user's
+    folders are closed to others, nothing is checked.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not hasattr(os, "geteuid"):
+            return
+        status = folder.lstat()
+        above = {*folder.absolute().parents, *folder.resolve().parents}
+        owners = {each.lstat().st_uid for each in above}
+    except (FileExistsError, NotADirectoryError):
+        what = "is a link" if folder.is_symlink() else "is not a folder"
+        raise OSError(f"{folder}: {what}; choose another") from None
+    except OSError as error:
+        raise OSError(f"{folder}: cannot be used: {error.strerror}; choose another folder") from None
+    if stat.S_ISLNK(status.st_mode):
+        raise OSError(f"{folder}: is a link; choose another")
+    if status.st_uid != os.geteuid() or owners - {0, os.geteuid()}:
+        raise OSError(f"{folder}: it or a folder above it belongs to another user; choose another folder")
+    if status.st_mode & stat.S_IWOTH:
+        raise OSError(f"{folder}: every user may write to it; choose another folder, or change its permissions")

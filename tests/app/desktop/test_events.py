@@ -1,0 +1,309 @@
+"""What must not be missed: the log of events, safety orders, questions; and no key ends a run by accident."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QApplication, QPushButton, QWidget
+from pytestqt.qtbot import QtBot
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.row import SKIPPED
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.desktop import MainWindow
+from goniotwin.app.desktop.events.panels import LogEntry
+from goniotwin.app.desktop.events.question import QuestionBox
+from goniotwin.app.desktop.model.permissions import BUSY
+from goniotwin.app.desktop.run import panel
+from goniotwin.drivers import DeviceError, Rig, TmclAxis
+from goniotwin.drivers.errors import NoAnswer
+from goniotwin.drivers.monochromator import Monochromator
+from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
+from tests.conftest import SMALL, Writer
+
+ASK = '\n[faults]\nwire = "ask"\n'
+ACCIDENTS = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Space)
+
+
+def journal_events(window: MainWindow) -> list[tuple[str, str]]:
+    """Kinds and texts of the events in the journal, read while the program may write."""
+    assert window.presenter.journal is not None
+    db = sqlite3.connect(window.presenter.journal)
+    found = db.execute("SELECT kind, text FROM event WHERE session = 1 ORDER BY id").fetchall()
+    db.close()
+    return found
+
+
+def wait_for_question(qtbot: QtBot, window: MainWindow, text: str) -> QuestionBox:
+    """Wait for a question with this text in it; return its box."""
+    qtbot.waitUntil(lambda: window.question is not None and text in window.question.text, timeout=READY_MS)
+    assert window.question is not None
+    return window.question
+
+
+def answer(window: MainWindow, label: str) -> None:
+    """Give an answer to the open question."""
+    assert window.question is not None
+    click(window.question.buttons[label])
+
+
+def break_photodiodes(window: MainWindow, *, broken: bool = True) -> None:
+    """Let the third module of the photodiodes answer to another address, so that the driver gets no reply."""
+    opened = window.rig_thread._opened
+    assert opened is not None
+    assert opened.virtual is not None
+    opened.virtual.modbus["adc-2"].unit = 9 if broken else 1
+
+
+def button_of(shown: QWidget) -> QPushButton:
+    """The button of a line at the top of the window."""
+    button = shown.findChild(QPushButton)
+    assert button is not None
+    return button
+
+
+def acknowledge(window: MainWindow) -> None:
+    """Acknowledge the safety order."""
+    click(button_of(window.view.orders))
+
+
+def start_with_person(window: MainWindow) -> None:
+    click(window.view.rig.person)
+    click(window.view.run.start_button)
+
+
+@pytest.fixture
+def asking(qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer) -> MainWindow:
+    """A window whose schedule asks the operator about faults; a run has started, with a person as the operator."""
+    window = ready(qtbot, open_window(schedule=write_schedule(text=SMALL + ASK)))
+    start_with_person(window)
+    return window
+
+
+def test_a_safety_order_stays_until_it_is_acknowledged(
+    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next readings of the positions fail, and their message follows that of the stop within 0.2 s."""
+
+    def silent(_axis: TmclAxis) -> float:
+        raise NoAnswer("gamma", "GAP", "0 of 9 bytes")
+
+    window = ready(qtbot, open_window(speed=1.0))
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
+    monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
+    click(window.view.run.stop_button)
+    wait_for_end(qtbot, window, State.IDLE)
+    monkeypatch.setattr(TmclAxis, "position_deg", silent)
+    qtbot.waitUntil(lambda: "GAP" in window.view.status, timeout=READY_MS)
+    (order,) = window.view.orders.orders
+    assert order.order == "Cut the motors' power"
+    assert "sigma: MST: nothing" in order.reason
+    assert window.view.orders.isVisible()
+    assert window.windowTitle().startswith("SAFETY ORDER")
+    texts = [entry.what for entry in window.view.log.entries if entry.serious]
+    assert any(text.startswith("gamma: GAP") for text in texts)
+    assert any("Cut the motors' power" in text for text in texts)
+
+    acknowledge(window)
+    assert window.view.orders.isHidden()
+    assert not window.windowTitle().startswith("SAFETY ORDER")
+    qtbot.waitUntil(lambda: ("acknowledged", order.text) in journal_events(window), timeout=READY_MS)
+    assert ("order", order.text) in journal_events(window)
+    qtbot.waitUntil(lambda: not list(window.presenter.journal.parent.glob("*-wal")))  # type: ignore[union-attr]
+
+
+def test_an_order_is_acknowledged_during_a_run(qtbot: QtBot, asking: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shutter cannot be closed while the operator is asked about a fault."""
+
+    def stuck(_monochromator: Monochromator, *, opened: bool) -> None:
+        raise NoAnswer("monochromator", "SHUTTER", f"no reply, {opened}")
+
+    wait_for_question(qtbot, asking, "etalon")
+    with monkeypatch.context() as patch:
+        answer(asking, "Mounted")
+        wait_for_question(qtbot, asking, "gaussian-5")
+        patch.setattr(Monochromator, "start_shutter", stuck)
+        answer(asking, "Mounted")
+        wait_for_question(qtbot, asking, "SHUTTER")
+        (order,) = asking.view.orders.orders
+        assert order.order == "Close the shutter by hand"
+        acknowledge(asking)
+        qtbot.waitUntil(lambda: ("acknowledged", order.text) in journal_events(asking), timeout=READY_MS)
+    assert asking.presenter.busy
+    answer(asking, "Retry")
+    wait_for_end(qtbot, asking, State.DONE)
+
+
+def test_an_order_without_a_run_is_in_the_window_only(
+    qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(_rig: Rig) -> list[DeviceError]:
+        return [NoAnswer("monochromator", "ABORT", "nothing")]
+
+    monkeypatch.setattr(Rig, "stop", failing)
+    click(window.view.run.stop_button)
+    qtbot.waitUntil(lambda: any("ABORT" in entry.what for entry in window.view.log.entries), timeout=READY_MS)
+    assert window.view.orders.orders == []  # a grating that turns on is no danger
+    monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("beta", "MST", "nothing")])
+    click(window.view.run.stop_button)
+    qtbot.waitUntil(lambda: len(window.view.orders.orders) == 1, timeout=READY_MS)
+    acknowledge(window)
+    assert any(entry.what.startswith("Acknowledged") for entry in window.view.log.entries)
+
+
+def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow) -> None:
+    """Retry asks again as long as the fault is there, Skip row goes to the next one, Pause waits for Resume."""
+    wait_for_question(qtbot, asking, "etalon")
+    answer(asking, "Mounted")
+    box = wait_for_question(qtbot, asking, "gaussian-5")
+    assert list(box.buttons) == ["Mounted", "Wait", "Stop"]
+    break_photodiodes(asking)
+    answer(asking, "Mounted")
+    first = wait_for_question(qtbot, asking, "photodiodes module 2")
+    assert list(first.buttons) == ["Retry", "Skip row", "Pause", "Stop"]
+    assert "Device fault" in first.windowTitle()
+    title, row, *_ = first.text.split(": ")
+    answer(asking, "Retry")
+    again = wait_for_question(qtbot, asking, "photodiodes module 2")
+    assert again.text.startswith(f"{title}: {row}: ")
+    answer(asking, "Skip row")
+    following = wait_for_question(qtbot, asking, "photodiodes module 2")
+    assert not following.text.startswith(f"{title}: {row}: ")
+    answer(asking, "Pause")
+    qtbot.waitUntil(lambda: asking.presenter.state is State.PAUSED, timeout=READY_MS)
+    assert asking.view.question.text == ""
+    break_photodiodes(asking, broken=False)
+    click(asking.view.run.pause_button)
+    wait_for_end(qtbot, asking, State.DONE)
+    assert asking.presenter.journal is not None
+    with Journal.open(asking.presenter.journal) as journal:
+        flags = [each.data.flags for each in journal.rows() if each.data.flags]
+    assert flags == [(SKIPPED,)]
+    answers = [text.split(" (at ")[0] for kind, text in journal_events(asking) if kind == "answer"]
+    assert answers == ["Retry", "Skip row", "Pause"]
+    log = asking.view.log.entries
+    faults = [entry for entry in log if "photodiodes module 2" in entry.what and entry.consequence]
+    assert len(faults) == 3
+    assert all(entry.serious and entry.where and entry.consequence == "ask the operator" for entry in faults)
+    assert LogEntry("Run ended: done after 10 of 10 rows", asking.presenter.journal.name, "measured rows are saved") in log
+
+
+@pytest.mark.parametrize("question", ["etalon", "photodiodes module 2"])
+def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, question: str) -> None:
+    """For one question with its own button, for the other with that of the window."""
+    wait_for_question(qtbot, asking, "etalon")
+    if question == "etalon":
+        answer(asking, "Stop")
+    else:
+        break_photodiodes(asking)
+        answer(asking, "Mounted")
+        wait_for_question(qtbot, asking, question)
+        click(asking.view.run.stop_button)
+    wait_for_end(qtbot, asking, State.IDLE)
+    assert asking.question is None
+    assert asking.view.question.text == ""
+    assert "Stopped after" in asking.view.status
+
+
+def test_a_question_can_wait_and_no_key_answers_it_by_accident(qtbot: QtBot, asking: MainWindow) -> None:
+    mount = wait_for_question(qtbot, asking, "etalon")
+    for key in ACCIDENTS:
+        press(qtbot, mount.focusWidget(), key)
+        assert not mount.isVisible()  # Wait
+        assert "Mount etalon" in asking.view.question.text
+        click(button_of(asking.view.question))
+        assert mount.isVisible()
+    mount.close()
+    assert asking.question is mount
+    assert [each.text() for each in tab_order(mount) if isinstance(each, QPushButton)] == ["Mounted", "Wait"]
+    break_photodiodes(asking)
+    answer(asking, "Mounted")
+    fault = wait_for_question(qtbot, asking, "photodiodes module 2")
+    for key in ACCIDENTS:
+        press(qtbot, fault.focusWidget(), key)
+    assert fault.isVisible()
+    assert asking.question is fault
+    assert [each.text() for each in tab_order(fault) if isinstance(each, QPushButton)] == ["Retry", "Skip row", "Pause"]
+    assert asking.presenter.busy
+
+
+def press(qtbot: QtBot, widget: QWidget | None, key: Qt.Key) -> None:
+    """Press and release a key in a widget."""
+    assert widget is not None
+    qtbot.keyClick(widget, key)  # type: ignore[no-untyped-call]
+
+
+def tab_order(window: QWidget) -> list[QWidget]:
+    """The widgets of a window that Tab reaches."""
+    found: list[QWidget] = []
+    each = window.nextInFocusChain()
+    while each is not None and each is not window:
+        if each.focusPolicy() & Qt.FocusPolicy.TabFocus and each.window() is window:
+            found.append(each)
+        each = each.nextInFocusChain()
+    return found
+
+
+def test_enter_and_space_never_stop_a_run(qtbot: QtBot, open_window: WindowOpener) -> None:
+    """Start is pressed by Space; then it is disabled, and the focus goes elsewhere."""
+    window = ready(qtbot, open_window(speed=1.0))
+    assert window.view.run.stop_button not in tab_order(window)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    window.view.run.start_button.setFocus()
+    press(qtbot, window.view.run.start_button, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
+    for key in ACCIDENTS * 2:
+        press(qtbot, QApplication.focusWidget(), key)
+    assert window.presenter.state in BUSY
+    assert window.presenter.state is not State.STOPPING
+
+
+def test_esc_has_to_be_held(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Released in time it does nothing, in the window or in a question; held it stops, whatever has the focus."""
+    monkeypatch.setattr(panel, "HOLD_MS", READY_MS)
+    window = ready(qtbot, open_window(speed=1.0))
+    run = window.view.run
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    start_with_person(window)
+    box = wait_for_question(qtbot, window, "etalon")
+    for widget in (window, box, window.view.log.findChild(QWidget, "events")):
+        assert widget is not None
+        qtbot.keyPress(widget, Qt.Key.Key_Escape)  # type: ignore[no-untyped-call]
+        assert run.holding
+        qtbot.keyRelease(widget, Qt.Key.Key_Escape)  # type: ignore[no-untyped-call]
+        assert not run.holding
+    assert box.isVisible()
+    assert window.presenter.state is State.RUNNING
+    run._hold.setInterval(1)
+    qtbot.keyPress(box, Qt.Key.Key_Escape)  # type: ignore[no-untyped-call]
+    wait_for_end(qtbot, window, State.IDLE)
+
+
+def test_a_key_stops_at_once(qtbot: QtBot, open_window: WindowOpener) -> None:
+    window = ready(qtbot, open_window(speed=1.0))
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
+    qtbot.keyClick(window, Qt.Key.Key_Period, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
+    wait_for_end(qtbot, window, State.IDLE)
+    assert window.presenter.journal is not None
+    with Journal.open(window.presenter.journal) as journal:
+        assert journal.row_counts()[0] < ROWS
+
+
+def test_the_log_has_the_latest_first_and_is_bounded(
+    qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    del qtbot, tmp_path
+    monkeypatch.setattr("goniotwin.app.desktop.events.panels.MAX_ENTRIES", 20)
+    for k in range(25):
+        window.view.log.add(LogEntry(f"event {k}", serious=k == 24))
+    entries = window.view.log.entries
+    assert len(entries) == 20
+    assert entries[0] == LogEntry("event 24", serious=True)
+    assert entries[-1] == LogEntry("event 5")

@@ -1,0 +1,507 @@
+"""What is hostile to a run and is no fault of its devices: each of these must leave a run, its archive and its rig unharmed."""
+
+import contextlib
+import io
+import multiprocessing
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain, repeat
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import usb.core
+
+from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.reading import DamagedJournal
+from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, Journal, copy_journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli.main import app as command
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
+from goniotwin.drivers import Monochromator, MonochromatorSettings
+from goniotwin.drivers.motion.stop import stop_all
+from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.usb.usbip import UsbIpLink
+from goniotwin.mocks.faults import Fault, FaultPlan
+from goniotwin.mocks.faulty_line import FaultyLine
+from goniotwin.protocols import usbip
+from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
+from goniotwin.protocols.tmcl import Command, CommandFrame
+from tests.conftest import RIG, SMALL, RigOpener, Writer, changed
+from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
+from tests.system.command import invoke
+from tests.system.command_process import FORKED, CommandProcess, row_digest
+from tests.system.conftest import Serve
+
+# ---- a busy computer ----
+
+
+class BusyClock(VirtualClock):
+    """The clock of a busy computer: every third wait lasts up to `LATE_S` longer than it should, by a seed."""
+
+    LATE_S = 0.3
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(1.0)
+        self._draws = FaultPlan(seed, ())
+        self._waits = 0
+
+    def sleep_until(self, t: float) -> None:
+        self._waits += 1
+        late = self._draws.draw(self._waits, 1000) / 1000.0 if self._draws.draw(self._waits + (1 << 32), 3) == 0 else 0.0
+        super().sleep_until(t + self.LATE_S * late)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rig_connects_on_a_busy_computer(seed: int) -> None:
+    """Its own waits are late, and so are replies, as those of a rig that the same computer serves."""
+    with open_rig(read_rig(RIG), BusyClock(seed)) as opened:
+        assert opened.virtual is not None
+        serial = opened.virtual.serial
+        serial["axes"] = FaultyLine(serial["axes"], FaultPlan(seed, (Fault.LATE,), share=0.2), late_s=0.3)
+        assert [str(error) for error in opened.rig.connect().values() if error is not None] == []
+
+
+BUSY = """
+import os, sys, threading
+threading.Thread(target=lambda: os._exit(len(sys.stdin.read())), daemon=True).start()
+while True:
+    pass
+"""
+"""Uses all the time that it gets, until its input ends, as it does when the tests are killed."""
+
+
+@contextlib.contextmanager
+def busy_processes(count: int) -> Iterator[None]:
+    with contextlib.ExitStack() as stack:
+        for _ in range(count):
+            process = stack.enter_context(subprocess.Popen([sys.executable, "-S", "-c", BUSY], stdin=subprocess.PIPE))
+            stack.callback(process.kill)
+        yield
+
+
+def connection_errors(rig: RigDescription, clock: Clock) -> list[str]:
+    with open_rig(rig, clock) as opened:
+        return [str(error) for error in opened.rig.connect().values() if error is not None]
+
+
+@pytest.mark.long
+@pytest.mark.endpoint
+def test_one_process_connects_a_hundred_times_beside_twenty_busy_ones() -> None:
+    """Ten times as fast as in the laboratory, so that a tenth of the lateness counts."""
+    rig = read_rig(RIG)
+    with busy_processes(20):
+        assert [error for _ in range(100) for error in connection_errors(rig, RealClock(10.0))] == []
+
+
+@pytest.mark.long
+def test_beside_twenty_busy_processes_a_served_rig_connects_though_its_server_is_late_too(serve: Serve, tmp_path: Path) -> None:
+    served = tmp_path / "served.toml"
+    serve(RIG, "--write-rig", served)
+    rig = read_rig(served)
+    with busy_processes(20):
+        assert [error for _ in range(20) for error in connection_errors(rig, RealClock())] == []
+
+
+# ---- a device that never stops sending ----
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_every_call_of_a_driver_ends_within_five_seconds_though_its_device_never_stops_sending(
+    opened: RigOpener, name: str
+) -> None:
+    check_calls(opened, name, (0, 5))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", WIRES)
+def test_every_call_ends_at_whichever_request_the_device_begins_to_send_without_end(opened: RigOpener, name: str) -> None:
+    check_calls(opened, name, (*range(20), 34, 55, 89))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [each if each in QUICK else pytest.param(each, marks=pytest.mark.long) for each in WIRES if each.startswith("axes")],
+)
+def test_a_stop_is_on_the_wire_in_time_though_the_module_never_stops_sending(opened: RigOpener, name: str) -> None:
+    check_stops(opened, name)
+
+
+@pytest.mark.parametrize("piece", [b"x", b"00\r\n"])
+def test_a_flooded_monochromator_holds_no_call_for_longer_than_five_seconds(piece: bytes) -> None:
+    clock = VirtualClock(1.0)
+    port: Any = FloodedPort(clock, piece)
+    driver = Monochromator(lambda *_: port, MonochromatorSettings(), clock)
+    check_flood(clock, driver.connect, driver.wavelength_nm, lambda: driver.start_wavelength(600.0), driver.shutter_is_open)
+
+
+def test_stop_frames_are_on_a_flooded_line_within_200_ms() -> None:
+    clock = VirtualClock(1.0)
+    port: Any = FloodedPort(clock, b"\2\1")
+    module = TmclModule(lambda *_: port, clock)
+    check_flood(clock, module.connect, module.identify)
+    started = clock.now()
+    stops = {"axes": module.begin_stop([(name, CommandFrame(1, Command.MST, 0, k)) for k, name in enumerate(AXES)])}
+    assert [each.device for each in stop_all(stops)] == list(AXES)
+    frames = [t - started for t, data in port.written if t >= started and data[1] == Command.MST]
+    assert frames[len(AXES) - 1] < 0.2
+    assert clock.now() - started < 5.0
+
+
+@pytest.mark.parametrize(
+    "stream",
+    [repeat(usbip.Submitted(999, 0, 0).encode()), chain([usbip.Submitted(1, 0, 1 << 20).encode()], repeat(b"x"))],
+    ids=["results of other transfers", "a byte at a time"],
+)
+def test_a_transfer_over_usbip_ends_though_the_server_never_stops_sending(
+    stream: Iterator[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server: Any = EndlessServer(stream)
+    monkeypatch.setattr("goniotwin.drivers.usb.usbip._connect", lambda *_: server)
+    monkeypatch.setattr("goniotwin.drivers.usb.usbip._clock", server)
+    link = UsbIpLink("host", 3240, "1-1")
+    with pytest.raises(usb.core.USBError):
+        link.read(1, 1 << 20, 1000)
+    assert 1.0 < server.now() < 5.0
+
+
+# ---- a journal with a flipped bit ----
+
+
+def export_csv(journal: Path, out: Path) -> bytes | None:
+    """What `goniotwin export` writes with status 0; None where it refuses the journal in one line and writes nothing."""
+    out.unlink(missing_ok=True)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            status = command(["export", str(journal), "--format", "csv", "--out", str(out)], standalone_mode=False)
+    except UserError as error:
+        return None if error.status and "\n" not in str(error) and not out.exists() else b"other"
+    return None if status else out.read_bytes()
+
+
+@pytest.mark.parametrize("flips", [pytest.param(200, id="200"), pytest.param(10_000, id="10000", marks=pytest.mark.long)])
+def test_no_flipped_bit_of_a_journal_gives_other_values(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, flips: int
+) -> None:
+    """Of all bytes, and where there are few flips of those that are not zero: most others are unused, and change nothing."""
+    plan = make_plan(read_schedule(write_schedule(("shift_deg = [0, 1]", "shift_deg = [0]"))), read_rig(write_rig()))
+    path, out = tmp_path / "a.journal", tmp_path / "a.csv"
+    run_campaign(plan, path)
+    whole, sound = path.read_bytes(), export_csv(path, out)
+    assert sound is not None
+    places = np.arange(len(whole)) if flips > 1000 else np.flatnonzero(np.frombuffer(whole, dtype=np.uint8))
+    outcomes: Counter[str] = Counter()
+    for k in np.random.default_rng(flips).choice(8 * len(places), flips, replace=False).tolist():
+        bit = 8 * int(places[k // 8]) + k % 8
+        content = bytearray(whole)
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+        found = export_csv(path, out)
+        outcomes["refused" if found is None else "same" if found == sound else "other"] += 1
+        assert found in (None, sound), f"bit {bit}"
+    print(f"\n{dict(outcomes)}")
+    assert outcomes["refused"] > flips // 5
+
+
+# ---- copies of a journal during a run ----
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("runs", [10])
+@FORKED[0]
+def test_copies_of_a_journal_during_a_run_are_whole(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, runs: int
+) -> None:
+    """By `goniotwin copy` with every row that was reported before; plain ones without at most ten rows, or refused as torn."""
+    rig = write_rig()
+    schedule = write_schedule(("wavelength_nm = [550]", "wavelength_nm = [500, 550, 600, 650, 700]"))
+    plain, exact = tmp_path / "plain.journal", tmp_path / "exact.journal"
+    copies: Counter[str] = Counter()
+    for k in range(runs):
+        path = tmp_path / f"{k}.journal"
+        process = CommandProcess(tmp_path, "run", schedule, "--rig", rig, "--out", path)
+        process.wait_for_rows(1)
+        while process.alive:
+            before = process.committed
+            shutil.copyfile(path, plain)
+            exact.unlink(missing_ok=True)
+            try:
+                found = committed_rows(plain)
+                assert found.items() <= process.committed.items()
+                assert len(found) > len(before) - CHECKPOINT_ROWS
+                copies["plain"] += 1
+            except DamagedJournal:
+                copies["torn"] += 1
+            before = process.committed
+            copy_journal(path, exact)
+            assert before.items() <= committed_rows(exact).items()
+            copies["exact"] += 1
+        assert process.wait() == 0, process.errors
+        shutil.copyfile(path, plain)
+        assert committed_rows(plain) == process.committed
+    print(f"\n{dict(copies)}")
+    assert copies["exact"] > 3 * runs
+
+
+def committed_rows(path: Path) -> dict[int, str]:
+    """The rows of a journal, by number, with the digests of their data. Raises DamagedJournal."""
+    with Journal.open(path) as journal:
+        if journal.chain.damage:
+            raise DamagedJournal(journal.chain.damage)
+        return {each.row.number: row_digest(each.data) for each in journal.rows()}
+
+
+# ---- the rig belongs to one program ----
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows closes a user's folders to others")
+ANOTHER_USER = 65_534
+TCP = ["socket://127.0.0.1:{}", "socket://localhost:{}", "rfc2217://[::1]:{}", "SOCKET://LOCALHOST:{}/", "socket://0.0.0.0:{}"]
+USERS = [(None, None), (None, ANOTHER_USER), (ANOTHER_USER, None)]
+"""User of the first and of the second program; None is the one of the tests."""
+
+
+@dataclass(frozen=True)
+class Ports:
+    """A TCP port and a serial port that both programs want, and the TCP port of all other devices of the second one."""
+
+    tcp: int
+    serial: str
+    link: str
+    own: socket.socket
+
+    def untouched(self) -> bool:
+        """Whether no program has connected to the devices that only the second one has."""
+        try:
+            self.own.accept()
+        except BlockingIOError:
+            return True
+        return False
+
+
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder that every user can read: those of pytest are closed."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def ports(open_folder: Path) -> Iterator[Ports]:
+    """The ports, for every user."""
+    with socket.create_server(("127.0.0.1", 0)) as shared, socket.create_server(("127.0.0.1", 0)) as own:
+        own.setblocking(False)
+        server, port = os.openpty()
+        os.fchmod(port, 0o666)
+        link = open_folder / "by-id"
+        link.symlink_to(os.ttyname(port))
+        yield Ports(shared.getsockname()[1], os.ttyname(port), str(link), own)
+        os.close(server)
+        os.close(port)
+
+
+def rig_on(folder: Path, port: str, others: int) -> Path:
+    """The rig file of a rig that has its axes at a port, and everything else at a TCP port."""
+    text = RIG.read_text(encoding="utf-8")
+    text = text[: text.index("\n[simulated]")] + text[text.index("\n[axes]") : text.index("\n[twin]")]
+    text = text.replace('"twin://virtual/axes"', f'"{port}"').replace(
+        '"twin://virtual/monitor"', f'"usbip:localhost:{others}/1"'
+    )
+    text = text.replace('"twin://virtual/mono"', f'"socket://localhost:{others}"')
+    for number in range(10):
+        text = text.replace(f'"twin://virtual/adc-{number}"', f'"rtu:socket://localhost:{others}?unit={number + 1}"')
+    assert "twin://" not in text
+    path = folder / f"rig-{len(list(folder.iterdir()))}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def become(user: int | None, folder: Path) -> None:
+    """Go on as another user, which may not be able to load anything any more, with temporary files of this process' own."""
+    if user is not None:
+        from goniotwin.app.rig.addresses import device_names
+        from goniotwin.app.rig.lock import RigLock
+
+        assert device_names("localhost:1")
+        RigLock(["/dev/null"], "loading", folder / "loading").release()
+        assert invoke("devices", "--rig", RIG).returncode == 0
+        assert invoke("devices", "--rig", folder / "no such file").returncode == 2
+    own = folder / str(os.getpid())
+    own.mkdir()
+    state = folder / f"state-{user}"
+    state.mkdir(exist_ok=True)
+    os.environ.update(TMPDIR=str(own), XDG_STATE_HOME=str(state))
+    tempfile.tempdir = None
+    if user is not None:
+        for each in (own, state):
+            os.chown(each, user, user)
+        os.setgroups([])
+        os.setgid(user)
+        os.setuid(user)
+
+
+def hold(pipe: Connection, rig: Path, port: str, user: int | None) -> None:
+    """The first program: it has opened its rig, and its serial port, until the test has ended."""
+    from goniotwin.app.rig import open_rig, read_rig
+    from goniotwin.app.rig.wires import open_serial
+    from goniotwin.protocols.clock import RealClock
+
+    become(user, rig.parent)
+    with open_rig(read_rig(rig), RealClock()):
+        line = open_serial(port, 115200, 1.0) if port.startswith("/") else None
+        pipe.send("held")
+        pipe.recv()
+        if line is not None:
+            line.close()
+
+
+def connect(pipe: Connection, rig: Path, user: int | None) -> None:
+    """The second program."""
+    become(user, rig.parent)
+    done = invoke("devices", "--rig", rig)
+    pipe.send((done.returncode, done.stderr))
+
+
+@contextlib.contextmanager
+def process(work: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    """A process that does some work, and the pipe to it."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["goniotwin.app.cli.main", "goniotwin.app.cli.device_search", __name__])
+    ours, theirs = context.Pipe()
+    started = context.Process(target=work, args=(theirs, *arguments))
+    started.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        started.kill()
+        started.join()
+        started.close()
+        ours.close()
+
+
+def check_refused(status: int, errors: str, ports: Ports) -> None:
+    """Check that a program was refused in one line, before it opened anything."""
+    assert status == 2, errors
+    assert "is in use by process" in errors
+    assert "Traceback" not in errors
+    assert ports.untouched()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a TCP address has no guard among folders of state")
+def test_no_spelling_of_a_port_gets_a_second_program_onto_a_rig(
+    open_folder: Path, ports: Ports, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Neither in its own temporary folder, nor with its own folder of locks."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    own = ports.own.getsockname()[1]
+    with process(hold, rig_on(open_folder, ports.serial, ports.tcp), ports.serial, None) as holder:
+        assert holder.recv() == "held"
+        for port in (ports.serial, ports.link, *(each.format(ports.tcp) for each in TCP)):
+            for state in (open_folder / "state-None", tmp_path):
+                monkeypatch.setenv("XDG_STATE_HOME", str(state))
+                done = invoke("devices", "--rig", rig_on(open_folder, port, own))
+                check_refused(done.returncode, done.stderr, ports)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only the system's administrator can be two users")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a TCP address has no guard among users")
+@pytest.mark.parametrize("users", USERS, ids=["one user", "another second", "another first"])
+def test_two_processes_of_any_users_do_not_get_onto_one_rig(open_folder: Path, ports: Ports, users: tuple[Any, Any]) -> None:
+    first_user, second_user = users
+    own = ports.own.getsockname()[1]
+    tcp = [each.format(ports.tcp) for each in TCP]
+    pairs = [*zip(tcp, tcp[1:] + tcp[:1], strict=True), (ports.serial, ports.link), (ports.link, ports.serial)]
+    for first, second in pairs:
+        with process(hold, rig_on(open_folder, first, ports.tcp), first, first_user) as holder:
+            assert holder.recv() == "held"
+            with process(connect, rig_on(open_folder, second, own), second_user) as pipe:
+                status, errors = pipe.recv()
+                check_refused(status, errors, ports)
+
+
+# ---- folders and files that another user has prepared ----
+
+
+def owned_by_another(folder: Path, foreign: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only the system's administrator can prepare the folder of another user")
+    folder.mkdir(parents=True)
+    os.chown(folder, ANOTHER_USER, ANOTHER_USER)
+
+
+def linked(folder: Path, foreign: Path) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.symlink_to(foreign, target_is_directory=True)
+
+
+def writable_by_all(folder: Path, foreign: Path) -> None:
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+
+
+@contextlib.contextmanager
+def unchanged(foreign: Path) -> Iterator[None]:
+    """Check that no byte of a foreign folder changes, and no file comes."""
+    before = {each: each.read_bytes() for each in foreign.iterdir()}
+    yield
+    assert {each: each.read_bytes() for each in foreign.iterdir()} == before
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """A folder with a file that is not to change."""
+    folder = tmp_path / "foreign"
+    folder.mkdir()
+    (folder / "precious").write_text("precious", encoding="utf-8")
+    return folder
+
+
+@posix
+@pytest.mark.parametrize("prepare", [owned_by_another, linked, writable_by_all])
+def test_a_prepared_folder_of_locks_is_refused(
+    prepare: Callable[[Path, Path], None], open_folder: Path, foreign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    prepare(tmp_path / "state" / "goniotwin" / "locks", foreign)
+    with unchanged(foreign):
+        done = invoke("devices", "--rig", rig_on(open_folder, "/dev/ttyACM7", 9))
+    assert done.returncode == 2
+    assert "the lock of /dev/ttyACM7 cannot be made" in done.stderr
+
+
+@posix
+@pytest.mark.parametrize("prepare", [owned_by_another, linked, writable_by_all])
+def test_a_prepared_folder_of_pseudo_terminals_is_refused(
+    prepare: Callable[[Path, Path], None], foreign: Path, tmp_path: Path
+) -> None:
+    prepare(tmp_path / "ports", foreign)
+    with unchanged(foreign):
+        done = invoke("serve", "--rig", RIG, "--ptys", tmp_path / "ports")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "cannot be served" in done.stderr
+
+
+@posix
+@pytest.mark.parametrize("name", ["a.journal.lock", "a.journal.holder", ".a.journal.new", "a.journal"])
+def test_no_byte_changes_of_a_file_to_which_a_prepared_link_leads(name: str, foreign: Path, tmp_path: Path) -> None:
+    schedule = tmp_path / "schedule.toml"
+    schedule.write_text(changed(SMALL, (("readings = 2", "readings = 1"),)), encoding="utf-8")
+    (tmp_path / name).symlink_to(foreign / "precious")
+    with unchanged(foreign):
+        done = invoke("run", schedule, "--rig", RIG, "--out", tmp_path / "a.journal")
+    assert "Traceback" not in done.stderr
+    assert done.returncode == (0 if name in ("a.journal.holder", ".a.journal.new") else 2), done.stderr
