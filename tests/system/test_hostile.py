@@ -234,8 +234,13 @@ def test_copies_of_a_journal_during_a_run_are_whole(
         process.wait_for_rows(1)
         while process.alive:
             before = process.committed
+            if k % 2:
+                exact.unlink(missing_ok=True)
+                copy_journal(path, exact)
+                assert before.items() <= committed_rows(exact).items()
+                copies["exact"] += 1
+                continue
             shutil.copyfile(path, plain)
-            exact.unlink(missing_ok=True)
             try:
                 found = committed_rows(plain)
                 assert found.items() <= process.committed.items()
@@ -243,15 +248,11 @@ def test_copies_of_a_journal_during_a_run_are_whole(
                 copies["plain"] += 1
             except DamagedJournal:
                 copies["torn"] += 1
-            before = process.committed
-            copy_journal(path, exact)
-            assert before.items() <= committed_rows(exact).items()
-            copies["exact"] += 1
         assert process.wait() == 0, process.errors
         shutil.copyfile(path, plain)
         assert committed_rows(plain) == process.committed
     print(f"\n{dict(copies)}")
-    assert copies["exact"] > 3 * runs
+    assert min(copies["exact"], copies["plain"]) > runs
 
 
 def committed_rows(path: Path) -> dict[int, str]:

@@ -6,6 +6,7 @@ and the raw counts; everything else can be derived from these again. docs/journa
 
 import contextlib
 import json
+import math
 import os
 import platform
 import sqlite3
@@ -186,7 +187,9 @@ class Journal(JournalReader):
         self._fresh, self._due_s = 0, None
         if self._written:
             with contextlib.suppress(sqlite3.Error):  # the rows are on the disk, in the -wal file
-                self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+                _, written, copied = self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+                if copied < written:  # a reader is in the way: again at the next poll
+                    self._due_s = -math.inf
 
     def _expect_checkpoint(self, t: float, rows: int = 0) -> None:
         """Count what was committed at the time `t`, and make the checkpoint that is due."""
