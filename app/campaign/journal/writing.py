@@ -94,7 +94,8 @@ class Journal(JournalReader):
                 db.execute("PRAGMA wal_checkpoint")  # closing does this too, but ignores errors
             spare.rename(path)
         except (sqlite3.Error, OSError) as error:
-            _remove(spare)
+            with contextlib.suppress(OSError):  # a read-only disk
+                _remove(spare)
             raise _unwritable(path, error) from None
         try:
             db = _connect(path, durable=durable)
