@@ -23,6 +23,7 @@ class UserError(Exception):
     """
 
     status = 2
+
     def __str__(self) -> str:
         return one_line(super().__str__())
 

@@ -22,7 +22,8 @@ class Outcome:
     """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
 
     `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
-    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes.
+    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes. `shutter_may_be_open`: the shutter could
+    not be closed at the end.
     """
 
     state: State
@@ -34,6 +35,7 @@ class Outcome:
     faults: tuple[str, ...]
     simulated: bool
     chain: Chain
+    shutter_may_be_open: bool
 
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
@@ -101,8 +103,9 @@ def _run_engine(
     failure = opened.transcript_failure
     faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
     return Outcome(
-        state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain
-    )
+        state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain,
+        engine.shutter_may_be_open,
+    )  # fmt: skip
 
 
 def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:

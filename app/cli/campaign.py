@@ -122,6 +122,7 @@ def run(
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
     from goniotwin.app.campaign.reduction.reduction import check_journal
+    from goniotwin.app.campaign.running.engine import SHUTTER_MAY_BE_OPEN
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.rig import read_rig
 
@@ -167,6 +168,8 @@ def run(
         errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
     if outcome.rows < outcome.planned:
         errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
+    if outcome.shutter_may_be_open:
+        print_error(SHUTTER_MAY_BE_OPEN)
     if outcome.state is not State.DONE or outcome.skipped:
         raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
 

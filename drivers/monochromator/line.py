@@ -90,7 +90,7 @@ class CornerstoneLine:
                 status = self.status_of(statement, self.line(statement)) if self.handshake else NO_ERROR
                 if self._lines or self._pending:
                     raise BadAnswer(NAME, str(statement), f"more lines than its reply: {list(self._lines)}", CHECK_LINE)
-            except DeviceError:
+            except BaseException:  # also of a signal: replies may be on their way
                 self.in_step = False
                 raise
             return reply, status

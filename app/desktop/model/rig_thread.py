@@ -95,6 +95,8 @@ class RigThread:
         self._schedule: Path | None = None
         self._engine: Engine | None = None
         self._reason = ""
+        self.shutter_may_be_open = False
+        """The last run could not close the shutter."""
         self._axes_connected = False
         self._short: list[threading.Thread] = []
         self._stop_requested = threading.Event()
@@ -266,6 +268,7 @@ class RigThread:
                 engine.stop()
             state = self._run_engine(engine)
             self._engine = None
+            self.shutter_may_be_open = engine.shutter_may_be_open
         self._send(RunEnded(state, self._reason, path))
 
     def _run_engine(self, engine: Engine) -> State:
