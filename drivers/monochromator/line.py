@@ -12,7 +12,7 @@ from collections import deque
 from serial import Serial, SerialException
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, unless_late
+from goniotwin.drivers.errors import BadAnswer, Forgotten, NoAnswer, unless_late
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import (

@@ -4,6 +4,8 @@ import contextlib
 import io
 import multiprocessing
 import os
+import json
+import multiprocessing
 import shutil
 import socket
 import subprocess
@@ -43,6 +45,7 @@ from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort
 from tests.system.command import invoke
 from tests.system.command_process import FORKED, CommandProcess, row_digest
 from tests.system.conftest import Serve
+from tests.system.mutations import attempt, attempt_many, make_files
 
 # ---- a busy computer ----
 
@@ -506,3 +509,31 @@ def test_no_byte_changes_of_a_file_to_which_a_prepared_link_leads(name: str, for
         done = invoke("run", schedule, "--rig", RIG, "--out", tmp_path / "a.journal")
     assert "Traceback" not in done.stderr
     assert done.returncode == (0 if name in ("a.journal.holder", ".a.journal.new") else 2), done.stderr
+# ---- files from strangers ----
+
+MUTATIONS = 10_000
+PER_PROCESS = 500
+"""Mutations of one child process: a new one for each would take longer than they do."""
+
+
+def test_a_few_wild_mutations_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(changed := make_files(tmp_path))
+    assert [wrong for number in range(24) if (wrong := attempt(number, tmp_path / "originals", changed))] == []
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="this system has no such limits of a process")
+@pytest.mark.parametrize("first", range(0, MUTATIONS, PER_PROCESS))
+def test_wild_mutations_are_refused_in_one_line(first: int, tmp_path: Path) -> None:
+    """Under 1 GB and within 10 s of the processor; in a child process, which these limits may end."""
+    changed = make_files(tmp_path)
+    numbers, report = range(first, first + PER_PROCESS), tmp_path / "report"
+    arguments = (numbers, tmp_path / "originals", changed, report)
+    child = multiprocessing.get_context("spawn").Process(target=attempt_many, args=arguments)
+    child.start()
+    child.join(3600.0)
+    child.kill()
+    child.join()
+    found = dict(json.loads(line) for line in report.read_text(encoding="utf-8").splitlines())
+    assert [wrong for wrong in found.values() if wrong] == []
+    assert list(found) == list(numbers)
