@@ -38,8 +38,8 @@ def one_line(text: str) -> str:
 
 def unexpected_error(error: BaseException) -> str:
     """One line about an error that nothing else has handled; its details go to a file, which the line names."""
-    what = {MemoryError: "there is not enough memory", RecursionError: "there are too many levels of calls"}.get(type(error))
-    line = f"unexpected error: {what or ''.join(traceback.format_exception_only(error)).strip()}"
+    what = "there is not enough memory" if isinstance(error, MemoryError) else "".join(traceback.format_exception_only(error))
+    line = f"unexpected error: {what.strip()}"
     about = f"goniotwin {goniotwin.__version__}, Python {sys.version}, {platform.platform()}, {calendar_stamp()}"
     details = "\n".join([about, " ".join(map(ascii, sys.argv)), *traceback.format_exception(error)])
     folders: tuple[Callable[[], Path], ...] = (lambda: user_log_path("goniotwin"), lambda: Path(tempfile.gettempdir()))

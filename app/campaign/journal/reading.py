@@ -255,7 +255,7 @@ def report_damage(path: Path) -> Iterator[None]:
     """Convert errors of the database and of the stored values into DamagedJournal."""
     try:
         yield
-    except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
+    except (sqlite3.Error, ArithmeticError, AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         line, *more = str(error).splitlines() or [type(error).__name__]
         raise DamagedJournal(f"{path}: is damaged: {line}{' ...' if more else ''}; {USE_A_COPY}") from None
 

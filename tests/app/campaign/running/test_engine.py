@@ -292,8 +292,11 @@ def test_a_shutter_that_does_not_arrive_has_a_deadline(bench: MakeBench) -> None
     def interrupt(event: Event) -> None:
         if isinstance(event, RowStarted) and event.row.number == 4:
             stopped.append(clock.now())
-            rig.monochromator.start_shutter = lambda opened: Poll(clock, clock.now(), 0.1, lambda: False)  # type: ignore[method-assign]
+            rig.monochromator.start_shutter = start_shutter  # type: ignore[method-assign]
             raise KeyboardInterrupt
+
+    def start_shutter(*, opened: bool) -> Pending:
+        return Poll(clock, clock.now(), 0.1, lambda: False)
 
     stopped: list[float] = []
     made = bench(clock, [interrupt])
