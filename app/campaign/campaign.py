@@ -22,8 +22,8 @@ class Outcome:
     """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
 
     `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
-    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes. `shutter_may_be_open`: the shutter could
-    not be closed at the end.
+    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes. `shutter_may_be_open`: it could not be
+    closed at the end.
     """
 
     state: State
