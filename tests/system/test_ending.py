@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from goniotwin.mocks.control import ControlClient
 from tests.conftest import Writer
 from tests.system.conftest import MAIN, Serve, control_client, until
 
@@ -62,7 +63,7 @@ def test_the_shutter_closes_after_the_end_of_the_terminal(
 
     there = tmp_path / "served.toml"
     _, lines = serve(write_rig(*QUIET), "--write-rig", there)
-    control = ControlClient(at(lines, "control", "port")["port"])
+    control = control_client(lines)
     journal = tmp_path / "c.journal"
     terminal, end = os.openpty()
     run = subprocess.Popen(

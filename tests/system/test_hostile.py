@@ -2,10 +2,9 @@
 
 import contextlib
 import io
-import multiprocessing
-import os
 import json
 import multiprocessing
+import os
 import shutil
 import socket
 import subprocess
@@ -509,6 +508,8 @@ def test_no_byte_changes_of_a_file_to_which_a_prepared_link_leads(name: str, for
         done = invoke("run", schedule, "--rig", RIG, "--out", tmp_path / "a.journal")
     assert "Traceback" not in done.stderr
     assert done.returncode == (0 if name in ("a.journal.holder", ".a.journal.new") else 2), done.stderr
+
+
 # ---- files from strangers ----
 
 MUTATIONS = 10_000
