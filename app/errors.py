@@ -1,5 +1,6 @@
-"""Errors that the user sees: those of input, and the last resort for those of the program."""
+"""Errors that the user sees: those of input, a full disk, and the last resort for those of the program."""
 
+import errno
 import platform
 import sys
 import tempfile
@@ -14,6 +15,7 @@ from goniotwin.protocols.clock import calendar_stamp
 
 LONGEST_MESSAGE = 2000
 """Characters of an error message: a value of a file that is quoted in it may be a megabyte."""
+FULL_DISK = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 
 class UserError(Exception):
@@ -56,3 +58,8 @@ def unexpected_error(error: BaseException) -> str:
         f", at {each.name}, line {each.lineno} of {each.filename}" for each in traceback.extract_tb(error.__traceback__)[-1:]
     ]
     return f"{one_line(line)}{''.join(places)}; the details cannot be written to any folder"
+
+
+def room_on_disk(error: OSError) -> str:
+    """The remedy for a file that cannot be written because the disk, or the user's part of it, is full; else empty."""
+    return "free space on the disk" if error.errno in FULL_DISK else ""

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from goniotwin.app.errors import one_line
+from goniotwin.app.errors import one_line, room_on_disk
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
@@ -97,7 +97,7 @@ def check_writable(path: StrPath) -> None:
             pass
     except OSError as error:
         wrong = f"the folder {file.parent} cannot be written to ({error.strerror})"
-        raise FormatError(path, wrong, "check its permissions and the free space of the disk") from error
+        raise FormatError(path, wrong, room_on_disk(error) or "check its permissions") from error
 
 
 def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
@@ -120,7 +120,7 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
         sync_folder(file.parent)
     except OSError as error:
         wrong = f"cannot be written ({error.strerror})"
-        raise FormatError(path, wrong, "check the folder, its permissions and the free space of the disk") from error
+        raise FormatError(path, wrong, room_on_disk(error) or "check the folder and its permissions") from error
     finally:
         if spare is not None:
             with contextlib.suppress(OSError):  # after the renaming there is nothing left to remove

@@ -171,8 +171,8 @@ class Engine:
                 self._executor.remember_dark(each.data)
 
     def _home_unreferenced(self) -> None:
-        """On resume, home unreferenced axes first."""
-        axes = self._recovery.homeable_axes if self._resumed else []
+        """On resume, home unreferenced axes first; not to close the shutter alone."""
+        axes = self._recovery.homeable_axes if self._resumed and self._work else []
         for axis in axes:
             self._log_event("home", f"{axis.name}: {axis.unreferenced_reason}", axis.name, "homing it")
             self._apply_policies(f"homing {axis.name}", partial(self._recovery.home, axis))

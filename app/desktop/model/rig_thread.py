@@ -44,6 +44,7 @@ from goniotwin.app.desktop.model.messages import (
 from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
+from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.drivers import DeviceError
 from goniotwin.protocols.clock import Clock
 
@@ -218,6 +219,8 @@ class RigThread:
             for controller in opened.rig.controllers:
                 controller.set_heartbeat(NO_HEARTBEAT_S)
         outcome = opened.rig.connect()
+        if not any(outcome.values()):
+            remember_rig(description.file)
         self._axes_connected = all(outcome[each.name] is None for each in opened.rig.controllers)
         devices = {
             device: DeviceStatus(True, opened.rig.identities[device]) if error is None else DeviceStatus(False, str(error))
