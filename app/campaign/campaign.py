@@ -78,7 +78,7 @@ def resume_campaign(
 ) -> Outcome:
     """Resume a campaign at the first planned row that is not in its journal; home unreferenced axes first.
 
-    A journal may come from somebody else, with a rig that is none of this computer: `accept_rig` is asked first whether to use
+    A journal may come of unknown origin, with a rig that is none of this computer: `accept_rig` is asked first whether to use
     a rig that is not the one that was used last here. Naming the `rig` is an answer too. Raises UserError, without a change of
     the journal, where the campaign cannot be resumed: see `remaining_work`.
     """

@@ -21,7 +21,7 @@ def rounded_duration_text(seconds: float) -> str:
 
 
 def printable(text: str) -> str:
-    """A text from somebody's file on one line: what is not printable, and would control a terminal, as `?`."""
+    """A text from a file on one line: what is not printable, and would control a terminal, as `?`."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 

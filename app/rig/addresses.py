@@ -8,7 +8,7 @@
 | Modbus RTU | `rtu:PORT?unit=N&baudrate=9600`; units of one port share one client and one lock |
 | USB | `VENDOR:PRODUCT:SERIAL`, or `usbip:HOST:PORT/BUSID` |
 
-There are no other kinds. A rig file may come from somebody else, and pyserial's further URLs do more than open a port:
+There are no other kinds. A rig file may come of unknown origin, and pyserial's further URLs do more than open a port:
 `spy://PORT?file=NAME` empties the file.
 """
 
@@ -48,7 +48,7 @@ _SERIAL = "|".join(
         r"(?i:com)[0-9]{1,3}",
         rf"(?i:socket)://{_HOST}:[0-9]{{1,5}}/?",
         rf"(?i:rfc2217)://{_HOST}:[0-9]{{1,5}}/?(?:\?(?:&?(?:ign_set_control|poll_modem|timeout=[0-9.]{{1,6}}))+)?",
-        # A regular expression of pyserial, as far as one from somebody else cannot take for ever.
+        # A regular expression of pyserial, as far as one of unknown origin cannot take for ever.
         rf"(?i:{HWGREP})(?!(?:.*\*){{4}})[A-Za-z0-9_ .:=/@*-]{{1,100}}",
     )
 )

@@ -1,6 +1,6 @@
 """The rig that this computer used last: the journal of another one asks before it is resumed.
 
-A journal has the text of a rig file, with the addresses of devices and the limits of axes, and may come from somebody else.
+A journal has the text of a rig file, with the addresses of devices and the limits of axes, and may come of unknown origin.
 """
 
 import contextlib

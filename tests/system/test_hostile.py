@@ -550,7 +550,7 @@ def test_wild_mutations_are_refused_in_one_line(first: int, tmp_path: Path) -> N
 
 OLD_JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
 
-# ---- a journal from somebody else is data, not a program; ports of known kinds ----
+# ---- a journal of unknown origin is data, not a program; ports of known kinds ----
 
 ANOTHER_TEXT = (
     "PRAGMA writable_schema = ON; UPDATE sqlite_schema SET sql = replace(sql, 'gamma_deg REAL', 'gamma_deg REAL CHECK (1)');"
@@ -635,7 +635,7 @@ def test_a_resume_on_another_rig_than_the_last_asks_first(
     path = tmp_path / "a.journal"
     Journal.create(path, make_plan(read_schedule(write_schedule()), read_rig(rig)), {}).close()
     before = path.read_bytes()
-    (line,) = invoke("run", "--resume", path).stderr.splitlines()  # nobody can be asked: standard input is no terminal
+    (line,) = invoke("run", "--resume", path).stderr.splitlines()  # standard input is no terminal
     assert invoke("run", "--resume", path).returncode == 2
     assert "is not the one that this computer used last" in line
     assert "--accept-rig" in line

@@ -284,7 +284,7 @@ def _recovered_copy(path: Path) -> sqlite3.Connection:
 
 
 def distrust(db: sqlite3.Connection) -> None:
-    """Set what a database that may come from somebody else must not do. Raises sqlite3.Error."""
+    """Set what a database that may come of unknown origin must not do. Raises sqlite3.Error."""
     db.execute("PRAGMA trusted_schema = OFF")
     db.execute("PRAGMA cell_size_check = ON")
     for limit, most in LIMITS.items():

@@ -92,7 +92,7 @@ def create_tables(db: sqlite3.Connection) -> None:
 def check_schema(db: sqlite3.Connection, version: int) -> None:
     """Raise ValueError where a database has other tables than a journal of this version, made so or migrated, or anything else.
 
-    A journal may come from somebody else, and SQLite executes what a schema has: triggers, views, expressions of a table.
+    A journal may come of unknown origin, and SQLite executes what a schema has: triggers, views, expressions of a table.
     """
     known, found = known_schemas()[version], _schema_of(db)
     if found in known:

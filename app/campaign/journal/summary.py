@@ -82,6 +82,6 @@ def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
                 errors.append(f"{path}: differs from what was measured: {damage}")
         except UserError as error:
             errors.append(str(error))
-        except Exception as error:  # noqa: BLE001  (whatever somebody has put there, the others are listed)
+        except Exception as error:  # noqa: BLE001  (whatever is in the folder, the others are listed)
             errors.append(f"{path}: cannot be read: {type(error).__name__}: {error}; is it a journal?")
     return summaries, errors
