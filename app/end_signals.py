@@ -43,8 +43,8 @@ class EndSignalHandlers:
         timer.daemon = True
         timer.start()
         atexit.register(_ignore_end_signals)
-        with contextlib.suppress(OSError):  # the terminal may be closed
-            os.write(2, STOPPING_MESSAGE)
+        _leave_closed_terminal()
+        os.write(2, STOPPING_MESSAGE)
         self._act()
 
     def _handle_later(self, number: int, frame: FrameType | None) -> None:
@@ -77,6 +77,17 @@ def call_on_end_signal(act: Callable[[], None]) -> Iterator[EndSignalHandlers]:
         if not handlers.received:
             for number, handler in previous.items():
                 signal.signal(number, handler)
+
+
+def _leave_closed_terminal() -> None:
+    """Let output and errors go nowhere if the terminal is closed: no message may break off the stop, or change its status."""
+    for number in (1, 2):
+        try:
+            os.write(number, b"")
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, number)
+            os.close(nowhere)
 
 
 def _ignore_end_signals() -> None:

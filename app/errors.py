@@ -1,4 +1,21 @@
-"""The error that the user of a command sees."""
+"""Errors that the user sees: those of input, a full disk, and the last resort for those of the program."""
+
+import errno
+import platform
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+from platformdirs import user_log_path
+
+import goniotwin
+from goniotwin.protocols.clock import calendar_stamp
+
+LONGEST_MESSAGE = 2000
+"""Characters of an error message: a value of a file that is quoted in it may be a megabyte."""
+FULL_DISK = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 
 class UserError(Exception):
@@ -8,3 +25,41 @@ class UserError(Exception):
     """
 
     status = 2
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
+
+
+def one_line(text: str) -> str:
+    """The text as one line of a readable length, without characters that act on a terminal."""
+    if len(text) > LONGEST_MESSAGE:
+        half = LONGEST_MESSAGE // 2
+        text = f"{text[:half]} ... {text[-half:]}"
+    return "".join(letter if letter.isprintable() else " " if letter.isspace() else "?" for letter in text)
+
+
+def unexpected_error(error: BaseException) -> str:
+    """One line about an error that nothing else has handled; its details go to a file, which the line names."""
+    what = "there is not enough memory" if isinstance(error, MemoryError) else "".join(traceback.format_exception_only(error))
+    line = f"unexpected error: {what.strip()}"
+    about = f"goniotwin {goniotwin.__version__}, Python {sys.version}, {platform.platform()}, {calendar_stamp()}"
+    details = "\n".join([about, " ".join(map(ascii, sys.argv)), *traceback.format_exception(error)])
+    folders: tuple[Callable[[], Path], ...] = (lambda: user_log_path("goniotwin"), lambda: Path(tempfile.gettempdir()))
+    for folder in folders:
+        try:
+            folder().mkdir(parents=True, exist_ok=True)
+            number, name = tempfile.mkstemp(".txt", "fault-", folder(), text=True)
+            with open(number, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123  (a file number)
+                file.write(details)
+        except OSError:  # a read-only disk, or a full one
+            continue
+        return f"{one_line(line)}; the details are in {name}"
+    places = [
+        f", at {each.name}, line {each.lineno} of {each.filename}" for each in traceback.extract_tb(error.__traceback__)[-1:]
+    ]
+    return f"{one_line(line)}{''.join(places)}; the details cannot be written to any folder"
+
+
+def room_on_disk(error: OSError) -> str:
+    """The remedy for a file that cannot be written because the disk, or the user's part of it, is full; else empty."""
+    return "free space on the disk" if error.errno in FULL_DISK else ""

@@ -7,6 +7,7 @@ another key, or none (`goniotwin.keys`).
 
 import difflib
 import inspect
+import math
 import re
 import tomllib
 from dataclasses import fields, is_dataclass
@@ -27,6 +28,20 @@ KEY_FIRST = re.compile(r"([a-z]\w*(?:\.\w+)*): ")
 """The key that the message of a rule between several keys begins with."""
 SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[^a-z])")
 EXCEPTIONS = re.compile(r"\s*Raises ValueError.*?\.(?=\s|$)", re.DOTALL)
+MOST_BYTES = 1_000_000
+"""A list of a hundred thousand numbers fits in."""
+MOST_LEVELS = 10
+"""Twice as many levels of tables and lists as a rig file has."""
+LONGEST_WORD = 200
+"""Characters of a number, or of a key without quotes."""
+SMALLEST, LARGEST = 1e-24, 1e24
+"""Magnitudes of numbers other than 0. Currents of 1e-15 A and gains of 1e12 V/A are far within."""
+TOKEN = re.compile(
+    r'''(?P<text>"""(?:\\.|[^\\])*?(?:"{3,5}|\\?\Z)|"(?:\\.|[^"\\\n])*"?|'{3}.*?(?:'{3,5}|\Z)|'[^'\n]*'?)'''
+    r"|(?P<comment>#[^\n]*)|(?P<opening>[\[{])|(?P<closing>[\]}])|(?P<dot>\.)|(?P<end>[\n=,])|(?P<word>[\w+-]+)",
+    re.DOTALL,
+)
+"""The parts of a TOML text; a text without its end reaches to the end of the file, so that no character is read twice."""
 TYPES = {
     "dataclass_type": "table",
     "model_type": "table",
@@ -48,25 +63,68 @@ Model = TypeVar("Model")
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     """The text of a TOML file and its content. Raises UserError."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # some editors write a byte order mark
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}; check the name") from None
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: is not a text file in UTF-8; check the name, or save it as UTF-8") from None
+    text = read_text(path, MOST_BYTES)
     return text, parse_toml(text, str(path))
 
 
+def read_text(path: Path, most_bytes: int) -> str:
+    """The text of a file in UTF-8, with or without a byte order mark, and at most so long. Raises UserError."""
+    try:
+        if path.exists() and not path.is_file():  # a pipe blocks, and a device such as /dev/zero has no end
+            raise UserError(f"{path}: is a folder or a device, not a file; check the name")
+        with path.open("rb") as file:
+            content = file.read(most_bytes + 1)
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UserError(f"{path}: cannot be read: {reason}; check the name") from None
+    if len(content) > most_bytes:
+        raise UserError(f"{path}: has more than {most_bytes} bytes, too many for such a file; check the name")
+    try:
+        text = content.decode("utf-8-sig")  # some editors write a byte order mark
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: is not a text file in UTF-8; check the name, or save it as UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """The content of a TOML text. Raises UserError with the line of a syntax error."""
+    """The content of a TOML text. Raises UserError with the line of a syntax error, and for what no rig or schedule needs."""
+    _refuse_extremes(text, name)
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # also an impossible date
         raise UserError(f"{name}: is not TOML: {error}; correct that line") from None
+
+
+def _refuse_extremes(text: str, name: str) -> None:
+    """Raise UserError for a text on which a TOML parser takes gigabytes, minutes, or all of the stack."""
+    if len(text) > MOST_BYTES:
+        raise UserError(f"{name}: has more than {MOST_BYTES} characters, too many for such a file; make it shorter")
+    depth = levels = 0
+    for token in TOKEN.finditer(text):
+        kind, length = token.lastgroup, token.end() - token.start()
+        depth = max(0, depth + (kind == "opening") - (kind == "closing"))
+        levels = levels + 1 if kind == "dot" else 0 if kind in ("opening", "closing", "end") else levels
+        if depth > MOST_LEVELS or levels > MOST_LEVELS or (kind == "word" and length > LONGEST_WORD):
+            wrong = (
+                f"a word of {length} characters" if kind == "word" else f"more than {MOST_LEVELS} levels of tables and lists"
+            )
+            line = text.count("\n", 0, token.start()) + 1
+            raise UserError(f"{name}: {wrong} (at line {line}), more than such a file needs; correct that line")
+
+
+def _refuse_magnitudes(value: Any, name: str, place: tuple[str, ...] = ()) -> None:
+    """Raise UserError for a number that no quantity has: products of such numbers are infinite, or zero."""
+    if isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            _refuse_magnitudes(inner, name, (*place, str(key)))
+    elif isinstance(value, int | float) and value and not SMALLEST <= abs(value) <= LARGEST and math.isfinite(value):
+        wrong = f"{value:g} is not from {SMALLEST:g} to {LARGEST:g}, as the quantities of an instrument are"
+        raise UserError(f"{name}: {'.'.join(place)}: {wrong}; correct it")
 
 
 def validate_table(table: type[Model], content: dict[str, Any], name: str) -> Model:
     """The content as a table. Raises UserError with the file, the key, the reason, and the number of further errors."""
+    _refuse_magnitudes(content, name)
     schema, validator = _reader(cast(Any, table))
     try:
         return cast(Model, validator.validate_python(content))

@@ -1,6 +1,6 @@
 """Run or resume a campaign, from its files to its journal, in one call: for the command line and for scripts."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +12,10 @@ from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import Ask, HumanOperator, Operator, ServedOperator, VirtualOperator
 from goniotwin.app.campaign.running.resume import remaining_work
+from goniotwin.app.campaign.wording import printable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
+from goniotwin.app.rig.last_rig import is_last_rig
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -22,7 +24,8 @@ class Outcome:
     """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
 
     `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
-    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes.
+    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes. `shutter_may_be_open`: it could not be
+    closed at the end.
     """
 
     state: State
@@ -34,6 +37,7 @@ class Outcome:
     faults: tuple[str, ...]
     simulated: bool
     chain: Chain
+    shutter_may_be_open: bool
 
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
@@ -70,25 +74,37 @@ def resume_campaign(
     listeners: list[Listener] | None = None,
     transcript: Path | None = None,
     ask: Ask | None = None,
+    accept_rig: Callable[[str], bool] | None = None,
 ) -> Outcome:
     """Resume a campaign at the first planned row that is not in its journal; home unreferenced axes first.
 
-    Raises UserError, without a change of the journal, where the campaign cannot be resumed: see `remaining_work`.
+    A journal may come of unknown origin, with a rig that is none of this computer: `accept_rig` is asked first whether to use
+    a rig that is not the one that was used last here. Naming the `rig` is an answer too. Raises UserError, without a change of
+    the journal, where the campaign cannot be resumed: see `remaining_work`.
     """
     with Journal.open(journal_path) as unlocked:
-        remaining_work(unlocked, rig)  # raises the error before the journal is changed
+        plan = remaining_work(unlocked, rig).plan  # raises the error before the journal is changed
+    if rig is None and not is_last_rig(plan.rig.file):
+        devices = ", ".join(f"{device.name} at {device.address}" for device in plan.rig.file.devices)
+        name = printable(plan.rig.file.name)
+        other = f"{journal_path}: its rig ({name}) is not the one that this computer used last: {devices}"
+        if accept_rig is None:
+            raise UserError(f"{other}; if these are your devices, add --accept-rig, or name the rig's file with --rig")
+        if not accept_rig(other):
+            raise UserError(f"{other}; not resumed: name the rig's file with --rig")
     with Journal.reopen(journal_path) as journal:
         remaining = remaining_work(journal, rig)  # again, now that no other program can change the journal
         with open_rig(remaining.plan.rig, clock_for(remaining.plan.rig.file, remaining.start_s), transcript) as opened:
-            operator = _connect(opened, remaining.plan, ask, homing=True)
+            operator = _connect(opened, remaining.plan, ask, homing=True, moves=bool(remaining.work))
             return _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work)
 
 
-def _connect(opened: OpenRig, plan: Plan, ask: Ask | None, *, homing: bool = False) -> Operator:
-    """Connect the rig, check its axes (`homing` as in `check_referenced`), and return its operator."""
+def _connect(opened: OpenRig, plan: Plan, ask: Ask | None, *, homing: bool = False, moves: bool = True) -> Operator:
+    """Connect the rig, check its axes if any `moves` (`homing` as in `check_referenced`), and return its operator."""
     operator = operator_for(opened, plan.rig.file, ask)
     opened.connect()
-    check_referenced(opened, plan.rig.name, homing=homing)
+    if moves:
+        check_referenced(opened, plan.rig.name, homing=homing)
     return operator
 
 
@@ -97,12 +113,13 @@ def _run_engine(
 ) -> Outcome:
     engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
     state = engine.run()
-    (rows, planned), skipped = journal.row_counts(), len(journal.skipped_numbers())
+    (rows, planned), skipped = journal.row_counts(), sum(journal.skipped_by_sample().values())
     failure = opened.transcript_failure
     faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
     return Outcome(
-        state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain
-    )
+        state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain,
+        engine.shutter_may_be_open,
+    )  # fmt: skip
 
 
 def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:

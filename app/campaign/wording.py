@@ -1,4 +1,4 @@
-"""Durations and lists of numbers as text."""
+"""Durations, lists of numbers and names from files as text."""
 
 from collections.abc import Iterable
 
@@ -18,6 +18,11 @@ def rounded_duration_text(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def printable(text: str) -> str:
+    """A text from a file on one line: what is not printable, and would control a terminal, as `?`."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def number_list(values: Iterable[int]) -> str:

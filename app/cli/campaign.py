@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from goniotwin.app.cli.output import (
     CommandWithFormats,
@@ -105,6 +106,9 @@ def run(
         Path | None,
         typer.Option("--resume", metavar="JOURNAL", help="Resume the campaign of this data file.", show_default=False),
     ] = None,
+    accept_rig: Annotated[
+        bool, typer.Option("--accept-rig", help="With --resume: use the journal's rig, though another was used last.")
+    ] = False,
     transcript: TranscriptOption = None,
     as_json: Json = False,
 ) -> None:
@@ -113,7 +117,8 @@ def run(
     Schedule and rig are checked first. Each row is on the disk before the next one starts.
 
     With --resume, the schedule and the rig come from the journal. Give --rig only if the devices have other ports now; a rig
-    that differs in anything else is refused. Missing and skipped rows are measured, after the sample is mounted again, a
+    that differs in anything else is refused. A rig other than the one that this computer used last is used only after a
+    question, or with --accept-rig. Missing and skipped rows are measured, after the sample is mounted again, a
     dark reading and a drift check.
 
     Exit status: 0 if all rows are done; 1 after a fault, or if rows were skipped after faults; 2 if schedule or rig are
@@ -122,6 +127,7 @@ def run(
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
     from goniotwin.app.campaign.reduction.reduction import check_journal
+    from goniotwin.app.campaign.running.engine import SHUTTER_MAY_BE_OPEN
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.rig import read_rig
 
@@ -130,7 +136,10 @@ def run(
         journal, title = resume, str(resume)
         rig_now = read_rig(rig) if rig is not None else None
         with RowProgress(errors, title, None) as progress:
-            outcome = resume_campaign(resume, rig_now, listeners=[progress], transcript=transcript, ask=_ask_operator)
+            outcome = resume_campaign(
+                resume, rig_now, listeners=[progress], transcript=transcript, ask=_ask_operator,
+                accept_rig=(lambda _: True) if accept_rig else _ask_rig if sys.stdin.isatty() else None,
+            )  # fmt: skip
     else:
         assert schedule is not None
         assert rig is not None
@@ -167,6 +176,8 @@ def run(
         errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
     if outcome.rows < outcome.planned:
         errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
+    if outcome.shutter_may_be_open:
+        print_error(SHUTTER_MAY_BE_OPEN)
     if outcome.state is not State.DONE or outcome.skipped:
         raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
 
@@ -178,6 +189,7 @@ def runs(
 ) -> None:
     """List the campaigns of a folder: state, rows, time left."""
     from goniotwin.app.campaign.journal.summary import campaign_summaries
+    from goniotwin.app.campaign.wording import printable
 
     found, refused = campaign_summaries(folder)
     answer(
@@ -186,12 +198,12 @@ def runs(
         lambda: _print_campaigns(Console(highlight=False), folder, found),
     )
     for reason in refused:
-        print_error(reason)
+        print_error(printable(reason))
 
 
 def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSummary]") -> None:
     """Print one line for each campaign."""
-    from goniotwin.app.campaign.wording import duration_text
+    from goniotwin.app.campaign.wording import duration_text, printable
 
     if not campaigns:
         console.print(f"{folder}: no journals (*.journal)", markup=False)
@@ -201,12 +213,12 @@ def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSu
         table.add_column(name, justify="right" if name in ("rows", "left") else "left", overflow="fold")
     for each in campaigns:
         table.add_row(
-            Path(each.journal).name,
-            f"{each.name}{' (SIMULATED)' if each.simulated else ''}",
+            Text(printable(Path(each.journal).name)),
+            Text(printable(f"{each.name}{' (SIMULATED)' if each.simulated else ''}")),
             f"[{STATE_STYLES[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
             f"{each.rows}/{each.planned}",
             duration_text(each.seconds_left) if each.rows < each.planned else "",
-            each.begun or "",
+            Text(printable(each.begun or "")),
         )
     console.print(table)
 
@@ -265,6 +277,11 @@ def _make_plan(schedule: Path, rig: Path) -> "NewPlan":
     from goniotwin.app.rig import read_rig
 
     return make_plan(read_schedule(schedule), read_rig(rig))
+
+
+def _ask_rig(text: str) -> bool:
+    """Ask whether to resume on another rig than the last one; only an explicit yes is one."""
+    return typer.confirm(f"{text}. Use these devices?", default=False, err=True)
 
 
 def _ask_operator(question: "Question") -> "Answer":

@@ -41,15 +41,16 @@ def export(
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.reduction.export import check_files, export_format
     from goniotwin.app.campaign.reduction.export import export as export_reduced
-    from goniotwin.app.campaign.reduction.reduction import reduce_journal
+    from goniotwin.app.campaign.reduction.reduction import reduce_to_files
 
     form = export_format(file_format)
     if out.resolve() == journal.resolve():
         raise UserError(f"{out}: is the journal itself; choose another name")
     check_files(out, form)
-    with Journal.open(journal) as opened:
-        reduced, chain = reduce_journal(opened, without_damaged=without_damaged), opened.chain
-    exported = export_reduced(reduced, sample, out, form, light)
+    folder = out.resolve().parent
+    with Journal.open(journal) as opened, reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
+        chain = opened.chain
+        exported = export_reduced(reduced, sample, out, form, light)
     files = [str(file) for file in exported.files]
     result = {
         "file": files[0], "files": files, "format": form.name, "values": exported.values, "simulated": reduced.simulated,

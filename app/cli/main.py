@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import sys
+import threading
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,8 +18,10 @@ from goniotwin import examples
 from goniotwin.app.cli import campaign, data, instrument, serving, simulation
 from goniotwin.app.cli.output import Json, TranscriptOption, answer, errors, print_error
 from goniotwin.app.end_signals import interrupt_on_end_signal
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, unexpected_error
 
+FAULT = 1
+"""Exit status after an unexpected error, and where standard output cannot be written."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 COMMANDS = (
@@ -41,7 +44,7 @@ class CommandGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            errors.print("goniotwin: stopped")
+            print_error("stopped")
             raise typer.Exit(INTERRUPTED) from None
 
 
@@ -154,20 +157,41 @@ def copy_examples(
 
 
 def main() -> None:
-    """Run the command. An error of the user's is one line on standard error, with exit status 2 (1: a damaged journal)."""
+    """Run the command. An error of the user's is one line on standard error, with its status: 2, or 1 for a damaged journal.
+
+    Any other error is one line too, with status 1.
+    """
     logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors are raised as exceptions too
+    sys.excepthook = lambda _kind, error, _trace: print_error(unexpected_error(error))  # of the window's slots
+    threading.excepthook = lambda fault: print_error(unexpected_error(fault.exc_value or fault.exc_type()))
     interrupt_on_end_signal()  # a stop in order: axes at rest, journal closed
+    status = _run_command()
     try:
-        sys.exit(app(standalone_mode=False) or 0)
+        sys.stdout.flush()
+    except OSError:  # a closed pipe, a full disk
+        status = status or FAULT
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python repeats it at its end
+    sys.exit(status)
+
+
+def _run_command() -> int:
+    """The exit status of the command."""
+    try:
+        return int(app(standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort):
-        errors.print("goniotwin: stopped")
-        sys.exit(INTERRUPTED)
+        print_error("stopped")
+        return INTERRUPTED
     except TyperException as error:
         print_error(f"{error.format_message().replace('Value error, ', '')} See: goniotwin --help")
-        sys.exit(2)
+        return 2
     except UserError as error:
         print_error(error)
-        sys.exit(error.status)
+        return error.status
+    except BrokenPipeError:  # such as of `goniotwin ... | head`: the reader has what it wants
+        return FAULT
+    except Exception as error:  # noqa: BLE001  (last resort)
+        print_error(unexpected_error(error))
+        return FAULT
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """What all commands share: answers on standard output, messages and progress bars on standard error, common options."""
 
+import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,8 @@ from rich.progress import (
 )
 from rich.table import Column
 from rich.text import Text
+
+from goniotwin.app.errors import one_line
 
 if TYPE_CHECKING:  # the events load numpy, which a command's help does not need
     from goniotwin.app.campaign.running.events import Event
@@ -70,8 +73,9 @@ def answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> N
 
 
 def print_error(text: object) -> None:
-    """Print an error on standard error, in red."""
-    errors.print(f"goniotwin: {text}", style="red", markup=False)
+    """Print an error on standard error, in red and in one line."""
+    with contextlib.suppress(OSError):  # a closed terminal
+        errors.print(f"goniotwin: {one_line(str(text))}", style="red", markup=False)
 
 
 class CurrentStepColumn(ProgressColumn):

@@ -7,6 +7,7 @@ import runpy
 import sys
 import tempfile
 import threading
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -96,8 +97,12 @@ def usb(
         raise UserError(f"{program}: no such program; check the name")
     virtual = VirtualRig.build(_twin_model(description), RealClock())
     sys.argv = [str(program), *context.args]
-    with install_backend(TwinUsbBackend(virtual)):
-        runpy.run_path(str(program), run_name="__main__")
+    try:
+        with install_backend(TwinUsbBackend(virtual)):
+            runpy.run_path(str(program), run_name="__main__")
+    except Exception:  # noqa: BLE001  (of another program: in full, as without this command)
+        traceback.print_exc()
+        raise typer.Exit(1) from None
 
 
 @app.command()

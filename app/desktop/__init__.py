@@ -4,11 +4,14 @@
 the panels of `view`. `window` passes on what the operator does. Each screen has a folder: setup, rig, run, events.
 """
 
+import contextlib
+import sys
 from pathlib import Path
 
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 
+from goniotwin.app.campaign.running.engine import SHUTTER_MAY_BE_OPEN
 from goniotwin.app.desktop.event_loop import end_signal_notifier
 from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.window import MainWindow
@@ -26,7 +29,7 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
     virtual rig. Errors in the files are shown in the window.
 
     Ctrl-C in the terminal, SIGTERM and SIGHUP stop a run in order and close the window without a question. The exit status
-    is then 130, as for the other commands.
+    is then 130, as for the other commands. Where a run could not close the shutter, the last line on standard error is that.
     """
     application = QApplication.instance()
     if not isinstance(application, QApplication):
@@ -40,4 +43,7 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
             status = application.exec()
         finally:
             window.shut_down()
+    if window.rig_thread.shutter_may_be_open:
+        with contextlib.suppress(OSError):  # a closed terminal
+            print(f"goniotwin: {SHUTTER_MAY_BE_OPEN}", file=sys.stderr)
     return STOPPED if handlers.received else status

@@ -7,8 +7,12 @@ import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from goniotwin.app.errors import one_line, room_on_disk
+
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
+MOST_BYTES = 1_000_000_000
+"""Bytes of a file: fifteen million rays."""
 SQLITE = b"SQLite format 3\0"
 
 
@@ -27,8 +31,7 @@ class FormatError(ValueError):
 
     def __str__(self) -> str:
         where = self.path if self.line is None else f"{self.path}, line {self.line}"
-        message = f"{where}: {self.wrong}; {self.remedy}"
-        return "".join(letter if letter.isprintable() else "?" for letter in message)
+        return one_line(f"{where}: {self.wrong}; {self.remedy}")
 
 
 def quote_word(word: str) -> str:
@@ -60,15 +63,23 @@ def _file_at(path: StrPath) -> Path:
     return file
 
 
-def read_file(path: StrPath, most: int = -1) -> bytes:
-    """The bytes of a file, at most `most`. Raises FormatError if it is absent, not a regular file, or unreadable."""
+def read_head(path: StrPath, size: int) -> bytes:
+    """The first bytes of a file, at most `size`. Raises FormatError if it is absent, not a regular file, or unreadable."""
     try:
         if not Path(path).exists():
             raise FormatError(path, "there is no such file", "check the name and the folder")
         with _file_at(path).open("rb") as content:
-            return content.read(most)
+            return content.read(size)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
+
+
+def read_file(path: StrPath, most: int = MOST_BYTES) -> bytes:
+    """The bytes of a file. Raises FormatError if it has more than `most`, is absent, not a regular file, or unreadable."""
+    content = read_head(path, most + 1)
+    if len(content) > most:
+        raise FormatError(path, f"has more than {most} bytes", "check the name, or divide it into several files")
+    return content
 
 
 def check_writable(path: StrPath) -> None:
@@ -86,7 +97,7 @@ def check_writable(path: StrPath) -> None:
             pass
     except OSError as error:
         wrong = f"the folder {file.parent} cannot be written to ({error.strerror})"
-        raise FormatError(path, wrong, "check its permissions and the free space of the disk") from error
+        raise FormatError(path, wrong, room_on_disk(error) or "check its permissions") from error
 
 
 def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
@@ -109,7 +120,7 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
         sync_folder(file.parent)
     except OSError as error:
         wrong = f"cannot be written ({error.strerror})"
-        raise FormatError(path, wrong, "check the folder, its permissions and the free space of the disk") from error
+        raise FormatError(path, wrong, room_on_disk(error) or "check the folder and its permissions") from error
     finally:
         if spare is not None:
             with contextlib.suppress(OSError):  # after the renaming there is nothing left to remove
@@ -117,7 +128,7 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
 
 
 def _refuse_database(path: StrPath, file: Path) -> None:
-    if file.exists() and read_file(file, len(SQLITE)) == SQLITE:
+    if file.exists() and read_head(file, len(SQLITE)) == SQLITE:
         wrong = "is a data file (journal) or another database, and is not overwritten"
         raise FormatError(path, wrong, "choose another name")
 

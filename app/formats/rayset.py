@@ -126,6 +126,8 @@ def _column(path: StrPath, file: h5py.File, name: str, column: RaysetColumn, flu
     if data.dtype.kind != "f" or data.ndim != expected or (column.width and data.shape[1] != column.width):
         shape = f"(n, {column.width})" if column.width else "(n,)"
         raise FormatError(path, f"the column {name} has {data.dtype} {data.shape}, not numbers {shape}", RECORD_AGAIN)
+    if data.nbytes != data.id.get_storage_size():  # nothing is compressed: numbers that are not stored fill the memory
+        raise FormatError(path, f"the column {name} has {data.shape[0]} rays, of which not all are in the file", RECORD_AGAIN)
     unit = data.attrs.get("unit")
     if unit != (column.unit or flux_unit):
         raise FormatError(

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import FormatError, check_writable, read_file
+from goniotwin.app.formats.file import FormatError, check_writable, read_head
 
 if TYPE_CHECKING:
     from goniotwin.app.formats.table import BsdfTable
@@ -218,7 +218,7 @@ def _unknown(place: Path | str, wrong: str, remedy: str) -> FormatError:
 
 def recognise(path: Path, kind: Holds) -> Format:
     """The format of a file with this kind of content, by the file's content first, then by its suffix. Raises FormatError."""
-    head, suffix = read_file(path, HEAD_BYTES), path.suffix.lower()
+    head, suffix = read_head(path, HEAD_BYTES), path.suffix.lower()
     alike = [each for each in formats() if each.reads and _is_like(each, head)]
     named = [each for each in formats() if each.reads and suffix in each.suffixes]
     if not (alike or named):
@@ -319,7 +319,7 @@ def check_files(path: Path, found: Format) -> tuple[Path, ...]:
         return (path,)
     beside = uncertainty_path(path)
     check_writable(beside)
-    if beside.exists() and ABOUT_UNCERTAINTY.encode() not in read_file(beside, HEAD_BYTES):
+    if beside.exists() and ABOUT_UNCERTAINTY.encode() not in read_head(beside, HEAD_BYTES):
         wrong = f"the uncertainties go to {beside}, and another file is there"
         raise FormatError(path, wrong, "choose another name, or move that file")
     return path, beside

@@ -21,6 +21,8 @@ from goniotwin.arrays import Floats
 # C0 control characters other than tab, line ends, vertical tab, form feed and DOS's end-of-file mark.
 CONTROL_CHARACTER = re.compile("[\x00-\x08\x0e-\x19\x1b-\x1f]")
 LINE_END = re.compile(r"\r\n|\r|\n")
+MOST_BYTES = 50_000_000
+"""Bytes of a text, which needs some ten times as much memory."""
 HEADER_WORDS = 5000
 """The keywords of a table are among so many words: a list of angles can be long."""
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -31,7 +33,7 @@ def read_text(path: StrPath) -> str:
 
     Raises FormatError if the file is absent, not a regular file, unreadable, empty or not text.
     """
-    content = read_file(path)
+    content = read_file(path, MOST_BYTES)
     if content.startswith(UTF16_MARKS):
         raise FormatError(path, "is UTF-16 text", "save it as plain text (ASCII or UTF-8)")
     try:

@@ -3,10 +3,13 @@
 | bus | address |
 |---|---|
 | virtual rig | `twin://RIG/NAME` |
-| serial | a port's name, or a URL of pyserial such as `socket://HOST:PORT` |
+| serial | path of a device, `COMn`, `socket://HOST:PORT`, `rfc2217://HOST:PORT`, `hwgrep://TEXT` (the port so described) |
 | Modbus TCP | `HOST` or `HOST:PORT` |
 | Modbus RTU | `rtu:PORT?unit=N&baudrate=9600`; units of one port share one client and one lock |
 | USB | `VENDOR:PRODUCT:SERIAL`, or `usbip:HOST:PORT/BUSID` |
+
+There are no other kinds. A rig file may come of unknown origin, and pyserial's further URLs do more than open a port:
+`spy://PORT?file=NAME` empties the file.
 """
 
 import contextlib
@@ -20,6 +23,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 import serial
+import serial.tools.list_ports
 from pymodbus.client import ModbusTcpClient
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.framer import FramerType
@@ -35,6 +39,74 @@ TWIN, RTU, USBIP, HWGREP = "twin://", "rtu:", "usbip:", "hwgrep://"
 MODBUS_PORT, USBIP_PORT = "502", str(usbip.PORT)
 MODBUS_TIMEOUT_S = 1.0
 BAUDRATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
+LONGEST_ADDRESS = 300
+_HOST = r"(?:[A-Za-z0-9_][A-Za-z0-9_.-]*|\[[0-9A-Fa-f:.]+(?:%[A-Za-z0-9]+)?\])"
+_SERIAL = "|".join(
+    (
+        r"/(?!.*://)[^\x00-\x1f\x7f?]+",
+        r"\\\\\.\\[A-Za-z0-9_]+",  # a device of Windows; any other path that begins with \\ would contact another computer
+        r"(?i:com)[0-9]{1,3}",
+        rf"(?i:socket)://{_HOST}:[0-9]{{1,5}}/?",
+        rf"(?i:rfc2217)://{_HOST}:[0-9]{{1,5}}/?(?:\?(?:&?(?:ign_set_control|poll_modem|timeout=[0-9.]{{1,6}}))+)?",
+        # A regular expression of pyserial, as far as one of unknown origin cannot take for ever.
+        rf"(?i:{HWGREP})(?!(?:.*\*){{4}})[A-Za-z0-9_ .:=/@*-]{{1,100}}",
+    )
+)
+_TWIN = rf"{TWIN}[^/?#\x00-\x1f]+/[^/?#\x00-\x1f]+"
+_SERIAL_PORT = re.compile(f"{_TWIN}|{_SERIAL}")
+_KNOWN = re.compile(
+    "|".join(
+        (
+            _TWIN,
+            _SERIAL,
+            rf"{RTU}(?:{_SERIAL}|[^:/?]*)(?:\?[^/]*)?",
+            rf"{USBIP}{_HOST}(?::[0-9]{{1,5}})?/[A-Za-z0-9.-]+",
+            r"[0-9a-fA-F]{4}:[0-9a-fA-F]{4}(?::[^/\x00-\x1f]*)?",
+            rf"{_HOST}(?::[0-9]{{1,5}})?",
+        )
+    )
+)
+
+
+def check_address(address: str) -> None:
+    """Raise ValueError for an address of a rig file that is of no known kind. Nothing is opened or looked up."""
+    if len(address) > LONGEST_ADDRESS or not _KNOWN.fullmatch(address):
+        shown = address if len(address) <= LONGEST_ADDRESS else f"{address[:LONGEST_ADDRESS]}..."
+        raise ValueError(
+            f"{shown!r} is not an address of a known kind; give the path of a device (/dev/ttyUSB0), COMn, socket://HOST:PORT, "
+            "rfc2217://HOST:PORT, hwgrep://TEXT, HOST:PORT, rtu:PORT?unit=N, VENDOR:PRODUCT or usbip:HOST:PORT/BUSID"
+        )
+
+
+def check_serial_port(address: str) -> None:
+    """Raise UserError for an address that is not a serial port's."""
+    if not _SERIAL_PORT.fullmatch(address):
+        wrong = f"{address!r} is not a serial port: neither the path of a device, COMn, socket://HOST:PORT"
+        raise UserError(f"{wrong}, rfc2217://HOST:PORT nor hwgrep://TEXT; correct it in the rig file")
+
+
+def resolve_port(address: str) -> str:
+    """The address with the name of the one serial port that its `hwgrep://TEXT` describes; any other address as it is.
+
+    Raises UserError where no port matches, or several do.
+    """
+    found = re.fullmatch(rf"({RTU})?(?i:{HWGREP})([^?]*)(.*)", address)
+    if found is None:
+        return address
+    bus, text, query = found[1] or "", found[2], found[3]
+    check_serial_port(f"{HWGREP}{text}")
+    try:
+        ports = sorted({str(port.device) for port in serial.tools.list_ports.grep(text)})
+    except re.error as error:
+        raise UserError(f"{address!r} is not a valid pattern ({error}); correct it in the rig file") from None
+    if len(ports) != 1:
+        what = (
+            f"fits several serial ports, {', '.join(ports)}; write more of"
+            if ports
+            else "fits no serial port; connect it, or correct"
+        )
+        raise UserError(f"{address!r} {what} its description in the rig file")
+    return f"{bus}{ports[0]}{query}"
 
 
 class InvalidAddress(UserError):
@@ -178,7 +250,7 @@ class ModbusUnits:
 def rtu_address(address: str) -> tuple[str, int, int]:
     """Port, unit and baud rate of `rtu:PORT?unit=N&baudrate=B`; the defaults are unit 1 and 9600 baud. Raises UserError."""
     port, _, query = address.removeprefix(RTU).partition("?")
-    if not port or port.startswith(TWIN):
+    if not _SERIAL_PORT.fullmatch(port) or port.startswith(TWIN):
         raise InvalidAddress(address, "has no serial port")
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []

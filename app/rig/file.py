@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_type_hints
 from annotated_types import Ge, Le
 from pydantic import BeforeValidator, Discriminator, Tag, WithJsonSchema, with_config
 
-from goniotwin.app.rig.addresses import TWIN
+from goniotwin.app.rig.addresses import TWIN, check_address
 from goniotwin.app.rig.kinds import (
     ROLES,
     DeviceKind,
@@ -250,6 +250,11 @@ class RigFile:
         return 1.0 if self.simulated is None else self.simulated.speed
 
     def __post_init__(self) -> None:
+        for device in self.devices:
+            try:
+                check_address(device.address)
+            except ValueError as error:
+                raise ValueError(f"{'.'.join(map(str, device.places[0]))}: {error}") from None
         virtual = [address for address in self.addresses if address.startswith(TWIN)]
         if virtual and self.simulated is None:
             raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table; add it")

@@ -2,13 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names
+from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names, resolve_port
 from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table
 from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
+from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
@@ -84,6 +86,7 @@ class OpenRig:
     """Drivers with their wires, not connected yet, and the virtual rig behind them, if any."""
 
     rig: Rig
+    file: RigFile
     virtual: VirtualRig | None
     _name: str | None
     _transcript: Transcript | None
@@ -95,6 +98,7 @@ class OpenRig:
             if error is not None:
                 self.close()
                 raise UserError(str(error))
+        remember_rig(self.file)
 
     def close(self) -> None:
         """Close all devices, files and locks. No axis moves."""
@@ -137,14 +141,16 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
 
     virtual, name = None, None
     model = description.model()
-    in_this_process: Callable[[str], str] = str
+    in_this_process: Callable[[str], str] = cache(resolve_port)  # once, so that what is locked is what is opened
     if model is not None and any(each.startswith(TWIN) for each in file.addresses):
         virtual = VirtualRig.build(model, clock)
         file_name = next(each for each in file.addresses if each.startswith(TWIN)).split("/")[2]
         name = register(file_name, virtual)  # another one if this process has a virtual rig of that name already
 
+        resolved = in_this_process
+
         def in_this_process(file_address: str) -> str:
-            return file_address.replace(f"{TWIN}{file_name}/", f"{TWIN}{name}/", 1)
+            return resolved(file_address).replace(f"{TWIN}{file_name}/", f"{TWIN}{name}/", 1)
 
     try:
         rig = _rig(description, Wires(clock, virtual, transcripts, in_this_process))
@@ -154,9 +160,11 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
         if transcripts is not None:
             transcripts.close()
         raise
-    opened = OpenRig(rig, virtual, name, transcripts)
+    opened = OpenRig(rig, file, virtual, name, transcripts)
     try:
-        opened.lock([each for each in file.addresses if not each.startswith(TWIN)], f"{file.name} ({description.name})")
+        opened.lock(
+            [in_this_process(each) for each in file.addresses if not each.startswith(TWIN)], f"{file.name} ({description.name})"
+        )
     except UserError:
         opened.close()
         raise

@@ -9,7 +9,7 @@ from typing import Any
 import serial
 import usb.core
 
-from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, usbip_address
+from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, check_serial_port, usbip_address
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.motion.tmcl import CANARY
@@ -60,8 +60,9 @@ class Wires:
         return self._transcripts.tap(device, explain) if self._transcripts is not None else no_tap
 
     def serial(self, file_address: str) -> PortOpener:
-        """An opener for the name of a port, or for any URL of pyserial."""
+        """An opener for a serial port. Raises UserError for an address that is none."""
         address = self._in_this_process(file_address)
+        check_serial_port(address)
 
         return partial(open_serial, address)
 

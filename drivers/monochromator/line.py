@@ -12,7 +12,7 @@ from collections import deque
 from serial import Serial, SerialException
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, unless_late
+from goniotwin.drivers.errors import BadAnswer, Forgotten, NoAnswer, unless_late
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import (
@@ -90,7 +90,7 @@ class CornerstoneLine:
                 status = self.status_of(statement, self.line(statement)) if self.handshake else NO_ERROR
                 if self._lines or self._pending:
                     raise BadAnswer(NAME, str(statement), f"more lines than its reply: {list(self._lines)}", CHECK_LINE)
-            except DeviceError:
+            except BaseException:  # also of a signal: replies may be on their way
                 self.in_step = False
                 raise
             return reply, status

@@ -1,12 +1,17 @@
 """The command line: the order of its commands, the cost of its help, and the message after Ctrl-C."""
 
+import re
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 
+from goniotwin.app import errors
 from goniotwin.app.cli import device_search
 from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app
+from tests.system.command import invoke
 
 HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py")
 HELP = f"""
@@ -54,3 +59,61 @@ def test_ctrl_c_in_a_command_is_one_line_and_status_130(
     monkeypatch.setattr(device_search, "find_devices", interrupt)
     assert app(["devices"], standalone_mode=False) == INTERRUPTED
     assert capsys.readouterr().err == "goniotwin: stopped\n"
+
+
+def test_an_unexpected_error_is_one_line_and_a_file_with_the_details(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("of the\ntest")
+
+    monkeypatch.setattr(device_search, "find_devices", fail)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    done = invoke("devices")
+    assert (done.returncode, done.stdout) == (1, "")
+    found = re.fullmatch(r"goniotwin: unexpected error: ZeroDivisionError: of the test; the details are in (.*)\n", done.stderr)
+    assert found is not None, done.stderr
+    details = Path(found[1])
+    assert details.is_relative_to(tmp_path)
+    assert re.search(r"'devices'\n.*Traceback .*in fail\n.*ZeroDivisionError", details.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_where_no_folder_can_be_written_the_line_has_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(device_search, "find_devices", fail)
+    monkeypatch.setattr(errors, "user_log_path", lambda name: tmp_path / "file" / name)
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "file" / "temporary"))
+    done = invoke("devices")
+    assert done.returncode == 1
+    assert re.fullmatch(
+        r"goniotwin: unexpected error: there is not enough memory, at fail, line \d+ of .*test_command_line\.py; "
+        r"the details cannot be written to any folder\n",
+        done.stderr,
+    )
+
+
+def test_an_error_of_another_thread_is_one_line_too() -> None:
+    text = "import sys, threading; from goniotwin.app.cli import main, device_search\n"
+    text += "def fail(*_): thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join(); sys.exit(5)\n"
+    text += "device_search.find_devices = fail; sys.argv = ['goniotwin', 'devices']; main.main()"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 5
+    assert re.fullmatch(
+        r"goniotwin: unexpected error: ZeroDivisionError: division by zero; the details are in .*\n", done.stderr
+    )
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device of a full disk")
+def test_an_output_that_cannot_be_written_is_status_1() -> None:
+    command = [sys.executable, "-m", "goniotwin", "schema", "rig"]
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300, check=False)
+    assert done.returncode == 1
+    assert re.fullmatch(r"goniotwin: .*No space left on device.*\n", done.stderr), done.stderr
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as closed:
+        assert closed.stdout is not None
+        closed.stdout.close()
+        assert closed.communicate()[1] == ""
+    assert closed.returncode == 1

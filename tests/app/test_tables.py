@@ -1,5 +1,6 @@
 """Error messages about rig files and schedules: one line with file, key and reason."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleFile, read_schedule
 from goniotwin.app.campaign.schedule.grids import GridRange, grid_values
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
+from goniotwin.app.toml_file import parse_toml
 from tests.conftest import RIG, SCHEDULE, Change, Writer
 
 
@@ -181,3 +183,62 @@ def test_a_grid_is_a_list_or_a_range() -> None:
 def test_a_grid_may_mix_numbers_and_adjacent_ranges() -> None:
     fine, coarse = GridRange(start=0.0, stop=2.0, step=1.0), GridRange(start=2.0, stop=10.0, step=4.0)
     assert grid_values([fine, coarse, 8.0]) == (0.0, 1.0, 2.0, 6.0, 10.0, 8.0)
+
+
+EXTREMES = [
+    ("dotted keys", "a" + ".a" * 50_000 + " = 1", r"more than 10 levels .*line 1"),
+    ("a dotted heading", "[" + "a." * 50_000 + "a]", r"more than 10 levels .*line 1"),
+    ("nested lists", "\na = " + "[" * 5000 + "]" * 5000, r"more than 10 levels .*line 2"),
+    ("nested tables", "a = " + "{a = " * 5000 + "1" + "}" * 5000, r"more than 10 levels"),
+    ("after a text with quotes at its end", '\na = """b"""""\nc = ' + "[" * 5000, r"more than 10 levels .*line 3"),
+    ("after a text without an end", 'a = """' + '\\"""\n' * 100_000, r"is not TOML"),
+    ("digits", "a = " + "9" * 4301, r"a word of 4301 characters .*line 1"),
+    ("length", "#" * 1_000_001, r"more than 1000000 characters"),
+    ("an impossible date", "a = 2026-02-31", r"is not TOML"),
+]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"), [(text, reason) for _, text, reason in EXTREMES], ids=[name for name, *_ in EXTREMES]
+)
+def test_a_text_that_exhausts_a_parser_is_refused_before_it_is_parsed(text: str, reason: str) -> None:
+    with pytest.raises(UserError, match=f"^x.toml: .*{reason}"):
+        parse_toml(text, "x.toml")
+
+
+def test_what_stands_in_texts_and_comments_is_no_level() -> None:
+    marks = "[{." * 20
+    content = parse_toml(f"""# {marks}\na = "\\"{marks}"\nb = '{marks}'\nc = '''\n{marks}'''\n""", "x.toml")
+    assert content == {"a": f'"{marks}', "b": marks, "c": marks}
+
+
+@pytest.mark.parametrize("value", ["1e-300", "-1e300", "1e25"])
+def test_a_number_of_impossible_magnitude_is_refused(value: str, write_rig: Writer) -> None:
+    with pytest.raises(UserError, match=rf"axes\.sigma\.gear: {value.replace('e', 'e.?')} is not from 1e-24 to 1e\+24"):
+        read_rig(write_rig(("gear = 36.0\nlower", f"gear = {value}\nlower")))
+
+
+def test_ranges_are_counted_before_they_are_built(write_schedule: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(GridRange, "values")
+    ranges = ", ".join(["{ start = 0, stop = 100000, step = 1 }"] * 1000)
+    with pytest.raises(UserError, match=r"wavelength_nm: has 100001000 values, more than 100000"):
+        read_schedule(write_schedule(("wavelength_nm = [550]", f"wavelength_nm = [{ranges}]")))
+
+
+def test_a_campaign_of_more_than_a_year_is_refused(write_rig: Writer) -> None:
+    slow = write_rig(("speed_deg_s = 10.0", "speed_deg_s = 1e-6"))
+    with pytest.raises(UserError, match=r"would take .* days, more than a year; correct .*rig\.toml"):
+        make_plan(read_schedule(SCHEDULE), read_rig(slow))
+
+
+def test_a_device_or_a_folder_is_no_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (Path("/dev/zero"), tmp_path, tmp_path / "pipe"):
+        with pytest.raises(UserError, match="is a folder or a device, not a file"):
+            read_rig(path)
+
+
+def test_a_message_is_one_line_of_a_readable_length() -> None:
+    text = str(UserError("a\nb\x1b[31m" + "x" * 1_000_000))
+    assert text.startswith("a b?[31mxx")
+    assert len(text) < 2100

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -40,6 +41,8 @@ def invoke(*arguments: object) -> subprocess.CompletedProcess[str]:
         contextlib.redirect_stderr(io.StringIO()) as err,
     ):
         patch.setattr(sys, "argv", ["goniotwin", *given])
+        patch.setattr(sys, "excepthook", sys.excepthook)
+        patch.setattr(threading, "excepthook", threading.excepthook)
         try:
             with pytest.raises(SystemExit) as ended:
                 main()

@@ -43,8 +43,11 @@ class Bench:
     control: ControlClient
     undisturbed: Path
 
-    def fail_and_resume(self, path: Path, limits: Limits, free_space: FreeSpace) -> int:
-        """Start a campaign without enough space, resume it with enough; return the number of rows before the disk was full."""
+    def fail_and_resume(self, path: Path, limits: Limits, free_space: FreeSpace, remedy: str) -> int:
+        """Start a campaign without enough space, resume it with enough; return the number of rows before the disk was full.
+
+        `remedy` is the end of the error.
+        """
         for _ in range(MAX_TRIES):
             process = CommandProcess(self.folder, "run", self.schedule, "--rig", self.rig, "--out", path, limits=limits)
             status = process.wait()
@@ -54,7 +57,7 @@ class Bench:
         assert status == 1, process.errors
         (line,) = (line for line in process.error_lines if "cannot be written" in line)
         assert f"{path}: cannot be written: " in line
-        assert line.endswith("; free space on the disk")
+        assert line.endswith(f"; {remedy}")
         assert process.errors.splitlines()[-1] == f"to continue: goniotwin run --resume {path}"
         assert self._at_rest()
         check_committed(path, process.committed)
@@ -115,7 +118,8 @@ def test_a_campaign_fails_at_a_limit_of_the_file_size_and_resumes_without_it(ben
     found = []
     for size in np.linspace(MIN_BYTES, MAX_BYTES, sizes):
         path = bench.folder / f"{size:.0f}.journal"
-        found.append(bench.fail_and_resume(path, Limits(file_bytes=int(size)), lambda: None))
+        remedy = "check the disk, its permissions and any limit of the size of files"  # the disk itself has space
+        found.append(bench.fail_and_resume(path, Limits(file_bytes=int(size)), lambda: None, remedy))
     assert found == sorted(found)
     assert found[0] < found[-1]
     print(f"\nrows before the disk was full: {found}")
@@ -126,7 +130,7 @@ def test_a_campaign_fails_on_a_full_disk_and_resumes_with_free_space(bench: Benc
     found = []
     for size in np.linspace(MIN_KB, MAX_KB, sizes):
         path = small_disk(int(size)) / f"{size:.0f}.journal"
-        found.append(bench.fail_and_resume(path, Limits(), lambda: small_disk(MAX_KB * 10)))
+        found.append(bench.fail_and_resume(path, Limits(), lambda: small_disk(MAX_KB * 10), "free space on the disk"))
         remove(path)
     print(f"\nrows before the disk was full: {found}")
 

@@ -2,13 +2,16 @@
 
 import contextlib
 import io
+import json
 import multiprocessing
 import os
 import shutil
 import socket
+import sqlite3
 import subprocess
 import sys
 import tempfile
+import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -23,12 +26,17 @@ import usb.core
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.reading import DamagedJournal
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reduction import export as exporting
+from goniotwin.app.campaign.reduction import readings, reduction
+from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import app as command
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
+from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.drivers import Monochromator, MonochromatorSettings
 from goniotwin.drivers.motion.stop import stop_all
 from goniotwin.drivers.motion.tmcl.module import TmclModule
@@ -38,11 +46,13 @@ from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
-from tests.conftest import RIG, SMALL, RigOpener, Writer, changed
+from tests.app.campaign.reduction.long_journal import write_long_journal
+from tests.conftest import REPOSITORY, RIG, SMALL, RigOpener, Writer, changed
 from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
 from tests.system.command import invoke
 from tests.system.command_process import FORKED, CommandProcess, row_digest
 from tests.system.conftest import Serve
+from tests.system.mutations import attempt, attempt_many, make_files
 
 # ---- a busy computer ----
 
@@ -506,3 +516,234 @@ def test_no_byte_changes_of_a_file_to_which_a_prepared_link_leads(name: str, for
         done = invoke("run", schedule, "--rig", RIG, "--out", tmp_path / "a.journal")
     assert "Traceback" not in done.stderr
     assert done.returncode == (0 if name in ("a.journal.holder", ".a.journal.new") else 2), done.stderr
+
+
+# ---- files from strangers ----
+
+MUTATIONS = 10_000
+PER_PROCESS = 500
+"""Mutations of one child process: a new one for each would take longer than they do."""
+
+
+def test_a_few_wild_mutations_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(changed := make_files(tmp_path))
+    assert [wrong for number in range(24) if (wrong := attempt(number, tmp_path / "originals", changed))] == []
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="this system has no such limits of a process")
+@pytest.mark.parametrize("first", range(0, MUTATIONS, PER_PROCESS))
+def test_wild_mutations_are_refused_in_one_line(first: int, tmp_path: Path) -> None:
+    """Under 1 GB and within 10 s of the processor; in a child process, which these limits may end."""
+    changed = make_files(tmp_path)
+    numbers, report = range(first, first + PER_PROCESS), tmp_path / "report"
+    arguments = (numbers, tmp_path / "originals", changed, report)
+    child = multiprocessing.get_context("spawn").Process(target=attempt_many, args=arguments)
+    child.start()
+    child.join(3600.0)
+    child.kill()
+    child.join()
+    found = dict(json.loads(line) for line in report.read_text(encoding="utf-8").splitlines())
+    assert [wrong for wrong in found.values() if wrong] == []
+    assert list(found) == list(numbers)
+
+
+OLD_JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
+
+# ---- a journal of unknown origin is data, not a program; ports of known kinds ----
+
+ANOTHER_TEXT = (
+    "PRAGMA writable_schema = ON; UPDATE sqlite_schema SET sql = replace(sql, 'gamma_deg REAL', 'gamma_deg REAL CHECK (1)');"
+)
+STRANGE_SCHEMAS = {
+    "trigger": "CREATE TRIGGER strange AFTER UPDATE ON session BEGIN DELETE FROM reading; END;",
+    "view": "CREATE VIEW strange AS SELECT * FROM plan;",
+    "view in place of a table": "DROP TABLE event; CREATE VIEW event AS SELECT 1 AS id, 'x' AS text, 'fault' AS kind;",
+    "table": "CREATE TABLE strange (x);",
+    "index": "CREATE INDEX strange ON plan (abs(seconds));",
+    "virtual table": "CREATE VIRTUAL TABLE strange USING fts5(x);",
+    "column": "ALTER TABLE plan ADD COLUMN strange TEXT;",
+    "generated column": "ALTER TABLE plan ADD COLUMN strange TEXT AS (identity || kind) VIRTUAL;",
+    "other text": ANOTHER_TEXT,
+    "no table": "DROP TABLE reading;",
+    "statistics": "ANALYZE;",
+}
+
+
+def changed_journal(path: Path, statements: str) -> Path:
+    """A copy of an old journal, changed as a stranger can."""
+    shutil.copyfile(OLD_JOURNAL, path)
+    database = sqlite3.connect(path)
+    database.executescript(statements)
+    database.close()
+    return path
+
+
+@pytest.mark.parametrize("strange", STRANGE_SCHEMAS)
+def test_a_journal_with_another_schema_is_refused(tmp_path: Path, strange: str) -> None:
+    path = changed_journal(tmp_path / "a.journal", STRANGE_SCHEMAS[strange])
+    before = path.read_bytes()
+    out = tmp_path / "a.csv"
+    for arguments in (("export", path, "--format", "csv", "--out", out), ("run", "--resume", path)):
+        done = invoke(*arguments)
+        assert (done.returncode, done.stdout) == (2, "")
+        (line,) = done.stderr.splitlines()
+        assert "a.journal: has " in line
+        assert "as no version of goniotwin makes" in line
+    assert path.read_bytes() == before
+    assert not out.exists()
+
+
+def test_a_journal_of_any_own_version_is_opened(tmp_path: Path) -> None:
+    """The schema text of one that was migrated is another than that of one that was made so."""
+    path = changed_journal(tmp_path / "old.journal", "")
+    with Journal.open(path) as journal:
+        planned = journal.row_counts()
+    with Journal.reopen(path):  # migrates it
+        pass
+    with Journal.open(path) as journal:
+        assert journal.row_counts() == planned
+
+
+@pytest.mark.parametrize("port", ["spy:///dev/null?file={file}", "spy://socket://127.0.0.1:9?file={file}&all", "alt://{file}"])
+def test_a_port_of_another_kind_is_refused_before_anything_is_opened(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, port: str
+) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("precious")
+    address = port.format(file=precious)
+    for change in (
+        ('port = "twin://virtual/axes"', f'port = "{address}"'),
+        ('port = "twin://virtual/mono"', f'port = "{address}"'),
+        ('"twin://virtual/adc-1"', f'"rtu:{address}"'),
+    ):
+        rig = write_rig(change)
+        for arguments in (("devices", "--rig", rig), ("run", write_schedule(), "--rig", rig, "--out", tmp_path / "a.journal")):
+            done = invoke(*arguments)
+            assert (done.returncode, done.stdout) == (2, "")
+            (line,) = done.stderr.splitlines()
+            assert "is not an address of a known kind" in line
+    assert precious.read_text() == "precious"
+
+
+def test_a_resume_on_another_rig_than_the_last_asks_first(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("WIN_PD_OVERRIDE_LOCAL_APPDATA", str(tmp_path / "state"))
+    rig = write_rig(("twin://virtual/mono", str(tmp_path / "no-device")))
+    path = tmp_path / "a.journal"
+    Journal.create(path, make_plan(read_schedule(write_schedule()), read_rig(rig)), {}).close()
+    before = path.read_bytes()
+    (line,) = invoke("run", "--resume", path).stderr.splitlines()  # standard input is no terminal
+    assert invoke("run", "--resume", path).returncode == 2
+    assert "is not the one that this computer used last" in line
+    assert "--accept-rig" in line
+    assert str(tmp_path / "no-device") in line
+    assert path.read_bytes() == before
+    for accepted in (("--accept-rig",), ("--rig", rig)):
+        done = invoke("run", "--resume", path, *accepted)
+        assert done.returncode == 2
+        assert "no-device" in done.stderr
+        assert "--accept-rig" not in done.stderr
+    remember_rig(read_rig(rig).file)
+    assert "--accept-rig" not in invoke("run", "--resume", path).stderr
+    remember_rig(read_rig(write_rig(("twin://virtual/mono", "/dev/another"))).file)
+    assert "--accept-rig" in invoke("run", "--resume", path).stderr
+
+
+# ---- journals of any kind in one folder; the end of a campaign; a full disk ----
+
+
+def test_runs_lists_the_sound_journals_and_names_the_odd_ones(tmp_path: Path) -> None:
+    folder = tmp_path / "journals"
+    folder.mkdir()
+    changed_journal(folder / "[red]sound.journal", "UPDATE campaign SET value = '[/]\x1b[2J' WHERE key = 'name'")
+    odd: dict[str, Callable[[Path], object]] = {
+        "folder": lambda path: path.mkdir(),
+        "text": lambda path: path.write_text("x"),
+        "empty": lambda path: path.touch(),
+        "loop": lambda path: path.symlink_to(path),
+        "nowhere": lambda path: path.symlink_to(tmp_path / "nothing"),
+        "endless": lambda path: path.symlink_to("/dev/zero"),
+        "torn": lambda path: path.write_bytes(OLD_JOURNAL.read_bytes()[:20_000]),
+        "outcome": lambda path: changed_journal(path, "UPDATE session SET outcome = 'strange'"),
+        "versions": lambda path: changed_journal(path, f"UPDATE session SET versions = '{'[' * 100_000}'"),
+        "flags": lambda path: changed_journal(path, "UPDATE attempt SET flags = 'skipped'"),
+        "view": lambda path: changed_journal(path, STRANGE_SCHEMAS["view"]),
+    }
+    if hasattr(os, "mkfifo"):
+        odd["fifo"] = os.mkfifo
+    for name, make in odd.items():
+        make(folder / f"{name}.journal")
+    done = invoke("runs", folder)
+    assert done.returncode == 0
+    assert "[red]sound.journal" in done.stdout
+    assert "[/]?[2J" in done.stdout
+    named = done.stderr.splitlines()
+    assert len(named) == len(odd), done.stderr
+    assert all(any(f"{name}.journal" in line for line in named) for name in odd)
+
+
+@pytest.mark.parametrize("outcome", ["NULL", "'failed'"])
+def test_a_campaign_that_ended_after_its_last_row_becomes_done(tmp_path: Path, outcome: str) -> None:
+    path = changed_journal(tmp_path / "a.journal", f"UPDATE session SET outcome = {outcome}, ended_s = NULL, wall_ended = NULL")
+    assert campaign_summary(path).state == ("done" if outcome == "NULL" else "failed")
+    assert campaign_summary(path).seconds_left == 0.0
+    done = invoke("run", "--resume", path)  # closes the shutter
+    assert done.returncode == 0, done.stderr
+    assert campaign_summary(path).state == "done"
+    assert "nothing to resume" in invoke("run", "--resume", path).stderr
+
+
+# ---- a million rows ----
+
+
+def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_row_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With small blocks a short journal shows what a long one takes."""
+    monkeypatch.setattr(reduction, "BLOCK_ROWS", 16)
+    monkeypatch.setattr(exporting, "PART_POINTS", 64)
+    reduced = 0
+
+    def counted(*arguments: Any) -> Any:
+        nonlocal reduced
+        reduced += 1
+        return reduce_readings(*arguments)
+
+    monkeypatch.setattr(readings, "reduce_readings", counted)
+    memory: list[int] = []
+    rows: list[int] = []
+    reads: list[int] = []
+    for wavelengths in (1, 1, 6):  # the first time imports what it needs
+        path = tmp_path / f"{len(rows)}.journal"
+        rows.append(write_long_journal(path, wavelengths, 1, "repeats = 2\n"))
+        reduced = 0
+        tracemalloc.start()
+        form = exporting.export_format("csv")
+        with Journal.open(path) as journal, reduction.reduce_to_files(journal, tmp_path) as found:
+            exporting.export(found, None, tmp_path / "a.csv", form)
+        memory.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        reads.append(reduced)
+    assert (memory[2] - memory[1]) / (
+        rows[2] - rows[1]
+    ) < 1000.0  # all points in memory take 4 kB per row, with 36 photodiodes 40
+    assert all(read < row for read, row in zip(reads, rows, strict=True))  # also where poses are repeated
+
+
+@pytest.mark.long
+def test_a_million_rows_are_exported_within_a_gigabyte(tmp_path: Path) -> None:
+    path, out = tmp_path / "long.journal", tmp_path / "long.csv"
+    rows = write_long_journal(path, 5000, 10)
+    assert rows > 1_000_000
+    command = [sys.executable, "-m", "goniotwin", "export", str(path), "--format", "csv", "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    with out.open(encoding="utf-8") as file:
+        assert sum(not line.startswith("#") for line in file) > 2_000_000
+    print(f"\n{rows} rows: {used.ru_maxrss / 1024:.0f} MiB, {used.ru_utime:.0f} s")
+    assert used.ru_maxrss * 1024 < 1e9

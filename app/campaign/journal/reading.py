@@ -1,10 +1,12 @@
 """Read access to a journal: the campaign's properties, its sessions, and its rows."""
 
 import contextlib
+import itertools
 import json
 import shutil
 import sqlite3
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +37,22 @@ sample names that comes with the index.
 """
 ROW_COLUMNS = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
 USE_A_COPY = "use a copy of it, if there is one; goniotwin copy makes copies that are whole, also during a run"
+LIMITS = {
+    sqlite3.SQLITE_LIMIT_LENGTH: 1 << 26,
+    sqlite3.SQLITE_LIMIT_SQL_LENGTH: 100_000,
+    sqlite3.SQLITE_LIMIT_COLUMN: 100,
+    sqlite3.SQLITE_LIMIT_EXPR_DEPTH: 100,
+    sqlite3.SQLITE_LIMIT_COMPOUND_SELECT: 10,
+    sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH: 1,
+    sqlite3.SQLITE_LIMIT_LIKE_PATTERN_LENGTH: 100,
+    sqlite3.SQLITE_LIMIT_ATTACHED: 0,
+}
+"""Bounds for all journals, far above what one needs: bytes of a value and of a statement, and what a schema could have."""
+LEAST_STEPS, STEPS_PER_BYTE, STEPS_TOGETHER = 10_000_000, 100, 100_000
+"""Steps of SQLite's machine that a check of a journal may take, and after how many these are counted."""
 LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
+ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
+OUTCOMES = ("done", "stopped", "failed", None)
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
 
@@ -108,15 +125,27 @@ class JournalReader:
                 "SELECT id, started_s, COALESCE(ended_s, (SELECT MAX(ended_s) FROM attempt WHERE session = s.id), started_s),"
                 " outcome, wall_started, wall_ended, versions FROM session s ORDER BY id"
             )
-            return [
-                Session(number, started, ended, outcome, wall_started, wall_ended, json.loads(versions))
-                for number, started, ended, outcome, wall_started, wall_ended, versions in found
-            ]
+            return [_session(*entries) for entries in found]
 
     def row_counts(self) -> tuple[int, int]:
         """Number of the planned rows that are measured, and number of all planned rows."""
-        planned = self._planned_numbers()
-        return len(self.committed_numbers() & planned), len(planned)
+        with self._reading():
+            ((begun, planned),) = self._db.execute(
+                f"SELECT SUM({ATTEMPTED}{self._sound}), COUNT(*) FROM plan p WHERE session IS NULL"
+            )
+        return (begun or 0) - sum(self.skipped_by_sample().values()), planned
+
+    def seconds_left(self) -> float:
+        """Estimated duration of the planned rows that are not measured, skipped ones included."""
+        with self._reading():
+            ((seconds,),) = self._db.execute(
+                f"SELECT TOTAL(seconds) FROM plan p WHERE session IS NULL AND NOT ({ATTEMPTED}{self._sound})"
+            )
+        return float(seconds) + sum(seconds for _, seconds in self._skipped_rows())
+
+    def skipped_by_sample(self) -> dict[str, int]:
+        """Number of the planned rows of each sample that were skipped because of a fault and not measured since."""
+        return dict(Counter(sample for sample, _ in self._skipped_rows()))
 
     def planned_rows(self) -> tuple[Row, ...]:
         """The rows of the plan, in order; without the unplanned rows of resumed sessions."""
@@ -132,10 +161,6 @@ class JournalReader:
             attempted = {number for (number,) in self._db.execute("SELECT DISTINCT number FROM attempt")}
         return attempted - self._last_skipped() - self.chain.without_values.keys()
 
-    def skipped_numbers(self) -> set[int]:
-        """Numbers of the planned rows that were skipped because of a fault and not measured since."""
-        return self._last_skipped() & self._planned_numbers()
-
     def _last_skipped(self) -> set[int]:
         """Numbers of the rows with the flag SKIPPED in their last attempt."""
         with self._reading():
@@ -148,9 +173,14 @@ class JournalReader:
                 number for number, flags in found if number not in self.chain.without_values and SKIPPED in json.loads(flags)
             }
 
-    def _planned_numbers(self) -> set[int]:
+    def _skipped_rows(self) -> list[tuple[str, float]]:
+        """Sample and estimated duration of the planned rows that were skipped and not measured since, in their order."""
+        rows = (
+            self._db.execute("SELECT sample, seconds FROM plan WHERE session IS NULL AND number = ?", (number,)).fetchall()
+            for number in sorted(self._last_skipped())
+        )
         with self._reading():
-            return {number for (number,) in self._db.execute("SELECT number FROM plan WHERE session IS NULL")}
+            return [(sample, seconds) for found in rows for sample, seconds in found]
 
     def event_texts(self, kind: str) -> list[str]:
         """Texts of the events of one kind, in order of time, without duplicates."""
@@ -225,6 +255,7 @@ def open_read_only(path: Path) -> sqlite3.Connection:
     """
     db = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
     try:
+        distrust(db)
         db.execute("PRAGMA user_version")
     except sqlite3.OperationalError as error:
         db.close()
@@ -241,13 +272,35 @@ def _recovered_copy(path: Path) -> sqlite3.Connection:
             with contextlib.suppress(FileNotFoundError):
                 shutil.copyfile(f"{path}{suffix}", f"{spare}{suffix}")
         with contextlib.closing(sqlite3.connect(spare)) as source:
+            distrust(source)
             copy = sqlite3.connect(":memory:", check_same_thread=False)
             try:
                 source.backup(copy)
+                distrust(copy)
             except sqlite3.Error:
                 copy.close()
                 raise
     return copy
+
+
+def distrust(db: sqlite3.Connection) -> None:
+    """Set what a database that may come of unknown origin must not do. Raises sqlite3.Error."""
+    db.execute("PRAGMA trusted_schema = OFF")
+    db.execute("PRAGMA cell_size_check = ON")
+    for limit, most in LIMITS.items():
+        db.setlimit(limit, most)
+
+
+@contextlib.contextmanager
+def bound_steps(db: sqlite3.Connection, path: Path) -> Iterator[None]:
+    """Interrupt what takes more steps than the size of a journal explains. Raises sqlite3.OperationalError."""
+    size = sum(each.stat().st_size for each in (path, Path(f"{path}-wal")) if each.exists())
+    left = itertools.count((LEAST_STEPS + STEPS_PER_BYTE * size) // STEPS_TOGETHER, -1)
+    db.set_progress_handler(lambda: next(left) < 0, STEPS_TOGETHER)
+    try:
+        yield
+    finally:
+        db.set_progress_handler(None, 0)
 
 
 @contextlib.contextmanager
@@ -255,9 +308,16 @@ def report_damage(path: Path) -> Iterator[None]:
     """Convert errors of the database and of the stored values into DamagedJournal."""
     try:
         yield
-    except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
+    except (sqlite3.Error, ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError) as error:
         line, *more = str(error).splitlines() or [type(error).__name__]
         raise DamagedJournal(f"{path}: is damaged: {line}{' ...' if more else ''}; {USE_A_COPY}") from None
+
+
+def _session(number: int, started: float, ended: float, outcome: str | None, *about: Any) -> Session:
+    if outcome not in OUTCOMES:
+        raise ValueError(f"session {number} has the outcome {ascii(outcome)[:40]}")
+    wall_started, wall_ended, versions = about
+    return Session(number, started, ended, outcome, wall_started, wall_ended, json.loads(versions))
 
 
 def _row(*columns: Any) -> Row:

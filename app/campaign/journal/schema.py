@@ -1,43 +1,82 @@
 """Tables of the journal, and the migration of journals with an older schema. docs/journal.md describes the tables."""
 
+import contextlib
 import json
 import sqlite3
 import tomllib
 from collections.abc import Callable
+from functools import cache
 
 from goniotwin.app.campaign.journal.chain import begin_chain
 
 SCHEMA_VERSION = 3
 APPLICATION_ID = 0x474F4E49  # "GONI"
-CHAIN_TABLE = """CREATE TABLE chain (
-    link INTEGER PRIMARY KEY, number INTEGER NOT NULL, attempt INTEGER NOT NULL, sha256 TEXT NOT NULL
-) STRICT"""
-SCHEMA = f"""
-CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-CREATE TABLE session (
+MOST_ENTRIES = 100
+CAMPAIGN = "CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT"
+SESSION = """CREATE TABLE session (
     id INTEGER PRIMARY KEY, started_s REAL NOT NULL, ended_s REAL, outcome TEXT, wall_started TEXT NOT NULL, wall_ended TEXT,
     rig TEXT NOT NULL, versions TEXT NOT NULL, first_link INTEGER, last_link INTEGER, tip TEXT, sha256 TEXT
-) STRICT;
-CREATE TABLE plan (
+) STRICT"""
+PLAN = """CREATE TABLE plan (
     number INTEGER PRIMARY KEY, identity TEXT NOT NULL UNIQUE, kind TEXT NOT NULL, sample TEXT NOT NULL,
     wavelength_nm REAL, gamma_deg REAL, sigma_deg REAL, beta_deg REAL, shift_deg REAL, seconds REAL NOT NULL,
     detail TEXT NOT NULL, session INTEGER REFERENCES session
-) STRICT;
-CREATE TABLE attempt (
+) STRICT"""
+ATTEMPT = """CREATE TABLE attempt (
     number INTEGER NOT NULL REFERENCES plan, attempt INTEGER NOT NULL, session INTEGER NOT NULL REFERENCES session,
     started_s REAL NOT NULL, ended_s REAL NOT NULL, positions TEXT, flags TEXT NOT NULL, PRIMARY KEY (number, attempt)
-) STRICT;
-CREATE TABLE reading (
+) STRICT"""
+READING = """CREATE TABLE reading (
     number INTEGER NOT NULL, attempt INTEGER NOT NULL, gain_v_per_a REAL NOT NULL, first_s REAL NOT NULL,
     period_s REAL NOT NULL, monitor_a REAL NOT NULL, readings INTEGER NOT NULL, channels INTEGER NOT NULL,
     counts BLOB NOT NULL, PRIMARY KEY (number, attempt, gain_v_per_a),
     FOREIGN KEY (number, attempt) REFERENCES attempt
-) STRICT;
-CREATE TABLE event (
+) STRICT"""
+EVENT = """CREATE TABLE event (
     id INTEGER PRIMARY KEY, session INTEGER REFERENCES session, t_s REAL NOT NULL, kind TEXT NOT NULL, text TEXT NOT NULL
-) STRICT;
-{CHAIN_TABLE};
-"""
+) STRICT"""
+CHAIN = """CREATE TABLE chain (
+    link INTEGER PRIMARY KEY, number INTEGER NOT NULL, attempt INTEGER NOT NULL, sha256 TEXT NOT NULL
+) STRICT"""
+SESSION_2 = """CREATE TABLE session (
+    id INTEGER PRIMARY KEY, started_s REAL NOT NULL, ended_s REAL, outcome TEXT, wall_started TEXT NOT NULL, wall_ended TEXT,
+    rig TEXT NOT NULL, versions TEXT NOT NULL
+) STRICT"""
+SESSION_1 = """CREATE TABLE session (
+    id INTEGER PRIMARY KEY, started_s REAL NOT NULL, ended_s REAL, outcome TEXT, wall_started TEXT NOT NULL, wall_ended TEXT
+) STRICT"""
+PLAN_1 = """CREATE TABLE plan (
+    number INTEGER PRIMARY KEY, identity TEXT NOT NULL UNIQUE, kind TEXT NOT NULL, sample TEXT NOT NULL,
+    wavelength_nm REAL, gamma_deg REAL, sigma_deg REAL, beta_deg REAL, shift_deg REAL, seconds REAL NOT NULL
+) STRICT"""
+ATTEMPT_1 = """CREATE TABLE attempt (
+    number INTEGER NOT NULL REFERENCES plan, attempt INTEGER NOT NULL, started_s REAL NOT NULL, ended_s REAL NOT NULL,
+    positions TEXT, flags TEXT NOT NULL, PRIMARY KEY (number, attempt)
+) STRICT"""
+EVENT_1 = "CREATE TABLE event (id INTEGER PRIMARY KEY, t_s REAL NOT NULL, kind TEXT NOT NULL, text TEXT NOT NULL) STRICT"
+CREATED = {
+    1: (CAMPAIGN, PLAN_1, ATTEMPT_1, READING, EVENT_1, SESSION_1),
+    2: (CAMPAIGN, SESSION_2, PLAN, ATTEMPT, READING, EVENT),
+    3: (CAMPAIGN, SESSION, PLAN, ATTEMPT, READING, EVENT, CHAIN),
+}
+"""By schema version, the statements that make an empty journal. Those of older versions stay, to compare journals with."""
+ALTERED = {
+    1: (
+        "ALTER TABLE session ADD COLUMN rig TEXT NOT NULL DEFAULT ''",
+        "ALTER TABLE session ADD COLUMN versions TEXT NOT NULL DEFAULT ''",
+        "ALTER TABLE plan ADD COLUMN detail TEXT NOT NULL DEFAULT ''",
+        "ALTER TABLE plan ADD COLUMN session INTEGER REFERENCES session",
+        "ALTER TABLE attempt ADD COLUMN session INTEGER NOT NULL DEFAULT 1 REFERENCES session",
+        "ALTER TABLE event ADD COLUMN session INTEGER REFERENCES session",
+    ),
+    2: (
+        *(f"ALTER TABLE session ADD COLUMN {each}" for each in ("first_link INTEGER", "last_link INTEGER", "tip TEXT")),
+        "ALTER TABLE session ADD COLUMN sha256 TEXT",
+        CHAIN,
+    ),
+}
+"""By schema version, the statements that change its tables to those of the next one."""
+Schema = frozenset[tuple[str, ...]]
 
 
 def create_tables(db: sqlite3.Connection) -> None:
@@ -46,8 +85,44 @@ def create_tables(db: sqlite3.Connection) -> None:
         db.execute("BEGIN")  # otherwise each statement is a transaction of its own and waits for the disk
         db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-        for statement in SCHEMA.split(";"):
+        for statement in CREATED[SCHEMA_VERSION]:
             db.execute(statement)
+
+
+def check_schema(db: sqlite3.Connection, version: int) -> None:
+    """Raise ValueError where a database has other tables than a journal of this version, made so or migrated, or anything else.
+
+    A journal may come of unknown origin, and SQLite executes what a schema has: triggers, views, expressions of a table.
+    """
+    known, found = known_schemas()[version], _schema_of(db)
+    if found in known:
+        return
+    strange = sorted(found.difference(*known))
+    what = f"the {strange[0][0]} {strange[0][1][:40]!a}" if strange else "fewer tables, or other ones,"
+    raise ValueError(f"has {what} as no version of goniotwin makes")
+
+
+@cache
+def known_schemas() -> dict[int, frozenset[Schema]]:
+    """All schemas that a version of this program has ever made, by the schema version: ALTER TABLE leaves other text."""
+    known: dict[int, set[Schema]] = {version: set() for version in CREATED}
+    for version, statements in CREATED.items():
+        with contextlib.closing(sqlite3.connect(":memory:")) as db:
+            for step, altering in enumerate([statements, *(ALTERED[each] for each in range(version, SCHEMA_VERSION))]):
+                for statement in altering:
+                    db.execute(statement)
+                known[version + step].add(_schema_of(db))
+    return {version: frozenset(schemas) for version, schemas in known.items()}
+
+
+def _schema_of(db: sqlite3.Connection) -> Schema:
+    """Type, name, table and text of each entry, with blanks for all white space; of a strange database not all of them."""
+    factory, db.text_factory = db.text_factory, lambda raw: raw.decode(errors="replace")  # a damaged text may not be UTF-8
+    try:
+        found = db.execute(f"SELECT type, name, tbl_name, sql FROM sqlite_schema LIMIT {MOST_ENTRIES}").fetchall()
+    finally:
+        db.text_factory = factory
+    return frozenset(tuple(" ".join(str(each).split()) for each in entry) for entry in found)
 
 
 def migrate(db: sqlite3.Connection) -> None:
@@ -62,7 +137,9 @@ def migrate(db: sqlite3.Connection) -> None:
     db.execute("BEGIN IMMEDIATE")
     try:
         for step in range(version, SCHEMA_VERSION):
-            STEPS[step](db)
+            for statement in ALTERED[step]:
+                db.execute(statement)
+            FILL[step](db)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     except BaseException:
         db.execute("ROLLBACK")
@@ -71,8 +148,8 @@ def migrate(db: sqlite3.Connection) -> None:
     db.execute("PRAGMA foreign_keys = ON")
 
 
-def _from_1(db: sqlite3.Connection) -> None:
-    """Migrate schema 1, which has one session, and gains and readings of a row only in the schedule."""
+def _fill_from_1(db: sqlite3.Connection) -> None:
+    """Fill the new columns from schema 1, which has one session, and gains and readings of a row only in the schedule."""
     about = dict(db.execute("SELECT key, value FROM campaign"))
     schedule, rig = tomllib.loads(about["schedule"]), tomllib.loads(about["rig"])
     known = rig["photodiodes"]["gains_v_per_a"]
@@ -84,15 +161,6 @@ def _from_1(db: sqlite3.Connection) -> None:
         default, key = (16, "dark_readings") if kind == "dark" else (4, "readings")
         return json.dumps({"gains": gains, "readings": schedule.get(key, default)})
 
-    for statement in (
-        "ALTER TABLE session ADD COLUMN rig TEXT NOT NULL DEFAULT ''",
-        "ALTER TABLE session ADD COLUMN versions TEXT NOT NULL DEFAULT ''",
-        "ALTER TABLE plan ADD COLUMN detail TEXT NOT NULL DEFAULT ''",
-        "ALTER TABLE plan ADD COLUMN session INTEGER REFERENCES session",
-        "ALTER TABLE attempt ADD COLUMN session INTEGER NOT NULL DEFAULT 1 REFERENCES session",
-        "ALTER TABLE event ADD COLUMN session INTEGER REFERENCES session",
-    ):
-        db.execute(statement)
     db.execute("INSERT INTO campaign VALUES ('rig_folder', '.')")
     db.execute("UPDATE session SET rig = ?, versions = ?", (about["rig"], about["versions"]))
     db.execute("UPDATE event SET session = 1 WHERE EXISTS (SELECT 1 FROM session)")
@@ -100,13 +168,5 @@ def _from_1(db: sqlite3.Connection) -> None:
         db.execute("UPDATE plan SET detail = ? WHERE kind = ?", (detail(kind), kind))
 
 
-def _from_2(db: sqlite3.Connection) -> None:
-    """Migrate schema 2, which has no chain of hashes: it begins after the rows that are there."""
-    for column in ("first_link INTEGER", "last_link INTEGER", "tip TEXT", "sha256 TEXT"):
-        db.execute(f"ALTER TABLE session ADD COLUMN {column}")
-    db.execute(CHAIN_TABLE)
-    begin_chain(db)
-
-
-STEPS: dict[int, Callable[[sqlite3.Connection], None]] = {1: _from_1, 2: _from_2}
-"""Migration from each older schema version to the next."""
+FILL: dict[int, Callable[[sqlite3.Connection], None]] = {1: _fill_from_1, 2: begin_chain}
+"""By schema version, what fills the new tables and columns; a chain of hashes begins after the rows that are there."""

@@ -14,10 +14,11 @@ SUFFIX = ".journal"
 class CampaignSummary:
     """A journal in short; the fields are the keys of the JSON output, without `damage`, which is an error message.
 
-    `state`: "done", "stopped" or "failed" as the last session recorded it; "killed" where the last session has no end;
-    "running" while a program has the journal open; "empty" before the first session. `rows` counts the measured planned rows,
-    `skipped` those that were skipped because of faults and not repeated since. `seconds` is the duration so far and
-    `seconds_left` the estimated duration of the rows that are left, skipped ones included; both on the rig's clock.
+    `state`: "done", "stopped" or "failed" as the last session recorded it; where it recorded no end, "done" if all rows are
+    measured, else "killed"; "running" while a program has the journal open; "empty" before the first session. `rows` counts
+    the measured planned rows, `skipped` those that were skipped because of faults and not repeated since. `seconds` is the
+    duration so far and `seconds_left` the estimated duration of the rows that are left, skipped ones included; both on the
+    rig's clock.
     """
 
     journal: str
@@ -45,19 +46,18 @@ def campaign_summary(path: Path) -> CampaignSummary:
     held = journal_holder(path)
     with Journal.open(path) as journal:
         sessions = journal.sessions()
-        done = journal.committed_numbers()
-        planned = journal.planned_rows()
-        left = [row for row in planned if row.number not in done]
+        rows, planned = journal.row_counts()
         last = sessions[-1] if sessions else None
+        ended = "done" if rows == planned else "killed"  # one that was killed after its last row has measured everything
         return CampaignSummary(
             journal=str(path),
             name=journal.value("name"),
-            state="running" if held else "empty" if last is None else last.outcome or "killed",
-            rows=len(planned) - len(left),
-            skipped=len(journal.skipped_numbers()),
-            planned=len(planned),
+            state="running" if held else "empty" if last is None else last.outcome or ended,
+            rows=rows,
+            skipped=sum(journal.skipped_by_sample().values()),
+            planned=planned,
             seconds=journal.seconds,
-            seconds_left=sum(row.seconds for row in left),
+            seconds_left=journal.seconds_left(),
             simulated=journal.simulated,
             begun=sessions[0].wall_started if sessions else None,
             ended=last.wall_ended if last is not None and not held else None,
@@ -82,4 +82,6 @@ def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
                 errors.append(f"{path}: differs from what was measured: {damage}")
         except UserError as error:
             errors.append(str(error))
+        except Exception as error:  # noqa: BLE001  (whatever is in the folder, the others are listed)
+            errors.append(f"{path}: cannot be read: {type(error).__name__}: {error}; is it a journal?")
     return summaries, errors

@@ -5,11 +5,13 @@ and the raw counts; everything else can be derived from these again. docs/journa
 """
 
 import contextlib
+import errno
 import json
 import math
 import os
 import platform
 import sqlite3
+import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from importlib import metadata
@@ -17,12 +19,19 @@ from pathlib import Path
 from types import TracebackType
 
 from goniotwin.app.campaign.journal.chain import Chain, add_link, begin_chain, campaign_hash, check_chain, seal_session
-from goniotwin.app.campaign.journal.reading import DETAIL_KEYS, JournalReader, open_read_only, report_damage
+from goniotwin.app.campaign.journal.reading import (
+    DETAIL_KEYS,
+    JournalReader,
+    bound_steps,
+    distrust,
+    open_read_only,
+    report_damage,
+)
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
+from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, check_schema, create_tables, migrate
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.app.formats.file import sync_folder
 from goniotwin.app.rig.lock import LockFile, lock_journal
 from goniotwin.protocols.clock import calendar_stamp
@@ -33,6 +42,8 @@ READERS_END_S = 5.0
 """Longest time that is waited for other programs' reading."""
 OLDEST_READABLE = 2
 """Older schemas lack columns that are read: a copy of them is migrated."""
+PROBE_BYTES = 1 << 16
+"""SQLite makes its files longer by half of this at once."""
 PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
 
 
@@ -94,7 +105,8 @@ class Journal(JournalReader):
                 db.execute("PRAGMA wal_checkpoint")  # closing does this too, but ignores errors
             spare.rename(path)
         except (sqlite3.Error, OSError) as error:
-            _remove(spare)
+            with contextlib.suppress(OSError):  # a read-only disk
+                _remove(spare)
             raise _unwritable(path, error) from None
         try:
             db = _connect(path, durable=durable)
@@ -284,7 +296,8 @@ class Journal(JournalReader):
             with self._writes, self._db:
                 yield
         except sqlite3.Error as error:
-            raise JournalError(f"{self.path}: cannot be written: {error}; free space on the disk") from None
+            remedy = _room_on_disk(self.path, error) or "check the disk, its permissions and any limit of the size of files"
+            raise JournalError(f"{self.path}: cannot be written: {error}; {remedy}") from None
 
 
 def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> None:
@@ -310,6 +323,7 @@ def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> N
 def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
     db = sqlite3.connect(path, timeout=READERS_END_S, check_same_thread=False)
     try:
+        distrust(db)
         db.execute("PRAGMA journal_mode = WAL")
         db.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
         db.execute("PRAGMA fullfsync = ON")  # macOS only: there a plain sync leaves the data in the cache of the disk
@@ -328,7 +342,23 @@ def _remove(path: Path) -> None:
 
 
 def _unwritable(path: Path, error: Exception) -> UserError:
-    return UserError(f"{path}: cannot be written: {error}; check the folder and the disk")
+    remedy = _room_on_disk(path, error) or "check the folder and the disk"
+    return UserError(f"{path}: cannot be written: {error}; {remedy}")
+
+
+def _room_on_disk(path: Path, error: Exception) -> str:
+    """The remedy where a journal cannot be written because the disk is full; else empty.
+
+    SQLite may report a full disk as any error of input and output, and such an error as one: another file shows it.
+    """
+    if isinstance(error, OSError):
+        return room_on_disk(error)
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as file:
+            file.write(bytes(PROBE_BYTES))
+    except OSError as found:
+        return room_on_disk(found)
+    return room_on_disk(OSError(errno.ENOSPC, "")) if getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL else ""
 
 
 def _known_version(path: Path) -> int:
@@ -340,8 +370,13 @@ def _known_version(path: Path) -> int:
         with contextlib.closing(open_read_only(path)) as db:
             found = db.execute("PRAGMA application_id").fetchone()[0]
             version = int(db.execute("PRAGMA user_version").fetchone()[0])
+            if found == APPLICATION_ID and 1 <= version <= SCHEMA_VERSION:
+                with bound_steps(db, path):
+                    check_schema(db, version)
+    except ValueError as error:
+        raise UserError(f"{path}: {error}; use the journal as goniotwin wrote it, or a copy of that") from None
     except (sqlite3.Error, OSError) as error:
-        raise UserError(f"{path}: is not a journal: {error}; is it the right file?") from None
+        raise UserError(f"{path}: is not a journal: {' '.join(str(error).split())}; is it the right file?") from None
     if found != APPLICATION_ID or version < 1:
         what = "is an SQLite file, but not a journal of goniotwin" if path.stat().st_size > 1 else "is empty"
         raise UserError(f"{path}: {what}; is it the right file?")
@@ -394,7 +429,7 @@ def _checked(db: sqlite3.Connection, path: Path) -> Chain:
     Raises UserError, and closes `db`, where more than rows, plan or sessions is damaged.
     """
     try:
-        with report_damage(path):
+        with report_damage(path), bound_steps(db, path):
             db.execute("BEGIN")
             (found,) = db.execute("PRAGMA integrity_check(1)").fetchone()
             if found != "ok":

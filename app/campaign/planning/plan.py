@@ -21,6 +21,7 @@ from goniotwin.app.campaign.planning.validation import (
     gain_numbers,
     min_rows,
     refuse_beyond_limits,
+    refuse_too_long,
     refuse_too_many_checks,
     refuse_too_many_poses,
     refuse_too_many_rows,
@@ -178,6 +179,7 @@ def _build_plan(
         timeline.dismount(passes[-1].sample)
     rows = PlannedRows(timeline.pieces, templates)
     refuse_too_many_checks(schedule, rows.kinds)
+    refuse_too_long(schedule, rig, rows.seconds)
     return NewPlan(schedule, rig, rows, templates, mounted, orders, timeline.oldest_dark_s, timing.expected_reading_s, omitted)
 
 

@@ -27,6 +27,7 @@ from goniotwin.twin.optics.geometry.coordinates import incidence_deg
 
 MAX_ROWS = 1_000_000
 """Limit of the number of rows of a campaign."""
+LONGEST_CAMPAIGN_S = 366 * 86400.0
 
 
 def refuse_too_many_rows(schedule: ScheduleDescription) -> None:
@@ -114,6 +115,15 @@ def refuse_too_many_checks(schedule: ScheduleDescription, kinds: Mapping[str, in
         terms += [f"{count} {kind}" for kind, count in kinds.items() if kind not in ("measure", "dark", "drift")]
         raise UserError(
             f"{schedule.name}: {' + '.join(terms)} = {rows} rows, more than {MAX_ROWS}; take longer intervals or coarser grids"
+        )
+
+
+def refuse_too_long(schedule: ScheduleDescription, rig: RigDescription, seconds: float) -> None:
+    """Raises UserError for a campaign of more than a year: a speed or a time is wrong, and a rehearsal would have no end."""
+    if seconds > LONGEST_CAMPAIGN_S:
+        raise UserError(
+            f"{schedule.name}: would take {seconds / 86400.0:.3g} days, more than a year; correct the times in it, or the "
+            f"speeds and times in {rig.name}"
         )
 
 

@@ -1,7 +1,9 @@
 """Export of a reduced journal: all points, or one sample's table. Simulated data are marked in each file."""
 
 import math
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -9,13 +11,13 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.components import shared_variance
-from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset
+from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, PointSource
+from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, grid_of_points, resample, specular_table
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 PART_POINTS = 20_000
@@ -51,7 +53,11 @@ def check_files(path: Path, form: Format) -> None:
 
 
 def export(
-    reduced: BsdfDataset, sample: str | None, path: Path, form: Format, light: Literal["reflected", "transmitted"] | None = None
+    reduced: ReducedJournal,
+    sample: str | None,
+    path: Path,
+    form: Format,
+    light: Literal["reflected", "transmitted"] | None = None,
 ) -> Exported:
     """Write the points of one sample or of all, or the table of one sample, as the format holds it. Raises UserError.
 
@@ -71,7 +77,7 @@ def export(
         raise UserError(str(error)) from None
 
 
-def heading(reduced: BsdfDataset) -> list[str]:
+def heading(reduced: ReducedJournal) -> list[str]:
     """The first comment lines of a file: campaign, rig, and whether it is simulated."""
     lines = [f"campaign: {reduced.name}", f"rig: {reduced.rig.file.name}"]
     if reduced.simulated:
@@ -81,9 +87,9 @@ def heading(reduced: BsdfDataset) -> list[str]:
     return lines
 
 
-def points_of(reduced: BsdfDataset, sample: str | None, path: Path) -> tuple[PointStream, int]:
+def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[PointStream, int]:
     """Every measured point of one sample or of all, in parts, and their number. Raises UserError."""
-    chosen = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
+    chosen: Mapping[str, PointSource] = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
     if not chosen:
         raise UserError(f"{path}: no sample has been measured yet, so there is nothing to write")
     about = [
@@ -98,15 +104,11 @@ def points_of(reduced: BsdfDataset, sample: str | None, path: Path) -> tuple[Poi
         *reduced.notes,
         *(f"overlaps of {name}: {each}" for name, each in reduced.overlaps.items() if name in chosen and each.pairs),
     ]
-    parts = (
-        _columns(name, points.where(np.arange(begin, min(begin + PART_POINTS, points.bsdf.size))))
-        for name, points in chosen.items()
-        for begin in range(0, points.bsdf.size, PART_POINTS)
-    )
-    return PointStream(about, parts), sum(points.bsdf.size for points in chosen.values())
+    parts = (_columns(name, points) for name, source in chosen.items() for points in source.parts(PART_POINTS))
+    return PointStream(about, parts), sum(source.size for source in chosen.values())
 
 
-def table_of(reduced: BsdfDataset, sample: str | None, path: Path, form: Format) -> tuple[BsdfTable, int]:
+def table_of(reduced: ReducedJournal, sample: str | None, path: Path, form: Format) -> tuple[BsdfTable, int]:
     """One sample's BSDF on a grid of specular coordinates, and the number of measured values in it.
 
     The light is that which the format holds: reflected or transmitted, of the lit front. Raises UserError and FormatError.
@@ -118,24 +120,25 @@ def table_of(reduced: BsdfDataset, sample: str | None, path: Path, form: Format)
             raise UserError(f"{path}: {wrong}; choose one with --sample")
         sample = next(iter(reduced.samples))
     of_points = registry.join_words(map(str, registry.writers(Holds.POINTS)))
-    points = _points(reduced, sample)
-    points = points.where(~points.back & ~points.mirrored)
-    lights = {
-        light for light in (Holds.REFLECTED, Holds.TRANSMITTED) if np.any(points.transmitted == (light is Holds.TRANSMITTED))
-    }
+    source = _points(reduced, sample)
+    wavelengths_of, gammas_of = defaultdict[Holds, set[float]](set), defaultdict[Holds, set[float]](set)
+    for light in (Holds.REFLECTED, Holds.TRANSMITTED):
+        for points in _OnFront(source, light).settings():
+            wavelengths_of[light].add(float(points.wavelength_nm[0]))
+            gammas_of[light].update(np.unique(points.gamma_deg).tolist())
+    lights = set(wavelengths_of)
     if not lights:
         raise UserError(f"{path}: {sample} was not measured with light on its front; use {of_points}")
     if len(lights & form.holds) > 1:
         wrong = f"{sample} has reflected and transmitted light, of which a {form.name} table holds one"
         raise UserError(f"{path}: {wrong}; choose it with --light reflected or --light transmitted")
     light = min(lights & form.holds, default=min(lights))
-    points = points.where(points.transmitted == (light is Holds.TRANSMITTED))
-    if np.unique(points.gamma_deg).size > 1:
+    if len(gammas_of[light]) > 1:
         raise UserError(f"{path}: {sample} was measured at several gamma, of which export makes no table; use {of_points}")
-    wavelengths = tuple(np.unique(points.wavelength_nm).tolist())
+    wavelengths, front = tuple(sorted(wavelengths_of[light])), _OnFront(source, light)
     registry.check_holds(path, form, {Holds.GRID, light, Holds.SIGMAS, *([Holds.WAVELENGTHS] if len(wavelengths) > 1 else [])})
     try:
-        grids = [regrid(points.where(points.wavelength_nm == wavelength)) for wavelength in wavelengths]
+        grids = [regrid(front, wavelength) for wavelength in wavelengths]
     except ValueError as error:
         raise UserError(f"{path}: {sample}: {error}, so there is nothing to write") from None
     if len({tuple(axis.tobytes() for axis in axes) for axes, _ in grids}) > 1:
@@ -148,48 +151,94 @@ def table_of(reduced: BsdfDataset, sample: str | None, path: Path, form: Format)
         transmitted=light is Holds.TRANSMITTED, generated=reduced.simulated, done="measured",
         comments=[*heading(reduced), f"sample: {sample}", *checked, gaps],
     )  # fmt: skip
-    return table, int(points.good.sum())
+    return table, sum(int(points.good.sum()) for points in front.settings())
 
 
-def regrid(points: BsdfPoints) -> tuple[tuple[Floats, Floats, Floats], list[SpecularCut]]:
+def regrid(points: PointSource, wavelength_nm: float | None = None) -> tuple[tuple[Floats, Floats, Floats], list[SpecularCut]]:
     """Points of one wavelength and one gamma on a grid: sigma, phi, theta, and the cut at each sigma.
 
     theta goes from 0 to 180 in the finest step of the zenith angles; phi is 0 and 180 where only the plane of incidence was
     measured. Raises ValueError where no point has a value.
     """
-    good = points.where(points.good)
-    if not good.bsdf.size:
+    in_plane, sigmas, polar, some = True, [], np.zeros(0), False
+    for here in points.settings(wavelength_nm):
+        good = here.where(here.good)
+        sigmas.append(float(here.sigma_deg[0]))
+        polar = np.union1d(polar, round_deg(polar_from_zenith(good.zenith_deg)))
+        in_plane &= bool(good.in_plane.all())
+        some |= good.size > 0
+    if not some:
         raise ValueError("no direction has a value")
-    polar = polar_from_zenith(good.zenith_deg)
-    phi = np.array([0.0, 180.0]) if good.in_plane.all() else np.arange(0.0, 180.0 + 1e-9, PHI_STEP_DEG)
-    apart = np.diff(np.unique(round_deg(polar)))
+    phi = np.array([0.0, 180.0]) if in_plane else np.arange(0.0, 180.0 + 1e-9, PHI_STEP_DEG)
+    apart = np.diff(polar)
     step = max(FINEST_DEG, float(apart.min())) if apart.size else PHI_STEP_DEG
     theta = np.linspace(0.0, 180.0, 1 + math.ceil(180.0 / step - 1e-6))
+    return (np.array(sigmas), phi, theta), [_cut(here, phi, theta) for here in points.settings(wavelength_nm)]
+
+
+def _cut(points: BsdfPoints, phi: Floats, theta: Floats) -> SpecularCut:
+    """Points of one wavelength, sigma and gamma at the nodes (phi, theta). Raises ValueError where none has a value."""
+    sigma = float(points.sigma_deg[0])
+    good = points.where(points.good)
+    if not good.size:
+        raise ValueError(f"at sigma {sigma:g} no direction has a value")
     of_all = shared_variance(good.components)
     own, shared = np.sqrt(np.maximum(good.u_bsdf**2 - of_all, 0.0)), np.sqrt(of_all)
-    sigmas, cuts = np.unique(points.sigma_deg), []
-    for sigma in sigmas.tolist():
-        here = good.sigma_deg == sigma
-        if not here.any():
-            raise ValueError(f"at sigma {sigma:g} no direction has a value")
-        grid = grid_of_points(polar[here], good.azimuth_deg[here], good.bsdf[here], own[here], shared[here])
-        cuts.append(resample(grid, sigma, phi, theta, widest_gap_deg=WIDEST_GAP_DEG))
-        if not cuts[-1].known.any():
-            raise ValueError(f"at sigma {sigma:g} no node of the grid has measured directions around it")
-    return (sigmas, phi, theta), cuts
+    grid = grid_of_points(polar_from_zenith(good.zenith_deg), good.azimuth_deg, good.bsdf, own, shared)
+    cut = resample(grid, sigma, phi, theta, widest_gap_deg=WIDEST_GAP_DEG)
+    if not cut.known.any():
+        raise ValueError(f"at sigma {sigma:g} no node of the grid has measured directions around it")
+    return cut
 
 
-def _part_of_light(reduced: BsdfDataset, sample: str | None, path: Path, light: str) -> BsdfDataset:
+@dataclass(frozen=True)
+class _PartOfLight:
+    """The points of a source that are of reflected light, or of transmitted light."""
+
+    source: PointSource
+    light: Holds
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return sum(points.size for points in self.parts(PART_POINTS))
+
+    def parts(self, points: int) -> Iterator[BsdfPoints]:
+        """The points in order of time."""
+        return self._chosen(self.source.parts(points))
+
+    def settings(self, wavelength_nm: float | None = None) -> Iterator[BsdfPoints]:
+        """The points of each wavelength, or of one, and sigma."""
+        return self._chosen(self.source.settings(wavelength_nm))
+
+    def _chosen(self, parts: Iterator[BsdfPoints]) -> Iterator[BsdfPoints]:
+        return (chosen for points in parts if (chosen := points.where(self._is_chosen(points))).size)
+
+    def _is_chosen(self, points: BsdfPoints) -> Flags:
+        return np.asarray(points.transmitted == (self.light is Holds.TRANSMITTED))
+
+
+class _OnFront(_PartOfLight):
+    """Of these the points that a table can have: lit on the front, and not only to check the symmetry."""
+
+    def _is_chosen(self, points: BsdfPoints) -> Flags:
+        return super()._is_chosen(points) & ~points.back & ~points.mirrored
+
+
+def _part_of_light(reduced: ReducedJournal, sample: str | None, path: Path, light: str) -> ReducedJournal:
     """The samples that were measured in this light, with its points alone. Raises UserError for none."""
-    asked = reduced.samples if sample is None else {sample: _points(reduced, sample)}
-    of_light = {name: points.where(points.transmitted == (light == "transmitted")) for name, points in asked.items()}
-    kept = {name: points for name, points in of_light.items() if points.bsdf.size}
+    asked: Mapping[str, PointSource] = reduced.samples if sample is None else {sample: _points(reduced, sample)}
+    of_light = {
+        name: _PartOfLight(source, Holds.TRANSMITTED if light == "transmitted" else Holds.REFLECTED)
+        for name, source in asked.items()
+    }
+    kept = {name: source for name, source in of_light.items() if source.size}
     if not kept:
         raise UserError(f"{path}: no {light} light of {sample or 'any sample'} has been measured; leave --light out")
-    return replace(reduced, samples=kept)
+    return ReducedJournal(**{**vars(reduced), "samples": kept})
 
 
-def _points(reduced: BsdfDataset, sample: str) -> BsdfPoints:
+def _points(reduced: ReducedJournal, sample: str) -> PointSource:
     """The points of a sample. Raises UserError for an unknown name."""
     if sample not in reduced.samples:
         known = ", ".join(reduced.samples) or "none"

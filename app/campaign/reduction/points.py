@@ -5,9 +5,11 @@ angles have errors. `steepness` is the slope that turns an angular error into an
 calibrations would find a fault in every narrow lobe.
 """
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -138,6 +140,20 @@ class MeasuredDirections:
         return np.asarray(self.places[self.place, PLACE.index(name)])
 
 
+class PointSource(Protocol):
+    """The points of a sample, in memory or in a file, which are read in parts."""
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+
+    def parts(self, points: int) -> Iterator["BsdfPoints"]:
+        """All points in order of time, about so many at once."""
+
+    def settings(self, wavelength_nm: float | None = None) -> Iterator["BsdfPoints"]:
+        """The points of each wavelength, or of one, and sigma, in the order of these; within them in order of time."""
+
+
 @dataclass(frozen=True)
 class BsdfPoints(MeasuredDirections):
     """A BSDF at measured directions.
@@ -156,6 +172,20 @@ class BsdfPoints(MeasuredDirections):
         """A selection of the points, or all in another order."""
         columns = {name: getattr(self, name)[chosen] for name in COLUMNS}
         return replace(self, **columns, components={name: each[chosen] for name, each in self.components.items()})
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return self.bsdf.size
+
+    def parts(self, points: int) -> Iterator["BsdfPoints"]:
+        """All points, in parts of so many."""
+        return (self.where(np.arange(begin, min(begin + points, self.size))) for begin in range(0, self.size, points))
+
+    def settings(self, wavelength_nm: float | None = None) -> Iterator["BsdfPoints"]:
+        """The points of each wavelength, or of one, and sigma, in the order of these."""
+        order, edges = order_by_light(self.wavelength_nm, self.sigma_deg, wavelength_nm)
+        return (self.where(order[begin:end]) for begin, end in itertools.pairwise(edges.tolist()))
 
     @property
     def u_bsdf(self) -> Floats:
@@ -210,6 +240,15 @@ class BsdfPoints(MeasuredDirections):
 
 COLUMNS = tuple(each.name for each in fields(BsdfPoints) if each.name not in ("places", "components"))
 """The arrays of points that have an element for each of them."""
+
+
+def order_by_light(wavelength_nm: Floats, sigma_deg: Floats, only_nm: float | None = None) -> tuple[Ints, Ints]:
+    """Indices in the order of wavelength (or of `only_nm` alone) and sigma, else unchanged; and the edges of these sets."""
+    chosen = np.arange(wavelength_nm.size) if only_nm is None else np.flatnonzero(wavelength_nm == only_nm)
+    order = chosen[np.lexsort([sigma_deg[chosen], wavelength_nm[chosen]])]
+    changes = (np.diff(wavelength_nm[order]) != 0.0) | (np.diff(sigma_deg[order]) != 0.0)
+    ends = [order.size] if order.size else []
+    return order, np.concatenate([[0], 1 + np.flatnonzero(changes), ends]).astype(np.int64)
 
 
 def join_points(blocks: list[BsdfPoints]) -> BsdfPoints:

@@ -1,7 +1,7 @@
 """The reduction of a journal: its rows, in blocks, through the steps of pipeline.py; and notes for the reader of the values."""
 
-from collections import Counter
-from collections.abc import Iterator, Mapping
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,10 +12,18 @@ from goniotwin.app.campaign.journal.reading import DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
-from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings, ReferenceSignals, reference_keys
+from goniotwin.app.campaign.reduction.etalon import (
+    ArcGeometry,
+    PoseKey,
+    ReductionSettings,
+    ReferenceSignals,
+    RowSignal,
+    reference_keys,
+)
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
-from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, Tally, join_points
+from goniotwin.app.campaign.reduction.point_file import PointFile
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, PointSource, Tally, join_points
 from goniotwin.app.campaign.reduction.readings import (
     Measurements,
     ReferenceMeasurements,
@@ -33,12 +41,12 @@ from goniotwin.app.rig import RigDescription, RigFile, parse_rig
 from goniotwin.arrays import Ints
 
 BLOCK_ROWS = 256
-"""Rows in a block: their points take some megabytes."""
+"""Rows in a block, and rows whose signals are in memory together: they take some megabytes."""
 RESUME = "goniotwin run --resume measures them"
 
 
 @dataclass(frozen=True)
-class BsdfDataset:
+class ReducedJournal:
     """The result of a reduction: points by sample, and whether they are simulated.
 
     By sample: `overlaps` is the agreement of photodiodes that measured the same direction, `symmetry` the test of the stated
@@ -49,12 +57,23 @@ class BsdfDataset:
     name: str
     rig: RigDescription
     simulated: bool
-    samples: dict[str, BsdfPoints]
+    samples: Mapping[str, PointSource]
     overlaps: dict[str, Overlaps]
     notes: tuple[str, ...]
     symmetry: dict[str, SymmetryResult] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
     chain: str = ""
+
+
+@dataclass(frozen=True)
+class BsdfDataset(ReducedJournal):
+    """The result of a reduction with all points in memory, by sample."""
+
+    samples: dict[str, BsdfPoints]
+
+
+Keep = Callable[[str, Ints, BsdfPoints], None]
+"""Takes points of a sample, with the place of each point's row in order of time."""
 
 
 @dataclass(frozen=True)
@@ -165,11 +184,20 @@ class Reduction:
         return unchecked_photodiodes(self._measurements.insensitive, trusted, self.schedule.etalon)
 
     def _block(self, table: RowTable, places: Ints) -> PointBlock | None:
-        rows = list(self._measurements.row_signals(table["number"][places].tolist()))
-        at_sample, at_etalon = reference_keys([each.row for each in rows], self.settings.geometry)
-        references = ReferenceSignals(self._etalon.at(at_etalon), self._signature.at(at_sample + at_etalon))
-        reduced = reduce_rows(rows, references, self.settings)
-        return None if reduced is None else PointBlock(places[reduced[0]], reduced[1])
+        etalon: dict[PoseKey, RowSignal] = {}
+        signature: dict[PoseKey, RowSignal] = {}
+        ranks, parts = [], []
+        for begin in range(0, len(places), BLOCK_ROWS):
+            here = places[begin : begin + BLOCK_ROWS]
+            rows = list(self._measurements.row_signals(table["number"][here].tolist()))
+            at_sample, at_etalon = reference_keys([each.row for each in rows], self.settings.geometry)
+            _add_references(etalon, self._etalon, at_etalon)
+            _add_references(signature, self._signature, at_sample + at_etalon)
+            reduced = reduce_rows(rows, ReferenceSignals(etalon, signature), self.settings)
+            if reduced is not None:
+                ranks.append(here[reduced[0]])
+                parts.append(reduced[1])
+        return PointBlock(np.concatenate(ranks), parts[0] if len(parts) == 1 else join_points(parts)) if parts else None
 
     def _without_etalon(self, sample: str) -> int:
         """The number of a sample's rows that have no values on some arc, because the etalon was not measured at their pose."""
@@ -182,6 +210,11 @@ class Reduction:
                 known &= self._etalon.measured(here)
             missing += int((~known).sum())
         return missing
+
+
+def _add_references(known: dict[PoseKey, RowSignal], measured: ReferenceMeasurements, keys: Iterable[PoseKey]) -> None:
+    """Add the signals at keys that are not known yet: repeats of one pose are read once for all rows of a block."""
+    known.update(measured.at(key for key in keys if key not in known))
 
 
 def reduction_settings(rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str) -> ReductionSettings:
@@ -200,25 +233,55 @@ def reduction_settings(rig: RigFile, schedule: ScheduleFile, certificate: str | 
 
 def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> BsdfDataset:
     """Reduce all samples of a journal; the campaign may be unfinished. Raises UserError as Reduction does."""
+    blocks: dict[str, list[tuple[Ints, BsdfPoints]]] = {}
     reduction = Reduction(journal, without_damaged=without_damaged)
-    samples, overlaps, symmetry, tallies = {}, {}, {}, {}
+    reduced = _reduce(reduction, lambda name, rank, points: blocks.setdefault(name, []).append((rank, points)))
+    samples = {}
+    for name, found in blocks.items():
+        in_time = np.argsort(np.concatenate([rank for rank, _ in found]), kind="stable")
+        samples[name] = join_points([points for _, points in found]).where(in_time)
+    return BsdfDataset(**{**vars(reduced), "samples": samples})
+
+
+@contextlib.contextmanager
+def reduce_to_files(journal: JournalReader, folder: Path, *, without_damaged: bool = False) -> Iterator[ReducedJournal]:
+    """Reduce all samples of a journal of any length: the points are in temporary files in a folder, not in memory.
+
+    Raises UserError as `reduce_journal`, and where the folder cannot hold the files.
+    """
+    with contextlib.ExitStack() as stack:
+        files: dict[str, PointFile] = {}
+
+        def keep(name: str, rank: Ints, points: BsdfPoints) -> None:
+            if name not in files:
+                files[name] = stack.enter_context(PointFile(folder))
+            files[name].add(rank, points)
+
+        reduced = _reduce(Reduction(journal, without_damaged=without_damaged), keep)
+        yield replace(reduced, samples=files)
+
+
+def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
+    """Reduce all samples of a journal block by block; `keep` takes the points, so that the result has none."""
+    journal = reduction.journal
+    overlaps, symmetry = {}, {}
+    tallies: dict[str, Tally] = {}
     for name in reduction.schedule.samples:
-        checks, blocks = reduction.checks(name), list(reduction.blocks(name))
-        for block in blocks:
+        checks, of_sample = reduction.checks(name), reduction.overlaps(name, BLOCK_ROWS)
+        for block in reduction.blocks(name, BLOCK_ROWS):
             checks.add(block.points)
-        if blocks:
-            in_time = np.argsort(np.concatenate([block.rank for block in blocks]), kind="stable")
+            points = reduction.finish(block.points, of_sample)
+            tallies.setdefault(name, Tally()).add(points)
+            keep(name, block.rank, points)
+        if name in tallies:
             overlaps[name] = checks.overlaps()
-            samples[name] = reduction.finish(join_points([block.points for block in blocks]), overlaps[name]).where(in_time)
-            tallies[name] = Tally()
-            tallies[name].add(samples[name])
             if (result := checks.symmetry()) is not None:
                 symmetry[name] = result
     notes = reduction.notes(tallies)
     notes += [f"symmetry of {name}: {result}" for name, result in symmetry.items()]
     notes += [f"overlaps of {name}: {note}" for name, each in overlaps.items() for note in reduction.calibration_notes(each)]
-    return BsdfDataset(
-        journal.value("name"), reduction.rig, journal.simulated, samples, overlaps, tuple(notes), symmetry,
+    return ReducedJournal(
+        journal.value("name"), reduction.rig, journal.simulated, {}, overlaps, tuple(notes), symmetry,
         reduction.unchecked(tallies), journal.chain.statement,
     )  # fmt: skip
 
@@ -248,14 +311,13 @@ def missing_notes(journal: JournalReader, without_etalon: Mapping[str, int]) -> 
     `without_etalon` is by sample the number of rows at whose poses the etalon was not measured.
     """
     done, of = journal.row_counts()
-    skipped = journal.skipped_numbers()
+    skipped = journal.skipped_by_sample()
     if lost := journal.chain.without_values:
         yield f"damaged rows, without values: {', '.join(map(str, sorted(lost)))}; {RESUME}"
-    if done + len(skipped) < of:
+    if done + sum(skipped.values()) < of:
         yield f"the campaign is not finished: {done} of {of} rows are done"
     if skipped:
-        samples = Counter(row.sample for row in journal.planned_rows() if row.number in skipped)
-        counts = ", ".join(f"{count} of {sample}" for sample, count in samples.items())
+        counts = ", ".join(f"{count} of {sample}" for sample, count in skipped.items())
         yield f"rows skipped after faults, without values: {counts}; {RESUME}"
     yield from journal.event_texts("encoder")
     for sample, rows in without_etalon.items():

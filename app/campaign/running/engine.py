@@ -39,6 +39,7 @@ from goniotwin.app.rig import AXES
 from goniotwin.drivers import DeviceError, Rig, Until
 
 T = TypeVar("T")
+SHUTTER_MAY_BE_OPEN = "the shutter may be open; close it by hand"
 
 
 class Engine:
@@ -92,6 +93,11 @@ class Engine:
         """The state of the engine."""
         return self._state
 
+    @property
+    def shutter_may_be_open(self) -> bool:
+        """Whether the shutter is open or its state is unknown."""
+        return self._executor.shutter_may_be_open
+
     def run(self) -> State:
         """Execute the rows; return DONE, FAILED, or IDLE after a stop. Blocks.
 
@@ -121,6 +127,8 @@ class Engine:
         except BaseException as error:
             # An error of the program or of the operator's code: stop the axes and record it all the same.
             self._finish(session, State.FAILED, f"{type(error).__name__}: {error}")
+            if self.shutter_may_be_open:
+                error.add_note(SHUTTER_MAY_BE_OPEN)
             self._enter(State.FAILED, str(error))
             raise
         self._finish(session, outcome, reason)
@@ -163,8 +171,8 @@ class Engine:
                 self._executor.remember_dark(each.data)
 
     def _home_unreferenced(self) -> None:
-        """On resume, home unreferenced axes first."""
-        axes = self._recovery.homeable_axes if self._resumed else []
+        """On resume, home unreferenced axes first; not to close the shutter alone."""
+        axes = self._recovery.homeable_axes if self._resumed and self._work else []
         for axis in axes:
             self._log_event("home", f"{axis.name}: {axis.unreferenced_reason}", axis.name, "homing it")
             self._apply_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
@@ -295,27 +303,32 @@ class Engine:
         return answer
 
     def _finish(self, session: int, outcome: State, reason: str) -> None:
-        """Stop the axes unless the plan is done, close the shutter after a failure, and record faults and end of session."""
+        """Stop the axes unless the plan is done, close the shutter, and record faults and end of session."""
         now = self._clock.now()
+        try:
+            self._bring_to_rest(now, outcome, reason)
+        except KeyboardInterrupt:  # the first signal, in the middle of this: later ones are ignored
+            self._bring_to_rest(now, outcome, reason)
+        with contextlib.suppress(JournalError):
+            ended = {State.DONE: "done", State.FAILED: "failed"}.get(outcome, "stopped")
+            self._journal.end_session(session, now, ended)
+        self._stay_awake.end()
+
+    def _bring_to_rest(self, now: float, outcome: State, reason: str) -> None:
         failures = [] if outcome is State.DONE else self._rig.stop()
         self.faults = [*([reason] if outcome is State.FAILED else []), *map(str, failures)]
         for fault in self.faults:
             self._log_fault(now, fault)
         if (order := cut_power_order(self._rig, failures)) is not None:
             self._give_order(order)
-        if outcome is State.FAILED and not self._stop_request.requested:
-            try:
-                self._close_shutter()
-            except DeviceError as error:
-                self.faults.append(f"{error}; close the shutter by hand")
-                self._log_fault(now, self.faults[-1])
-                self._give_order(close_shutter_order(error))
-            except (Stopped, KeyboardInterrupt):
-                pass  # no motion after a stop
-        with contextlib.suppress(JournalError):
-            ended = {State.DONE: "done", State.FAILED: "failed"}.get(outcome, "stopped")
-            self._journal.end_session(session, now, ended)
-        self._stay_awake.end()
+        try:
+            if self._executor.close_shutter_after_stop():
+                with contextlib.suppress(JournalError):
+                    self._log_event("shutter", "closed after the stop")
+        except DeviceError as error:
+            self.faults.append(f"{error}; close the shutter by hand")
+            self._log_fault(now, self.faults[-1])
+            self._give_order(close_shutter_order(error))
 
     def _log_fault(self, t: float, fault: str) -> None:
         self._notify(EventLogged("fault", fault, self._action, "the run ends"))

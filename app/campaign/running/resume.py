@@ -38,8 +38,8 @@ class RemainingWork:
 def remaining_work(journal: Journal, rig: RigDescription | None) -> RemainingWork:
     """The remaining work of a journal's campaign, on the recorded rig or on `rig`, which may differ in its ports only.
 
-    Damaged rows are measured again. Raises UserError for a campaign that is complete, for a different rig, and where more than
-    rows is damaged.
+    Damaged rows are measured again. There is no row where a program was killed, or failed, after the last one: then the shutter
+    may be open. Raises UserError for a campaign that is complete, for a different rig, and where more than rows is damaged.
     """
     if journal.chain.parts:
         raise DamagedJournal(f"{journal.path}: is damaged: {', '.join(journal.chain.parts)}; {USE_A_COPY}")
@@ -49,9 +49,10 @@ def remaining_work(journal: Journal, rig: RigDescription | None) -> RemainingWor
     plan = Plan(schedule, rig or recorded, journal.planned_rows())
     done = journal.committed_numbers()
     left = [row for row in plan.rows if row.number not in done]
-    if not left:
+    sessions = journal.sessions()
+    if not left and sessions and sessions[-1].outcome == "done":
         raise UserError(f"{journal.path}: all of its {len(plan.rows)} rows are measured; there is nothing to resume")
-    work = _work(journal, plan, done, left) if done else left
+    work = _work(journal, plan, done, left) if done and left else left
     return RemainingWork(plan, tuple(work), _start(journal, plan.rig))
 
 

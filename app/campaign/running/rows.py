@@ -37,6 +37,9 @@ WARM_UP_EVENT_PERIOD_S = 60.0
 """Time between two events of a warm-up in the journal."""
 LogEvent = Callable[[str, str, str], None]
 """Function that writes an event to the journal: kind, text, and the place, which the text may begin with."""
+CLOSING_S = 4.0
+"""Longest time in which a stop closes the shutter; within that of the whole stop, after which a second signal ends it."""
+CLOSING_ATTEMPTS = 3
 
 
 class RowExecutor:
@@ -92,10 +95,39 @@ class RowExecutor:
 
     def set_shutter(self, *, opened: bool) -> None:
         """Open or close the shutter, unless it is in this state already."""
+
+        def start() -> Pending:
+            self._shutter_open = None  # until it is confirmed: a stop may come in between
+            return self._rig.monochromator.start_shutter(opened=opened)
+
         if self._shutter_open is not opened:
-            started = self._stop_request.start(lambda: self._rig.monochromator.start_shutter(opened=opened))
-            self.wait(started)
+            self.wait(self._stop_request.start(start))
             self._shutter_open = opened
+
+    def close_shutter_after_stop(self) -> bool:
+        """Close the shutter, although the run was stopped, unless it is known to be closed; return whether it had to be.
+
+        A stop aborts the statement in progress, and leaves the line out of step: so this is repeated. Raises DeviceError where
+        it is not done after CLOSING_ATTEMPTS or CLOSING_S.
+        """
+        if not self.shutter_may_be_open:
+            return False
+        deadline = self._clock.now() + CLOSING_S
+
+        def check_time() -> None:
+            if self._clock.now() > deadline:
+                name = self._rig.monochromator.name
+                raise DeviceError(name, "close the shutter", f"not done within {CLOSING_S:g} s", "check cable and power")
+
+        for attempt in range(1, CLOSING_ATTEMPTS + 1):
+            try:
+                wait(self._clock, [self._rig.monochromator.start_shutter(opened=False)], check_time)
+                break
+            except DeviceError:
+                if attempt == CLOSING_ATTEMPTS or self._clock.now() > deadline:
+                    raise
+        self._shutter_open = False
+        return True
 
     @property
     def shutter_may_be_open(self) -> bool:

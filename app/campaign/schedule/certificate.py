@@ -9,6 +9,7 @@ all values of this quantity. Lines that begin with # are comments.
 """
 
 import csv
+import math
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -19,13 +20,18 @@ from pydantic import Field
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import refuse_percentage
-from goniotwin.app.toml_file import TomlTable
+from goniotwin.app.toml_file import TomlTable, read_text
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
 from goniotwin.twin.optics.geometry.coordinates import DECIMALS, fold_azimuth
 
 INPUT_COLUMNS = ("wavelength_nm", "incidence_deg", "zenith_deg", "azimuth_deg")
 VALUE_COLUMNS = ("radiance_factor", "relative_uncertainty")
+MOST_BYTES = 4_000_000
+"""A hundred thousand lines."""
+LONGEST_LINE = 1000
+LARGEST = 1e6
+"""Magnitude of a number; more than any wavelength in nm."""
 TOLERANCE = 10.0**-DECIMALS
 """Values beyond the first or last of the table by no more than this are inside, in nm or degrees."""
 
@@ -97,6 +103,9 @@ def parse_certificate(text: str, name: str) -> Certificate:
     lines = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         raise UserError(f"{name}: is empty; a certificate begins with a line of {', '.join((*INPUT_COLUMNS, *VALUE_COLUMNS))}")
+    for k, line in lines:
+        if len(line) > LONGEST_LINE:
+            raise UserError(f"{name}: line {k}: has {len(line)} characters, more than {LONGEST_LINE}; correct the line")
     heading = [column.strip() for column in next(csv.reader([lines[0][1]]))]
     unknown = [column for column in heading if column not in (*INPUT_COLUMNS, *VALUE_COLUMNS)]
     missing = [column for column in VALUE_COLUMNS if column not in heading]
@@ -122,9 +131,9 @@ def read_certificate(folder: Path, table: CertificateTable) -> str:
     """
     path = folder / table.file
     try:
-        text = path.read_text(encoding="utf-8-sig")  # spreadsheets begin with a byte order mark
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: the etalon's certificate cannot be read: {error}; check [certificate] file") from None
+        text = read_text(path, MOST_BYTES)
+    except UserError as error:
+        raise UserError(f"{error} (it is the etalon's certificate: [certificate] file)") from None
     parse_certificate(text, str(path))
     refuse_expired(table, date.fromisoformat(calendar_stamp()[:10]), str(path))
     return text
@@ -148,8 +157,8 @@ def _parse_line(line: str, heading: list[str], place: str) -> dict[str, float]:
         values = {column: float(cell) for column, cell in zip(heading, cells, strict=True)}
     except ValueError as error:
         raise UserError(f"{place}: {error}; correct the line") from None
-    if not all(np.isfinite(value) for value in values.values()):
-        raise UserError(f"{place}: a number is not finite; correct the line")
+    if not all(abs(value) <= LARGEST for value in values.values()):
+        raise UserError(f"{place}: a number is not finite, or beyond {LARGEST:g}; correct the line")
     if values["radiance_factor"] <= 0.0 or not 0.0 <= values["relative_uncertainty"] < 1.0:
         raise UserError(
             f"{place}: radiance_factor must be above 0, and relative_uncertainty at least 0 and below 1; correct the line"
@@ -168,7 +177,7 @@ def _make_grid(rows: dict[tuple[float, ...], tuple[float, float]], heading: list
     coordinates = np.array(sorted(rows))
     axes = [np.unique(coordinates[:, k]) for k in range(len(INPUT_COLUMNS))]
     shape = tuple(axis.size for axis in axes)
-    if len(rows) != int(np.prod(shape)):
+    if len(rows) != math.prod(shape):
         product = " x ".join(str(size) for size in shape if size > 1)
         raise UserError(f"{name}: has {len(rows)} lines, but {product} combinations of its values; add the missing lines")
     values = np.array([rows[tuple(key)] for key in coordinates.tolist()])

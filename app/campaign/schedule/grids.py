@@ -44,10 +44,14 @@ class GridRange(TomlTable):
             )
         return self
 
+    @property
+    def count(self) -> int:
+        """The number of values."""
+        return round((self.stop - self.start) / self.step) + 1
+
     def values(self) -> tuple[float, ...]:
         """The values in ascending order."""
-        steps = round((self.stop - self.start) / self.step)
-        return tuple(evenly_spaced(self.start, self.step, steps).tolist())
+        return tuple(evenly_spaced(self.start, self.step, self.count - 1).tolist())
 
 
 def _kind(value: object) -> str:
@@ -57,8 +61,8 @@ def _kind(value: object) -> str:
 def _refuse_duplicate_numbers(grid: Any) -> Any:
     """The grid. Ranges may meet and overlap; a single number that is listed twice is a typing error: raises ValueError."""
     if isinstance(grid, list):
+        points = sum(1 if isinstance(each, float) else each.count for each in grid)
         refuse_duplicates([each for each in grid if isinstance(each, float)])
-        points = sum(1 if isinstance(each, float) else len(each.values()) for each in grid)
         if points > MAX_GRID_VALUES:
             raise ValueError(f"has {points} values, more than {MAX_GRID_VALUES}; take greater steps")
     return grid

@@ -44,6 +44,7 @@ from goniotwin.app.desktop.model.messages import (
 from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
+from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.drivers import DeviceError
 from goniotwin.protocols.clock import Clock
 
@@ -95,6 +96,8 @@ class RigThread:
         self._schedule: Path | None = None
         self._engine: Engine | None = None
         self._reason = ""
+        self.shutter_may_be_open = False
+        """The last run could not close the shutter."""
         self._axes_connected = False
         self._short: list[threading.Thread] = []
         self._stop_requested = threading.Event()
@@ -216,6 +219,8 @@ class RigThread:
             for controller in opened.rig.controllers:
                 controller.set_heartbeat(NO_HEARTBEAT_S)
         outcome = opened.rig.connect()
+        if not any(outcome.values()):
+            remember_rig(description.file)
         self._axes_connected = all(outcome[each.name] is None for each in opened.rig.controllers)
         devices = {
             device: DeviceStatus(True, opened.rig.identities[device]) if error is None else DeviceStatus(False, str(error))
@@ -266,6 +271,7 @@ class RigThread:
                 engine.stop()
             state = self._run_engine(engine)
             self._engine = None
+            self.shutter_may_be_open = engine.shutter_may_be_open
         self._send(RunEnded(state, self._reason, path))
 
     def _run_engine(self, engine: Engine) -> State:

@@ -66,5 +66,5 @@ def test_comments_become_printable_lines() -> None:
 
 def test_an_error_is_one_printable_line_and_can_be_pickled() -> None:
     error = FormatError("a\nb\x1b.ddr", "is wrong", "correct it", 7)
-    assert str(error) == "a?b?.ddr, line 7: is wrong; correct it"
+    assert str(error) == "a b?.ddr, line 7: is wrong; correct it"
     assert str(pickle.loads(pickle.dumps(error))) == str(error)

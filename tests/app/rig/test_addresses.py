@@ -11,7 +11,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, read_rig
-from goniotwin.app.rig.addresses import ModbusUnits, device_names, rtu_address
+from goniotwin.app.rig.addresses import ModbusUnits, check_address, device_names, resolve_port, rtu_address
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.doors import NoSuchTwin
@@ -130,3 +130,50 @@ def test_a_rig_with_an_invalid_address_leaves_no_virtual_rig_behind(write_rig: W
         open_rig(rig, VirtualClock())
     with pytest.raises(NoSuchTwin, match="'virtual'"):
         find("twin://virtual/axes")
+
+
+@pytest.mark.parametrize("address", [
+    "/dev/ttyUSB0", "/dev/serial/by-id/usb-FTDI_FT232R-if00-port0", "COM4", "com12", r"\\.\COM10", "socket://moxa-1.lab:4001",
+    "socket://[::1]:4001", "rfc2217://moxa:4001?ign_set_control&timeout=3", "hwgrep://0403:6001", "hwgrep://.*FT232R.*",
+    "twin://virtual/adc-0", "rtu:/dev/ttyUSB1?unit=3&baudrate=9600", "rtu:socket://moxa:4001?unit=9", "rtu:hwgrep://FT232R?unit=2",
+    "usbip:127.0.0.1:3240/1-1", "usbip:localhost/1-1.4", "10.0.0.7", "adam-0:502", "[fe80::1%eth0]:502", "1313:8078:P0012345",
+])  # fmt: skip
+def test_an_address_of_a_known_kind_is_accepted(address: str) -> None:
+    check_address(address)
+
+
+@pytest.mark.parametrize("address", [
+    "spy:///dev/ttyUSB0?file=precious.txt", "SPY://COM4?file=x", "spy://socket://moxa:4001?file=x", "rtu:spy:///dev/ttyUSB0?file=x",
+    "alt:///dev/ttyUSB0?class=PosixPollSerial", "loop://", "cp2110://", "/dev/x://y", "rfc2217://moxa:4001?logging=debug",
+    "file:///etc/passwd", "http://moxa/", r"\\server\share\x", "ttyUSB0/../x", "hwgrep://(a+)+$", "hwgrep://.*.*.*.*x",
+    "hwgrep://a&skip_busy", "socket://moxa:4001?logging=debug", "/dev/tty\nUSB0", "", "/" + "x" * 1000,
+])  # fmt: skip
+def test_an_address_of_another_kind_is_refused_by_the_file(write_rig: Writer, address: str) -> None:
+    with pytest.raises(ValueError, match="not an address of a known kind"):
+        check_address(address)
+    quoted = address.replace("\\", "\\\\").replace("\n", "\\n")
+    for key, change in (
+        ("axes.port", ('port = "twin://virtual/axes"', f'port = "{quoted}"')),
+        ("photodiodes.units.1", ('"twin://virtual/adc-1"', f'"{quoted}"')),
+        ("monitor.usb", ('usb = "twin://virtual/monitor"', f'usb = "{quoted}"')),
+    ):
+        with pytest.raises(UserError, match=rf"rig\.toml: {key}: .*is not an address of a known kind; give") as refused:
+            read_rig(write_rig(change))
+        assert "\n" not in str(refused.value)
+
+
+def test_a_serial_device_has_no_other_address(write_rig: Writer) -> None:
+    with pytest.raises(UserError, match=r"'10\.0\.0\.7:502' is not a serial port"):
+        open_rig(read_rig(write_rig(("twin://virtual/mono", "10.0.0.7:502"))), VirtualClock())
+
+
+def test_a_port_is_found_by_its_description_before_it_is_locked(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = [ListPortInfo(f"/dev/ttyUSB{k}", skip_link_detection=True) for k in range(2)]
+    ports[0].description, ports[1].description = "FT232R of the axes", "FT232R of the lamp"
+    monkeypatch.setattr(list_ports, "comports", lambda *_: ports)
+    assert resolve_port("hwgrep://of the axes") == "/dev/ttyUSB0"
+    assert resolve_port("rtu:hwgrep://r.*lamp?unit=2") == "rtu:/dev/ttyUSB1?unit=2"
+    assert device_names("hwgrep://of the axes") == device_names("/dev/ttyUSB0")
+    for address, reason in (("hwgrep://FT232R", "several"), ("hwgrep://FT4232", "no serial port"), ("hwgrep://*", "pattern")):
+        with pytest.raises(UserError, match=reason):
+            resolve_port(address)

@@ -124,6 +124,12 @@ class Connection:
         self._begin_if_needed(statement)
         self._db.executemany(statement, [tuple(each) for each in bindings])
 
+    def setlimit(self, category: int, limit: int) -> int:
+        return self._db.limit(category, limit)
+
+    def set_progress_handler(self, handler: Callable[[], bool] | None, steps: int) -> None:
+        self._db.set_progress_handler(handler, steps or 1)
+
     def close(self) -> None:
         self._db.close()
 

@@ -1,6 +1,8 @@
 """The journal: refusals, its entries about the campaign, and damaged files."""
 
+import errno
 import sqlite3
+import tempfile
 import threading
 from pathlib import Path
 
@@ -87,3 +89,29 @@ def test_an_event_of_another_thread_is_no_part_of_a_transaction_that_fails(plan:
         other.join()
         assert journal.event_texts("acknowledged") == ["done"]
         assert journal.event_texts("order") == []
+
+
+def test_free_space_is_asked_for_only_where_the_disk_is_full(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another program that holds the journal, and a disk that fails, are other faults."""
+    path = tmp_path / "a.journal"
+    with Journal.create(path, plan, {}) as journal:
+        journal._db.execute("PRAGMA busy_timeout = 0")
+        other = sqlite3.connect(path)
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(JournalError, match="database is locked") as locked:
+            journal.event(0.0, "fault", "x")
+        other.close()
+        journal._db.execute("PRAGMA query_only = ON")
+        with pytest.raises(JournalError, match="readonly") as read_only:
+            journal.event(0.0, "fault", "x")
+        assert "free space" not in f"{locked.value}{read_only.value}"
+        assert str(locked.value).endswith("; check the disk, its permissions and any limit of the size of files")
+        monkeypatch.setattr(tempfile, "TemporaryFile", full)
+        with pytest.raises(JournalError, match=r"; free space on the disk$"):
+            journal.event(0.0, "fault", "x")
+
+
+def full(**_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")

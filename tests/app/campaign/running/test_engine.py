@@ -12,12 +12,14 @@ from goniotwin.app.campaign.campaign import operator_for, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import check_plan, describe_check
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.engine import SHUTTER_MAY_BE_OPEN, Engine
 from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
 from goniotwin.app.campaign.running.operator import Answer
+from goniotwin.app.campaign.running.rows import CLOSING_S
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
+from goniotwin.drivers import DeviceError, Pending, Poll
 from goniotwin.protocols.clock import Clock, VirtualClock
 from tests.conftest import Writer
 
@@ -37,8 +39,8 @@ MakeBench = Callable[..., Bench]
 
 @pytest.fixture
 def bench(plan: Plan, tmp_path: Path, request: pytest.FixtureRequest) -> MakeBench:
-    def make(clock: Clock, listeners: list[Listener], positions: float = 0.0) -> Bench:
-        opened = open_rig(plan.rig, clock)
+    def make(clock: Clock, listeners: list[Listener], positions: float = 0.0, transcript: Path | None = None) -> Bench:
+        opened = open_rig(plan.rig, clock, transcript)
         request.addfinalizer(opened.close)
         opened.connect()
         journal = Journal.create(tmp_path / "bench.journal", plan, {})
@@ -216,6 +218,94 @@ def test_ctrl_c_is_a_stop(bench: MakeBench) -> None:
     assert made.engine.faults == []
 
 
+@pytest.mark.parametrize("how", ["Ctrl-C", "stop", "opening", "twice", "a late stop"])
+def test_a_stop_closes_the_shutter_after_the_stop_frames(bench: MakeBench, tmp_path: Path, how: str) -> None:
+    """Also where the shutter was just being opened, and where a second stop aborts its closing."""
+    clock = VirtualClock()
+    interrupted: list[str] = []
+
+    def interrupt(event: Event) -> None:
+        if isinstance(event, RowStarted) and event.row.number == 4:
+            assert plant.shutter_open.at(clock.now())
+            if how == "stop":
+                made.engine.stop()
+            elif how in ("Ctrl-C", "twice", "a late stop"):
+                raise KeyboardInterrupt
+
+    made = bench(clock, [interrupt], transcript=tmp_path / "wires")
+    assert made.opened.virtual is not None
+    plant, rig = made.opened.virtual.plant, made.opened.rig
+    start, stop = rig.monochromator.start_shutter, rig.stop
+
+    def start_shutter(*, opened: bool) -> Pending:
+        pending = start(opened=opened)
+        if how == "opening" and opened and not interrupted:
+            interrupted.append("while it opens")
+            raise KeyboardInterrupt
+        if how == "a late stop" and not opened and not interrupted and plant.shutter_open.at(clock.now() - 1.0):
+            interrupted.append("while it closes")
+            made.engine.stop()
+        return pending
+
+    def stop_rig() -> list[DeviceError]:
+        if how == "twice" and not interrupted:
+            interrupted.append("in the stop")
+            raise KeyboardInterrupt
+        return stop()
+
+    made.opened.rig.monochromator.start_shutter = start_shutter  # type: ignore[method-assign]
+    made.opened.rig.stop = stop_rig  # type: ignore[method-assign]
+    assert made.engine.run() is State.IDLE
+    assert not plant.shutter_open.at(clock.now())
+    assert len(interrupted) == (how in ("opening", "twice", "a late stop"))
+    assert made.engine.faults == []
+    assert not made.engine.shutter_may_be_open
+    events = made.journal._db.execute("SELECT kind, text FROM event").fetchall()
+    assert events == [("shutter", "closed after the stop")]
+    made.opened.close()
+    sent = {
+        wire: (tmp_path / "wires" / f"{wire}.txt").read_text(encoding="utf-8").splitlines()
+        for wire in ("axes", "monochromator")
+    }
+    last_stop = max(line for line in sent["axes"] if " > " in line and "MST" in line)
+    closing = max(line for line in sent["monochromator"] if " > " in line and "SHUTTER C" in line)
+    assert float(last_stop.split()[0]) <= float(closing.split()[0])
+
+
+def test_a_shutter_that_cannot_be_closed_is_a_fault_and_stays_so(bench: MakeBench) -> None:
+    def unplug(event: Event) -> None:
+        if isinstance(event, RowStarted) and event.row.number == 4:
+            made.opened.rig.monochromator.close()
+            raise KeyboardInterrupt
+
+    made = bench(VirtualClock(), [unplug])
+    assert made.engine.run() is State.IDLE
+    assert len(made.engine.faults) == 1
+    assert made.engine.faults[0].endswith("; close the shutter by hand")
+    assert made.engine.shutter_may_be_open
+    assert made.journal.faults() == made.engine.faults
+
+
+def test_a_shutter_that_does_not_arrive_has_a_deadline(bench: MakeBench) -> None:
+    clock = VirtualClock()
+
+    def interrupt(event: Event) -> None:
+        if isinstance(event, RowStarted) and event.row.number == 4:
+            stopped.append(clock.now())
+            rig.monochromator.start_shutter = start_shutter  # type: ignore[method-assign]
+            raise KeyboardInterrupt
+
+    def start_shutter(*, opened: bool) -> Pending:
+        return Poll(clock, clock.now(), 0.1, lambda: False)
+
+    stopped: list[float] = []
+    made = bench(clock, [interrupt])
+    rig = made.opened.rig
+    assert made.engine.run() is State.IDLE
+    assert 0.0 < clock.now() - stopped[0] < 1.5 * CLOSING_S
+    assert "not done within 4 s" in made.engine.faults[0]
+
+
 def test_a_full_disk_ends_the_run_and_keeps_the_committed_rows(bench: MakeBench) -> None:
     committed: list[int] = []
     holder: list[Bench] = []
@@ -243,6 +333,18 @@ def test_an_error_of_the_program_stops_the_axes_and_is_in_the_journal(bench: Mak
         engine.run()
     assert engine.state is State.FAILED
     assert made.journal.faults() == ["ZeroDivisionError: an error of the program"]
+
+
+def test_an_error_of_the_program_with_an_open_shutter_has_a_note_of_it(bench: MakeBench) -> None:
+    def unplug(event: Event) -> None:
+        if isinstance(event, RowStarted) and event.row.number == 4:
+            made.opened.rig.monochromator.close()
+            raise SystemExit("an error of the program")
+
+    made = bench(VirtualClock(), [unplug])
+    with pytest.raises(SystemExit) as ended:
+        made.engine.run()
+    assert ended.value.__notes__ == [SHUTTER_MAY_BE_OPEN]
 
 
 class FaultyOperator:

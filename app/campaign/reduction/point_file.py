@@ -1,0 +1,128 @@
+"""The points of one sample in a temporary file: an export of a million rows needs no more memory than a part of them.
+
+Blocks come in the order of wavelength and angles, with all points of a row together; a file of points has them in order of
+time. Memory holds some 70 bytes a row; the file takes about as much of the disk as the points as text.
+"""
+
+import itertools
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.app.campaign.reduction.points import COLUMNS, PLACE, BsdfPoints, join_points, order_by_light
+from goniotwin.app.errors import UserError, room_on_disk
+from goniotwin.arrays import Ints
+
+ROW = np.dtype([("rank", "i8"), ("block", "i4"), ("begin", "i8"), ("count", "i8"), ("place", "f8", len(PLACE))])
+"""A row: its place in order of time, the block with its points, where they begin in the file, their number, and its pose."""
+COMPONENT = "component "
+Table = npt.NDArray[np.void]
+
+
+class PointFile:
+    """Points of a sample, a `PointSource`, in a file without a name, which ends with `close`. Raises UserError."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        try:
+            self._file: IO[bytes] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  (closed by close)
+        except OSError as error:
+            raise self._unwritable(error) from None
+        self._end = 0
+        self._blocks: list[np.dtype[Any]] = []
+        self._added: list[Table] = []
+        self._sorted: Table | None = None
+
+    def close(self) -> None:
+        """Close the file, which is then gone."""
+        try:
+            self._file.close()
+        except OSError:  # the rest of its buffer is not written; nothing is lost
+            return
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def add(self, rank: Ints, points: BsdfPoints) -> None:
+        """Add points with the place (n,) of each point's row in order of time; those of one row follow each other."""
+        columns = {name: getattr(points, name) for name in COLUMNS if name != "place"}
+        columns |= {f"{COMPONENT}{name}": each for name, each in points.components.items()}
+        records = np.empty(points.size, dtype=[(name, each.dtype) for name, each in columns.items()])
+        for name, each in columns.items():
+            records[name] = each
+        begin = np.flatnonzero(np.diff(rank, prepend=-1))
+        rows = np.zeros(begin.size, dtype=ROW)
+        rows["rank"], rows["block"], rows["count"] = rank[begin], len(self._blocks), np.diff(begin, append=points.size)
+        rows["begin"] = self._end + begin * records.itemsize
+        rows["place"] = points.places[points.place[begin]]
+        try:
+            self._file.seek(self._end)
+            self._file.write(records.data)
+            self._file.flush()
+        except OSError as error:
+            raise self._unwritable(error) from None
+        self._end += records.nbytes
+        self._blocks.append(records.dtype)
+        self._added.append(rows)
+        self._sorted = None
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return int(self._rows["count"].sum())
+
+    def parts(self, points: int) -> Iterator[BsdfPoints]:
+        """All points in order of time, in parts of so many or up to a row more."""
+        part = (np.cumsum(self._rows["count"]) - self._rows["count"]) // points
+        edges = [0, *(1 + np.flatnonzero(np.diff(part))).tolist(), len(part)] if len(part) else [0]
+        return (self._read(self._rows[begin:end]) for begin, end in itertools.pairwise(edges))
+
+    def settings(self, wavelength_nm: float | None = None) -> Iterator[BsdfPoints]:
+        """The points of each wavelength, or of one, and sigma, in the order of these."""
+        wavelength, sigma = (self._rows["place"][:, PLACE.index(name)] for name in ("wavelength_nm", "sigma_deg"))
+        order, edges = order_by_light(wavelength, sigma, wavelength_nm)
+        return (self._read(self._rows[order[begin:end]]) for begin, end in itertools.pairwise(edges.tolist()))
+
+    @property
+    def _rows(self) -> Table:
+        """All rows in order of time."""
+        if self._sorted is None:
+            rows = np.concatenate([np.zeros(0, dtype=ROW), *self._added])
+            self._sorted = rows[np.argsort(rows["rank"], kind="stable")]
+            self._added = [self._sorted]
+        return self._sorted
+
+    def _read(self, rows: Table) -> BsdfPoints:
+        """The points of rows, in their order."""
+        pieces, index = [], []
+        for block in np.unique(rows["block"]).tolist():
+            here = np.flatnonzero(rows["block"] == block)
+            pieces.append(self._points(rows[here], self._blocks[block]))
+            index.append(np.repeat(here, rows["count"][here]))
+        points = join_points(pieces)
+        order = np.concatenate(index)
+        return points if np.all(order[1:] >= order[:-1]) else points.where(np.argsort(order, kind="stable"))
+
+    def _points(self, rows: Table, record: np.dtype[Any]) -> BsdfPoints:
+        content = bytearray()
+        for begin, count in zip(rows["begin"].tolist(), rows["count"].tolist(), strict=True):
+            self._file.seek(begin)
+            content += self._file.read(count * record.itemsize)
+        records = np.frombuffer(content, dtype=record)
+        assert record.names is not None
+        columns = {name: np.ascontiguousarray(records[name]) for name in record.names}
+        components = {name.removeprefix(COMPONENT): columns.pop(name) for name in record.names if name.startswith(COMPONENT)}
+        place = np.repeat(np.arange(len(rows), dtype=np.int32), rows["count"])
+        return BsdfPoints(places=np.ascontiguousarray(rows["place"]), place=place, components=components, **columns)
+
+    def _unwritable(self, error: OSError) -> UserError:
+        wrong = f"{self._folder}: a temporary file with the points cannot be written: {error.strerror}"
+        return UserError(f"{wrong}; {room_on_disk(error) or 'check the folder and its permissions'}")

@@ -1,0 +1,52 @@
+"""The rig that this computer used last: the journal of another one asks before it is resumed.
+
+A journal has the text of a rig file, with the addresses of devices and the limits of axes, and may come of unknown origin.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from goniotwin.app.rig.file import RigFile
+from goniotwin.app.rig.kinds import ROLES
+from goniotwin.app.rig.lock import state_folder
+
+FILE = "last-rig"
+OPERATORS = ("name", *ROLES, "geometry", "sample_unit", "etalon")
+
+
+def remember_rig(file: RigFile) -> None:
+    """Remember a rig with devices of this computer as the one that was used last. A full disk is no error."""
+    if file.in_process:
+        return
+    path = _place()
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{FILE}.")
+        with os.fdopen(handle, "w", encoding="ascii") as out:
+            out.write(_digest(file))
+        Path(spare).replace(path)
+
+
+def is_last_rig(file: RigFile) -> bool:
+    """Whether a rig is the one that was used last, with the same tables and addresses, or is virtual in this process."""
+    if file.in_process:
+        return True
+    try:
+        return _place().read_text(encoding="ascii") == _digest(file)
+    except (OSError, UnicodeError):
+        return False
+
+
+def _digest(file: RigFile) -> str:
+    """SHA-256 of all tables of the operator's part."""
+    tables = {key: value if isinstance(value, str) else asdict(value) for key, value in vars(file).items() if key in OPERATORS}
+    return hashlib.sha256(json.dumps(tables, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _place() -> Path:
+    return state_folder() / FILE
