@@ -16,6 +16,7 @@ from goniotwin.app.campaign.wording import printable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
 from goniotwin.app.rig.last_rig import is_last_rig
+from goniotwin.app.rig.lock import RigInUse, journal_holder
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -59,6 +60,8 @@ def run_campaign(
 
     Raises UserError, before anything is written, where it cannot start.
     """
+    if (holder := journal_holder(journal_path)) is not None:
+        raise RigInUse(str(journal_path), holder)
     with open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # raises the error before the rig is connected
