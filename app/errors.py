@@ -6,11 +6,11 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 from platformdirs import user_log_path
 
-import goniotwin
 from goniotwin.protocols.clock import calendar_stamp
 
 LONGEST_MESSAGE = 2000
@@ -42,7 +42,7 @@ def unexpected_error(error: BaseException) -> str:
     """One line about an error that nothing else has handled; its details go to a file, which the line names."""
     what = "there is not enough memory" if isinstance(error, MemoryError) else "".join(traceback.format_exception_only(error))
     line = f"unexpected error: {what.strip()}"
-    about = f"goniotwin {goniotwin.__version__}, Python {sys.version}, {platform.platform()}, {calendar_stamp()}"
+    about = f"goniotwin {version('goniotwin')}, Python {sys.version}, {platform.platform()}, {calendar_stamp()}"
     details = "\n".join([about, " ".join(map(ascii, sys.argv)), *traceback.format_exception(error)])
     folders: tuple[Callable[[], Path], ...] = (lambda: user_log_path("goniotwin"), lambda: Path(tempfile.gettempdir()))
     for folder in folders:
