@@ -101,9 +101,13 @@ def modbus(address: str, abrupt: bool) -> Iterator[None]:
 
 
 def control(address: str, abrupt: bool) -> Iterator[None]:
-    """Read the state from the simulation control port, and mount a sample."""
-    host, _, port = address.rpartition(":")
+    """Read the state from the simulation control port at `HOST:PORT/TOKEN`, and mount a sample."""
+    place, _, token = address.partition("/")
+    host, _, port = place.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=TIMEOUT_S) as connection, connection.makefile("rb") as answers:
+        connection.sendall(json.dumps({"protocol": 1, "token": token}).encode() + b"\n")
+        if json.loads(answers.readline()).get("ok") is not True:
+            raise WrongAnswer("the token is refused")
         for number in range(QUESTIONS):
             connection.sendall(b'{"do": "state"}\n' if number % 2 else b'{"do": "mount", "sample": "etalon"}\n')
             if json.loads(answers.readline()).get("ok") is not True:

@@ -69,12 +69,16 @@ def addresses_of(lines: list[dict[str, Any]]) -> dict[str, list[str]]:
         found = [line for line in lines if line["device"] == device]
         return [line["path"] if "path" in line else f"{line['host']}:{line['port']}" for line in found]
 
+    def control() -> list[str]:
+        token = next(line["token"] for line in lines if line["device"] == "control")
+        return [f"{address}/{token}" for address in of("control")]
+
     converters = [line["device"] for line in lines if line["device"].startswith("adc-")]
     return {
         "tmcl": of("axes"),
         "cornerstone": of("mono"),
         "modbus": [address for name in converters for address in of(name)],
-        "control": of("control"),
+        "control": control(),
     }
 
 

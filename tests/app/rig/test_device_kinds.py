@@ -142,8 +142,8 @@ def test_a_twin_of_another_bus_takes_the_place_of_the_usual_one() -> None:
 
 @pytest.mark.parametrize("kind", ["usb-mono", "modbus-mono"])
 def test_an_invalid_address_is_reported_with_the_key_that_it_has(write_rig: Writer, kind: str) -> None:
-    changes = ('kind = "cornerstone"', f'kind = "{kind}"'), ('"twin://virtual/mono"', '"x:y"'), ("baudrate = 9600\n", "")
-    with pytest.raises(UserError, match=r"rig\.toml: monochromator\.port: 'x:y': is neither"):
+    changes = ('kind = "cornerstone"', f'kind = "{kind}"'), ('"twin://virtual/mono"', '"x:99999"'), ("baudrate = 9600\n", "")
+    with pytest.raises(UserError, match=r"rig\.toml: monochromator\.port: 'x:99999': is neither"):
         open_rig(read_rig(write_rig(*changes)), VirtualClock())
 
 

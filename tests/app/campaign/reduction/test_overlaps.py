@@ -18,7 +18,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import OpenRig, read_rig
-from tests.app.campaign.campaign_bench import run_plan
+from tests.app.campaign.campaign_bench import remove_checksums, run_plan
 from tests.app.campaign.reduction import grey_campaign
 from tests.app.campaign.reduction.test_export import points_of
 from tests.conftest import SMALL, Writer
@@ -53,6 +53,7 @@ def reduced(path: Path, *, calibrate: bool) -> BsdfDataset:
         (text,) = db.execute("SELECT value FROM campaign WHERE key = 'schedule'").fetchone()
         table = f"points = 5\ncalibrate = {str(calibrate).lower()}\n"
         db.execute("UPDATE campaign SET value = ? WHERE key = 'schedule'", (text.partition("points = 5\n")[0] + table,))
+        remove_checksums(db)
     with Journal.open(path) as journal:
         return reduce_journal(journal)
 

@@ -10,7 +10,7 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
-from tests.app.campaign.campaign_bench import QUIET
+from tests.app.campaign.campaign_bench import QUIET, remove_checksums
 from tests.app.campaign.reduction.grey_campaign import GLASS, STRAY, grey_plan, reduced
 from tests.conftest import SMALL, Writer, changed
 
@@ -34,6 +34,7 @@ def test_the_signatures_uncertainty_is_that_of_the_rig_file(write_rig: Writer, w
         ((rig,),) = journal.execute("SELECT value FROM campaign WHERE key = 'rig'")
         other = changed(rig, (("signature_uncertainty = 0.01", "signature_uncertainty = 0.3"),))
         journal.execute("UPDATE campaign SET value = ? WHERE key = 'rig'", (other,))
+        remove_checksums(journal)
     uncertain = reduced(tmp_path / "a.journal").samples["grey"]
     uncertain = uncertain.where(uncertain.good)
     signature = certain.signature / (1.0 - certain.signature)  # over the rest of the signal
