@@ -121,13 +121,9 @@ def device_names(address: str) -> frozenset[str]:
     """Names of the device at an address: links followed, host names resolved, the port given, the query removed.
 
     Two addresses of one device have a name in common, but for `1313:8078`, without a serial number, and `1313:8078:P1`:
-    `RigLock` compares these. Raises UserError for a search of ports that cannot be made, or would open them.
+    `RigLock` compares these. Raises UserError as `resolve_port` does.
     """
-    rtu, plain = address.startswith(RTU), address.removeprefix(RTU)
-    if rtu or not plain.lower().startswith(HWGREP):  # a pattern may have a question mark
-        plain = plain.partition("?")[0]
-    if plain.lower().startswith(HWGREP):
-        plain = _found_port(plain)
+    plain = resolve_port(address).removeprefix(RTU).partition("?")[0]
     if match := re.match(r"(?i)(socket|rfc2217)://", plain):
         return _tcp_names(plain[match.end() :].partition("/")[0], "")
     if plain.startswith(USBIP):
@@ -150,20 +146,6 @@ def _port_names(path: str) -> frozenset[str]:
         if stat.S_ISCHR(status.st_mode):
             names.add(f"serial:{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}")
     return frozenset(names)
-
-
-def _found_port(url: str) -> str:
-    """The port that pyserial finds for `hwgrep://PATTERN`; the URL itself where there is none. Raises UserError."""
-    from serial.urlhandler.protocol_hwgrep import Serial as Search
-
-    if any(each.startswith("skip_busy") for each in url.split("&")[1:]):
-        raise UserError(f"{url}: skip_busy opens ports of other devices; leave it out, and name this device")
-    try:
-        return str(Search().from_url(url))
-    except serial.SerialException:
-        return url
-    except (ValueError, re.error) as error:
-        raise UserError(f"{url}: {error}; correct it in the rig file") from None
 
 
 def _tcp_names(place: str, default_port: str) -> frozenset[str]:

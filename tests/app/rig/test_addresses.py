@@ -1,7 +1,6 @@
 """Addresses in a rig file: canonical forms, and the parsing of Modbus addresses."""
 
 import os
-import re
 import stat
 from pathlib import Path
 
@@ -89,16 +88,6 @@ def test_two_devices_have_no_name_in_common(one: str, other: str) -> None:
     assert not device_names(one) & device_names(other)
 
 
-def test_a_search_has_the_name_of_the_port_that_it_finds(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = [ListPortInfo(f"/dev/ttyUSB{number}") for number in range(3)]
-    monkeypatch.setattr(list_ports, "grep", lambda pattern: [each for each in found if re.search(pattern, each.device)])
-    assert device_names("hwgrep://ttyUSB&n=2") == device_names("/dev/ttyUSB1")
-    assert device_names("rtu:hwgrep://USB2?unit=3") == device_names("HWGREP://USB2") == device_names("/dev/ttyUSB2")
-    for wrong in ("hwgrep://USB&skip_busy", "hwgrep://(", "hwgrep://USB&n=x", "hwgrep://USB&m=1"):
-        with pytest.raises(UserError, match="hwgrep://"):
-            device_names(wrong)
-
-
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no device nodes")
 def test_two_nodes_of_one_port_have_a_name_in_common(tmp_path: Path) -> None:
     server, port = os.openpty()
@@ -173,7 +162,14 @@ def test_a_port_is_found_by_its_description_before_it_is_locked(monkeypatch: pyt
     monkeypatch.setattr(list_ports, "comports", lambda *_: ports)
     assert resolve_port("hwgrep://of the axes") == "/dev/ttyUSB0"
     assert resolve_port("rtu:hwgrep://r.*lamp?unit=2") == "rtu:/dev/ttyUSB1?unit=2"
-    assert device_names("hwgrep://of the axes") == device_names("/dev/ttyUSB0")
-    for address, reason in (("hwgrep://FT232R", "several"), ("hwgrep://FT4232", "no serial port"), ("hwgrep://*", "pattern")):
+    assert (
+        device_names("HWGREP://of the axes") == device_names("rtu:hwgrep://of the axes?unit=3") == device_names("/dev/ttyUSB0")
+    )
+    for address, reason in (
+        ("hwgrep://FT232R", "several"),
+        ("hwgrep://USB&skip_busy", "not a serial port"),
+        ("hwgrep://FT4232", "no serial port"),
+        ("hwgrep://*", "pattern"),
+    ):
         with pytest.raises(UserError, match=reason):
             resolve_port(address)
