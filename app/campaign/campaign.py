@@ -12,8 +12,7 @@ from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import Ask, HumanOperator, Operator, ServedOperator, VirtualOperator
 from goniotwin.app.campaign.running.resume import remaining_work
-from goniotwin.app.campaign.wording import printable
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
 from goniotwin.app.rig.last_rig import is_last_rig
 from goniotwin.app.rig.lock import RigInUse, journal_holder
@@ -89,7 +88,7 @@ def resume_campaign(
         plan = remaining_work(unlocked, rig).plan  # raises the error before the journal is changed
     if rig is None and not is_last_rig(plan.rig.file):
         devices = ", ".join(f"{device.name} at {device.address}" for device in plan.rig.file.devices)
-        name = printable(plan.rig.file.name)
+        name = one_line(plan.rig.file.name)
         other = f"{journal_path}: its rig ({name}) is not the one that this computer used last: {devices}"
         if accept_rig is None:
             raise UserError(f"{other}; if these are your devices, add --accept-rig, or name the rig's file with --rig")

@@ -20,11 +20,6 @@ def rounded_duration_text(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
-def printable(text: str) -> str:
-    """A text from a file on one line: what is not printable, and would control a terminal, as `?`."""
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
-
-
 def number_list(values: Iterable[int]) -> str:
     """Whole numbers in ascending order, three or more consecutive ones as a range, such as `0 to 4, 7, 9`."""
     runs: list[list[int]] = []

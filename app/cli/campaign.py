@@ -19,7 +19,7 @@ from goniotwin.app.cli.output import (
     errors,
     print_error,
 )
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, one_line
 
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
     from goniotwin.app.campaign.journal.summary import CampaignSummary
@@ -189,7 +189,6 @@ def runs(
 ) -> None:
     """List the campaigns of a folder: state, rows, time left."""
     from goniotwin.app.campaign.journal.summary import campaign_summaries
-    from goniotwin.app.campaign.wording import printable
 
     found, refused = campaign_summaries(folder)
     answer(
@@ -198,12 +197,12 @@ def runs(
         lambda: _print_campaigns(Console(highlight=False), folder, found),
     )
     for reason in refused:
-        print_error(printable(reason))
+        print_error(one_line(reason))
 
 
 def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSummary]") -> None:
     """Print one line for each campaign."""
-    from goniotwin.app.campaign.wording import duration_text, printable
+    from goniotwin.app.campaign.wording import duration_text
 
     if not campaigns:
         console.print(f"{folder}: no journals (*.journal)", markup=False)
@@ -213,12 +212,12 @@ def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSu
         table.add_column(name, justify="right" if name in ("rows", "left") else "left", overflow="fold")
     for each in campaigns:
         table.add_row(
-            Text(printable(Path(each.journal).name)),
-            Text(printable(f"{each.name}{' (SIMULATED)' if each.simulated else ''}")),
+            Text(one_line(Path(each.journal).name)),
+            Text(one_line(f"{each.name}{' (SIMULATED)' if each.simulated else ''}")),
             f"[{STATE_STYLES[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
             f"{each.rows}/{each.planned}",
             duration_text(each.seconds_left) if each.rows < each.planned else "",
-            Text(printable(each.begun or "")),
+            Text(one_line(each.begun or "")),
         )
     console.print(table)
 
