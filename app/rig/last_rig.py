@@ -14,6 +14,7 @@ from pathlib import Path
 from goniotwin.app.rig.file import RigFile
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.app.rig.lock import state_folder
+from goniotwin.mocks.own_folder import make_own_folder
 
 FILE = "last-rig"
 OPERATORS = ("name", *ROLES, "geometry", "sample_unit", "etalon")
@@ -25,7 +26,7 @@ def remember_rig(file: RigFile) -> None:
         return
     path = _place()
     with contextlib.suppress(OSError):
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_own_folder(path.parent)
         handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{FILE}.")
         with os.fdopen(handle, "w", encoding="ascii") as out:
             out.write(_digest(file))

@@ -104,5 +104,8 @@ def check_stopped_dark(control: ControlClient, journal: Path) -> None:
     assert not control.do("state")["shutter_open"]
     database = sqlite3.connect(journal)
     assert database.execute("SELECT outcome FROM session").fetchall() == [("stopped",)]
-    assert database.execute("SELECT text FROM event WHERE kind = 'shutter'").fetchall() == [("closed after the stop",)]
+    events = database.execute("SELECT kind, text FROM event WHERE kind <> 'sleep'").fetchall()
+    # On a busy computer an answer is late; no other fault is met, and this one is repeated.
+    events = [each for each in events if not (each[0] == "fault" and "reconnect the devices and retry" in each[1])]
+    assert events == [("shutter", "closed after the stop")]
     database.close()

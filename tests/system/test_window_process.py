@@ -103,7 +103,9 @@ def check_stopped(window: WindowProcess) -> Path:
     journal = window.journal
     assert not Path(f"{journal}-wal").exists()
     campaign = campaign_summary(journal)
-    assert (campaign.state, campaign.sessions) == ("stopped", 1)  # on a busy computer with late answers, which were repeated
+    assert (campaign.state, campaign.sessions) == ("stopped", 1)
+    # On a busy computer an answer is late; no other fault is met, and this one is repeated.
+    assert all("not responding" in fault and "reconnect the devices and retry" in fault for fault in campaign.faults)
     assert 0 < campaign.rows < campaign.planned
     database = sqlite3.connect(journal)
     assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
