@@ -31,10 +31,15 @@ class UserError(Exception):
 
 
 def one_line(text: str) -> str:
-    """The text as one line of a readable length, without characters that act on a terminal."""
+    """The text as one printable line of a readable length."""
     if len(text) > LONGEST_MESSAGE:
         half = LONGEST_MESSAGE // 2
         text = f"{text[:half]} ... {text[-half:]}"
+    return printable(text)
+
+
+def printable(text: str) -> str:
+    """The text as one line, a question mark for each character that acts on a terminal."""
     return "".join(letter if letter.isprintable() else " " if letter.isspace() else "?" for letter in text)
 
 

@@ -15,8 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from goniotwin.mocks.pty_names import PtyNames, baudrate
-from goniotwin.mocks.serial_ends import OWED_AT_MOST, Line, OpenEnd, owed
+from goniotwin.mocks.serial_ends import OWED_AT_MOST, Line, OpenEnd, PtyNames, baudrate, owed
 from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.loopback import LOOPBACK
 from goniotwin.twin.devices.line import SerialDevice

@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable
 
 import numpy as np
 
+from goniotwin.app.errors import printable
 from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_file, write_file
 from goniotwin.app.formats.numerals import COUNT, NUMBER, NotANumber, parse_number
 from goniotwin.arrays import Floats
@@ -80,7 +81,7 @@ def comment_lines(comments: Iterable[str], *, ascii_only: bool) -> tuple[str, ..
 
 
 def _safe(line: str, *, ascii_only: bool) -> str:
-    line = "".join(letter if letter.isprintable() else " " if letter.isspace() else "?" for letter in line)
+    line = printable(line)
     if ascii_only and not line.isascii():
         spelled = unicodedata.normalize("NFKD", line.translate(ASCII_SPELLING))
         line = "".join(letter for letter in spelled if not unicodedata.combining(letter))

@@ -6,15 +6,12 @@ A journal has the text of a rig file, with the addresses of devices and the limi
 import contextlib
 import hashlib
 import json
-import os
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
 from goniotwin.app.rig.file import RigFile
 from goniotwin.app.rig.kinds import ROLES
-from goniotwin.app.rig.lock import state_folder
-from goniotwin.mocks.own_folder import make_own_folder
+from goniotwin.own_files import make_own_folder, replace_text, state_folder
 
 FILE = "last-rig"
 OPERATORS = ("name", *ROLES, "geometry", "sample_unit", "etalon")
@@ -27,10 +24,7 @@ def remember_rig(file: RigFile) -> None:
     path = _place()
     with contextlib.suppress(OSError):
         make_own_folder(path.parent)
-        handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{FILE}.")
-        with os.fdopen(handle, "w", encoding="ascii") as out:
-            out.write(_digest(file))
-        Path(spare).replace(path)
+        replace_text(path, _digest(file))
 
 
 def is_last_rig(file: RigFile) -> bool:

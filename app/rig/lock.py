@@ -17,14 +17,13 @@ import socket
 import stat
 import struct
 import sys
-import tempfile
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, printable
 from goniotwin.app.rig.addresses import device_names
-from goniotwin.mocks.own_folder import make_own_folder
+from goniotwin.own_files import make_own_folder, replace_text, state_folder
 from goniotwin.protocols.clock import calendar_stamp
 
 LONGEST_NOTE = 400
@@ -39,13 +38,6 @@ class RigInUse(UserError):
     def __init__(self, address: str, holder: str) -> None:
         super().__init__(f"{address}: is in use by {holder}; wait for it, or end it")
         self.holder = holder
-
-
-def state_folder() -> Path:
-    """The folder of this user's programs for what outlives them. It is not looked at."""
-    from platformdirs import user_state_path  # most commands do without
-
-    return user_state_path("goniotwin", appauthor=False)
 
 
 class LockFile:
@@ -180,14 +172,7 @@ def _note_of(lock: Path) -> Path:
 def _write_note(path: Path, note: str) -> None:
     """Replace a note; without one the lock holds as well, so that a full disk is no error."""
     with contextlib.suppress(OSError):
-        handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(f"{note}\n")
-            Path(spare).chmod(0o644)
-            Path(spare).replace(path)
-        except OSError:
-            Path(spare).unlink()
+        replace_text(path, f"{note}\n", 0o644)
 
 
 def _read_note(path: Path) -> str:
@@ -200,7 +185,7 @@ def _read_note(path: Path) -> str:
             os.close(handle)
     except OSError:
         return UNKNOWN
-    return "".join(each for each in note.decode(errors="replace").strip() if each.isprintable()) or UNKNOWN
+    return printable(note.decode(errors="replace").strip()) or UNKNOWN
 
 
 def _user() -> str:

@@ -1,6 +1,5 @@
 """The rig file that `goniotwin serve` writes: with it another process measures on the virtual rig that is served here."""
 
-import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +10,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import set_addresses
 from goniotwin.app.rig.opening import RigDescription
 from goniotwin.mocks.served import CONTROL, Endpoint, Wire
+from goniotwin.own_files import replace_text
 
 FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start. SIMULATED."
 
@@ -73,14 +73,7 @@ def write_served_rig(path: Path, text: str) -> None:
     """
     check_served_rig(path)
     try:
-        handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")  # its mode is 0600
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(spare).replace(path)
-        except OSError:
-            Path(spare).unlink()
-            raise
+        replace_text(path, text)
     except OSError as error:
         raise _unwritable(path, error) from None
 

@@ -4,22 +4,47 @@ Everything that will end a movement (a switch on the way, a stall, a deviation o
 movement begins, and again when something changes. A motor that a switch has stopped stays so until the next command (*).
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from goniotwin.protocols.tmcl import ReplyStatus
 from goniotwin.protocols.tmcl_parameters import AxisParameter, ErrorFlag, SearchCommand
 from goniotwin.twin.devices import reference_search
 from goniotwin.twin.devices.axis_table import Parameter
-from goniotwin.twin.devices.encoder import Encoder
-from goniotwin.twin.devices.motion_ends import Guards, MotionEnd, next_motion_end
-from goniotwin.twin.devices.switches import Place, Switch
+from goniotwin.twin.devices.encoder import MICROSTEPS, Encoder
+from goniotwin.twin.devices.switches import Place, Switch, when_switched, when_true
+from goniotwin.twin.optics.geometry.coordinates import TURN_DEG
 from goniotwin.twin.plant.model import Mechanics
 from goniotwin.twin.plant.motion import Trajectory, brake_to_rest, cut_off, ramp_to_target, ramp_to_velocity, rest_at
-from goniotwin.twin.plant.shaft import Heartbeat, Shaft
+from goniotwin.twin.plant.shaft import Drive, Heartbeat, Shaft
 
 CHIP_UNITS_PPS = 16_000_000 / 2**24  # of velocities where UNIT_MODE is 0 (*)
 CANCELLED_STATE, CANCELLED_S = 15, 0.05
 UNCOUPLED = Mechanics(motor=0, gear=1.0, encoder=False)
+NO_FLAG = ErrorFlag(0)
+STALL_HORIZON_S = 1.0
+
+
+@dataclass(frozen=True)
+class MotionEnd:
+    """Cause and time of the end of a movement: `soft` over a ramp, else at once."""
+
+    t: float
+    flag: ErrorFlag = NO_FLAG
+    soft: bool = False
+
+
+@dataclass(frozen=True)
+class Guards:
+    """Limits that a motor obeys: its switches where they are enabled, the speed (pps) above which a stall stops it (0: never),
+    by how much the encoder may deviate (0: at all), and the encoder's reading at an angle."""
+
+    right: Switch | None
+    left: Switch | None
+    soft: bool
+    stall_pps: float
+    deviation: int
+    encoder: Callable[[float], float] | None
 
 
 class CommandRejected(Exception):
@@ -210,6 +235,36 @@ class RampGenerator:
 
     def _unit(self) -> float:
         return 1.0 if self._values[AxisParameter.UNIT_MODE] == 1 else CHIP_UNITS_PPS
+
+
+def next_motion_end(drive: Drive, t: float, guards: Guards) -> MotionEnd | None:
+    """The first early end of a movement; None without any."""
+    halts: list[MotionEnd] = []
+    for switch, side in ((guards.right, 1), (guards.left, -1)):
+        met = when_switched(drive, t, switch, True, side) if switch is not None else None
+        if met is not None:
+            halts.append(MotionEnd(met, soft=guards.soft))
+    if guards.stall_pps > 0.0 and drive.jammed:
+        met = when_true(drive, t, lambda t: abs(drive.trajectory.velocity(t)) >= guards.stall_pps, STALL_HORIZON_S)
+        if met is not None:
+            halts.append(MotionEnd(met, ErrorFlag.STALL))
+    if guards.deviation and guards.encoder is not None:
+        met = _deviation(drive, t, guards.encoder, guards.deviation)
+        if met is not None:
+            halts.append(MotionEnd(met, ErrorFlag.DEVIATION))
+    return min(halts, key=lambda halt: halt.t, default=None)
+
+
+def _deviation(drive: Drive, t: float, encoder: Callable[[float], float], most: int) -> float | None:
+    scale = MICROSTEPS / abs(drive.per_full)
+
+    def deviates(t: float) -> bool:
+        return abs(encoder(drive.angle_deg(t)) - drive.counter(t) * scale) > most
+
+    # A steady movement that has not deviated after a turn and twice the allowed way never will.
+    speed = abs(drive.trajectory.pieces[-1].velocity)
+    way = abs(TURN_DEG / drive.mechanics.deg_per_full_step * drive.per_full) + 2.0 * most / scale
+    return when_true(drive, t, deviates, way / speed if speed else 0.0)
 
 
 def signed(value: int) -> int:

@@ -32,8 +32,7 @@ from goniotwin.app.campaign.running.operator import Answer, Operator
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
 from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for
-from goniotwin.app.campaign.running.stop_conditions import EndedBySchedule, StopConditions
-from goniotwin.app.campaign.running.stop_request import Stopped, StopRequest
+from goniotwin.app.campaign.running.stop import EndedBySchedule, StopConditions, Stopped, StopRequest
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import DeviceError, Rig, Until

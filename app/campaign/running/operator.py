@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from goniotwin.app.campaign.row import NO_SAMPLE
-from goniotwin.app.campaign.running.stop_request import Stopped
+from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.errors import UserError
 from goniotwin.mocks.control import ControlClient, OrderRefused
 from goniotwin.twin import VirtualRig

@@ -19,7 +19,7 @@ from goniotwin.app.campaign.readout import (
 )
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.running.operator import Operator
-from goniotwin.app.campaign.running.stop_request import StopRequest
+from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers import AxisDescription, DeviceError, Pending, Rig, Until, wait

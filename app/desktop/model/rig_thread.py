@@ -41,12 +41,11 @@ from goniotwin.app.desktop.model.messages import (
     RunRefused,
     RunStarted,
 )
-from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.drivers import DeviceError
-from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.clock import Clock, ScaledClock
 
 Send = Callable[[Message], None]
 NO_RIG = "no rig is open"

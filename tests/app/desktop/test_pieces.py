@@ -7,8 +7,8 @@ import pytest
 
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.model.rig_thread import next_journal
-from goniotwin.app.desktop.model.scaled_clock import ScaledClock
 from goniotwin.app.desktop.theme import DARK, LIGHT, Colours
+from goniotwin.protocols.clock import ScaledClock
 
 
 def test_a_change_of_speed_is_continuous_and_wakes_a_sleeping_thread() -> None:

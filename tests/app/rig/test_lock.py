@@ -175,7 +175,7 @@ def test_a_note_is_one_printable_line_whatever_lies_there(tmp_path: Path) -> Non
     note = tmp_path / "a.journal.holder"
     for content in (b"\x1b[2Jhello\nthere", b""):
         note.write_bytes(content)
-        assert journal_holder(tmp_path / "a.journal") == ("[2Jhellothere" if content else "another program")
+        assert journal_holder(tmp_path / "a.journal") == ("?[2Jhello there" if content else "another program")
     note.unlink()
     os.mkfifo(note)
     assert journal_holder(tmp_path / "a.journal") == "another program"

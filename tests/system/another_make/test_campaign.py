@@ -13,7 +13,7 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal
 from goniotwin.app.campaign.running.recovery import Recovery
-from goniotwin.app.campaign.running.stop_request import StopRequest
+from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.cli.instrument import home_axes
 from goniotwin.app.errors import UserError

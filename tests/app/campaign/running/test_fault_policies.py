@@ -22,7 +22,7 @@ from goniotwin.app.campaign.running.events import (
 )
 from goniotwin.app.campaign.running.operator import Answer, HumanOperator
 from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
-from goniotwin.app.campaign.running.stop_request import Stopped
+from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.campaign import _ask_operator
 from goniotwin.app.errors import UserError

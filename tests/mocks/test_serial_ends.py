@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.mocks.pty_names import PtyNames
 from goniotwin.mocks.serial_endpoints import ptys_exist
+from goniotwin.mocks.serial_ends import PtyNames
 
 pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
 

@@ -1,8 +1,16 @@
-"""Folders that belong to the user of this program alone: what is found there was put there by this user's programs."""
+"""Files and folders of the user of this program alone: what is found there was put there by this user's programs."""
 
 import os
 import stat
+import tempfile
 from pathlib import Path
+
+
+def state_folder() -> Path:
+    """The folder of this user's programs for what outlives them. It is not looked at."""
+    from platformdirs import user_state_path  # most commands do without
+
+    return user_state_path("goniotwin", appauthor=False)
 
 
 def make_own_folder(folder: Path) -> None:
@@ -30,3 +38,20 @@ def make_own_folder(folder: Path) -> None:
         raise OSError(f"{folder}: it or a folder above it belongs to another user; choose another folder")
     if status.st_mode & stat.S_IWOTH:
         raise OSError(f"{folder}: every user may write to it; choose another folder, or change its permissions")
+
+
+def replace_text(path: Path, text: str, mode: int = 0o600) -> None:
+    """Put a text at a path by renaming: another program reads the old text or the new one, and neither is changed by a failure.
+
+    Raises OSError; no other file is left then.
+    """
+    handle, spare = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        if mode != 0o600:  # which it has
+            Path(spare).chmod(mode)
+        Path(spare).replace(path)
+    except OSError:
+        Path(spare).unlink()
+        raise

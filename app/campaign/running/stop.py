@@ -1,10 +1,51 @@
-"""Stop conditions: the schedule's table `[stop]`, and a drift beyond its limit. They end a run before its last row."""
+"""What ends a run before its last row: a stop request, from any thread, and the stop conditions of the schedule."""
+
+import threading
+from collections.abc import Callable
+from typing import TypeVar
 
 from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.reduction.drift_checks import DriftWatch
 from goniotwin.app.campaign.row import SKIPPED, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile, StopTable
 from goniotwin.app.rig import RigFile
+from goniotwin.drivers import DeviceError, Rig
+
+T = TypeVar("T")
+
+
+class Stopped(Exception):
+    """The run was stopped by a stop request."""
+
+
+class StopRequest:
+    """Stop request of one run on a rig, checked before every motion and between polls.
+
+    `requested` is whether the run was asked to stop.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._motion = threading.RLock()
+        self.requested = False
+
+    def stop(self) -> list[DeviceError]:
+        """Stop all axes now and allow no further motion; return the errors of axes that did not confirm. From any thread."""
+        self.requested = True
+        failures = self._rig.stop()
+        with self._motion:  # a motion that was being started in another thread has started by now, and is stopped here
+            return self._rig.stop() or failures
+
+    def check(self) -> None:
+        """Raise Stopped if the run was asked to stop."""
+        if self.requested:
+            raise Stopped
+
+    def start(self, motion: Callable[[], T]) -> T:
+        """Start a motion unless the run was asked to stop. Raises Stopped, DeviceError."""
+        with self._motion:
+            self.check()
+            return motion()
 
 
 class EndedBySchedule(Exception):
@@ -12,8 +53,9 @@ class EndedBySchedule(Exception):
 
 
 class StopConditions:
-    """Stop conditions of one session. `session_start_s` is the start of the session on the rig's clock.
+    """Stop conditions of one session: the schedule's table `[stop]`, and a drift beyond its limit.
 
+    `session_start_s` is the start of the session on the rig's clock.
     Rows of earlier sessions are added with `add_earlier_row`, so that lamp and drift are compared with the whole campaign.
     """
 
