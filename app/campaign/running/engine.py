@@ -86,6 +86,7 @@ class Engine:
         self._work = plan.rows if work is None else work
         left = list(accumulate((row.seconds for row in reversed(self._work)), initial=0.0))
         self._seconds_left = left[::-1]
+        self._done_before = self._done = 0
 
     @property
     def state(self) -> State:
@@ -177,10 +178,10 @@ class Engine:
             self._apply_policies(f"homing {axis.name}", partial(self._recovery.home, axis))
 
     def _execute_rows(self) -> None:
-        before, planned = 0, len(self._plan.rows)
+        planned = len(self._plan.rows)
         if self._resumed:
             unplanned = [row for row in self._work if row.number >= planned]
-            before = planned - (len(self._work) - len(unplanned))
+            self._done_before = planned - (len(self._work) - len(unplanned))
             self._journal.add_rows(unplanned)
         self._stop_conditions.session_start_s = self._clock.now()
         for k, row in enumerate(self._work, 1):
@@ -189,8 +190,8 @@ class Engine:
                 self._journal.checkpoint()  # a person may take an hour
             self._notify(RowStarted(row))
             data = self._execute_awake(row)
-            self._journal.commit(row, data)
-            self._notify(RowCommitted(row, data, before + k, before + len(self._work), self._seconds_left[k]))
+            self._done = k
+            self._commit(row, data)
             event = self._stop_conditions.check(row, data)
             if event is not None:
                 kind, text = event
@@ -221,7 +222,14 @@ class Engine:
             number = self._journal.last_number() + 1
             row = replace(planned, number=number, identity=f"{WAKE_PREFIX}{number}/{sample}/dark", sample=sample)
             self._journal.add_rows([row])
-            self._journal.commit(row, self._execute_row(row))
+            self._notify(RowStarted(row))
+            self._commit(row, self._execute_row(row))
+
+    def _commit(self, row: Row, data: RowData) -> None:
+        """Write a row to the journal, and notify the listeners."""
+        self._journal.commit(row, data)
+        total = self._done_before + len(self._work)
+        self._notify(RowCommitted(row, data, self._done_before + self._done, total, self._seconds_left[self._done]))
 
     def _slept(self) -> bool:
         """Whether the computer slept since the last call: devices and dark currents may be other than before."""

@@ -11,7 +11,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
-from goniotwin.app.campaign.running.events import Event, RowStarted, State
+from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.recovery import FaultPolicies
 from goniotwin.app.campaign.running.sleep import SLEPT_S, SleepWatch, StayAwake
 from goniotwin.app.campaign.schedule.file import FaultsTable, read_schedule
@@ -69,8 +69,10 @@ def run_with_sleep(plan: Plan, path: Path, sleeper: Sleeper, *more: Callable[[Ev
 def test_after_a_sleep_the_row_and_the_dark_reading_are_taken_again(plan: Plan, tmp_path: Path) -> None:
     run_plan(plan, tmp_path / "whole.journal")
     slept_in = next(row.number for row in plan.rows if row.kind == "measure")
-    run = run_with_sleep(plan, tmp_path / "a.journal", Sleeper(slept_in))
+    told: list[Event] = []
+    run = run_with_sleep(plan, tmp_path / "a.journal", Sleeper(slept_in), told.append)
     assert run.state is State.DONE
+    assert [each.row for each in told if isinstance(each, RowCommitted)] == [each.row for each in run.rows]
     assert (
         len([text for kind, text in run.events if kind == "sleep" and text.startswith("this computer slept for 60.0 min")]) == 1
     )
