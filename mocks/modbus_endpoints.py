@@ -136,7 +136,7 @@ class ModbusEndpoints:
 
     async def _close(self) -> None:
         for server in self._servers.values():
-            await server.shutdown()  # type: ignore[no-untyped-call]
+            await server.shutdown()
         ModbusBaseServer.active_server = None
         for _ in range(3):  # transports close their sockets in a later turn of the loop
             await asyncio.sleep(0)

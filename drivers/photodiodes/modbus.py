@@ -106,7 +106,7 @@ class ModbusBus:
         with self.lock:
             self._users.discard(id(user))
             if not self._users and self._client is not None:
-                self._client.close()  # type: ignore[no-untyped-call]
+                self._client.close()
                 self._client = None
 
     def exchange(self, call: Callable[[ModbusBaseSyncClient], ModbusPDU], tap: Tap, clock: Clock) -> ModbusPDU:
@@ -137,7 +137,7 @@ class ModbusBus:
         if self._client is None:
             return False
         if not self.rtu:
-            self._client.close()  # type: ignore[no-untyped-call]
+            self._client.close()
             return bool(self._client.connect())
         if not self._client.connect():
             return False
@@ -162,7 +162,7 @@ class ModbusBus:
     def _close_client(self) -> None:
         assert self._client is not None
         with contextlib.suppress(OSError):
-            self._client.close()  # type: ignore[no-untyped-call]
+            self._client.close()
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         """Pass packets to the tap. pymodbus repeats a reply with each piece that is received; the tap gets it once.

@@ -90,7 +90,7 @@ def test_a_serial_client_of_modbus_takes_what_is_there_though_the_calendar_leaps
         os.write(device, b"reply")
         assert opened.recv(None) == found
     finally:
-        opened.close()  # type: ignore[no-untyped-call]
+        opened.close()
         os.close(device)
         os.close(port)
 

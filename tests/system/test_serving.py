@@ -50,7 +50,7 @@ def test_all_devices_share_one_plant(served: Served) -> None:
 
     assert counts_at(30.0) > 1.2 * (counts_at(75.0) - 32768) + 32768
     axes.close()
-    modbus.close()  # type: ignore[no-untyped-call]
+    modbus.close()
     control.close()
 
 

@@ -232,7 +232,7 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(qtbot: QtBot, ask
 def press(qtbot: QtBot, widget: QWidget | None, key: Qt.Key) -> None:
     """Press and release a key in a widget."""
     assert widget is not None
-    qtbot.keyClick(widget, key)  # type: ignore[no-untyped-call]
+    qtbot.keyClick(widget, key)
 
 
 def tab_order(window: QWidget) -> list[QWidget]:
@@ -272,14 +272,14 @@ def test_esc_has_to_be_held(qtbot: QtBot, open_window: WindowOpener, monkeypatch
     box = wait_for_question(qtbot, window, "etalon")
     for widget in (window, box, window.view.log.findChild(QWidget, "events")):
         assert widget is not None
-        qtbot.keyPress(widget, Qt.Key.Key_Escape)  # type: ignore[no-untyped-call]
+        qtbot.keyPress(widget, Qt.Key.Key_Escape)
         assert run.holding
-        qtbot.keyRelease(widget, Qt.Key.Key_Escape)  # type: ignore[no-untyped-call]
+        qtbot.keyRelease(widget, Qt.Key.Key_Escape)
         assert not run.holding
     assert box.isVisible()
     assert window.presenter.state is State.RUNNING
     run._hold.setInterval(1)
-    qtbot.keyPress(box, Qt.Key.Key_Escape)  # type: ignore[no-untyped-call]
+    qtbot.keyPress(box, Qt.Key.Key_Escape)
     wait_for_end(qtbot, window, State.IDLE)
 
 
@@ -289,7 +289,7 @@ def test_a_key_stops_at_once(qtbot: QtBot, open_window: WindowOpener) -> None:
     qtbot.waitUntil(window.isActiveWindow)
     click(window.view.run.start_button)
     qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
-    qtbot.keyClick(window, Qt.Key.Key_Period, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
+    qtbot.keyClick(window, Qt.Key.Key_Period, Qt.KeyboardModifier.ControlModifier)
     wait_for_end(qtbot, window, State.IDLE)
     assert window.presenter.journal is not None
     with Journal.open(window.presenter.journal) as journal:
