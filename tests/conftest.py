@@ -23,6 +23,7 @@ from goniotwin.app.rig import OpenRig, RigFile, open_rig, read_rig
 from goniotwin.drivers import Rig, TmclAxis
 from goniotwin.drivers.motion.tmcl import TmclSettings, exchange_seconds
 from goniotwin.protocols.clock import Clock, VirtualClock
+from tests.sizes import few_check_rays
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RIG, SCHEDULE = examples.RIG, examples.SCHEDULE
@@ -140,6 +141,13 @@ def opened(write_rig: Writer) -> Iterator[RigOpener]:
     yield open_changed
     for rig in rigs:
         rig.close()
+
+
+@pytest.fixture
+def quick_errors() -> Iterator[None]:
+    """For tests of simulated values: their standard errors are of few rays."""
+    with few_check_rays():
+        yield
 
 
 def tmcl_axis(rig: Rig, name: str) -> TmclAxis:

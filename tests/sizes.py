@@ -4,10 +4,26 @@ What a test asserts does not change with its size. Where it compares with a stan
 there were; where it needs so many hits, it takes those directions, samples or rows that have as many.
 """
 
+import contextlib
+from collections.abc import Iterator
+
 import pytest
+
+from goniotwin.app.simulation import estimate
 
 
 def parted(part: int) -> pytest.MarkDecorator:
     """Gives a test its `part`: it takes one draw of so many, and all of them in the long run."""
     long = pytest.param(1, id="all", marks=pytest.mark.long)
     return pytest.mark.parametrize("part", [pytest.param(part, id=f"1 of {part}"), long])
+
+
+@contextlib.contextmanager
+def few_check_rays() -> Iterator[None]:
+    """Simulations compare the fast estimator's seven rays with 256 instead of 4096.
+
+    That comparison is nearly all of their time. It gives the standard errors, and leaves the values as they are.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimate, "CHECK_RAYS", 256)
+        yield

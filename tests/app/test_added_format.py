@@ -17,6 +17,7 @@ from goniotwin.app.rig.samples import parse_sample
 from goniotwin.twin.optics import evaluate, from_specular, light_direction
 from tests.conftest import RIG, SCHEDULE, Writer
 
+pytestmark = pytest.mark.usefixtures("quick_errors")
 MARK = b"my table\n"
 AXES = ("sigma_deg", "phi_deg", "theta_deg")
 DETECTORS = ("--polar", "0:85:5", "--azimuth", "0:180:10")

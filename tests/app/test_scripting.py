@@ -25,6 +25,7 @@ def test_a_journal_is_reduced_by_path_or_open(write_rig: Writer, write_schedule:
     assert by_name.samples["gaussian-5"].bsdf.size > 0
 
 
+@pytest.mark.usefixtures("quick_errors")
 def test_the_luminance_factor_of_a_simulated_diffuser_is_its_reflectance() -> None:
     simulation = goniotwin.simulate("lambertian:reflectance=0.5", [30.0])
     # A Lambertian sample's luminance factor is its reflectance, whatever the direction.

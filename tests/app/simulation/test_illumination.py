@@ -8,6 +8,7 @@ import pytest
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_points_csv, read_rayset, write_rayset
 from goniotwin.app.rig.samples import parse_sample
+from goniotwin.app.simulation import illumination
 from goniotwin.app.simulation.estimate import EstimatorSettings
 from goniotwin.app.simulation.files import assumptions
 from goniotwin.app.simulation.files import summary as simulated_summary
@@ -50,6 +51,12 @@ def test_both_estimators_of_the_flux_agree_within_their_errors(light: Illuminati
     assert 0.5 < result["full_width_deg"] < 1.0  # the paper's divergence
 
 
+@pytest.fixture
+def quick_adjoint(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(illumination, "ADJOINT_ERROR", 1e-3)
+
+
+@pytest.mark.usefixtures("quick_adjoint")
 def test_a_wider_passband_has_more_flux() -> None:
     wide = simulate_illumination(illumination_unit(WIDE, 555.0, 20.0, 5.0), 10.0, 1, None)
     narrow = simulate_illumination(UNIT, 10.0, 1, None)
@@ -138,6 +145,7 @@ def test_rays_of_another_geometry_and_invalid_files_are_refused_in_one_line(rays
     assert read_rayset(rays).geometry == UNIT.fingerprint
 
 
+@pytest.mark.usefixtures("quick_adjoint")
 @pytest.mark.parametrize(
     ("error", "seed", "count", "message"),
     [(0.0, 1, None, "--error"), (float("nan"), 1, None, "--error"), (1e-7, 1, None, "illumination: "),

@@ -11,6 +11,7 @@ from goniotwin.app.simulation.files import assumptions, summary
 from goniotwin.app.simulation.simulate import Simulation, Task, regular_half_angle_deg, simulate
 from goniotwin.twin.optics import Instrument, lambertian, regular, specular_direction, throughput
 
+pytestmark = pytest.mark.usefixtures("quick_errors")
 OPEN = Instrument(obstruction=False)
 
 
