@@ -1,20 +1,23 @@
 """Samples of every kind, for tests of common properties."""
 
+import functools
 import math
 
 import numpy as np
 
 from goniotwin.arrays import Floats
+from goniotwin.twin import optics
 from goniotwin.twin.optics import (
     Scatterer,
     combine_sides,
-    gaussian,
-    lambertian,
     regular,
     scattered_points,
     sum_samples,
     table_sample,
 )
+
+gaussian, lambertian = functools.cache(optics.gaussian), functools.cache(optics.lambertian)
+"""Tests share the samples of the same arguments: the albedos of one are a good part of the time of a small estimate."""
 
 SIGMA_AXIS, PHI_AXIS, THETA_AXIS = [0.0, 30.0, 60.0], [0.0, 90.0, 180.0], [0.0, 10.0, 30.0, 90.0]
 TABLE = table_sample(

@@ -18,8 +18,6 @@ from goniotwin.twin.optics import (
     arc_direction,
     forward_throughput,
     from_specular,
-    gaussian,
-    lambertian,
     light_direction,
     regular,
     sum_samples,
@@ -27,7 +25,7 @@ from goniotwin.twin.optics import (
 from goniotwin.twin.optics.forward.paths import BLOCK
 from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.sizes import parted
-from tests.twin.optics.models import MODELS, model_name
+from tests.twin.optics.models import MODELS, gaussian, lambertian, model_name
 
 REFLECTED = 0.95**3
 PUPIL_SINE2 = math.sin(math.atan(5.0 / 800.0)) ** 2

@@ -13,8 +13,6 @@ from goniotwin.twin.optics import (
     apply_spectrum,
     forward_throughput,
     from_specular,
-    gaussian,
-    lambertian,
     record,
     replay,
 )
@@ -22,6 +20,7 @@ from goniotwin.twin.optics.geometry.instrument import SampleFrames
 from goniotwin.twin.optics.geometry.mirrors import pupil
 from goniotwin.twin.optics.illumination.rayset import RaySource
 from tests.twin.optics.agreement import agree
+from tests.twin.optics.models import gaussian, lambertian
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 UNIT = IlluminationUnit()

@@ -21,8 +21,6 @@ from goniotwin.twin.optics import (
     evaluate,
     forward_throughput,
     from_specular,
-    gaussian,
-    lambertian,
     light_direction,
 )
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
@@ -31,7 +29,7 @@ from goniotwin.twin.optics.forward.setting import set_up
 from goniotwin.twin.optics.montecarlo import CHUNK
 from tests.sizes import parted
 from tests.twin.optics.agreement import agree
-from tests.twin.optics.models import model_name
+from tests.twin.optics.models import gaussian, lambertian, model_name
 
 WIDE = RealSensor(lens_diameter_mm=12.0, aperture_mm=1.05)
 OUT_OF_FOCUS = replace(WIDE, diaphragm_mm=15.0)

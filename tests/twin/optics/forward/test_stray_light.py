@@ -12,8 +12,6 @@ from goniotwin.twin.optics import (
     Scatterer,
     arc_direction,
     forward_throughput,
-    gaussian,
-    lambertian,
     light_direction,
     regular,
     throughput,
@@ -21,6 +19,7 @@ from goniotwin.twin.optics import (
 from goniotwin.twin.optics.forward.stray_light import PATHS, stray_map, stray_throughput
 from goniotwin.twin.optics.geometry.instrument import SampleFrames
 from tests.sizes import parted
+from tests.twin.optics.models import gaussian, lambertian
 
 OPEN = Instrument(obstruction=False)
 # One detector that receives all light above the sample.
