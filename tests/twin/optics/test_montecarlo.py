@@ -9,6 +9,7 @@ from numba import njit
 
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
 from goniotwin.twin.optics.montecarlo import high_16, low_16, scramble, uniform, upper_24, word, word_key
+from tests.sizes import parted
 
 COUNT = 1 << 20
 
@@ -34,9 +35,10 @@ def chi_square(counts: Any) -> float:
     return float((chi ** (1 / 3) - 1.0 + 2.0 / (9 * freedom)) / math.sqrt(2.0 / (9 * freedom)))
 
 
+@parted(4)
 @pytest.mark.parametrize("block", [0, 1, 12345])
-def test_the_numbers_of_a_path_are_uniform_and_independent(block: int) -> None:
-    drawn = numbers(block, COUNT)
+def test_the_numbers_of_a_path_are_uniform_and_independent(block: int, part: int) -> None:
+    drawn = numbers(block, COUNT // part)
     assert np.all((drawn >= 0.0) & (drawn < 1.0))
     for a in range(4):
         assert abs(chi_square(np.histogram(drawn[:, a], 4096, (0.0, 1.0))[0])) < 4.5

@@ -31,7 +31,7 @@ def table_at(step_deg: float, **options: Any) -> Scatterer:
     return table_of(spread, true_value(*spread.T), **options)
 
 
-@pytest.mark.parametrize(("step_deg", "worst"), [(6.0, 0.1), (3.0, 0.03), (1.5, 0.01)])
+@pytest.mark.parametrize(("step_deg", "worst"), [(6.0, 0.1), (3.0, 0.03), pytest.param(1.5, 0.01, marks=pytest.mark.long)])
 def test_the_error_decreases_with_the_distance_of_the_points(step_deg: float, worst: float) -> None:
     model, random = table_at(step_deg), np.random.default_rng(1)
     for sigma in SIGMAS:

@@ -78,10 +78,10 @@ def test_the_nodes_of_each_integration_are_enough_in_its_range(field_deg: float,
 )
 def test_the_intersection_of_two_discs(radius: float, x: float, y: float, other: float) -> None:
     """Compared with the count of points of a grid."""
-    a, b = np.meshgrid(*[np.linspace(-radius, radius, 2001)] * 2)
+    a, b = np.meshgrid(*[np.linspace(-radius, radius, 1001)] * 2)
     both = (a * a + b * b <= radius * radius) & ((a - x) ** 2 + (b - y) ** 2 <= other * other)
     a, b = a[both], b[both]
-    counted = np.array([a.size, a.sum(), b.sum(), (a * a).sum(), (a * b).sum(), (b * b).sum()]) * (2.0 * radius / 2000) ** 2
+    counted = np.array([a.size, a.sum(), b.sum(), (a * a).sum(), (a * b).sum(), (b * b).sum()]) * (2.0 * radius / 1000) ** 2
     np.testing.assert_allclose(common_disc(radius, x, y, other), counted, atol=0.01)
 
 

@@ -20,19 +20,20 @@ from goniotwin.twin.optics import (
 )
 from goniotwin.twin.optics.fast.lobe_sums import gaussian_values
 from goniotwin.twin.optics.geometry.instrument import ELEMENTS
+from tests.sizes import parted
 
 OPEN = Instrument(obstruction=False)
 MANY = 1 << 14
 
 
-def lobe_grid(sigma_deg: float, width_deg: float) -> Floats:
-    """Rings about the specular direction out to three widths, no lower than 87 deg."""
+def lobe_grid(sigma_deg: float, width_deg: float, part: int = 4) -> Floats:
+    """Rings about the specular direction out to three widths, no lower than 87 deg; every so many of their directions."""
     rows = [
         from_specular(sigma_deg, theta, np.arange(0.0, 360.0, 360.0 / count))
         for theta, count in ((step * width_deg, 1 + 6 * k) for k, step in enumerate(np.arange(0.0, 3.01, 0.25)))
     ]
     directions = np.concatenate(rows)
-    return directions[directions[:, 2] > math.cos(math.radians(87.0))]
+    return directions[directions[:, 2] > math.cos(math.radians(87.0))][::part]
 
 
 def percentile_95(few: Floats, many: Floats) -> float:
@@ -40,21 +41,23 @@ def percentile_95(few: Floats, many: Floats) -> float:
     return float(np.percentile(np.abs(few / many - 1.0), 95.0) * 100.0)
 
 
+@parted(4)
 @pytest.mark.parametrize("sigma_deg", [0.0, 30.0, 60.0, 80.0, 87.0])
 @pytest.mark.parametrize(("width_deg", "worst"), [(2.0, 0.4), (5.0, 0.1), (15.0, 0.02), (30.0, 0.02)])
-def test_a_lobe_is_accurate_to_a_few_tenths_of_a_percent(sigma_deg: float, width_deg: float, worst: float) -> None:
-    directions, sample = lobe_grid(sigma_deg, width_deg), gaussian(width_deg)
+def test_a_lobe_is_accurate_to_a_few_tenths_of_a_percent(sigma_deg: float, width_deg: float, worst: float, part: int) -> None:
+    directions, sample = lobe_grid(sigma_deg, width_deg, part), gaussian(width_deg)
     few = luminance_factor(OPEN, sigma_deg, directions, sample)
     assert percentile_95(few, luminance_factor(OPEN, sigma_deg, directions, sample, rays=MANY)) < worst
 
 
+@parted(4)
 @pytest.mark.parametrize("element", ELEMENTS)
-def test_every_deviation_is_included_in_both(element: str) -> None:
+def test_every_deviation_is_included_in_both(element: str, part: int) -> None:
     """Large deviations with a visible effect: both agree with them as without, and the result changes."""
     bent = Instrument(
         obstruction=False, deviations={element: Deviation(rx_deg=0.2, ry_deg=-0.3, rz_deg=0.25, x_mm=0.3, y_mm=-0.4, z_mm=0.5)}
     )
-    directions, sample = lobe_grid(30.0, 5.0), gaussian(5.0)
+    directions, sample = lobe_grid(30.0, 5.0, part), gaussian(5.0)
     few, many = (throughput(bent, 30.0, directions, sample, rays) for rays in (None, MANY))
     assert percentile_95(few, many) < 0.4
     straight = throughput(OPEN, 30.0, directions, sample)
@@ -74,7 +77,7 @@ def test_a_tilted_sample_turns_the_lobe_by_twice_its_angle() -> None:
 def test_each_side_is_the_front_turned_over(sigma_deg: float, side: str, transmits: bool) -> None:
     """optics.md, section 2: mirrored in the sample's plane for transmission, turned about x for light from the back."""
     front, other = gaussian(5.0), gaussian(5.0, transmits=transmits, side=side)  # type: ignore[arg-type]
-    directions = lobe_grid(30.0, 5.0)
+    directions = lobe_grid(30.0, 5.0, 1)
     seen = directions * ([1.0, 1.0, -1.0] if transmits else [1.0, 1.0, 1.0])
     if sigma_deg > 90.0:
         seen = seen * [1.0, -1.0, -1.0]
@@ -92,19 +95,21 @@ def test_a_detector_that_a_mirror_partly_hides_has_a_bundle(sample: Scatterer) -
     assert few[-1] == pytest.approx(throughput(OPEN, 0.0, directions[-1:], sample)[0])
 
 
-def test_a_beam_that_partly_misses_the_mirrors_has_bundles() -> None:
+@parted(4)
+def test_a_beam_that_partly_misses_the_mirrors_has_bundles(part: int) -> None:
     narrow = Instrument(mirror_side_mm=7.0, obstruction=False)
-    directions = lobe_grid(60.0, 5.0)
+    directions = lobe_grid(60.0, 5.0, part)
     few, many = (throughput(narrow, 60.0, directions, gaussian(5.0), rays) for rays in (None, MANY))
     np.testing.assert_allclose(few, many, rtol=0.03)
     assert np.all(few < 0.99 * throughput(OPEN, 60.0, directions, gaussian(5.0)))
 
 
-def test_a_table_with_kinks_has_bundles_and_agrees_with_the_etalon() -> None:
+@parted(4)
+def test_a_table_with_kinks_has_bundles_and_agrees_with_the_etalon(part: int) -> None:
     """Linear between few angles, as in a measured table: seven rays would miss the effect of a kink on a beam of 0.7 deg."""
     theta = np.array([0.0, 1.0, 2.0, 4.0, 8.0, 20.0, 180.0])
     table = table_sample([0.0, 80.0], [0.0], theta, np.tile(np.exp(-theta / 4.0), (2, 1, 1)))
-    directions = lobe_grid(30.0, 4.0)
+    directions = lobe_grid(30.0, 4.0, part)
     few, many = (luminance_factor(OPEN, 30.0, directions, table, rays) for rays in (None, MANY))
     assert percentile_95(few, many) < 0.3
     white = table_sample([0.0, 80.0], [0.0], theta, np.full((2, 1, theta.size), 1.0 / math.pi))

@@ -51,7 +51,7 @@ def monte_carlo(
     return values.mean(axis=1), values.std(axis=1) / math.sqrt(rays)
 
 
-@parted(8)
+@parted(32)
 @pytest.mark.parametrize(("sigma_deg", "transmits"), [(0.0, False), (30.0, False), (60.0, False), (30.0, True), (150.0, True)])
 def test_the_image_of_the_pupil_agrees_with_traced_rays(sigma_deg: float, transmits: bool, part: int) -> None:
     centre = -light_direction(sigma_deg) if transmits else specular_direction(sigma_deg)

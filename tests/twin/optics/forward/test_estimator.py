@@ -134,12 +134,12 @@ def test_the_standard_error_is_that_of_repeated_runs() -> None:
 
 def test_a_relative_error_can_be_requested() -> None:
     directions = spread_out(30)
-    result = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.01, seed=1)
+    result = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.02, seed=1)
     lit = result.throughput_m2sr > 0.0
-    assert np.median(result.standard_error[lit] / result.throughput_m2sr[lit]) < 0.01
+    assert np.median(result.standard_error[lit] / result.throughput_m2sr[lit]) < 0.02
     again = forward_throughput(WIDE, 30.0, directions, lambertian(), paths=result.paths, seed=1)
     assert np.array_equal(result.throughput_m2sr, again.throughput_m2sr)
-    coarse = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.03, seed=1)
+    coarse = forward_throughput(WIDE, 30.0, directions, lambertian(), relative_error=0.06, seed=1)
     assert coarse.paths < result.paths
     with pytest.raises(ValueError, match="undefined without light"):
         forward_throughput(WIDE, 150.0, directions, lambertian(), relative_error=0.01)

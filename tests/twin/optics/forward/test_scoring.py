@@ -22,13 +22,23 @@ def expected_counts(centres: Floats, axes: Floats, field_deg: float, diameter_mm
     along = rays @ axes.T
     distance = ((centres - places[:, None]) * axes).sum(axis=2) / along
     off = places[:, None] + distance[..., None] * rays[:, None] - centres
-    inside = np.arccos(np.clip(along, -1.0, 1.0)) <= math.radians(0.5 * field_deg)
+    # The length of a direction in single precision is 1 but for 3e-8, which is a thousandth of half a degree.
+    cosine = along / np.linalg.norm(rays, axis=1)[:, None]
+    inside = np.arccos(np.clip(cosine, -1.0, 1.0)) <= math.radians(0.5 * field_deg)
     return inside & (np.linalg.norm(off, axis=2) <= 0.5 * diameter_mm) & (distance > 0.0)
 
 
 @pytest.mark.parametrize(
     ("field_deg", "count"),
-    [(0.5, 1000), pytest.param(0.5, 4000, marks=pytest.mark.long), (2.5, 400), (20.0, 100), (90.0, 40), (179.0, 10)],
+    [
+        (0.5, 300),
+        pytest.param(0.5, 4000, marks=pytest.mark.long),
+        (2.5, 100),
+        pytest.param(2.5, 400, marks=pytest.mark.long),
+        (20.0, 100),
+        (90.0, 40),
+        (179.0, 10),
+    ],
 )
 def test_every_ray_is_counted_by_the_detectors_in_whose_cone_and_disc_it_is(field_deg: float, count: int) -> None:
     axes = random_directions(count, 1)

@@ -22,6 +22,7 @@ from goniotwin.twin.optics import (
     visible_fraction,
 )
 from goniotwin.twin.optics.geometry.sensor import passes_sensor
+from tests.sizes import parted
 
 OTHERS = [RealSensor(diaphragm_mm=18.0), RealSensor(detector_side_mm=0.1), RealSensor(detector_mm=40.0)]
 NAMES = ["diaphragm out of focus", "small detector", "detector far behind"]
@@ -89,11 +90,12 @@ def test_the_error_states_the_reason(sensor: RealSensor, message: str) -> None:
         Instrument(sensor=sensor).simplified()
 
 
+@parted(2)
 @pytest.mark.parametrize("sensor", [RealSensor(), *OTHERS, RealSensor(focal_length_mm=60.0)], ids=str)
-def test_no_ray_outside_its_widest_cone_can_pass(sensor: RealSensor) -> None:
+def test_no_ray_outside_its_widest_cone_can_pass(sensor: RealSensor, part: int) -> None:
     limit = math.tan(math.radians(0.5 * sensor.widest_deg))
     # From the edge of the lens: the bound is for the worst point on it.
-    edge = rays(200_000, 1.2 * limit)
+    edge = rays(200_000 // part, 1.2 * limit)
     edge[:, :2] *= (2.499999 / np.hypot(edge[:, 0], edge[:, 1]))[:, None]
     passing = np.hypot(*edge[accepted(sensor, edge)][:, 2:].T)
     assert passing.size > 100

@@ -41,7 +41,7 @@ def check_agreement(forward: Illumination, adjoint: Illumination) -> None:
     assert abs(width - other) < 4.0 * math.hypot(error, other_error)
 
 
-@pytest.mark.parametrize("unit", [UNIT, AWRY], ids=["straight", "awry"])
+@pytest.mark.parametrize("unit", [pytest.param(UNIT, id="straight"), pytest.param(AWRY, id="awry", marks=pytest.mark.long)])
 def test_forward_and_adjoint_agree(unit: IlluminationUnit) -> None:
     forward = forward_illumination(unit, rays=12_000_000, seed=11)
     check_agreement(forward, adjoint_illumination(unit, rays=200_000, seed=12))
@@ -62,18 +62,19 @@ def test_both_agree_with_a_small_reflector_and_condenser() -> None:
     check_agreement(forward_illumination(small, rays=8_000_000, seed=15), adjoint)
 
 
+@parted(4)
 @pytest.mark.parametrize(
     ("estimate", "opening_mm", "pupil_mm", "error"),
     [(adjoint_illumination, 0.05, 1.0, 0.001), (forward_illumination, 0.25, 3.0, 0.02)],
     ids=["adjoint", "forward"],
 )
-def test_the_flux_is_radiance_times_etendue(estimate: Any, opening_mm: float, pupil_mm: float, error: float) -> None:
+def test_the_flux_is_radiance_times_etendue(estimate: Any, opening_mm: float, pupil_mm: float, error: float, part: int) -> None:
     # Slit and pupil are so small that the light is that of the arc's centre, and every cosine almost one; no losses.
     unit = IlluminationUnit(
         slit_width_mm=opening_mm, height_stop_mm=opening_mm, exit_pupil_radius_mm=pupil_mm, input_condenser_magnification=1.0,
         reflector_reflectance=0.0, bulb_transmittance=1.0, monochromator_transmittance=1.0,
     )  # fmt: skip
-    result = estimate(unit, relative_error=error, cells=1, side_mm=16.0 * opening_mm)
+    result = estimate(unit, relative_error=error * math.sqrt(part), cells=1, side_mm=16.0 * opening_mm)
     # Emission of the arc per volume and solid angle, along its cylinder's chords, averaged over the slit's image in it.
     chord_mm = 2.0 * unit.arc_radius_mm * (1.0 - (0.5 * opening_mm / unit.arc_radius_mm) ** 2 / 6.0)
     radiance_mm2sr = unit.band_flux / (4.0 * math.pi * unit.arc_volume_mm3) * chord_mm
@@ -105,12 +106,13 @@ def test_the_irradiance_of_the_sample_agrees_with_the_signal_estimate() -> None:
     assert per_mm3_sr_nm * 1e6 == pytest.approx(2.0e3, rel=0.1)
 
 
-def test_the_divergence_is_that_of_the_pupil_averaged_over_the_field() -> None:
-    result = adjoint_illumination(UNIT, rays=2_000_000)
+@parted(4)
+def test_the_divergence_is_that_of_the_pupil_averaged_over_the_field(part: int) -> None:
+    result = adjoint_illumination(UNIT, rays=2_000_000 // part)
     # Without rays, from evenly spread points (Roberts' sequence) of pupil and field. The radiance of a point of the pupil, seen
     # from a point of the field, follows from the tangents before the condenser, by similar triangles (slit 57.1 mm behind the
     # pupil, condenser 250 mm behind that, arc 50 mm): the fourth power of the cosine, and the oblique chord of an upright arc.
-    even = (np.arange(1, 1_000_001)[:, None] * 0.8566748838545029 ** np.arange(1, 5)) % 1.0
+    even = (np.arange(1, 1_000_000 // part + 1)[:, None] * 0.8566748838545029 ** np.arange(1, 5)) % 1.0
     ring, turn = 5.0 * np.sqrt(even[:, 0]), 2.0 * np.pi * even[:, 1]
     pupil, field = np.array([ring * np.cos(turn), ring * np.sin(turn)]), 5.0 * (even[:, 2:].T - 0.5)
     slit = -field / 14.0
@@ -121,7 +123,7 @@ def test_the_divergence_is_that_of_the_pupil_averaged_over_the_field() -> None:
     expected = np.histogram(angle, result.angle_edges_deg, weights=bright)[0]
     apart = np.abs(result.angular_flux / result.flux - expected / expected.sum())
     # The estimator's error, and that of the points.
-    assert np.all(apart < 5.5 * result.angular_flux_error / result.flux + 1e-4)
+    assert np.all(apart < 5.5 * result.angular_flux_error / result.flux + 1e-4 * part)
     assert replace(result, angular_flux=expected).full_width_deg[0] == pytest.approx(result.full_width_deg[0], abs=0.005)
     # The paper's 0.5 to 1 deg.
     assert 0.5 < result.full_width_deg[0] < 1.0
@@ -155,8 +157,9 @@ def test_a_relative_error_can_be_requested(estimate: Any) -> None:
     assert again.flux == pytest.approx(result.flux, rel=1e-12)
 
 
-def test_the_standard_errors_are_those_of_repeated_runs() -> None:
-    for estimate, rays in ((forward_illumination, 400_000), (adjoint_illumination, 1000)):
+@parted(4)
+def test_the_standard_errors_are_those_of_repeated_runs(part: int) -> None:
+    for estimate, rays in ((forward_illumination, 400_000 // part), (adjoint_illumination, 1000)):
         runs = [estimate(AWRY, rays=rays, seed=seed, cells=4, bins=10) for seed in range(60)]
         for value in ("irradiance", "angular_flux"):
             scatter = np.std([getattr(run, value) for run in runs], axis=0, ddof=1)
