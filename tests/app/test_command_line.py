@@ -106,8 +106,9 @@ def test_an_error_of_another_thread_is_one_line_too() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device of a full disk")
-def test_an_output_that_cannot_be_written_is_status_1() -> None:
-    command = [sys.executable, "-m", "goniotwin", "schema", "rig"]
+@pytest.mark.parametrize("arguments", ["--help", pytest.param("schema rig", marks=pytest.mark.long)])
+def test_an_output_that_cannot_be_written_is_status_1(arguments: str) -> None:
+    command = [sys.executable, "-m", "goniotwin", *arguments.split()]
     with open("/dev/full", "w") as full:  # noqa: PTH123
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300, check=False)
     assert done.returncode == 1

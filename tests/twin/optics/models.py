@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from goniotwin.twin.optics import (
     sum_samples,
     table_sample,
 )
+from goniotwin.twin.optics.bsdf.lobes import freeze
 
 gaussian, lambertian = functools.cache(optics.gaussian), functools.cache(optics.lambertian)
 """Tests share the samples of the same arguments: the albedos of one are a good part of the time of a small estimate."""
@@ -44,9 +46,21 @@ def points(incidences: list[float], step_deg: float = 4.0) -> Floats:
     return np.concatenate([np.stack([np.full(count, sigma), zenith, azimuth], axis=1) for sigma in incidences])
 
 
+def thinned(table: Scatterer, step: int) -> Scatterer:
+    """A table with every so many angles, the last one too: the albedo of all would be most of the time of a small test."""
+    lobes = []
+    for lobe in table.lobes:
+        assert (lobe.theta_deg.size - 1) % step == 0
+        # Contiguous and read-only as before: kernels are compiled for that.
+        theta, values = freeze(lobe.theta_deg[::step]), freeze(lobe.values[..., ::step])
+        lobes.append(replace(lobe, theta_deg=theta, values=values))
+    return replace(table, lobes=tuple(lobes))
+
+
 SPREAD = points([0.0, 30.0, 60.0])
 SPREAD_VALUES = 0.1 + 0.2 * np.cos(np.radians(SPREAD[:, 1])) + 1e-3 * SPREAD[:, 0]
-POINTS = scattered_points(SPREAD[:, 0], SPREAD[:, 1], SPREAD[:, 2], SPREAD_VALUES, "points", spherical=True)
+FINE = scattered_points(SPREAD[:, 0], SPREAD[:, 1], SPREAD[:, 2], SPREAD_VALUES, "points", spherical=True)
+POINTS = thinned(FINE, 5)
 
 SINGLE = [
     lambertian(0.8), gaussian(5.0), gaussian(25.0), gaussian(60.0),

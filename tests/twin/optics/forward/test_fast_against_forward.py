@@ -20,7 +20,7 @@ from goniotwin.twin.optics import (
 )
 from tests.sizes import parted
 from tests.twin.optics.agreement import agree
-from tests.twin.optics.models import ANISOTROPIC, TABLE, gaussian, lambertian
+from tests.twin.optics.models import ANISOTROPIC, TABLE, gaussian, lambertian, thinned
 
 MEASURED = Path(__file__).resolve().parents[5] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
 SIGMA = [0.0, 30.0, 60.0, 80.0, 150.0]
@@ -198,8 +198,7 @@ def measured_paint(step: int = 1) -> Scatterer:
     from goniotwin.app.rig.samples import MeasuredTable, sample_scatterer
 
     paint = sample_scatterer(MeasuredTable(model="zemax", file=str(MEASURED), side="both"), MEASURED.parent, "the test")
-    lobes = [replace(each, theta_deg=each.theta_deg[::step], values=each.values[..., ::step]) for each in paint.lobes]
-    return replace(paint, lobes=tuple(lobes))
+    return thinned(paint, step)
 
 
 @parted(32)
@@ -207,7 +206,6 @@ def measured_paint(step: int = 1) -> Scatterer:
 def test_both_agree_for_a_measured_paint(sigma_deg: float, part: int) -> None:
     paths, sum_error, rays = (32_000_000, 1e-3, RAYS) if sigma_deg == 150.0 else (6_000_000, 4e-3, FEW_RAYS)
     rays = rays if part == 1 else FEW_RAYS
-    # Nearly all of the time would be that of the albedo of a table of 161 angles.
     paint = measured_paint(1 if part == 1 else 4)
     check_agreement(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), paint, paths, sum_error=sum_error, rays=rays, part=part)
 
