@@ -64,7 +64,7 @@ def test_a_constant_stays_constant_and_there_is_no_overshoot() -> None:
 
 
 def test_the_order_of_the_points_has_no_effect() -> None:
-    spread = points(SIGMAS, 5.0)
+    spread = points(SIGMAS, 8.0)
     mixed = np.random.default_rng(4).permutation(spread)
     one, other = (table_of(each, true_value(*each.T)) for each in (spread, mixed))
     assert one.lobes[0].values == pytest.approx(other.lobes[0].values, rel=1e-9)

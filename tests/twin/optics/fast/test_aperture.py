@@ -95,7 +95,7 @@ def test_seven_rays_agree_with_a_bundle_for_any_field_and_disc(field_deg: float,
     np.testing.assert_allclose(few[8:32], many[8:32], rtol=5e-3)
 
 
-@parted(16)
+@parted(64)
 @pytest.mark.parametrize("field_deg", [0.5, 2.5])
 def test_the_flux_of_a_wide_field_agrees_with_the_forward_estimator(field_deg: float, part: int) -> None:
     instrument = Instrument(field_deg=field_deg, detector_diameter_mm=10.0)

@@ -24,7 +24,7 @@ def relative_rms_percent(sigma_deg: float, width_deg: float, rays: int | None) -
 
 @pytest.mark.parametrize("sigma_deg", list(PROTOTYPE))
 @pytest.mark.parametrize("column", range(4))
-@pytest.mark.parametrize("rays", [None, 1024, 1 << 15])
+@pytest.mark.parametrize("rays", [None, 1024, pytest.param(1 << 15, marks=pytest.mark.long)])
 def test_the_noise_free_rms_agrees_with_an_independent_prototype(sigma_deg: float, column: int, rays: int | None) -> None:
     width_deg = (2.0, 5.0, 15.0, 30.0)[column]
     assert relative_rms_percent(sigma_deg, width_deg, rays) == pytest.approx(PROTOTYPE[sigma_deg][column], abs=0.1)
