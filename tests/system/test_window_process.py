@@ -117,7 +117,7 @@ def check_stopped(window: WindowProcess) -> Path:
     "number",
     [
         pytest.param(signal.SIGINT, id="SIGINT", marks=pytest.mark.long),
-        pytest.param(signal.SIGTERM, id="SIGTERM"),
+        pytest.param(signal.SIGTERM, id="SIGTERM", marks=pytest.mark.long),
         pytest.param(signal.SIGHUP, id="SIGHUP"),
     ],
 )
