@@ -5,11 +5,19 @@ import sqlite3
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 from tests.conftest import RIG, SCHEDULE, Change, Writer
-from tests.system.command import CALLS, Call, goniotwin, invoke, json_result
+from tests.system.command import (
+    CALLS,
+    Call,
+    goniotwin,
+    in_one_thread,
+    invoke,
+    json_result,
+    process_in_one_thread,
+    process_in_two_threads,
+)
 
 
 @pytest.fixture(scope="session")
@@ -66,13 +74,20 @@ def dump_journal(path: Path) -> list[str]:
     return lines
 
 
+@pytest.mark.parametrize(
+    "again",
+    [
+        pytest.param(in_one_thread, id="in one thread"),
+        pytest.param(process_in_one_thread, id="in a process with one thread", marks=pytest.mark.long),
+        pytest.param(process_in_two_threads, id="in a process with two threads", marks=pytest.mark.long),
+    ],
+)
 def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, again: Call
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
     json_result(invoke("run", schedule, "--rig", rig, "--out", tmp_path / "here", "--json"))
-    another = "2" if numba.get_num_threads() == 1 else "1"
-    json_result(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / "there", "--json", NUMBA_NUM_THREADS=another))
+    json_result(again("run", schedule, "--rig", rig, "--out", tmp_path / "there", "--json"))
     assert dump_journal(tmp_path / "here") == dump_journal(tmp_path / "there")
     other = write_rig(("seed = 1", "seed = 2"), name="other.toml")
     json_result(invoke("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))

@@ -15,7 +15,7 @@ from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RIG
 from tests.system.command import CALLS, Call, goniotwin
-from tests.system.conftest import Serve, Served, at, control_client, until
+from tests.system.conftest import ForkedServe, Serve, Served, at, control_client, until
 
 
 @pytest.fixture
@@ -23,9 +23,11 @@ def served(serve: Serve) -> Served:
     return serve(RIG, "--speed", 20)
 
 
-def test_all_devices_share_one_plant_and_the_control_port_refuses_wrong_commands_with_a_message(served: Served) -> None:
+def test_all_devices_share_one_plant_and_the_control_port_refuses_wrong_commands_with_a_message(
+    forked_serve: ForkedServe,
+) -> None:
     """A move over the serial port changes what the Modbus registers read."""
-    _, lines = served
+    lines = forked_serve(RIG, "--speed", 20)
     control = control_client(lines)
     with pytest.raises(OrderRefused, match="no sample 'satin'"):
         control.mount("satin")
