@@ -71,7 +71,7 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Marks whatever serves a rig as `endpoint`, and puts all those first."""
     for item in items:
-        if "serve" in getattr(item, "fixturenames", ()):
+        if {"serve", "forked_serve"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.endpoint)
     items.sort(key=lambda item: item.get_closest_marker("endpoint") is None)
 

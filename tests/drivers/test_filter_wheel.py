@@ -121,7 +121,10 @@ def test_a_stopped_wheel_reports_its_true_position(opened: RigOpener) -> None:
     assert bench.driver.filter() == 6
 
 
-@pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
+@pytest.mark.parametrize(
+    ("echo", "handshake"),
+    [pytest.param(*each, marks=[] if each[0] is each[1] else pytest.mark.long) for each in DIALECTS],
+)
 @pytest.mark.parametrize("fault", ON_A_TEXT_LINE)
 def test_a_turn_reaches_its_position_or_is_an_error_under_each_fault(
     opened: RigOpener, fault: Fault, echo: bool, handshake: bool

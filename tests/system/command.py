@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import numba
 import pytest
 
 from goniotwin.app.cli.main import main
@@ -51,6 +52,26 @@ def invoke(*arguments: object) -> subprocess.CompletedProcess[str]:
                 signal.signal(number, handler)
     assert isinstance(ended.value.code, int)
     return subprocess.CompletedProcess(given, ended.value.code, out.getvalue(), err.getvalue())
+
+
+def in_one_thread(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command in this process, with one thread for what takes several."""
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        return invoke(*arguments)
+    finally:
+        numba.set_num_threads(threads)
+
+
+def process_in_one_thread(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own that has one thread for what takes several."""
+    return goniotwin(*arguments, NUMBA_NUM_THREADS="1")
+
+
+def process_in_two_threads(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own that has two threads for what takes several."""
+    return goniotwin(*arguments, NUMBA_NUM_THREADS="2")
 
 
 CALLS = [pytest.param(invoke, id="in process"), pytest.param(goniotwin, id="own process", marks=pytest.mark.long)]

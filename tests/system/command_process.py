@@ -97,6 +97,11 @@ class CommandProcess:
         return self._files[1].read_text(encoding="utf-8")
 
     @property
+    def output_lines(self) -> list[str]:
+        """The whole lines of standard output so far."""
+        return self.output.rpartition("\n")[0].splitlines()
+
+    @property
     def errors(self) -> str:
         """Standard error."""
         return self._files[2].read_text(encoding="utf-8")
@@ -131,7 +136,7 @@ def check_committed(path: Path, committed: dict[int, str]) -> None:
 def _context() -> Any:
     context = multiprocessing.get_context("forkserver")
     modules = ["cli", "campaign.campaign", "campaign.reduction.export", "campaign.journal.summary"]
-    context.set_forkserver_preload([*(f"goniotwin.app.{name}" for name in modules), __name__])
+    context.set_forkserver_preload([*(f"goniotwin.app.{name}" for name in modules), "tests.system.preloaded", __name__])
     return context
 
 

@@ -11,11 +11,14 @@ import pytest
 
 from goniotwin.mocks.control import ControlClient
 from goniotwin.protocols.clock import RealClock
+from tests.system.command_process import CommandProcess
 
 MAIN = [sys.executable, "-m", "goniotwin"]
 Served = tuple[subprocess.Popen[str], list[dict[str, Any]]]
 Serve = Callable[..., Served]
 """Function that serves a rig file with further options; returns the process and the lines with its addresses."""
+ForkedServe = Callable[..., list[dict[str, Any]]]
+"""The same, and returns the lines alone."""
 
 
 @pytest.fixture
@@ -38,6 +41,23 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
     for process in processes:
         process.kill()
         process.communicate()
+
+
+@pytest.fixture
+def forked_serve(tmp_path: Path) -> Iterator[ForkedServe]:
+    """Serves from a process that has loaded the libraries already: where the subject is not the server."""
+    processes: list[CommandProcess] = []
+
+    def start(rig: Path, *options: object) -> list[dict[str, Any]]:
+        process = CommandProcess(tmp_path, "serve", "--rig", rig, "--ptys", tmp_path / "ptys", *options)
+        processes.append(process)
+        until(lambda: not process.alive or '"control"' in "".join(process.output_lines[-1:]))
+        assert process.alive, process.errors
+        return [json.loads(line) for line in process.output_lines]
+
+    yield start
+    for process in processes:
+        process.kill()
 
 
 def until(condition: Callable[[], bool], period_s: float = 0.01) -> None:

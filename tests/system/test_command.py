@@ -8,13 +8,22 @@ from typing import Any
 import pytest
 
 from tests.conftest import RIG, SCHEDULE, Change, Writer
-from tests.system.command import CALLS, Call, goniotwin, invoke, json_result
+from tests.system.command import (
+    CALLS,
+    Call,
+    goniotwin,
+    in_one_thread,
+    invoke,
+    json_result,
+    process_in_one_thread,
+    process_in_two_threads,
+)
 
 
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("demo")
-    return folder, json_result(goniotwin("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
+    return folder, json_result(invoke("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
 
 
 def test_the_demo_reports_its_deviation_from_theory(demo: tuple[Path, dict[str, Any]]) -> None:
@@ -65,17 +74,24 @@ def dump_journal(path: Path) -> list[str]:
     return lines
 
 
+@pytest.mark.parametrize(
+    "again",
+    [
+        pytest.param(in_one_thread, id="in one thread"),
+        pytest.param(process_in_one_thread, id="in a process with one thread", marks=pytest.mark.long),
+        pytest.param(process_in_two_threads, id="in a process with two threads", marks=pytest.mark.long),
+    ],
+)
 def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, again: Call
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
-    for name, threads in (("one", "1"), ("two", "2")):
-        json_result(goniotwin("run", schedule, "--rig", rig, "--out", tmp_path / name, "--json", NUMBA_NUM_THREADS=threads))
-    json_result(invoke("run", schedule, "--rig", rig, "--out", tmp_path / "again", "--json"))
-    assert dump_journal(tmp_path / "one") == dump_journal(tmp_path / "two") == dump_journal(tmp_path / "again")
+    json_result(invoke("run", schedule, "--rig", rig, "--out", tmp_path / "here", "--json"))
+    json_result(again("run", schedule, "--rig", rig, "--out", tmp_path / "there", "--json"))
+    assert dump_journal(tmp_path / "here") == dump_journal(tmp_path / "there")
     other = write_rig(("seed = 1", "seed = 2"), name="other.toml")
     json_result(invoke("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
-    assert dump_journal(tmp_path / "other") != dump_journal(tmp_path / "one")
+    assert dump_journal(tmp_path / "other") != dump_journal(tmp_path / "here")
 
 
 @pytest.mark.parametrize("call", CALLS)
@@ -146,7 +162,14 @@ def test_a_wrong_option_is_status_2(call: Call) -> None:
     assert call("export", "nothing.journal", "--format", "ddr", "--out", "x").returncode == 2
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--nonsense"], ["check", "nothing.toml", "--rig", RIG]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--help"],
+        ["run", "--nonsense"],
+        pytest.param(["check", "nothing.toml", "--rig", RIG], id="check", marks=pytest.mark.long),
+    ],
+)
 def test_a_process_ends_as_a_call_in_this_process_does(arguments: list[object]) -> None:
     called, own = invoke(*arguments), goniotwin(*arguments)
     assert (own.returncode, own.stderr) == (called.returncode, called.stderr)

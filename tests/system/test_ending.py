@@ -17,18 +17,20 @@ import pytest
 
 from goniotwin.mocks.control import ControlClient
 from tests.conftest import Writer
-from tests.system.conftest import MAIN, Serve, control_client, until
+from tests.system.command_process import FORKED
+from tests.system.conftest import MAIN, ForkedServe, control_client, until
 
+pytestmark = FORKED
 TURNS = ("beta_deg = [180]", "beta_deg = [0, 180]")
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 
 
 @pytest.mark.parametrize("second", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
 def test_a_second_signal_does_not_interrupt_the_stop(
-    write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path, second: int
+    write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path, second: int
 ) -> None:
     there = tmp_path / "served.toml"
-    _, lines = serve(write_rig(*QUIET), "--speed", 3, "--write-rig", there)
+    lines = forked_serve(write_rig(*QUIET), "--speed", 3, "--write-rig", there)
     control = control_client(lines)
     journal = tmp_path / "c.journal"
     run = subprocess.Popen(
@@ -56,13 +58,13 @@ def test_a_second_signal_does_not_interrupt_the_stop(
 @pytest.mark.skipif(sys.platform == "win32", reason="this system has no terminals of this kind")
 @pytest.mark.parametrize("way", ["SIGHUP", "the terminal is closed"])
 def test_the_shutter_closes_after_the_end_of_the_terminal(
-    write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path, way: str
+    write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path, way: str
 ) -> None:
     import fcntl
     import termios
 
     there = tmp_path / "served.toml"
-    _, lines = serve(write_rig(*QUIET), "--speed", 3, "--write-rig", there)
+    lines = forked_serve(write_rig(*QUIET), "--speed", 3, "--write-rig", there)
     control = control_client(lines)
     journal = tmp_path / "c.journal"
     terminal, end = os.openpty()

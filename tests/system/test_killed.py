@@ -24,11 +24,11 @@ from goniotwin.mocks.control import ControlClient
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
 from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
-from tests.system.conftest import Serve, control_client
+from tests.system.conftest import ForkedServe, control_client
 
 pytestmark = FORKED
 SPEED = 10
-START_S = 0.5
+START_S = 0.2
 """Approximate time until a process measures, so that some are killed before."""
 MAX_TRIES = 8
 """Number of attempts: on a busy machine the answer of a device may come too late."""
@@ -113,13 +113,13 @@ MakeBench = Callable[..., Bench]
 
 
 @pytest.fixture
-def bench(write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path) -> Iterator[MakeBench]:
+def bench(write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path) -> Iterator[MakeBench]:
     made: list[Bench] = []
 
     def make(seed: int, *changes: tuple[str, str]) -> Bench:
         here, there = write_rig(*changes), tmp_path / "served.toml"
         schedule = write_schedule(THREE_SHIFTS, ("[1e8, 1e10]", "[1e8, 1e11]"), ("dark_readings = 4", "dark_readings = 8"))
-        _, lines = serve(here, "--speed", SPEED, "--write-rig", there)
+        lines = forked_serve(here, "--speed", SPEED, "--write-rig", there)
         plan = make_plan(read_schedule(schedule), read_rig(here))
         control = control_client(lines)
         made.append(Bench(tmp_path, schedule, there, control, plan, np.random.default_rng(seed)))
@@ -144,7 +144,8 @@ def test_without_noise_a_killed_campaign_gives_the_same_values(
     print(f"\n{campaigns} campaigns; errors while they were finished:", *killed.error_lines, sep="\n  ")
 
 
-@pytest.mark.parametrize("campaigns", [pytest.param(1, id="1"), pytest.param(30, id="30", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("campaigns", [30])
 def test_with_noise_a_killed_campaign_differs_within_its_uncertainty(
     bench: MakeBench, write_rig: Writer, campaigns: int, tmp_path: Path
 ) -> None:
@@ -256,13 +257,13 @@ def test_a_program_killed_while_it_migrates_a_journal_loses_no_row(
         assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
 
 
-@pytest.mark.parametrize("resumed", [False, True])
+@pytest.mark.parametrize("resumed", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_second_process_on_a_journal_is_refused_with_the_number_of_the_first(
-    write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path, resumed: bool
+    write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path, resumed: bool
 ) -> None:
     """The first runs or resumes the journal; the second resumes it, or starts a campaign with the same name."""
     rig, path, schedule = tmp_path / "served.toml", tmp_path / "a.journal", write_schedule()
-    serve(write_rig(*QUIET), "--write-rig", rig)  # real time, so that the campaign lasts long enough
+    forked_serve(write_rig(*QUIET), "--write-rig", rig)  # real time, so that the campaign lasts long enough
     first = CommandProcess(tmp_path, "run", schedule, "--rig", rig, "--out", path)
     first.wait_for_rows(1)
     if resumed:

@@ -7,19 +7,19 @@ import pytest
 from goniotwin.app.rig import AXES
 from tests.conftest import RIG, Writer
 from tests.system.command_process import FORKED, CommandProcess
-from tests.system.conftest import Serve, control_client
+from tests.system.conftest import ForkedServe, control_client
 
 pytestmark = FORKED
 
 
 def test_after_a_reset_between_two_runs_nothing_is_measured_until_the_positions_are_set(
-    serve: Serve, write_schedule: Writer, tmp_path: Path
+    forked_serve: ForkedServe, write_schedule: Writer, tmp_path: Path
 ) -> None:
     anywhere = tmp_path / "anywhere.toml"
     lines = RIG.read_text(encoding="utf-8").splitlines()
     anywhere.write_text("\n".join(line for line in lines if not line.startswith("power_up_at_reference")), encoding="utf-8")
     rig, schedule = tmp_path / "served.toml", write_schedule()
-    _, endpoints = serve(anywhere, "--speed", 10, "--write-rig", rig)
+    endpoints = forked_serve(anywhere, "--speed", 10, "--write-rig", rig)
     control = control_client(endpoints)
 
     def status(*arguments: object) -> int:

@@ -15,7 +15,7 @@ from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RIG
 from tests.system.command import CALLS, Call, goniotwin
-from tests.system.conftest import Serve, Served, at, control_client, until
+from tests.system.conftest import ForkedServe, Serve, Served, at, control_client, until
 
 
 @pytest.fixture
@@ -23,10 +23,18 @@ def served(serve: Serve) -> Served:
     return serve(RIG, "--speed", 20)
 
 
-def test_all_devices_share_one_plant(served: Served) -> None:
+def test_all_devices_share_one_plant_and_the_control_port_refuses_wrong_commands_with_a_message(
+    forked_serve: ForkedServe,
+) -> None:
     """A move over the serial port changes what the Modbus registers read."""
-    _, lines = served
+    lines = forked_serve(RIG, "--speed", 20)
     control = control_client(lines)
+    with pytest.raises(OrderRefused, match="no sample 'satin'"):
+        control.mount("satin")
+    with pytest.raises(OrderRefused, match="an order is"):
+        control.do("dance")
+    with pytest.raises(OrderRefused, match="deg is a number"):
+        control.do("tilt", deg="much")
     control.mount("etalon")
     mono = serial.serial_for_url(f"socket://127.0.0.1:{at(lines, 'mono', 'port')['port']}", timeout=5.0)
     mono.write(b"SHUTTER O\n")
@@ -51,18 +59,6 @@ def test_all_devices_share_one_plant(served: Served) -> None:
     assert counts_at(30.0) > 1.2 * (counts_at(75.0) - 32768) + 32768
     axes.close()
     modbus.close()
-    control.close()
-
-
-def test_the_control_port_refuses_wrong_commands_with_a_message(served: Served) -> None:
-    _, lines = served
-    control = control_client(lines)
-    with pytest.raises(OrderRefused, match="no sample 'satin'"):
-        control.mount("satin")
-    with pytest.raises(OrderRefused, match="an order is"):
-        control.do("dance")
-    with pytest.raises(OrderRefused, match="deg is a number"):
-        control.do("tilt", deg="much")
     control.close()
 
 

@@ -7,7 +7,7 @@ import pytest
 from goniotwin.mocks.serial_endpoints import ptys_exist
 from tests.conftest import RIG
 from tests.system.command import CALLS, Call
-from tests.system.conftest import Serve, at
+from tests.system.conftest import ForkedServe, Serve, at
 
 pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
 
@@ -43,8 +43,8 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path, call: Call) ->
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_second_server_does_not_change_the_names_of_the_first(serve: Serve, tmp_path: Path, call: Call) -> None:
-    _, lines = serve(RIG)
+def test_a_second_server_does_not_change_the_names_of_the_first(forked_serve: ForkedServe, tmp_path: Path, call: Call) -> None:
+    lines = forked_serve(RIG)
     path = Path(at(lines, "axes", "path")["path"])
     before = path.readlink()
     (tmp_path / "mine.toml").write_text("other", encoding="utf-8")

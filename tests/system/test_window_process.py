@@ -19,7 +19,7 @@ from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import RealClock
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
-from tests.system.conftest import Serve, control_client, until
+from tests.system.conftest import ForkedServe, control_client, until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
 LONGEST_S = 300.0
@@ -117,7 +117,7 @@ def check_stopped(window: WindowProcess) -> Path:
     "number",
     [
         pytest.param(signal.SIGINT, id="SIGINT", marks=pytest.mark.long),
-        pytest.param(signal.SIGTERM, id="SIGTERM"),
+        pytest.param(signal.SIGTERM, id="SIGTERM", marks=pytest.mark.long),
         pytest.param(signal.SIGHUP, id="SIGHUP"),
     ],
 )
@@ -135,11 +135,11 @@ def test_after_a_signal_the_run_is_stopped_and_can_be_resumed(
 
 
 def test_a_signal_brings_moving_axes_to_rest_and_later_signals_are_ignored(
-    start_window: Starter, write_rig: Writer, write_schedule: Writer, serve: Serve, tmp_path: Path
+    start_window: Starter, write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path
 ) -> None:
     """The rig is served by another process, whose control port has the positions of the axes."""
     served = tmp_path / "served.toml"
-    _, lines = serve(write_rig(*QUIET), "--write-rig", served)
+    lines = forked_serve(write_rig(*QUIET), "--write-rig", served)
     control = control_client(lines)
     window = start_window(served, write_schedule())
     window.wait_for_rows(2)

@@ -103,7 +103,12 @@ def everything(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Pla
     """Two wavelengths and two half planes, with noise, certificate, signature, repeats, drift checks and calibration."""
     (tmp_path / "certificate.csv").write_text(CERTIFICATE, encoding="utf-8")
     rig = write_rig(("[twin.samples.etalon]", f"{GREY}[twin.samples.etalon]"), ("[twin.light]", f"{STRAY}[twin.light]"))
-    changes = (*GREY_ONLY, ("[550]", "[500, 550]"), ("beta_deg = [180]", "beta_deg = [0, 180, 45]"))
+    changes = (
+        *GREY_ONLY,
+        ("[550]", "[500, 550]"),
+        ("beta_deg = [180]", "beta_deg = [0, 180, 45]"),
+        ("shift_deg = [0, 1]", "shift_deg = [0]"),
+    )
     return make_plan(read_schedule(write_schedule(*changes, text=EVERYTHING)), read_rig(rig))
 
 

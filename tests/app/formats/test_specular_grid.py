@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from goniotwin.app.formats.specular_grid import PolarGrid, SpecularCut, grid_of_points, interpolate, resample, specular_table
 from goniotwin.app.simulation.detectors import detector_grid, output_phi, output_theta
 from goniotwin.twin.optics import arc_direction, from_specular, to_specular
+from tests.sizes import parted
 
 X = np.array([7.99, 8.09, 8.19, 8.70, 9.20, 10.0, 12.0, 15.0, 20.0])
 F = np.array([0.0, 0.27643e-4, 0.43749e-1, 0.16918, 0.46943, 0.94374, 0.99864, 0.99992, 0.99999])
@@ -89,10 +90,11 @@ def test_the_uncertainty_is_that_of_the_local_linearisation(seed: int, mirrored:
     np.testing.assert_allclose(found, np.sqrt(variance), rtol=1e-4)
 
 
-def test_the_uncertainty_is_the_scatter_of_noisy_values() -> None:
+@parted(8)
+def test_the_uncertainty_is_the_scatter_of_noisy_values(part: int) -> None:
     generator = np.random.default_rng(7)
     x, at = np.arange(20.0, 41.0, 1.0), np.array([25.5, 27.2, 29.9, 33.5])
-    lobe, count = np.exp(-(((x - 30.0) / 8.0) ** 2)), 4000
+    lobe, count = np.exp(-(((x - 30.0) / 8.0) ** 2)), 4000 // part
     sigma = 1e-4
     drawn = lobe + sigma * generator.standard_normal((count, x.size))
     found = np.array([along(x, each, at)[0] for each in drawn])

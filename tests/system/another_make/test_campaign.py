@@ -34,10 +34,14 @@ RESOLUTION_DEG = 0.02 / 100
 """A count of the shift's controller: a full step of the motor in 100."""
 
 
-def test_quick_has_the_values_of_the_rig_with_one_make(mixed_rig: MixedRig, write_rig: Writer, tmp_path: Path) -> None:
+def test_quick_has_the_values_of_the_rig_with_one_make(
+    mixed_rig: MixedRig, write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """At one sigma, for the axis of this make is the shift."""
     points, outcomes = [], []
+    schedule = read_schedule(write_schedule(("[0, 30, 60]", "[30]"), text=SCHEDULE.read_text(encoding="utf-8")))
     for name, rig in (("mixed", mixed_rig(*STEADY)), ("tmcl", write_rig(*STEADY))):
-        plan, path = make_plan(read_schedule(SCHEDULE), read_rig(rig)), tmp_path / f"{name}.journal"
+        plan, path = make_plan(schedule, read_rig(rig)), tmp_path / f"{name}.journal"
         outcome = run_campaign(plan, path, transcript=tmp_path / name)
         assert (outcome.faults, outcome.skipped) == ((), 0)
         assert outcome.seconds == pytest.approx(plan.seconds, rel=0.01)

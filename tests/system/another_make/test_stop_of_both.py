@@ -84,11 +84,12 @@ def check(opened: OpenRig, wires: dict[str, Wire], requested: float, failures: l
 @pytest.mark.parametrize("axes", STATES)
 @pytest.mark.parametrize("esp", STATES)
 @pytest.mark.parametrize("asked", ["beta", "shift"])
+@pytest.mark.parametrize("step_ms", [20, pytest.param(7, marks=pytest.mark.long)])
 def test_a_stop_in_the_middle_of_an_exchange_is_sent_in_time_on_both_wires(
-    mixed_rig: Callable[..., Path], axes: str, esp: str, asked: str
+    mixed_rig: Callable[..., Path], axes: str, esp: str, asked: str, step_ms: int
 ) -> None:
     """On the virtual clock: the stop is an event in an exchange with either controller, in any of its milliseconds."""
-    for where_ms in range(0, 60, 7):
+    for where_ms in range(0, 60, step_ms):
         opened, wires = open_moving(mixed_rig(), VirtualClock())
         with opened:
             rig, stopped = opened.rig, list[list[DeviceError]]()

@@ -17,7 +17,7 @@ TOLERANCE = 0.05
 LIGHT_DEPENDENT = {
     "auto-range": 'sigma_deg = [10, 70]\nbeta_deg = { start = 0, stop = 180, step = 45 }\ngains_v_per_a = "automatic"\n'
     'wavelength_nm = [400, 700]\nside = "both"\nlight = "both"\n',
-    "averaging": "sigma_deg = [30]\nbeta_deg = [0, 90, 180]\nwavelength_nm = { start = 400, stop = 700, step = 10 }\n"
+    "averaging": "sigma_deg = [30]\nbeta_deg = [0, 90, 180]\nwavelength_nm = { start = 400, stop = 700, step = 25 }\n"
     "gains_v_per_a = [1e10]\n[averaging]\nrelative_uncertainty = 0.003\nlongest_s = 5\n",
     "both, with the empty sample unit": "sigma_deg = [0, 40]\nbeta_deg = [0, 90, 180]\nwavelength_nm = [500, 600]\n"
     'light = "transmitted"\nopen_beam = true\nsignature = true\ngains_v_per_a = "automatic"\n'

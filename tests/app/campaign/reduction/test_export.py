@@ -295,7 +295,7 @@ def test_a_refused_export_leaves_every_file_as_it_was(reduced: BsdfDataset, tmp_
         assert export(reduced, None, tmp_path / "c.ddr", export_format("ddr")).files[1] == tmp_path / "c.u.ddr"
 
 
-@pytest.mark.parametrize("name", ["ddr", "zemax"])
+@pytest.mark.parametrize("name", ["ddr", pytest.param("zemax", marks=pytest.mark.long)])
 def test_a_file_of_uncertainties_is_no_sample(name: str, reduced: BsdfDataset, tmp_path: Path) -> None:
     form = export_format(name)
     dark = {key: replace(points, bsdf=0.1 * points.bsdf) for key, points in reduced.samples.items()}

@@ -97,8 +97,18 @@ ALMOST_TIES = "{ start = 0, stop = 0.28125, step = 0.0140625 }"
 """Steps of 360/25600 deg: the seventh decimal of every other angle is a 5."""
 
 
-@pytest.mark.parametrize("light", ["reflected", "both"])
-@pytest.mark.parametrize("changes", [(("[0, 1]", ALMOST_TIES), ("[30]", "[30.0140625]")), (("[550]", "[550.1234567]"),)])
+ANGLES, WAVELENGTH = (("[0, 1]", ALMOST_TIES), ("[30]", "[30.0140625]")), (("[550]", "[550.1234567]"),)
+
+
+@pytest.mark.parametrize(
+    ("changes", "light"),
+    [
+        pytest.param(ANGLES, "both", id="angles"),
+        pytest.param(WAVELENGTH, "both", id="wavelength"),
+        pytest.param(ANGLES, "reflected", id="angles, reflected", marks=pytest.mark.long),
+        pytest.param(WAVELENGTH, "reflected", id="wavelength, reflected", marks=pytest.mark.long),
+    ],
+)
 def test_rows_at_angles_and_wavelengths_between_two_roundings_have_all_values(
     tmp_path: Path, light: str, changes: tuple[Change, ...], write_rig: Writer
 ) -> None:

@@ -65,8 +65,11 @@ def test_directions_blocked_at_normal_incidence_are_flagged_and_listed(demo: Bsd
     assert not blocked.good.any()
 
 
-def test_without_noise_only_the_blur_of_the_aperture_remains(write_rig: Writer, measure: Measure) -> None:
-    reduced = measure(write_rig(("noise = true", "noise = false")), SCHEDULE)
+def test_without_noise_only_the_blur_of_the_aperture_remains(
+    write_rig: Writer, write_schedule: Writer, measure: Measure
+) -> None:
+    schedule = write_schedule(("[0, 30, 60]", "[30, 60]"), text=SCHEDULE.read_text(encoding="utf-8"))
+    reduced = measure(write_rig(("noise = true", "noise = false")), schedule)
     found = {each.sigma_deg: each for each in compare(reduced.rig, "gaussian-5", reduced.samples["gaussian-5"])}
     # An independent prototype of this geometry, without obstruction: 0.62 % at 30 deg, 0.53 % at 60 deg.
     assert found[30.0].relative_rms_percent == pytest.approx(0.62, abs=0.1)
@@ -85,10 +88,11 @@ def test_without_noise_only_the_blur_of_the_aperture_remains(write_rig: Writer, 
     ids=["gear of sigma", "sense of sigma", "sense of the shift"],
 )  # fmt: skip
 def test_a_wrong_gear_or_sense_in_the_rig_file_shows_in_the_bsdf(
-    write_rig: Writer, measure: Measure, change: tuple[str, str], demo: BsdfDataset
+    write_rig: Writer, write_schedule: Writer, measure: Measure, change: tuple[str, str], demo: BsdfDataset
 ) -> None:
     """The virtual rig has its own mechanics, so that the error does not cancel."""
-    reduced = measure(write_rig(change), SCHEDULE)
+    schedule = write_schedule(("[0, 30, 60]", "[30]"), ("step = 0.5", "step = 1.5"), text=SCHEDULE.read_text(encoding="utf-8"))
+    reduced = measure(write_rig(change), schedule)
     right = compare(demo.rig, "gaussian-5", demo.samples["gaussian-5"])
     wrong = compare(demo.rig, "gaussian-5", reduced.samples["gaussian-5"])
     worst = max(each.relative_rms_percent for each in wrong)

@@ -77,7 +77,7 @@ def test_an_isotropic_sample_passes(write_rig: Writer, write_schedule: Writer, t
 @pytest.mark.parametrize(
     ("repeats", "changes"),
     [
-        ("repeats = 2\n", ()),
+        ("repeats = 2\n", (("[20, 40, 60]", "[20, 60]"),)),
         ("", (("[1e8, 1e10, 1e11]", "[1e11]"), ("readings = 2", "readings = 10"), ("points = 4", "points = 16"))),
     ],
     ids=["repeats that share an etalon", "so many readings that the lamp's flicker dominates"],
@@ -159,7 +159,7 @@ def test_the_exported_table_has_no_mirrored_rows_and_the_csv_marks_them(
 def test_run_and_rehearsal_report_a_failed_symmetry_check(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, anisotropic: None
 ) -> None:
-    schedule, rig = write_schedule(WIDE, GAINS, text=SMALL + CHECK), write_rig()
+    schedule, rig = write_schedule(WIDE, GAINS, ("shift_deg = [0, 1]", "shift_deg = [0]"), text=SMALL + CHECK), write_rig()
     command = ["run", str(schedule), "--rig", str(rig), "--out", str(tmp_path / "a.journal")]
     assert "does NOT hold" in CliRunner().invoke(app, command).stdout
     command[-1] = str(tmp_path / "b.journal")

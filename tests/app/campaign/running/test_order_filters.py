@@ -21,15 +21,14 @@ from goniotwin.twin.devices import Cornerstone260
 from goniotwin.twin.optics import apply_spectrum, lambertian
 from tests.app.campaign.campaign_bench import RunResult, planned_values, run_plan, run_until
 from tests.app.campaign.filter_rig import RIG_FILTERS, TWIN_FILTERS, plan_with, rig_with, second_order
-from tests.app.campaign.running.faulty_campaign import POLICIES, Wires, row_difference, run_with_faults
+from tests.app.campaign.running.faulty_campaign import POLICIES, row_difference, run_with_faults
 
 POSITION = {500.0: 1.0, 600.0: 4.0, 700.0: 2.0, 760.0: 2.0}
 """Position of the filter wheel by wavelength, as in the rig file of the bench."""
 
 
-@pytest.fixture
-def received(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Lines that the monochromator receives."""
+def record_lines(patch: pytest.MonkeyPatch) -> list[str]:
+    """Lines that the monochromator receives from now on."""
     lines: list[str] = []
     receive = Cornerstone260.receive
 
@@ -37,8 +36,14 @@ def received(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         lines.append(data.decode("ascii", "replace").strip())
         receive(unit, data, t)
 
-    monkeypatch.setattr(Cornerstone260, "receive", record)
+    patch.setattr(Cornerstone260, "receive", record)
     return lines
+
+
+@pytest.fixture
+def received(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Lines that the monochromator receives."""
+    return record_lines(monkeypatch)
 
 
 def test_the_filter_wheel_turns_with_the_wavelength_and_each_row_has_its_position(received: list[str], tmp_path: Path) -> None:
@@ -148,11 +153,14 @@ def test_a_stop_stops_the_turning_wheel_and_the_campaign_can_be_resumed(
     assert planned_values(path) == planned_values(tmp_path / "whole.journal")
 
 
-def test_a_resumed_campaign_sets_the_filter_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "shares", [pytest.param((0.45,), id="one"), pytest.param((0.3, 0.8), id="two", marks=pytest.mark.long)]
+)
+def test_a_resumed_campaign_sets_the_filter_again(shares: tuple[float, ...], tmp_path: Path) -> None:
     """The rig was off meanwhile: its wheel is at the position after power-on."""
     plan, path = plan_with(("shift_deg = [0, 1]", "shift_deg = [0, 1, 2]")), tmp_path / "a.journal"
     run_campaign(plan, tmp_path / "whole.journal")
-    for share in (0.3, 0.45, 0.8):
+    for share in shares:
         path = tmp_path / f"{share}.journal"
         run_until(plan, path, share * plan.seconds)
         assert resume_campaign(path).state is State.DONE
@@ -182,39 +190,50 @@ def two_filters() -> Plan:
     return plan_with(("shift_deg = [0, 1]", "shift_deg = [0]"), wavelengths="[500, 600]", tables=POLICIES)
 
 
-@pytest.mark.parametrize("fault", ON_A_TEXT_LINE)
-def test_a_fault_during_a_filter_change_changes_no_row(
-    fault: Fault, two_filters: Plan, received: list[str], tmp_path: Path
-) -> None:
-    def start(wires: Wires) -> None:
-        found.append(wires)
-        received.clear()
+@pytest.fixture(scope="session")
+def undisturbed(two_filters: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunResult, int]:
+    """The run without a fault, and the exchange in which the monochromator gets the command to turn the wheel."""
+    with pytest.MonkeyPatch.context() as patch:
+        lines = record_lines(patch)
+        path = tmp_path_factory.mktemp("undisturbed") / "a.journal"
+        run, _ = run_with_faults(two_filters, path, {}, use_wires=lambda _: lines.clear())
+    assert run.state is State.DONE
+    return run, lines.index("FILTER 4")
 
-    found: list[Wires] = []
-    undisturbed, _ = run_with_faults(two_filters, tmp_path / "undisturbed.journal", {}, use_wires=start)
-    assert undisturbed.state is State.DONE
-    turned = received.index("FILTER 4")
-    for at in (turned - 1, turned, turned + 1):  # the query before, the command, the query after
+
+PLACES = (-1, 0, 1)
+"""The query before the command to turn the wheel, the command, the query after."""
+ONE_PLACE = [pytest.param(fault, PLACES[k % 3 :][:1], id=str(fault)) for k, fault in enumerate(ON_A_TEXT_LINE)]
+ALL_PLACES = [pytest.param(fault, PLACES, id=f"{fault}, all places", marks=pytest.mark.long) for fault in ON_A_TEXT_LINE]
+
+
+@pytest.mark.parametrize(("fault", "places"), ONE_PLACE + ALL_PLACES)
+def test_a_fault_during_a_filter_change_changes_no_row(
+    fault: Fault, places: tuple[int, ...], two_filters: Plan, undisturbed: tuple[RunResult, int], tmp_path: Path
+) -> None:
+    expected, turned = undisturbed
+    for place in places:
+        at = turned + place
         run, wires = run_with_faults(
-            two_filters, tmp_path / f"{at}.journal", {"mono": ScriptedFaults([Fault.NONE] * at + [fault], at)}, use_wires=start
+            two_filters, tmp_path / f"{at}.journal", {"mono": ScriptedFaults([Fault.NONE] * at + [fault], at)}
         )
         context = f"{fault} at {at}"
         assert wires.fault_plans["mono"].met == [fault], context
         assert run.state is State.DONE, (context, run.faults)
-        _check_rows(run, undisturbed, context)
+        _check_rows(run, expected, context)
 
 
-def _check_rows(run: RunResult, undisturbed: RunResult, context: str) -> None:
-    assert [each.row.number for each in run.rows] == [each.row.number for each in undisturbed.rows], context
-    for mine, right in zip(run.rows, undisturbed.rows, strict=True):
+def _check_rows(run: RunResult, expected: RunResult, context: str) -> None:
+    assert [each.row.number for each in run.rows] == [each.row.number for each in expected.rows], context
+    for mine, right in zip(run.rows, expected.rows, strict=True):
         assert row_difference(mine, right, homed=False) == "", f"{context}: {mine.row.identity}"
         assert (mine.data.positions or {}).get("filter") == (right.data.positions or {}).get("filter"), context
 
 
-def test_a_wheel_that_does_not_respond_ends_the_run(two_filters: Plan, received: list[str], tmp_path: Path) -> None:
-    run_with_faults(two_filters, tmp_path / "undisturbed.journal", {}, use_wires=lambda _: received.clear())
-    turned = received.index("FILTER 4")
-    hang = ScriptedFaults([Fault.NONE] * turned + [Fault.HANG] * 100_000)
+def test_a_wheel_that_does_not_respond_ends_the_run(
+    two_filters: Plan, undisturbed: tuple[RunResult, int], tmp_path: Path
+) -> None:
+    hang = ScriptedFaults([Fault.NONE] * undisturbed[1] + [Fault.HANG] * 100_000)
     run, _ = run_with_faults(two_filters, tmp_path / "a.journal", {"mono": hang})
     assert run.state is State.FAILED
     assert run.faults[0].startswith("monochromator: ")

@@ -15,7 +15,7 @@ from tests.app.campaign.campaign_bench import RunResult
 from tests.app.campaign.running.faulty_campaign import FAULTS, POLICIES, Wires, faulty_plan, row_difference, run_with_faults
 
 KINDS = [(wire, rtu, fault) for (wire, rtu), faults in FAULTS.items() for fault in faults]
-FEW_KINDS = KINDS[::2]
+FEW_KINDS = KINDS[::4]
 SEEDS = 8
 Undisturbed = dict[bool, tuple[RunResult, dict[str, int]]]
 
