@@ -44,7 +44,8 @@ class EndSignalHandlers:
         timer.start()
         atexit.register(_ignore_end_signals)
         _leave_closed_terminal()
-        os.write(2, STOPPING_MESSAGE)
+        with contextlib.suppress(OSError):  # a full disk: the stop comes first
+            os.write(2, STOPPING_MESSAGE)
         self._act()
 
     def _handle_later(self, number: int, frame: FrameType | None) -> None:
@@ -86,8 +87,9 @@ def _leave_closed_terminal() -> None:
             os.write(number, b"")
         except OSError:
             nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, number)
-            os.close(nowhere)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
 
 
 def _ignore_end_signals() -> None:

@@ -18,7 +18,7 @@ from goniotwin import examples
 from goniotwin.app.cli import campaign, data, instrument, serving, simulation
 from goniotwin.app.cli.output import Json, TranscriptOption, answer, errors, print_error
 from goniotwin.app.end_signals import interrupt_on_end_signal
-from goniotwin.app.errors import UserError, unexpected_error
+from goniotwin.app.errors import UserError, room_on_disk, unexpected_error
 
 FAULT = 1
 """Exit status after an unexpected error, and where standard output cannot be written."""
@@ -168,7 +168,9 @@ def main() -> None:
     status = _run_command()
     try:
         sys.stdout.flush()
-    except OSError:  # a closed pipe, a full disk
+    except OSError as error:  # a closed pipe, a full disk
+        if not status and (full := _full_disk(error)):
+            print_error(full)
         status = status or FAULT
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python repeats it at its end
     sys.exit(status)
@@ -190,8 +192,15 @@ def _run_command() -> int:
     except BrokenPipeError:  # such as of `goniotwin ... | head`: the reader has what it wants
         return FAULT
     except Exception as error:  # noqa: BLE001  (last resort)
-        print_error(unexpected_error(error))
+        print_error(_full_disk(error) or unexpected_error(error))
         return FAULT
+
+
+def _full_disk(error: Exception) -> str:
+    """The message where a file or the output cannot be written because the disk is full, else empty."""
+    if not isinstance(error, OSError) or not (remedy := room_on_disk(error)):
+        return ""
+    return f"{error.filename or 'standard output'}: {error.strerror}; {remedy}"
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """The command line: the order of its commands, the cost of its help, and the message after Ctrl-C."""
 
+import os
 import re
 import subprocess
 import sys
@@ -106,15 +107,29 @@ def test_an_error_of_another_thread_is_one_line_too() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device of a full disk")
-@pytest.mark.parametrize("arguments", ["--help", pytest.param("schema rig", marks=pytest.mark.long)])
-def test_an_output_that_cannot_be_written_is_status_1(arguments: str) -> None:
+@pytest.mark.parametrize("arguments", ["--help", "--version", "runs .", pytest.param("schema rig", marks=pytest.mark.long)])
+def test_an_output_that_cannot_be_written_is_status_1(arguments: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "goniotwin", *arguments.split()]
     with open("/dev/full", "w") as full:  # noqa: PTH123
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300, check=False)
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, cwd=tmp_path, text=True, timeout=300, check=False)
     assert done.returncode == 1
-    assert re.fullmatch(r"goniotwin: .*No space left on device.*\n", done.stderr), done.stderr
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as closed:
+    assert done.stderr == "goniotwin: standard output: No space left on device; free space on the disk\n"
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as closed:
         assert closed.stdout is not None
         closed.stdout.close()
         assert closed.communicate()[1] == ""
     assert closed.returncode == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="closes streams by their numbers")
+def test_closed_standard_streams_lead_nowhere(tmp_path: Path) -> None:
+    text = "import os, sys; from goniotwin.__main__ import main; sys.argv = ['goniotwin', 'runs', '.']\n"
+    text += "try: main()\nexcept SystemExit as end: status = end.code\n"
+    text += "with open('first', 'w') as file: print(status, file.fileno() > 2, file=file); os.write(1, b'!'); os.write(2, b'!')"
+    for closed in (">&-", "2>&-", "<&- >&- 2>&-"):
+        done = subprocess.run(
+            ["/bin/sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, text],
+            cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+        assert "Error" not in done.stderr
+        assert (tmp_path / "first").read_text() == "0 True\n"
