@@ -248,6 +248,7 @@ class Presenter(QObject):
         self._live_plot.finish()
         self._view.axes.set_targets(None)
         done, of = self._progress
+        self._show_progress(done, of, None)
         failed = end.state is State.FAILED
         self._log(
             f"Run ended: {END[end.state]} after {done} of {of} rows",

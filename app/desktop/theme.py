@@ -8,6 +8,8 @@ from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication
 
 Scheme = Literal["light", "dark"]
+FUSION_DARKER = 140
+"""Percentage by which Fusion darkens the window's colour for a frame; 120 for a grid."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,13 @@ class Theme(QObject):
 
     @Slot()
     def _follow(self) -> None:
-        self._application.setPalette(_palette(self.colours))
+        colours = self.colours
+        palette = _palette(colours)
+        self._application.setPalette(palette)
+        # Fusion draws frames and grids in a darker shade of the window's colour: on a dark window nobody sees them.
+        for widget, frame in (("QCheckBox", colours.dim), ("QProgressBar", colours.dim), ("QTableView", colours.line)):
+            palette.setColor(QPalette.ColorRole.Window, QColor(frame).lighter(FUSION_DARKER))
+            self._application.setPalette(palette, widget)  # type: ignore[arg-type]  # the stub says bytes, Qt takes text
         self.changed.emit()
 
 

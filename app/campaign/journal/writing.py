@@ -157,12 +157,13 @@ class Journal(JournalReader):
 
     def close(self) -> None:
         """Close the journal. A written journal is then whole in its one file, also while other programs read it."""
-        try:
-            self._db.execute("PRAGMA journal_mode = DELETE")
-        except sqlite3.Error:  # another program has it open
-            if self._written:
-                self._finish()
-        self._db.close()
+        with self._writes:  # not in the middle of an event of another thread: Python's SQLite then crashes
+            try:
+                self._db.execute("PRAGMA journal_mode = DELETE")
+            except sqlite3.Error:  # another program has it open
+                if self._written:
+                    self._finish()
+            self._db.close()
         if self._lock is not None:
             self._lock.release(remove=True)
 
@@ -196,9 +197,9 @@ class Journal(JournalReader):
 
     def checkpoint(self) -> None:
         """Bring the rows into the journal's one file as far as readers permit, so that a plain copy of it has them."""
-        self._fresh, self._due_s = 0, None
-        if self._written:
-            with contextlib.suppress(sqlite3.Error):  # the rows are on the disk, in the -wal file
+        with self._writes, contextlib.suppress(sqlite3.Error):  # the rows are on the disk, in the -wal file
+            self._fresh, self._due_s = 0, None
+            if self._written:
                 _, written, copied = self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
                 if copied < written:  # a reader is in the way: again at the next poll
                     self._due_s = -math.inf

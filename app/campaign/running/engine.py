@@ -331,7 +331,7 @@ class Engine:
         try:
             if self._executor.close_shutter_after_stop():
                 with contextlib.suppress(JournalError):
-                    self._log_event("shutter", "closed after the stop")
+                    self._log_event("shutter", "closed after the stop", what="Shutter closed after the stop")
         except DeviceError as error:
             self.faults.append(f"{error}; close the shutter by hand")
             self._log_fault(now, self.faults[-1])

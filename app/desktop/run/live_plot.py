@@ -25,6 +25,11 @@ POINT_SIZE = 7
 PIXELS_OF_ALL, PIXELS_OF_SOME = 350.0, 60.0
 """Heights of a decade above which the texts of all its ticks, and those of 2 and 5, have room."""
 
+ANGLE_STEPS_DEG = (90.0, 30.0, 10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01)
+"""Each is a multiple of the next."""
+PIXELS_OF_ANGLE, PIXELS_OF_TICK = 38.0, 8.0
+"""Widths of a step above which it has room for its text, and for a tick."""
+
 
 class LogAxis(pg.AxisItem):
     """The axis of logarithms, with the values themselves at its ticks: 0.01, 0.05, 100."""
@@ -44,6 +49,20 @@ class LogAxis(pg.AxisItem):
         return [text if f"{10.0**value:.0e}"[0] in digits else "" for value, text in zip(values, texts, strict=True)]
 
 
+class AngleAxis(pg.AxisItem):
+    """The axis of angles: texts at 30, 10 or 5 deg where pyqtgraph has 50, at finer steps in a part of the scan."""
+
+    def __init__(self) -> None:
+        super().__init__("bottom", maxTextLevel=0)
+
+    def tickSpacing(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, float]]:
+        """The distance of the texts, and that of the ticks between them; each with an offset (pyqtgraph calls it)."""
+        pixels = size / max(maxVal - minVal, 1e-9)
+        steps = [each for each in ANGLE_STEPS_DEG if each * pixels >= PIXELS_OF_TICK]
+        texts = [each for each in steps if each * pixels >= PIXELS_OF_ANGLE] or list(ANGLE_STEPS_DEG[:1])
+        return [(each, 0.0) for each in (texts[-1], *steps[len(texts) : len(texts) + 1])]
+
+
 class ScanPlot(QWidget):
     """The plot of a scan, and its content as a line of text."""
 
@@ -53,7 +72,7 @@ class ScanPlot(QWidget):
         self._mark = ""
         self._scan: ScanData | None = None
         self._regions: list[pg.LinearRegionItem] = []
-        self._view = pg.PlotWidget(background=None, axisItems={"left": LogAxis()})
+        self._view = pg.PlotWidget(background=None, axisItems={"left": LogAxis(), "bottom": AngleAxis()})
         self._view.setAccessibleName("Plot of the scan in progress")
         self._view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._plot = self._view.getPlotItem()

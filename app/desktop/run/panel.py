@@ -156,11 +156,9 @@ class RunPanel(QWidget):
         if not self._left_s:
             self.left.setText("")
             return
-        left = rounded_duration_text(self._left_s)
-        if self._speed == 1.0:
-            self.left.setText(f"{left} left")
-        else:
-            self.left.setText(f"{left} simulated, about {rounded_duration_text(self._left_s / self._speed)} to wait")
+        # Never "0 s": there is something left.
+        left, wait = (rounded_duration_text(max(each, 1.0)) for each in (self._left_s, self._left_s / self._speed))
+        self.left.setText(f"{left} left" if self._speed == 1.0 else f"{left} simulated, about {wait} to wait")
 
     @Slot()
     def _start_hold(self) -> None:

@@ -205,6 +205,8 @@ def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, ques
     assert asking.question is None
     assert asking.view.question.text == ""
     assert "Stopped after" in asking.view.status
+    assert asking.view.run.left.text() == ""  # the next Start begins at the first row
+    assert any(entry.what == "Shutter closed after the stop" for entry in asking.view.log.entries) == (question != "etalon")
 
 
 def test_a_question_can_wait_and_no_key_answers_it_by_accident(qtbot: QtBot, asking: MainWindow) -> None:

@@ -157,6 +157,7 @@ def test_the_simulation_speed_can_be_changed_during_a_run(qtbot: QtBot, open_win
     speeds = window.view.run.speeds
     speeds.setCurrentIndex(speeds.findData(60.0))
     assert "to wait" in window.view.run.left.text()
+    assert " 0 s" not in window.view.run.left.text()
     wait_for_end(qtbot, window, State.DONE)
 
 

@@ -3,14 +3,17 @@
 import re
 from pathlib import Path
 
+import pyqtgraph as pg
 import pytest
-from PySide6.QtWidgets import QAbstractButton, QApplication, QComboBox, QProgressBar
+from PySide6.QtWidgets import QAbstractButton, QApplication, QCheckBox, QComboBox, QProgressBar
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.desktop import MainWindow, Theme
+from goniotwin.app.desktop.theme import DARK, LIGHT, Colours, Scheme
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.drivers import Rig
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
+from tests.app.desktop.test_pieces import contrast
 from tests.conftest import Writer
 
 
@@ -117,6 +120,33 @@ def test_every_control_has_an_accessible_name(window: MainWindow) -> None:
     ]
     assert len(controls) == 10
     assert [control for control in controls if not control.accessibleName()] == []
+
+
+@pytest.mark.parametrize(("scheme", "colours"), [("light", LIGHT), ("dark", DARK)])
+def test_an_empty_check_box_and_an_empty_progress_bar_have_a_frame(
+    qtbot: QtBot, qapp: QApplication, scheme: Scheme, colours: Colours
+) -> None:
+    """WCAG 2.2, 1.4.11: at least 3 to 1."""
+    theme = Theme(qapp, scheme)
+    for widget in (QCheckBox("operator"), QProgressBar()):
+        qtbot.addWidget(widget)
+        image = widget.grab().toImage()
+        left = [image.pixelColor(x, image.height() // 2).name() for x in range(8)]
+        assert max(contrast(each, colours.window) for each in left) >= 3.0
+    theme.force(None)
+
+
+@pytest.mark.parametrize(
+    ("range_deg", "size", "texts_deg"),
+    [((-61.0, 122.0), 755.0, 10.0), ((-61.0, 122.0), 300.0, 30.0), ((-2.0, 2.0), 755.0, 0.5)],
+)
+def test_the_angles_have_texts_at_whole_tens(
+    window: MainWindow, range_deg: tuple[float, float], size: float, texts_deg: float
+) -> None:
+    """Not at 50, as pyqtgraph has them for the first of these."""
+    axis = window.view.plot.findChildren(pg.PlotWidget)[0].getAxis("bottom")
+    ticks = axis.tickValues(*range_deg, size)
+    assert ticks[0][0] == texts_deg
 
 
 def test_the_plot_follows_the_scheme(window: MainWindow, qapp: QApplication) -> None:

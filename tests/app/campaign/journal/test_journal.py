@@ -49,6 +49,22 @@ def test_a_journal_that_cannot_be_created_leaves_no_file(plan: Plan, tmp_path: P
     assert list(tmp_path.glob("a.journal*")) == []
 
 
+def test_a_journal_is_not_closed_in_the_middle_of_another_threads_event(plan: Plan, tmp_path: Path) -> None:
+    """Stop records a safety order in its own thread while the run ends: Python's SQLite then ended in a segmentation fault."""
+    journal = Journal.create(tmp_path / "a.journal", plan, {})
+    journal.begin_session(0.0, plan.rig.text, {})
+    closer = threading.Thread(target=journal.close)
+    with journal._writing():
+        closer.start()
+        closer.join(0.1)  # without a lock it closes the connection meanwhile
+        journal.event(1.0, "order", "Cut the motors' power")
+    closer.join()
+    with Journal.open(tmp_path / "a.journal") as closed:
+        assert closed._db.execute("SELECT kind, text FROM event").fetchall() == [("order", "Cut the motors' power")]
+    with pytest.raises(JournalError, match="closed"):
+        journal.event(2.0, "order", "Cut the motors' power")
+
+
 DAMAGES = [
     "DROP TABLE reading",
     "UPDATE reading SET counts = substr(counts, 1, 7)",
