@@ -1,5 +1,6 @@
 """Commands on campaigns: `goniotwin check`, `rehearse`, `run` and `runs`."""
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -243,7 +244,7 @@ def _check_writable(points: Path | None, out: Path | None) -> None:
 
     if out is not None and out.exists():
         raise UserError(f"--out {out}: exists, and a journal is never overwritten; choose another name")
-    if points is not None and out is not None and points.resolve() == out.resolve():
+    if points is not None and out is not None and os.path.realpath(points) == os.path.realpath(out):
         raise UserError(f"--points {points}: is the journal of --out; choose another name for one of them")
     for option, path in (("--points", points), ("--out", out)):
         if path is not None:

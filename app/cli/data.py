@@ -1,5 +1,6 @@
 """Commands on measured data: `goniotwin export` and `copy`."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -44,10 +45,10 @@ def export(
     from goniotwin.app.campaign.reduction.reduction import reduce_to_files
 
     form = export_format(file_format)
-    if out.resolve() == journal.resolve():
+    if os.path.realpath(out) == os.path.realpath(journal):
         raise UserError(f"{out}: is the journal itself; choose another name")
     check_files(out, form)
-    folder = out.resolve().parent
+    folder = Path(os.path.realpath(out)).parent
     with Journal.open(journal) as opened, reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
         chain = opened.chain
         exported = export_reduced(reduced, sample, out, form, light)

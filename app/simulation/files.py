@@ -5,6 +5,7 @@ Every file states that it is simulated.
 
 import io
 import math
+import os
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -48,8 +49,10 @@ def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -
     found = {path: _format(path) for path in paths}
     reflecting = [each for each in found.values() if Holds.TRANSMITTED not in each.holds]
     transmitting = [each for each in found.values() if Holds.REFLECTED not in each.holds]
-    written = [path.resolve() for path in paths]
-    written += [registry.uncertainty_path(path).resolve() for path in paths if Holds.UNCERTAINTY not in found[path].holds]
+    written = [os.path.realpath(path) for path in paths]
+    written += [
+        os.path.realpath(registry.uncertainty_path(path)) for path in paths if Holds.UNCERTAINTY not in found[path].holds
+    ]
     for path in paths:
         _check_folder(path)
         try:
@@ -57,7 +60,7 @@ def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -
         except FormatError as error:
             raise UserError(str(error)) from None
     for path in written:
-        if any(path == table.resolve() for table in tables):
+        if any(path == os.path.realpath(table) for table in tables):
             raise UserError(f"{path}: is a table of the sample; choose another name")
         if written.count(path) > 1:
             raise UserError(f"{path}: is given twice; give each file its own name")

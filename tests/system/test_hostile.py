@@ -594,6 +594,36 @@ def test_a_journal_with_another_schema_is_refused(tmp_path: Path, strange: str) 
     assert not out.exists()
 
 
+@pytest.mark.parametrize("place", ["attempt.flags", "attempt.positions", "plan.detail", "session.versions", "event.text"])
+def test_a_journal_with_a_text_of_a_length_that_nothing_has_is_refused_before_it_is_parsed(tmp_path: Path, place: str) -> None:
+    """16 million lists of 48 MB are 1.4 GB as objects. A stranger can compute checksums, and an old journal has none."""
+    table, column = place.split(".")
+    lists = "'[' || substr(replace(hex(zeroblob(100000)), '00', '[],'), 1, 299999) || ']'"
+    path = changed_journal(tmp_path / "a.journal", f"UPDATE {table} SET {column} = {lists};")
+    if table == "event":
+        with contextlib.closing(sqlite3.connect(path)) as database, database:
+            database.execute(f"INSERT INTO event (t_s, kind, text) VALUES (0, 'fault', {lists})")
+    for arguments in (("export", path, "--format", "csv", "--out", tmp_path / "a.csv"), ("runs", tmp_path)):
+        done = invoke(*arguments)
+        assert done.returncode == (1 if arguments[0] == "export" else 0)
+        assert f"has more than 100000 characters in {column} of the table {table}" in done.stderr
+    assert not (tmp_path / "a.csv").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and links as files")
+def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:
+    pipe, loop = tmp_path / "pipe.journal", tmp_path / "loop.journal"
+    os.mkfifo(pipe)
+    loop.symlink_to(loop)
+    for path, what in (
+        (pipe, "is a folder or a device, not a journal"),
+        (Path("/dev/zero"), "is a folder or a device, not a journal"),
+        (loop, "there is no such journal"),
+    ):
+        done = invoke("export", path, "--format", "csv", "--out", tmp_path / "a.csv")
+        assert (done.returncode, done.stderr) == (2, f"goniotwin: {path}: {what}; check the name\n")
+
+
 def test_a_journal_of_any_own_version_is_opened(tmp_path: Path) -> None:
     """The schema text of one that was migrated is another than that of one that was made so."""
     path = changed_journal(tmp_path / "old.journal", "")

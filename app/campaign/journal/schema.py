@@ -76,6 +76,10 @@ ALTERED = {
     ),
 }
 """By schema version, the statements that change its tables to those of the next one."""
+LONGEST_TEXT = 100_000
+LONGEST_FILE = 5_000_000
+FILES = (("campaign", "value"), ("session", "rig"))
+"""Columns that hold whole files. Their bound is above that of the largest file a schedule names, the certificate."""
 Schema = frozenset[tuple[str, ...]]
 
 
@@ -100,6 +104,15 @@ def check_schema(db: sqlite3.Connection, version: int) -> None:
     strange = sorted(found.difference(*known))
     what = f"the {strange[0][0]} {strange[0][1][:40]!a}" if strange else "fewer tables, or other ones,"
     raise ValueError(f"has {what} as no version of goniotwin makes")
+
+
+def check_lengths(db: sqlite3.Connection) -> None:
+    """Raise ValueError where a text is longer than any that is written: it could take a hundred times its size to parse."""
+    for (table,) in db.execute("SELECT name FROM sqlite_schema WHERE type = 'table'").fetchall():
+        for _, column, kind, *_ in db.execute(f"PRAGMA table_info({table})").fetchall():
+            most = LONGEST_FILE if (table, column) in FILES else LONGEST_TEXT
+            if kind == "TEXT" and db.execute(f"SELECT 1 FROM {table} WHERE length({column}) > {most} LIMIT 1").fetchone():
+                raise ValueError(f"has more than {most} characters in {column} of the table {table}")
 
 
 @cache

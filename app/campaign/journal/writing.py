@@ -28,7 +28,14 @@ from goniotwin.app.campaign.journal.reading import (
     report_damage,
 )
 from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, check_schema, create_tables, migrate
+from goniotwin.app.campaign.journal.schema import (
+    APPLICATION_ID,
+    SCHEMA_VERSION,
+    check_lengths,
+    check_schema,
+    create_tables,
+    migrate,
+)
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.errors import UserError, room_on_disk
@@ -365,7 +372,7 @@ def _room_on_disk(path: Path, error: Exception) -> str:
 def _known_version(path: Path) -> int:
     """The schema version of a journal. Raises UserError for a file that is not a journal, or too new."""
     if not path.is_file():
-        what = "is a folder, not a journal" if path.is_dir() else "there is no such journal"
+        what = "is a folder or a device, not a journal" if path.exists() else "there is no such journal"
         raise UserError(f"{path}: {what}; check the name")
     try:
         with contextlib.closing(open_read_only(path)) as db:
@@ -435,6 +442,7 @@ def _checked(db: sqlite3.Connection, path: Path) -> Chain:
             (found,) = db.execute("PRAGMA integrity_check(1)").fetchone()
             if found != "ok":
                 raise ValueError(found)
+            check_lengths(db)
             chain = check_chain(db)
             db.execute("COMMIT")
             return chain
