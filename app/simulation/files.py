@@ -59,11 +59,11 @@ def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -
             registry.check_files(path, found[path])
         except FormatError as error:
             raise UserError(str(error)) from None
-    for path in written:
-        if any(path == os.path.realpath(table) for table in tables):
-            raise UserError(f"{path}: is a table of the sample; choose another name")
-        if written.count(path) > 1:
-            raise UserError(f"{path}: is given twice; give each file its own name")
+    for real in written:
+        if any(real == os.path.realpath(table) for table in tables):
+            raise UserError(f"{real}: is a table of the sample; choose another name")
+        if written.count(real) > 1:
+            raise UserError(f"{real}: is given twice; give each file its own name")
     if reflecting and (transmitting or transmitted):
         wrong = f"a {reflecting[0].suffixes[0]} is of reflected light only, and transmitted light is asked for"
         raise UserError(f"{wrong}: simulate them one after the other")
