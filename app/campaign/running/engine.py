@@ -98,6 +98,11 @@ class Engine:
         """Whether the shutter is open or its state is unknown."""
         return self._executor.shutter_may_be_open
 
+    @property
+    def disconnected(self) -> tuple[str, ...]:
+        """The devices that a fault has left without connection."""
+        return self._recovery.disconnected
+
     def run(self) -> State:
         """Execute the rows; return DONE, FAILED, or IDLE after a stop. Blocks.
 

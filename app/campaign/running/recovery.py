@@ -87,6 +87,11 @@ class Recovery:
         self._wait = wait
         self._disconnected: list[str] = []
 
+    @property
+    def disconnected(self) -> tuple[str, ...]:
+        """The devices that could not be reconnected."""
+        return tuple(dict.fromkeys(self._rig.device(name).name for name in self._disconnected))
+
     def recover(self, failed: str) -> list[DeviceError]:
         """Reconnect the device that failed, wait until all axes are at rest, and home the unreferenced ones."""
         self._disconnected.append(failed)

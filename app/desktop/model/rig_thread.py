@@ -271,6 +271,9 @@ class RigThread:
             state = self._run_engine(engine)
             self._engine = None
             self.shutter_may_be_open = engine.shutter_may_be_open
+        for device in engine.disconnected:
+            self._axes_connected &= all(each.name != device for each in self._opened.rig.controllers)
+            self._send(DeviceFault(device, f"{device}: could not be reconnected during the run; connect again"))
         self._send(RunEnded(state, self._reason, path))
 
     def _run_engine(self, engine: Engine) -> State:

@@ -200,8 +200,13 @@ def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, ques
         break_photodiodes(asking)
         answer(asking, "Mounted")
         wait_for_question(qtbot, asking, question)
+        answer(asking, "Retry")
+        wait_for_question(qtbot, asking, question)
         click(asking.view.run.stop_button)
     wait_for_end(qtbot, asking, State.IDLE)
+    assert asking.view.run.start_button.isEnabled() == (
+        question == "etalon"
+    )  # photodiodes that were lost are no longer "ready"
     assert asking.question is None
     assert asking.view.question.text == ""
     assert "Stopped after" in asking.view.status
