@@ -42,7 +42,7 @@ class EndSignalHandlers:
         timer = threading.Timer(LONGEST_STOP_S, self._overdue.set)
         timer.daemon = True
         timer.start()
-        atexit.register(_ignore_end_signals)
+        atexit.register(ignore_end_signals)
         _leave_closed_terminal()
         with contextlib.suppress(OSError):  # a full disk: the stop comes first
             os.write(2, STOPPING_MESSAGE)
@@ -92,7 +92,7 @@ def _leave_closed_terminal() -> None:
                 os.close(nowhere)
 
 
-def _ignore_end_signals() -> None:
+def ignore_end_signals() -> None:
     """Ignore signals from here to the end of the process: Python restores the system's handlers before it has ended, and a
     signal would then change the exit status.
     """

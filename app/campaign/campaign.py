@@ -24,8 +24,7 @@ class Outcome:
     """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
 
     `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
-    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes. `shutter_may_be_open`: it could not be
-    closed at the end.
+    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes.
     """
 
     state: State
@@ -37,7 +36,6 @@ class Outcome:
     faults: tuple[str, ...]
     simulated: bool
     chain: Chain
-    shutter_may_be_open: bool
 
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
@@ -77,15 +75,21 @@ def resume_campaign(
     transcript: Path | None = None,
     ask: Ask | None = None,
     accept_rig: Callable[[str], bool] | None = None,
+    remind: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Resume a campaign at the first planned row that is not in its journal; home unreferenced axes first.
 
     A journal may come of unknown origin, with a rig that is none of this computer: `accept_rig` is asked first whether to use
-    a rig that is not the one that was used last here. Naming the `rig` is an answer too. Raises UserError, without a change of
-    the journal, where the campaign cannot be resumed: see `remaining_work`.
+    a rig that is not the one that was used last here. Naming the `rig` is an answer too. `remind` is called, before anything
+    moves, with each safety order of the last session that nobody has acknowledged. Raises UserError, without a change of the
+    journal, where the campaign cannot be resumed: see `remaining_work`.
     """
     with Journal.open(journal_path) as unlocked:
         plan = remaining_work(unlocked, rig).plan  # raises the error before the journal is changed
+        orders = unlocked.open_orders()
+    if remind is not None:
+        for order in orders:
+            remind(order)
     if rig is None and not is_last_rig(plan.rig.file):
         devices = ", ".join(f"{device.name} at {device.address}" for device in plan.rig.file.devices)
         name = one_line(plan.rig.file.name)
@@ -120,7 +124,6 @@ def _run_engine(
     faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
     return Outcome(
         state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain,
-        engine.shutter_may_be_open,
     )  # fmt: skip
 
 

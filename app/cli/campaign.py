@@ -19,6 +19,7 @@ from goniotwin.app.cli.output import (
     answer,
     errors,
     print_error,
+    print_order,
 )
 from goniotwin.app.errors import UserError, one_line
 
@@ -128,7 +129,6 @@ def run(
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
     from goniotwin.app.campaign.reduction.reduction import check_journal
-    from goniotwin.app.campaign.running.engine import SHUTTER_MAY_BE_OPEN
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.rig import read_rig
 
@@ -140,6 +140,7 @@ def run(
             outcome = resume_campaign(
                 resume, rig_now, listeners=[progress], transcript=transcript, ask=_ask_operator,
                 accept_rig=(lambda _: True) if accept_rig else _ask_rig if sys.stdin.isatty() else None,
+                remind=lambda order: print_order(f"of the last session, not acknowledged: {order}"),
             )  # fmt: skip
     else:
         assert schedule is not None
@@ -158,6 +159,7 @@ def run(
         "duration_s": outcome.seconds,
         "simulated": outcome.simulated,
         "faults": list(outcome.faults),
+        "orders": progress.orders,
         "chain": outcome.chain.as_dict(),
     }
     if (checks := check_journal(journal)) is not None:
@@ -177,8 +179,8 @@ def run(
         errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
     if outcome.rows < outcome.planned:
         errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
-    if outcome.shutter_may_be_open:
-        print_error(SHUTTER_MAY_BE_OPEN)
+    for order in progress.orders:
+        print_order(order)
     if outcome.state is not State.DONE or outcome.skipped:
         raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
 
@@ -199,6 +201,9 @@ def runs(
     )
     for reason in refused:
         print_error(one_line(reason))
+    for each in found:
+        for order in each.orders:
+            print_order(f"of {each.journal}, not acknowledged: {order}")
 
 
 def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSummary]") -> None:

@@ -1,5 +1,6 @@
 """The command `goniotwin`: its groups of commands, the entry point and the last-resort error handler."""
 
+import atexit
 import json
 import logging
 import os
@@ -17,7 +18,7 @@ import goniotwin
 from goniotwin import examples
 from goniotwin.app.cli import campaign, data, instrument, serving, simulation
 from goniotwin.app.cli.output import Json, TranscriptOption, answer, errors, print_error
-from goniotwin.app.end_signals import interrupt_on_end_signal
+from goniotwin.app.end_signals import ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, room_on_disk, unexpected_error
 
 FAULT = 1
@@ -173,6 +174,7 @@ def main() -> None:
             print_error(full)
         status = status or FAULT
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python repeats it at its end
+    atexit.register(ignore_end_signals)  # the status is that of the command, which has ended
     sys.exit(status)
 
 

@@ -78,6 +78,11 @@ def print_error(text: object) -> None:
         errors.print(f"goniotwin: {one_line(str(text))}", style="red", markup=False)
 
 
+def print_order(text: str) -> None:
+    """Print a safety order on standard error, as an error."""
+    print_error(f"SAFETY: {text}")
+
+
 class CurrentStepColumn(ProgressColumn):
     """The current step. In a narrow terminal this column is cut off, and not the numbers before it."""
 
@@ -118,11 +123,17 @@ class RowProgress(ProgressBar):
 
     def __init__(self, console: Console, title: str, rows: int | None) -> None:
         super().__init__(console, title, rows, MofNCompleteColumn(table_column=Column(no_wrap=True)), TextColumn("rows,"))
+        self.orders: list[str] = []
 
     def __call__(self, event: "Event") -> None:
-        """Show an event of the engine."""
-        from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
+        """Show an event of the engine. A safety order is printed at once, and kept in `orders` to be printed again."""
+        from goniotwin.app.campaign.running.events import RowCommitted, RowStarted, SafetyOrder
 
+        if isinstance(event, SafetyOrder):
+            if event.text not in self.orders:
+                self.orders.append(event.text)
+            print_order(event.text)
+            return
         self._bar.start()
         if isinstance(event, RowStarted):
             self._update(event.row.identity)

@@ -11,7 +11,6 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 
-from goniotwin.app.campaign.running.engine import SHUTTER_MAY_BE_OPEN
 from goniotwin.app.desktop.event_loop import end_signal_notifier
 from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.window import MainWindow
@@ -29,7 +28,7 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
     virtual rig. Errors in the files are shown in the window.
 
     Ctrl-C in the terminal, SIGTERM and SIGHUP stop a run in order and close the window without a question. The exit status
-    is then 130, as for the other commands. Where a run could not close the shutter, the last line on standard error is that.
+    is then 130, as for the other commands. The safety orders that nobody has acknowledged are the last lines on standard error.
     """
     application = QApplication.instance()
     if not isinstance(application, QApplication):
@@ -43,7 +42,7 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
             status = application.exec()
         finally:
             window.shut_down()
-    if window.rig_thread.shutter_may_be_open:
+    for order in window.rig_thread.open_orders:
         with contextlib.suppress(OSError):  # a closed terminal
-            print(f"goniotwin: {SHUTTER_MAY_BE_OPEN}", file=sys.stderr)
+            print(f"goniotwin: SAFETY: {order.text}", file=sys.stderr)
     return STOPPED if handlers.received else status

@@ -17,6 +17,7 @@ from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.view import MainView
 
 KEEP_RUNNING, STOP_AND_CLOSE = "Keep running", "Stop and close"
+KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
 
 
 class MainWindow(QMainWindow):
@@ -30,6 +31,7 @@ class MainWindow(QMainWindow):
         self._asked = 0
         self._folder = folder
         self._closing = False
+        self._unattended = False
         self._closed = False
         self.view = MainView(theme.colours, folder, speed)
         self.setCentralWidget(self.view)
@@ -79,6 +81,7 @@ class MainWindow(QMainWindow):
     @Slot()
     def _start(self) -> None:
         if self.presenter.plan is not None:
+            self._keep_open()
             self.presenter.show_starting()
             self.rig_thread.start(self.presenter.plan, self._folder)
 
@@ -108,6 +111,8 @@ class MainWindow(QMainWindow):
     def _acknowledge(self, order: SafetyOrder) -> None:
         self.presenter.acknowledge(order)
         self.rig_thread.acknowledge(order)
+        if self._closing and not self.presenter.busy:
+            self.close()
 
     @Slot()
     def _after_run(self) -> None:
@@ -202,10 +207,16 @@ class MainWindow(QMainWindow):
     # The end.
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask during a run; otherwise close the rig and end its thread."""
+        """Ask during a run, and wait for the acknowledgement of every safety order; then close the rig and end its thread."""
+        orders = [] if self._unattended or self._closed else self.view.orders.orders
+        self._dismiss_close_question()
+        if orders and not self.presenter.busy:
+            event.ignore()
+            self._closing = True
+            self._ask_acknowledgement(orders[0])
+            return
         if self.presenter.busy and not self._closed:
             event.ignore()
-            self._dismiss_close_question()
             choices = [
                 Choice(KEEP_RUNNING, "The window stays open.", default=True),
                 Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
@@ -216,9 +227,27 @@ class MainWindow(QMainWindow):
         self.shut_down()
         event.accept()
 
+    def _ask_acknowledgement(self, order: SafetyOrder) -> None:
+        choices = [
+            Choice(KEEP_OPEN, "The window stays open, with the order at its top.", default=True),
+            Choice(ACKNOWLEDGE, "It is done, or seen to. The journal records it. Then the window closes.", stops=True),
+        ]
+        text = f"The window closes when this order is acknowledged: {order.reason}"
+        self.close_question = self._question_box(order.order, text, choices)
+        self.close_question.chosen.connect(self._answer_close)
+
+    def _keep_open(self) -> None:
+        """Give up closing the window."""
+        self._closing = False
+        self._dismiss_close_question()
+
     @Slot()
     def stop_and_close(self) -> None:
-        """Stop a run in order, then close, without a question. For a signal from the terminal or the system."""
+        """Stop a run in order, then close, without a question. For a signal: nobody may be there to acknowledge an order."""
+        self._unattended = True
+        self._stop_and_close()
+
+    def _stop_and_close(self) -> None:
         if not self.presenter.busy:
             self.close()
             return
@@ -230,7 +259,11 @@ class MainWindow(QMainWindow):
     def _answer_close(self, label: str) -> None:
         self._dismiss_close_question()
         if label == STOP_AND_CLOSE:
-            self.stop_and_close()
+            self._stop_and_close()
+        elif label == ACKNOWLEDGE:
+            self.view.orders.acknowledge(self.view.orders.orders[0])
+        else:
+            self._closing = False
 
     def shut_down(self) -> None:
         """End the rig's thread; a run is stopped first. Nothing is moved. A second call does nothing."""

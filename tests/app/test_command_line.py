@@ -1,5 +1,6 @@
 """The command line: the order of its commands, the cost of its help, and the message after Ctrl-C."""
 
+import json
 import os
 import re
 import subprocess
@@ -10,8 +11,12 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app import errors
+from goniotwin.app.campaign.running.events import Event, RowStarted
 from goniotwin.app.cli import device_search
 from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app
+from goniotwin.app.cli.output import RowProgress
+from goniotwin.drivers import DeviceError, Rig
+from tests.conftest import RIG, Writer
 from tests.system.command import invoke
 
 HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py")
@@ -23,6 +28,19 @@ for command in sys.argv[1:]:
     app([*command.split(), "--help"], standalone_mode=False)
 loaded = [name for name in {HEAVY} if name in sys.modules]
 assert not loaded, loaded
+"""
+LATE_CTRL_C = """
+import os, signal
+from goniotwin.app.cli import main
+
+class Last:
+    kill, number, process = os.kill, signal.SIGINT, os.getpid()
+    def __del__(self):  # while the interpreter ends, after it has restored the system's handlers
+        Last.kill(Last.process, Last.number)
+
+last = Last()
+main._run_command = lambda: 1
+main.main()
 """
 SUBCOMMANDS = ("simulate illumination", "simulate table3", "simulate shadow")
 
@@ -60,6 +78,47 @@ def test_ctrl_c_in_a_command_is_one_line_and_status_130(
     monkeypatch.setattr(device_search, "find_devices", interrupt)
     assert app(["devices"], standalone_mode=False) == INTERRUPTED
     assert capsys.readouterr().err == "goniotwin: stopped\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
+def test_ctrl_c_after_the_end_of_a_command_leaves_its_status() -> None:
+    done = subprocess.run([sys.executable, "-c", LATE_CTRL_C], capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_a_safety_order_is_printed_at_once_and_at_the_end_and_again_before_a_resume(
+    write_schedule: Writer, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C in a row, and no stop is confirmed."""
+    show = RowProgress.__call__
+
+    def interrupt(progress: RowProgress, event: Event) -> None:
+        show(progress, event)
+        if isinstance(event, RowStarted) and event.row.number == 4:
+            raise KeyboardInterrupt
+
+    order = "SAFETY: Cut the motors' power: the stop is not confirmed; sigma: MST: no reply"
+    journal = tmp_path / "a.journal"
+    with monkeypatch.context() as patch:
+        patch.setattr(RowProgress, "__call__", interrupt)
+        patch.setattr(Rig, "stop", lambda _rig: [DeviceError("sigma", "MST", "no reply")])
+        arguments = ["run", str(write_schedule()), "--rig", str(RIG), "--out", str(journal), "--json"]
+        assert app(arguments, standalone_mode=False) == INTERRUPTED
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["orders"] == [order.removeprefix("SAFETY: ")]
+    lines = [line for line in shown.err.splitlines() if line.startswith(("goniotwin:", "to continue:"))]
+    assert lines == [
+        f"goniotwin: {order}",
+        "goniotwin: sigma: MST: no reply",
+        f"to continue: goniotwin run --resume {journal}",
+        f"goniotwin: {order}",
+    ]
+    assert app(["runs", str(tmp_path)], standalone_mode=False) in (None, 0)
+    told = order.replace("SAFETY: ", f"SAFETY: of {journal}, not acknowledged: ")
+    assert capsys.readouterr().err == f"goniotwin: {told}\n"
+    assert app(["run", "--resume", str(journal), "--accept-rig"], standalone_mode=False) in (None, 0)
+    told = order.replace("SAFETY: ", "SAFETY: of the last session, not acknowledged: ")
+    assert capsys.readouterr().err.splitlines()[0] == f"goniotwin: {told}"
 
 
 def test_an_unexpected_error_is_one_line_and_a_file_with_the_details(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

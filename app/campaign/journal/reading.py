@@ -188,6 +188,21 @@ class JournalReader:
             found = self._db.execute("SELECT text FROM event WHERE kind = ? ORDER BY id", (kind,))
             return list(dict.fromkeys(str(text) for (text,) in found))
 
+    def open_orders(self) -> list[str]:
+        """Texts of the safety orders of the last session that are not acknowledged, in order of time."""
+        with self._reading():
+            found = self._db.execute(
+                "SELECT kind, text, session = (SELECT MAX(id) FROM session) FROM event"
+                " WHERE kind IN ('order', 'acknowledged') ORDER BY id"
+            )
+            orders: dict[str, None] = {}
+            for kind, text, last in found:
+                if kind == "acknowledged":
+                    orders.pop(str(text), None)
+                elif last:
+                    orders[str(text)] = None
+            return list(orders)
+
     def last_number(self) -> int:
         """Highest row number, unplanned rows included."""
         with self._reading():

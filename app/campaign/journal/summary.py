@@ -18,7 +18,7 @@ class CampaignSummary:
     measured, else "killed"; "running" while a program has the journal open; "empty" before the first session. `rows` counts
     the measured planned rows, `skipped` those that were skipped because of faults and not repeated since. `seconds` is the
     duration so far and `seconds_left` the estimated duration of the rows that are left, skipped ones included; both on the
-    rig's clock.
+    rig's clock. `orders` are the safety orders of the last session that nobody has acknowledged.
     """
 
     journal: str
@@ -34,6 +34,7 @@ class CampaignSummary:
     ended: str | None
     sessions: int
     faults: list[str]
+    orders: list[str]
     damage: str
 
     def as_dict(self) -> dict[str, object]:
@@ -63,6 +64,7 @@ def campaign_summary(path: Path) -> CampaignSummary:
             ended=last.wall_ended if last is not None and not held else None,
             sessions=len(sessions),
             faults=journal.faults(),
+            orders=journal.open_orders(),
             damage=journal.chain.damage,
         )
 

@@ -71,6 +71,8 @@ class Engine:
         self._positions_due = 0.0
         self.faults: list[str] = []
         self.ended_by_schedule = ""
+        self._power_order_given = False
+        self._ordering = threading.Lock()
         self._state = State.IDLE
         self._action = ""
         self._changed = threading.Condition()
@@ -162,8 +164,7 @@ class Engine:
             if self._state in (State.RUNNING, State.RECOVERING, State.PAUSING, State.PAUSED):
                 self._enter(State.STOPPING)
             self._changed.notify_all()
-        if (order := cut_power_order(self._rig, failures)) is not None:
-            self._give_order(order)
+        self._give_power_order(failures)
         return failures
 
     def _read_earlier_rows(self) -> None:
@@ -331,8 +332,7 @@ class Engine:
         self.faults = [*([reason] if outcome is State.FAILED else []), *map(str, failures)]
         for fault in self.faults:
             self._log_fault(now, fault)
-        if (order := cut_power_order(self._rig, failures)) is not None:
-            self._give_order(order)
+        self._give_power_order(failures)
         try:
             if self._executor.close_shutter_after_stop():
                 with contextlib.suppress(JournalError):
@@ -346,6 +346,13 @@ class Engine:
         self._notify(EventLogged("fault", fault, self._action, "the run ends"))
         with contextlib.suppress(JournalError):
             self._journal.event(t, "fault", fault)
+
+    def _give_power_order(self, failures: Sequence[DeviceError]) -> None:
+        """Order to cut the power where a stop failed: once for a run, which is stopped by request and again at its end."""
+        with self._ordering:
+            if not self._power_order_given and (order := cut_power_order(self._rig, failures)) is not None:
+                self._give_order(order)
+                self._power_order_given = True
 
     def _give_order(self, order: SafetyOrder) -> None:
         """Give a safety order, and record it if possible. From any thread."""

@@ -150,7 +150,7 @@ class OrdersPanel(QWidget):
         if order in self._rows:
             return
         row = OrderRow(order)
-        row.acknowledged.connect(self._acknowledge)
+        row.acknowledged.connect(self.acknowledge)
         self._rows[order] = row
         self._layout.addWidget(row)
         row.set_colours(self._colours)
@@ -164,7 +164,8 @@ class OrdersPanel(QWidget):
             row.set_colours(colours)
 
     @Slot(object)
-    def _acknowledge(self, order: SafetyOrder) -> None:
+    def acknowledge(self, order: SafetyOrder) -> None:
+        """Remove an order, and report that it is acknowledged."""
         row = self._rows.pop(order, None)
         if row is not None:
             row.hide()

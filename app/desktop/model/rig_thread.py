@@ -95,10 +95,9 @@ class RigThread:
         self._schedule: Path | None = None
         self._engine: Engine | None = None
         self._reason = ""
-        self.shutter_may_be_open = False
-        """The last run could not close the shutter."""
         self._axes_connected = False
         self._short: list[threading.Thread] = []
+        self._starting = threading.Lock()
         self._stop_requested = threading.Event()
         self._person = False
         self._asked = 0
@@ -164,14 +163,26 @@ class RigThread:
             self.stop()
         self._tasks.put(None)
         self._thread.join()
-        for each in self._short:
-            each.join()
+        self._wait_for_short()
+
+    @property
+    def open_orders(self) -> list[SafetyOrder]:
+        """The safety orders that are not acknowledged; complete after `close`."""
+        return list(self._ordered)
 
     def _start_short(self, name: str, work: Callable[[], None]) -> None:
         """Start a thread for what may wait for a device or a disk."""
         thread = threading.Thread(target=work, name=name)
-        self._short = [each for each in self._short if each.is_alive()] + [thread]
-        thread.start()
+        with self._starting:
+            self._short = [each for each in self._short if each.is_alive()] + [thread]
+            thread.start()
+
+    def _wait_for_short(self) -> None:
+        """Wait for the threads that were started so far."""
+        with self._starting:
+            started = list(self._short)
+        for each in started:
+            each.join()
 
     # In the thread.
 
@@ -270,7 +281,7 @@ class RigThread:
                 engine.stop()
             state = self._run_engine(engine)
             self._engine = None
-            self.shutter_may_be_open = engine.shutter_may_be_open
+            self._wait_for_short()  # a stop that is not confirmed is an order of this run
         for device in engine.disconnected:
             self._axes_connected &= all(each.name != device for each in self._opened.rig.controllers)
             self._send(DeviceFault(device, f"{device}: could not be reconnected during the run; connect again"))

@@ -1,6 +1,7 @@
 """What must not be missed: the log of events, safety orders, questions; and no key ends a run by accident."""
 
 import sqlite3
+import threading
 from pathlib import Path
 
 import pytest
@@ -8,17 +9,21 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication, QPushButton, QWidget
 from pytestqt.qtbot import QtBot
 
+from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.events.panels import LogEntry
 from goniotwin.app.desktop.events.question import QuestionBox
 from goniotwin.app.desktop.model.permissions import BUSY
 from goniotwin.app.desktop.run import panel
+from goniotwin.app.desktop.window import ACKNOWLEDGE, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.monochromator import Monochromator
+from goniotwin.protocols.clock import RealClock
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
 from tests.conftest import SMALL, Writer
 
@@ -151,6 +156,108 @@ def test_an_order_without_a_run_is_in_the_window_only(
     qtbot.waitUntil(lambda: len(window.view.orders.orders) == 1, timeout=READY_MS)
     acknowledge(window)
     assert any(entry.what.startswith("Acknowledged") for entry in window.view.log.entries)
+
+
+def refuse_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no stop be confirmed from here on."""
+    monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
+
+
+def wait_for_close_question(qtbot: QtBot, window: MainWindow, text: str) -> QuestionBox:
+    """Wait for a question about closing the window with this text in it; return its box."""
+    qtbot.waitUntil(lambda: window.close_question is not None and text in window.close_question.text, timeout=READY_MS)
+    assert window.close_question is not None
+    return window.close_question
+
+
+def test_a_person_closes_the_window_only_after_acknowledging_the_order(
+    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = ready(qtbot, open_window(speed=1.0))
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
+    refuse_to_stop(monkeypatch)
+    window.close()
+    click(wait_for_close_question(qtbot, window, "A run is in progress").buttons[STOP_AND_CLOSE])
+    box = wait_for_close_question(qtbot, window, "Cut the motors' power")
+    assert "sigma: MST: nothing" in box.text
+    assert not window.presenter.busy
+    assert window.isVisible()
+    assert len(window.view.orders.orders) == 1
+    for key in ACCIDENTS:
+        press(qtbot, box.focusWidget(), key)
+        assert window.close_question is None  # Keep open
+        assert not window.close()
+        box = wait_for_close_question(qtbot, window, "Cut the motors' power")
+    assert [kind for kind, _ in journal_events(window) if kind in ("order", "acknowledged")] == ["order"]
+    click(box.buttons[ACKNOWLEDGE])
+    assert not window.isVisible()
+    assert window.rig_thread.open_orders == []
+    assert [kind for kind, _ in journal_events(window) if kind in ("order", "acknowledged")] == ["order", "acknowledged"]
+
+
+def test_a_close_without_a_run_waits_for_every_order(qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One order is acknowledged at the top of the window, the other in the question."""
+    refuse_to_stop(monkeypatch)
+    click(window.view.run.stop_button)
+    qtbot.waitUntil(lambda: len(window.view.orders.orders) == 1, timeout=READY_MS)
+    monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("beta", "MST", "nothing")])
+    click(window.view.run.stop_button)
+    qtbot.waitUntil(lambda: len(window.view.orders.orders) == 2, timeout=READY_MS)
+    assert not window.close()
+    wait_for_close_question(qtbot, window, "sigma: MST")
+    acknowledge(window)
+    box = wait_for_close_question(qtbot, window, "beta: MST")
+    click(box.buttons[KEEP_OPEN])
+    assert window.isVisible()
+    assert not window.close()
+    click(wait_for_close_question(qtbot, window, "beta: MST").buttons[ACKNOWLEDGE])
+    assert not window.isVisible()
+
+
+def test_a_signal_closes_the_window_and_leaves_the_order_open(
+    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = ready(qtbot, open_window(speed=1.0))
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
+    refuse_to_stop(monkeypatch)
+    window.stop_and_close()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
+    (order,) = window.rig_thread.open_orders
+    assert window.presenter.journal is not None
+    assert campaign_summary(window.presenter.journal).orders == [order.text]
+
+
+def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stop of a person fails after the engine has ended with a stop of its own that is confirmed."""
+    window = ready(qtbot, open_window(speed=1.0))
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
+    engine = window.rig_thread._engine
+    assert engine is not None
+    ended: list[int] = []
+    window.presenter.run_ended.connect(lambda: ended.append(len(window.view.orders.orders)))
+    clock = RealClock()
+
+    def stop(_rig: Rig) -> list[DeviceError]:
+        if threading.current_thread().name != "stop":
+            return []
+        while engine.state is not State.IDLE:
+            clock.sleep_until(clock.now() + 0.01)
+        clock.sleep_until(clock.now() + 0.2)  # if nothing waits for this, the journal is closed by now
+        return [NoAnswer("sigma", "MST", "nothing")]
+
+    def request(_stop: StopRequest) -> list[DeviceError]:
+        _stop.requested = True
+        return stop(window.rig_thread._opened.rig)  # type: ignore[union-attr]
+
+    monkeypatch.setattr(Rig, "stop", stop)
+    monkeypatch.setattr(StopRequest, "stop", request)
+    click(window.view.run.stop_button)
+    wait_for_end(qtbot, window, State.IDLE)
+    assert ended == [1]
+    assert "order" in [kind for kind, _ in journal_events(window)]
 
 
 def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow) -> None:

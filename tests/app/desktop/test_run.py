@@ -191,6 +191,28 @@ def test_a_signal_ends_the_desktop(qapp: QApplication, tmp_path: Path, number: i
 
 
 @pytest.mark.usefixtures("handlers")
+def test_after_a_signal_the_open_orders_are_the_last_lines(
+    qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def step() -> None:
+        for window in qapp.topLevelWidgets():
+            if isinstance(window, MainWindow) and window.isVisible() and window.presenter.rig is not None:
+                window.rig_thread.stop()
+                if window.view.orders.orders:
+                    timer.stop()
+                    window.close()  # a person who goes on waiting with the question
+                    signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
+    timer = QTimer(interval=20)
+    timer.timeout.connect(step)
+    timer.start()
+    assert run_desktop(RIG, None, tmp_path) == STOPPED
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last.startswith("goniotwin: SAFETY: Cut the motors' power: the stop is not confirmed; sigma: MST: nothing")
+
+
+@pytest.mark.usefixtures("handlers")
 def test_a_signal_before_the_event_loop_ends_the_desktop(
     qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

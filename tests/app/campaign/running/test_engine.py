@@ -13,7 +13,16 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import check_plan, describe_check
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import SHUTTER_MAY_BE_OPEN, Engine
-from goniotwin.app.campaign.running.events import Event, Listener, Positions, RowCommitted, RowStarted, State, StateChanged
+from goniotwin.app.campaign.running.events import (
+    Event,
+    Listener,
+    Positions,
+    RowCommitted,
+    RowStarted,
+    SafetyOrder,
+    State,
+    StateChanged,
+)
 from goniotwin.app.campaign.running.operator import Answer
 from goniotwin.app.campaign.running.rows import CLOSING_S
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -284,6 +293,26 @@ def test_a_shutter_that_cannot_be_closed_is_a_fault_and_stays_so(bench: MakeBenc
     assert made.engine.faults[0].endswith("; close the shutter by hand")
     assert made.engine.shutter_may_be_open
     assert made.journal.faults() == made.engine.faults
+
+
+def test_a_stop_that_is_not_confirmed_is_one_order(bench: MakeBench) -> None:
+    """The rig is stopped by request, and again at the end of the run."""
+    heard: list[str] = []
+
+    def stop(event: Event) -> None:
+        if isinstance(event, SafetyOrder):
+            heard.append(event.text)
+        if isinstance(event, RowStarted) and event.row.number == 4:
+            made.opened.rig.stop = lambda: [DeviceError("sigma", "MST", "no reply")]  # type: ignore[method-assign]
+            made.engine.stop()
+
+    made = bench(VirtualClock(), [stop])
+    assert made.engine.run() is State.IDLE
+    assert len(heard) == 1
+    assert made.journal._db.execute("SELECT text FROM event WHERE kind = 'order'").fetchall() == [(heard[0],)]
+    assert made.journal.open_orders() == heard
+    made.journal.event(made.opened.rig.clock.now(), "acknowledged", heard[0])
+    assert made.journal.open_orders() == []
 
 
 def test_a_shutter_that_does_not_arrive_has_a_deadline(bench: MakeBench) -> None:
