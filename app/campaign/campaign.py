@@ -81,7 +81,7 @@ def resume_campaign(
 
     A journal may come of unknown origin, with a rig that is none of this computer: `accept_rig` is asked first whether to use
     a rig that is not the one that was used last here. Naming the `rig` is an answer too. `remind` is called, before anything
-    moves, with each safety order of the last session that nobody has acknowledged. Raises UserError, without a change of the
+    moves, with each safety order of the last session that is not acknowledged. Raises UserError, without a change of the
     journal, where the campaign cannot be resumed: see `remaining_work`.
     """
     with Journal.open(journal_path) as unlocked:

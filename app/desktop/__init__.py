@@ -28,7 +28,7 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
     virtual rig. Errors in the files are shown in the window.
 
     Ctrl-C in the terminal, SIGTERM and SIGHUP stop a run in order and close the window without a question. The exit status
-    is then 130, as for the other commands. The safety orders that nobody has acknowledged are the last lines on standard error.
+    is then 130, as for the other commands. The safety orders that are not acknowledged are the last lines on standard error.
     """
     application = QApplication.instance()
     if not isinstance(application, QApplication):

@@ -81,10 +81,10 @@ class Theme(QObject):
         colours = self.colours
         palette = _palette(colours)
         self._application.setPalette(palette)
-        # Fusion draws frames and grids in a darker shade of the window's colour: on a dark window nobody sees them.
+        # Fusion draws frames and grids in a darker shade of the window's colour: on a dark window they are not seen.
         for widget, frame in (("QCheckBox", colours.dim), ("QProgressBar", colours.dim), ("QTableView", colours.line)):
             palette.setColor(QPalette.ColorRole.Window, QColor(frame).lighter(FUSION_DARKER))
-            self._application.setPalette(palette, widget)  # type: ignore[arg-type]  # the stub says bytes, Qt takes text
+            self._application.setPalette(palette, widget)  # type: ignore[arg-type]  # the stub has bytes, Qt takes text
         self.changed.emit()
 
 

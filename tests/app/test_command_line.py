@@ -114,11 +114,11 @@ def test_a_safety_order_is_printed_at_once_and_at_the_end_and_again_before_a_res
         f"goniotwin: {order}",
     ]
     assert app(["runs", str(tmp_path)], standalone_mode=False) in (None, 0)
-    told = order.replace("SAFETY: ", f"SAFETY: of {journal}, not acknowledged: ")
-    assert capsys.readouterr().err == f"goniotwin: {told}\n"
+    line = order.replace("SAFETY: ", f"SAFETY: of {journal}, not acknowledged: ")
+    assert capsys.readouterr().err == f"goniotwin: {line}\n"
     assert app(["run", "--resume", str(journal), "--accept-rig"], standalone_mode=False) in (None, 0)
-    told = order.replace("SAFETY: ", "SAFETY: of the last session, not acknowledged: ")
-    assert capsys.readouterr().err.splitlines()[0] == f"goniotwin: {told}"
+    line = order.replace("SAFETY: ", "SAFETY: of the last session, not acknowledged: ")
+    assert capsys.readouterr().err.splitlines()[0] == f"goniotwin: {line}"
 
 
 def test_an_unexpected_error_is_one_line_and_a_file_with_the_details(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

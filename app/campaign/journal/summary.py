@@ -18,7 +18,7 @@ class CampaignSummary:
     measured, else "killed"; "running" while a program has the journal open; "empty" before the first session. `rows` counts
     the measured planned rows, `skipped` those that were skipped because of faults and not repeated since. `seconds` is the
     duration so far and `seconds_left` the estimated duration of the rows that are left, skipped ones included; both on the
-    rig's clock. `orders` are the safety orders of the last session that nobody has acknowledged.
+    rig's clock. `orders` are the safety orders of the last session that are not acknowledged.
     """
 
     journal: str

@@ -200,7 +200,7 @@ def test_after_a_signal_the_open_orders_are_the_last_lines(
                 window.rig_thread.stop()
                 if window.view.orders.orders:
                     timer.stop()
-                    window.close()  # a person who goes on waiting with the question
+                    window.close()  # the question is answered with waiting
                     signal.raise_signal(signal.SIGTERM)
 
     monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])

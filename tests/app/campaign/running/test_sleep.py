@@ -69,10 +69,10 @@ def run_with_sleep(plan: Plan, path: Path, sleeper: Sleeper, *more: Callable[[Ev
 def test_after_a_sleep_the_row_and_the_dark_reading_are_taken_again(plan: Plan, tmp_path: Path) -> None:
     run_plan(plan, tmp_path / "whole.journal")
     slept_in = next(row.number for row in plan.rows if row.kind == "measure")
-    told: list[Event] = []
-    run = run_with_sleep(plan, tmp_path / "a.journal", Sleeper(slept_in), told.append)
+    events: list[Event] = []
+    run = run_with_sleep(plan, tmp_path / "a.journal", Sleeper(slept_in), events.append)
     assert run.state is State.DONE
-    assert [each.row for each in told if isinstance(each, RowCommitted)] == [each.row for each in run.rows]
+    assert [each.row for each in events if isinstance(each, RowCommitted)] == [each.row for each in run.rows]
     assert (
         len([text for kind, text in run.events if kind == "sleep" and text.startswith("this computer slept for 60.0 min")]) == 1
     )
