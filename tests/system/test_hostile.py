@@ -644,7 +644,7 @@ def test_a_journal_with_a_text_of_a_length_that_nothing_has_is_refused_before_it
     for arguments in (("export", path, "--format", "csv", "--out", tmp_path / "a.csv"), ("runs", tmp_path)):
         done = invoke(*arguments)
         assert done.returncode == (1 if arguments[0] == "export" else 0)
-        assert f"has more than 100000 characters in {column} of the table {table}" in done.stderr
+        assert f"has more than 100000 bytes in {column} of the table {table}" in done.stderr
     assert not (tmp_path / "a.csv").exists()
 
 
