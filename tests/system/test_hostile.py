@@ -748,6 +748,8 @@ def test_runs_lists_the_sound_journals_and_names_the_odd_ones(tmp_path: Path) ->
         "torn": lambda path: path.write_bytes(OLD_JOURNAL.read_bytes()[:20_000]),
         "outcome": lambda path: changed_journal(path, "UPDATE session SET outcome = 'strange'"),
         "versions": lambda path: changed_journal(path, f"UPDATE session SET versions = '{'[' * 100_000}'"),
+        "duration": lambda path: changed_journal(path, "UPDATE session SET started_s = -9e999"),
+        "plan": lambda path: changed_journal(path, "DELETE FROM reading; DELETE FROM attempt; UPDATE plan SET seconds = 9e999"),
         "flags": lambda path: changed_journal(path, "UPDATE attempt SET flags = 'skipped'"),
         "view": lambda path: changed_journal(path, STRANGE_SCHEMAS["view"]),
     }
@@ -755,6 +757,7 @@ def test_runs_lists_the_sound_journals_and_names_the_odd_ones(tmp_path: Path) ->
         odd["fifo"] = os.mkfifo
     for name, make in odd.items():
         make(folder / f"{name}.journal")
+    assert invoke("runs", folder, "--json").returncode == 0
     done = invoke("runs", folder)
     assert done.returncode == 0
     assert "[red]sound.journal" in done.stdout
