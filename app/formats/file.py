@@ -5,8 +5,8 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from goniotwin.app.errors import one_line, room_on_disk
 
@@ -63,7 +63,7 @@ def _file_at(path: StrPath) -> Path:
 
 
 @contextlib.contextmanager
-def open_file(path: StrPath, most: int | None = None) -> Iterator[BinaryIO]:
+def open_file(path: StrPath, most: int | None = None) -> Iterator[BufferedReader]:
     """Open a file for reading.
 
     Raises FormatError if it has more bytes than `most`, is absent, not a regular file, or unreadable.

@@ -571,7 +571,8 @@ def test_a_wild_text_of_tens_of_megabytes_is_refused_within_a_gigabyte(
     monkeypatch.chdir(make_files(tmp_path))
     shutil.copy(tmp_path / "originals" / name, name)
     with contextlib.closing(sqlite3.connect(name)) as database, database:
-        write_huge(database, *place.split("."), 1, what)
+        table, column = place.split(".")
+        write_huge(database, table, column, 1, what)
         compute_chain(database)
     command = [sys.executable, "-m", "goniotwin", *COMMANDS[name]]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
