@@ -660,6 +660,14 @@ def test_counts_of_other_photodiodes_than_the_rigs_are_refused(tmp_path: Path, s
     assert "the rig has 36 of these: use a copy of the journal" in done.stderr
 
 
+@pytest.mark.parametrize("time", ["9e999", "1e308"])
+def test_a_reading_at_no_possible_time_is_refused(tmp_path: Path, time: str) -> None:
+    path = changed_journal(tmp_path / "a.journal", f"UPDATE reading SET first_s = {time} WHERE number = 1;")
+    done = invoke("export", path, "--format", "csv", "--out", tmp_path / "a.csv")
+    assert done.returncode == 2
+    assert "a.journal: a row has readings at the time " in done.stderr
+
+
 @pytest.mark.skipif(os.name == "nt", reason="pipes and links as files")
 def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:
     pipe, loop = tmp_path / "pipe.journal", tmp_path / "loop.journal"

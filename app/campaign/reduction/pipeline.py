@@ -27,7 +27,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_tracing_error,
-    check_shape,
+    check_reading,
     choose_gain,
     convert_to_photocurrent,
     divide_by_monitor,
@@ -87,7 +87,7 @@ def reduce_readings(data: RowData, dark: Mapping[float, DarkReadings], settings:
     at_gains = []
     for reading in data.readings:
         gain = reading.gain_v_per_a
-        check_shape(reading, settings)
+        check_reading(reading, settings)
         if gain not in settings.gains_v_per_a:
             raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
         if gain not in dark:

@@ -22,6 +22,9 @@ MIN_FREEDOM = 3.0
 """Degrees of freedom of the dark readings: with fewer the noise is not known."""
 DARK_CURRENT_NOISE = 10.0
 """A dark current is detectable where it is above so many times the noise of one reading; only then can its loss be seen."""
+LATEST_S = 1e12
+"""A time on a rig's clock is below: thirty thousand years."""
+COPY = "use a copy of the journal, if there is one"
 LIGHT = 5.0
 """A photodiode has light where its signal is above so many standard uncertainties."""
 
@@ -66,12 +69,14 @@ class DarkReadings:
         return counts, float(monitor), float(divisor)
 
 
-def check_shape(reading: Reading, settings: ConverterDescription) -> None:
-    """Raise UserError for counts without readings, or of another number of photodiodes than the rig's."""
+def check_reading(reading: Reading, settings: ConverterDescription) -> None:
+    """Raise UserError for counts without readings, or of another number of photodiodes than the rig's, and for no time."""
     readings, channels = reading.counts.shape
     if readings < 1 or channels != settings.count:
         wrong = f"a row has counts of {readings} readings of {channels} photodiodes; the rig has {settings.count} of these"
-        raise UserError(f"{wrong}: use a copy of the journal, if there is one")
+        raise UserError(f"{wrong}: {COPY}")
+    if not abs(middle_s(reading)) < LATEST_S:
+        raise UserError(f"a row has readings at the time {reading.first_s:g} s: {COPY}")
 
 
 def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescription) -> dict[float, DarkReadings]:
@@ -80,7 +85,7 @@ def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescripti
     for each in rows:
         if each.row.kind == "dark":
             for reading in each.data.readings:
-                check_shape(reading, settings)
+                check_reading(reading, settings)
                 by_gain[reading.gain_v_per_a].append(reading)
     return {gain: DarkReadings(readings, settings) for gain, readings in by_gain.items()}
 
