@@ -21,8 +21,7 @@ def journals(tmp_path: Path) -> tuple[Path, Path]:
 def test_they_are_listed_as_they_were(journals: tuple[Path, Path]) -> None:
     golden = files.read("listed")
     assert [each["state"] for each in golden] == ["done", "killed"]
-    found = contents.listed(journals[0].parent)  # with keys that were added since
-    assert [{key: each[key] for key in before} for each, before in zip(found, golden, strict=True)] == golden
+    assert contents.listed(journals[0].parent) == [{**each, "orders": []} for each in golden]  # a key that was added since
 
 
 def test_the_finished_one_has_its_points_and_tables(journals: tuple[Path, Path], tmp_path: Path) -> None:

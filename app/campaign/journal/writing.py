@@ -31,6 +31,7 @@ from goniotwin.app.campaign.journal.reading import (
 )
 from goniotwin.app.campaign.journal.schema import (
     APPLICATION_ID,
+    LONGEST_TEXT,
     SCHEMA_VERSION,
     check_lengths,
     check_schema,
@@ -342,8 +343,10 @@ class Journal(JournalReader):
     def event(self, t: float, kind: str, text: str) -> None:
         """Record an event of a kind (fault, stop, drift, order, ...) at time `t` on the rig's clock. From any thread.
 
-        An event outside of a session belongs to the last one.
+        An event outside of a session belongs to the last one. A text that `check_lengths` would refuse is cut: an exception
+        of any library may be one.
         """
+        text = text[: LONGEST_TEXT // 4]  # a character has at most four bytes
         session = "COALESCE(?, (SELECT MAX(id) FROM session))"
         with self._writing():
             self._db.execute(

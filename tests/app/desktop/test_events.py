@@ -170,13 +170,19 @@ def wait_for_close_question(qtbot: QtBot, window: MainWindow, text: str) -> Ques
     return window.close_question
 
 
-def test_a_person_closes_the_window_only_after_acknowledging_the_order(
-    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def run_that_cannot_stop(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> MainWindow:
+    """A window with a run in progress, whose stop gives a safety order."""
     window = ready(qtbot, open_window(speed=1.0))
     click(window.view.run.start_button)
     qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     refuse_to_stop(monkeypatch)
+    return window
+
+
+def test_a_person_closes_the_window_only_after_acknowledging_the_order(
+    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = run_that_cannot_stop(qtbot, open_window, monkeypatch)
     window.close()
     click(wait_for_close_question(qtbot, window, "A run is in progress").buttons[STOP_AND_CLOSE])
     box = wait_for_close_question(qtbot, window, "Cut the motors' power")
@@ -218,10 +224,7 @@ def test_a_close_without_a_run_waits_for_every_order(qtbot: QtBot, window: MainW
 def test_a_signal_closes_the_window_and_leaves_the_order_open(
     qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    window = ready(qtbot, open_window(speed=1.0))
-    click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
-    refuse_to_stop(monkeypatch)
+    window = run_that_cannot_stop(qtbot, open_window, monkeypatch)
     window.stop_and_close()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     (order,) = window.rig_thread.open_orders

@@ -49,6 +49,16 @@ def test_a_journal_that_cannot_be_created_leaves_no_file(plan: Plan, tmp_path: P
     assert list(tmp_path.glob("a.journal*")) == []
 
 
+def test_an_event_of_any_length_leaves_a_journal_that_can_be_opened(plan: Plan, tmp_path: Path) -> None:
+    """The text of an exception has no bound; a journal with longer texts than are written is refused."""
+    with Journal.create(tmp_path / "a.journal", plan, {}) as journal:
+        journal.begin_session(0.0, plan.rig.text, {})
+        journal.event(1.0, "fault", "\N{GRINNING FACE}" * 200_000)
+    with Journal.open(tmp_path / "a.journal") as opened:
+        (text,) = opened.faults()
+    assert text.startswith("\N{GRINNING FACE}")
+
+
 def test_a_journal_is_not_closed_in_the_middle_of_another_threads_event(plan: Plan, tmp_path: Path) -> None:
     """Stop records a safety order in its own thread while the run ends: Python's SQLite then ended in a segmentation fault."""
     journal = Journal.create(tmp_path / "a.journal", plan, {})
