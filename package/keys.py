@@ -21,6 +21,8 @@ PolarAngle = Annotated[float, Ge(0.0), Le(90.0)]
 Count = Annotated[int, Gt(0)]
 Address = Annotated[int, Ge(1), Le(255)]
 """Address of a motion module."""
+TcpUnit = Annotated[int, Ge(0), Le(255)]
+"""Unit of a Modbus request over TCP."""
 MotorNumber = Annotated[int, Ge(0), Le(5)]
 WheelPosition = Annotated[int, Ge(1), Le(6)]
 

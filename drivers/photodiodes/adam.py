@@ -23,6 +23,7 @@ first fault.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from pymodbus.client.base import ModbusBaseSyncClient
@@ -41,7 +42,7 @@ SettingsCheck = Callable[[], None]
 
 READ_COILS = 1
 READ_REGISTERS = (3, 4)
-WRITE_COILS, WRITE_REGISTERS = 15, 16
+WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 6, 15, 16
 CHECK_INTERVAL_S = 60.0
 CHECK_WIRING = "check address, cable and power"
 TRANSIENT = (adam.DEVICE_FAILURE, adam.BUSY)
@@ -72,7 +73,15 @@ class AdamModule:
     value is accepted.
     """
 
-    def __init__(self, name: str, unit: ModbusUnit, model: adam.Model, range_code: int, clock: Clock) -> None:
+    def __init__(
+        self,
+        name: str,
+        unit: ModbusUnit,
+        model: adam.Model,
+        range_code: int,
+        clock: Clock,
+        raw_format: adam.RawFormat = "unsigned",
+    ) -> None:
         self.name = name
         self.identity = ""
         self._bus = unit.bus
@@ -80,6 +89,7 @@ class AdamModule:
         self._tap = unit.tap
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
+        self._sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
         self._outputs: list[bool] | None = None
         self._outputs_written = self._outputs_checked = False
@@ -87,6 +97,7 @@ class AdamModule:
         self._lost_settings: str | None = None
         self._checked_s = clock.now()
         self._unverified = False
+        self._writes_singly = False
         self._function_index = self._marker = 0
 
     # ---- connection ----
@@ -123,8 +134,8 @@ class AdamModule:
     # ---- readings and outputs ----
 
     def counts(self) -> list[int]:
-        """Raw values of all channels. Raises DeviceError."""
-        return self._read_registers(adam.AI_VALUE, adam.CHANNELS)
+        """Raw values of all channels, 0 to 65535 over the range. Raises DeviceError."""
+        return [register ^ self._sign_bit for register in self._read_registers(adam.AI_VALUE, adam.CHANNELS)]
 
     def set_outputs(self, outputs: list[bool]) -> None:
         """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
@@ -219,8 +230,7 @@ class AdamModule:
 
         if not self._differs(read, wanted):
             return []
-        call: Call = lambda client: client.write_registers(address, wanted, device_id=self._unit)  # noqa: E731
-        self._repeat_once(lambda: self._write(call, doing, WRITE_REGISTERS, address, len(wanted)))
+        self._write_registers(address, wanted, doing)
         if self._differs(read, wanted):
             raise BadAnswer(self.name, doing, "it reads back other values", "check the module")
         return [f"{self.name}: {what} set"]
@@ -229,6 +239,31 @@ class AdamModule:
 
     def _read_registers(self, address: int, count: int) -> list[int]:
         return self._repeat_once(lambda: self._registers(address, count, self._ask))
+
+    def _write_registers(self, address: int, values: list[int], doing: str) -> None:
+        """Write registers at once, or one by one where the module refuses function 16.
+
+        On a serial line some modules do not confirm the longer request in a legible way; that counts as a refusal.
+        """
+        call: Call = lambda client: client.write_registers(address, values, device_id=self._unit)  # noqa: E731
+        if not self._writes_singly:
+            try:
+                self._repeat_once(lambda: self._write(call, doing, WRITE_REGISTERS, address, len(values)))
+                return
+            except ModuleRefused as refused:
+                if refused.code in TRANSIENT:
+                    raise
+            except (NoAnswer, BadAnswer):
+                if not self._bus.rtu:
+                    raise
+        for at, value in enumerate(values, address):
+            self._repeat_once(partial(self._write_register, at, value, doing))
+        self._writes_singly = True
+
+    def _write_register(self, address: int, value: int, doing: str) -> None:
+        reply = self._ask(lambda client: client.write_register(address, value, device_id=self._unit), doing, WRITE_REGISTER)
+        if (reply.address, reply.registers) != (address, [value]):
+            self._reject(doing, f"{reply.registers} in {reply.address} confirmed instead of {value} in {address}")
 
     def _read_ranges(self) -> list[int]:
         return self._read_registers(adam.RANGE_CODE, adam.CHANNELS)

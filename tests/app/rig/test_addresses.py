@@ -28,13 +28,20 @@ def test_an_rtu_address_has_port_unit_and_baud_rate() -> None:
 @pytest.mark.parametrize("address", [
     "rtu:", "rtu:?unit=3", "rtu:COM4?unit=0", "rtu:COM4?unit=248", "rtu:COM4?unit=x", "rtu:COM4?unit=", "rtu:COM4?unit",
     "rtu:COM4?unit=1&unit=2", "rtu:COM4?baudrate=9601", "rtu:COM4?parity=E", "rtu:COM4?unit=1,baudrate=9600",
-    "rtu:twin://virtual/adcs?unit=1", "", ":502", "adam-0:", "adam-0:0", "adam-0:65536", "adam-0:http", "adam-0:502?unit=3",
+    "rtu:twin://virtual/adcs?unit=1", "", ":502", "adam-0:", "adam-0:0", "adam-0:65536", "adam-0:http",
+    "adam-0:502?unit=256", "adam-0:502?unit=-1", "adam-0:502?baudrate=9600", "adam-0?unit=", "adam-0:502?3",
 ])  # fmt: skip
 def test_an_invalid_address_is_refused_with_its_text(address: str) -> None:
     with pytest.raises(UserError) as error:
         ModbusUnits(None).unit(address)
     assert repr(address) in str(error.value)
     assert "rig file" in str(error.value)
+
+
+@pytest.mark.parametrize(("address", "unit"), [("adam-0", 1), ("adam-0?unit=0", 0), ("[::1]:502?unit=255", 255)])
+def test_a_module_over_tcp_may_respond_to_another_unit(address: str, unit: int) -> None:
+    check_address(address)
+    assert ModbusUnits(None).unit(address).unit == unit
 
 
 def test_units_of_one_port_share_one_bus() -> None:
@@ -55,6 +62,7 @@ def test_units_of_one_port_share_one_bus() -> None:
     [
         ("rtu:/dev/ttyUSB1?unit=3&baudrate=9600", "/dev/ttyUSB1"),
         ("127.0.0.1", "127.0.0.1:502"),
+        ("127.0.0.1?unit=255", "127.0.0.1:502"),
         ("127.0.0.1", "rtu:127.0.0.1"),
         ("localhost:4001", "socket://127.0.0.1:4001"),
         ("LOCALHOST:4001", "localhost:4001"),
