@@ -12,6 +12,8 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.app.rig.addresses import ModbusUnits, check_address, device_names, resolve_port, rtu_address
 from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.served_file import endpoint_address
+from goniotwin.mocks.served import Endpoint, Wire
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.doors import NoSuchTwin
 from goniotwin.twin.doors.registry import find
@@ -42,6 +44,11 @@ def test_an_invalid_address_is_refused_with_its_text(address: str) -> None:
 def test_a_module_over_tcp_may_respond_to_another_unit(address: str, unit: int) -> None:
     check_address(address)
     assert ModbusUnits(None).unit(address).unit == unit
+
+
+@pytest.mark.parametrize(("unit", "address"), [(1, "127.0.0.1:5020"), (0, "127.0.0.1:5020?unit=0")])
+def test_a_served_module_is_found_by_its_unit(unit: int, address: str) -> None:
+    assert endpoint_address(Endpoint("adc-0", "adam-6017", Wire.MODBUS_TCP, host="127.0.0.1", port=5020, unit=unit)) == address
 
 
 def test_units_of_one_port_share_one_bus() -> None:

@@ -134,7 +134,7 @@ def test_the_format_of_raw_values_is_a_setting_of_the_module() -> None:
 
 @pytest.mark.parametrize(("units", "answered"), [(None, {0, 1, 255}), ((1,), {1}), ((7, 8), {7, 8})])
 def test_which_units_a_module_answers_over_tcp_is_a_setting(units: tuple[int, ...] | None, answered: set[int]) -> None:
-    """255, and 0 as well, are units of a server that needs none: Modbus Messaging on TCP/IP 1.0b, 4.4.2.1."""
+    """255, and 0 as well, are units of a server that needs none: Modbus Messaging on TCP/IP 1.0b, p. 23, as quoted."""
     device = Adam6017(PLANT if units is None else plant_of(tcp_units=units), 0)
     assert device.unit == (1 if units is None else units[0])
     station = TcpStation(device)
