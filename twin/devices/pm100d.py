@@ -343,9 +343,9 @@ class Pm100d(ScpiInstrument):
         self._calendar += wanted - self._today().date()
 
     def _set_time(self, unit: MessageUnit) -> None:
-        wanted = time(*_whole_numbers(unit, (0, 23), (0, 59), (0, 59)))
+        hour, minute, second = _whole_numbers(unit, (0, 23), (0, 59), (0, 59))
         today = self._today()
-        self._calendar += datetime.combine(today, wanted) - today
+        self._calendar += datetime.combine(today, time(hour, minute, second)) - today
 
 
 def _ends(factor: float) -> Ends:
