@@ -177,8 +177,7 @@ class AdamModule:
 
     def _check_name(self) -> None:
         name = self._read_registers(adam.MODULE_NAME, len(self._model.name))
-        if tuple(name) != self._model.name:
-            self._wrong_name(name)
+        self._check_first_word(name)
 
     def _check_enabled(self) -> None:
         if self._differs(lambda: self._read_registers(adam.CHANNEL_ENABLE, 1), [adam.ALL_CHANNELS]):
@@ -369,14 +368,15 @@ class AdamModule:
         reply = self._exchange(call, doing, READ_REGISTERS[function_index])
         if len(reply.registers) != count:
             self._reject(doing, f"{len(reply.registers)} values received instead of {count}")
-        if tuple(reply.registers) != self._model.name[:count]:
-            self._wrong_name(list(reply.registers))
+        self._check_first_word(list(reply.registers))
 
-    def _wrong_name(self, name: list[int]) -> None:
-        raise BadAnswer(
-            self.name, "read its name", f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
-            "check which module has this address, and the kind in the rig file",
-        )  # fmt: skip
+    def _check_first_word(self, name: list[int]) -> None:
+        """Raise BadAnswer for the name of another model. The second word may have the letter of a revision."""
+        if name[0] != self._model.name[0]:
+            raise BadAnswer(
+                self.name, "read its name", f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
+                "check which module has this address, and the kind in the rig file",
+            )  # fmt: skip
 
     def _open(self) -> None:
         try:

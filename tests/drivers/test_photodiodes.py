@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, PhotodiodeSettings, Refused, wait
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin.devices import RtuStation
 from tests.conftest import RigOpener
 from tests.drivers.photodiode_bench import NARROW, QUIET, SERIAL, BenchOpener, bench, read
 
@@ -78,6 +80,22 @@ def test_a_module_that_refuses_function_16_is_written_one_by_one_with_function_6
     rig.close()
     functions = Counter(re.findall(r"write registers?, unit 5", (tmp_path / "photodiodes-4.txt").read_text(encoding="utf-8")))
     assert functions == {"write registers, unit 5": 2, "write register, unit 5": 2 * 2 * 8}  # request and reply
+
+
+def test_so_is_one_whose_confirmation_of_function_16_is_illegible(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reported of an ADAM-4017+ on its hardware: the confirmation has a wrong checksum."""
+    hear = RtuStation._hear
+
+    def garble(station: RtuStation, frame: bytes, t: float) -> None:
+        hear(station, frame, t)
+        if frame[1] == 16:
+            due, data = station.outbox.pop()
+            station.outbox.append((due, data[:-1] + bytes([data[-1] ^ 0xFF])))
+
+    monkeypatch.setattr(RtuStation, "_hear", garble)
+    rig = opened(QUIET, NARROW, *SERIAL, clock=VirtualClock(10.0))
+    assert rig.rig.photodiodes.identities == ["ADAM-4117 firmware 5.06"] * 5
+    assert read(rig.rig.photodiodes, rig.rig.clock).shape == (1, 36)
 
 
 def test_identities_name_model_and_firmware(bench: BenchOpener) -> None:
@@ -203,6 +221,13 @@ def test_a_module_of_another_model_at_the_address_is_refused(bench: BenchOpener)
     rig.virtual.modbus["adc-0"].model = adam.ADAM_4117
     with pytest.raises(BadAnswer, match="it is 4117, not 6017"):
         rig.rig.photodiodes.reconnect()
+
+
+def test_a_module_with_the_letter_of_a_revision_in_its_name_is_the_same_model(bench: BenchOpener) -> None:
+    rig = bench(False)
+    assert rig.virtual is not None
+    rig.virtual.modbus["adc-0"].model = replace(adam.ADAM_6017, name=(0x6017, 0x4400))
+    assert rig.rig.photodiodes.reconnect() == []
 
 
 @pytest.mark.parametrize("code", [adam.DEVICE_FAILURE, adam.BUSY])
