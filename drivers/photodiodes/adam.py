@@ -18,10 +18,14 @@ Detectable and undetectable faults of the wires:
   after the next readings. (This requires that the power-on values of the outputs are off.) At intervals name, ranges,
   outputs and enabled channels are all read back.
 
+Ranges, enabled channels and outputs get back at the end what was found; a range is in the module's memory, and written only if
+it differs.
+
 A read, and writing a setting, are repeated once after a fault. A call takes five timeouts at most, and that only with the
 first fault.
 """
 
+import contextlib
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
@@ -45,6 +49,7 @@ READ_REGISTERS = (3, 4)
 WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 6, 15, 16
 CHECK_INTERVAL_S = 60.0
 CHECK_WIRING = "check address, cable and power"
+RANGES, ENABLED, OUTPUTS = "ranges", "enabled channels", "outputs"
 TRANSIENT = (adam.DEVICE_FAILURE, adam.BUSY)
 EXCEPTIONS = {
     adam.ILLEGAL_FUNCTION: "it does not support the function",
@@ -87,6 +92,8 @@ class AdamModule:
         self._bus = unit.bus
         self._unit = unit.unit
         self._tap = unit.tap
+        self._found = unit.found
+        self._last_outputs: list[bool] | None = None
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
         self._sign_bit = adam.sign_bit(raw_format)
@@ -106,6 +113,14 @@ class AdamModule:
     def bus(self) -> ModbusBus:
         """Its wire."""
         return self._bus
+
+    def identify(self) -> str:
+        """Open the wire and identify the module; nothing is written. Raises DeviceError."""
+        self._open()
+        self._lost_settings, self._settings_written, self._outputs = None, False, None
+        self._identify()
+        self._leave_as_found()
+        return self.identity
 
     def connect(self) -> str:
         """Open the wire, identify the module, write its settings; return its identity. Raises DeviceError."""
@@ -128,7 +143,13 @@ class AdamModule:
             return self._initialise()
 
     def close(self) -> None:
-        """Release the wire."""
+        """Restore what was found, unless the module is not responding, and release the wire."""
+        with contextlib.suppress(DeviceError):
+            self._leave_as_found()
+        self.release()
+
+    def release(self) -> None:
+        """Release the wire; nothing is sent."""
         self._bus.close(self)
 
     # ---- readings and outputs ----
@@ -141,6 +162,9 @@ class AdamModule:
         """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
         doing = f"set its outputs to {_bits(outputs)}"
         call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
+        if self._last_outputs is not None:
+            self._found.note({OUTPUTS: (_bits(self._last_outputs), _bits(outputs))})
+            self._last_outputs = list(outputs)
         self._outputs, self._outputs_written, self._outputs_checked = list(outputs), False, False
         self._repeat_once(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
         self._outputs_written = True
@@ -207,11 +231,11 @@ class AdamModule:
     def _initialise(self) -> list[str]:
         """Identify the module and write its settings. Returns what had to be restored."""
         self._lost_settings, self._settings_written = None, False
-        self._check_name()
-        version = self._read_registers(adam.FIRMWARE_VERSION, 2)
-        self.identity = f"{self._model.title} firmware {adam.firmware(version)}"
-        restored = self._restore("ranges", adam.RANGE_CODE, self._ranges)
-        restored += self._restore("enabled channels", adam.CHANNEL_ENABLE, [adam.ALL_CHANNELS])
+        self._identify()
+        if self._found.asks and self._model.outputs and self._outputs is None:
+            self._last_outputs = self._read_outputs()
+        restored = self._restore(RANGES, adam.RANGE_CODE, self._ranges)
+        restored += self._restore(ENABLED, adam.CHANNEL_ENABLE, [adam.ALL_CHANNELS])
         if self._outputs is not None and not (self._outputs_written and self._read_outputs() == self._outputs):
             self.set_outputs(self._outputs)
             self.check_outputs()
@@ -220,19 +244,45 @@ class AdamModule:
         self._checked_s = self._clock.now()
         return restored
 
+    def _identify(self) -> None:
+        self._check_name()
+        version = self._read_registers(adam.FIRMWARE_VERSION, 2)
+        self.identity = f"{self._model.title} firmware {adam.firmware(version)}"
+        self._found.take_up(self.identity)
+
+    def _leave_as_found(self) -> None:
+        """Restore settings that another program has not changed since. Raises DeviceError."""
+        if not self._found.changes:
+            return
+        self._lost_settings, self._settings_written = None, False  # they are compared here
+        for what, address, count in ((RANGES, adam.RANGE_CODE, adam.CHANNELS), (ENABLED, adam.CHANNEL_ENABLE, 1)):
+            if what in self._found.changes:
+                present = self._read_registers(address, count)
+                if (found := self._found.value_to_restore(what, _numbers(present))) is not None:
+                    self._set_registers(what, address, [int(each) for each in found.split()])
+        if OUTPUTS in self._found.changes:
+            found = self._found.value_to_restore(OUTPUTS, _bits(self._read_outputs()))
+            if found is not None:
+                self.set_outputs([bit == "1" for bit in reversed(found)])
+                self.check_outputs()
+        self._found.clear()
+
     def _restore(self, what: str, address: int, wanted: list[int]) -> list[str]:
         """Write registers that differ from their wanted values, read them back, and report it."""
-        doing = f"set its {what}"
-
-        def read() -> list[int]:
-            return self._read_registers(address, len(wanted))
-
-        if not self._differs(read, wanted):
+        present = self._read_registers(address, len(wanted))
+        if present != wanted:
+            present = self._read_registers(address, len(wanted))
+        self._found.note({what: (_numbers(present), _numbers(wanted))})
+        if present == wanted:
             return []
-        self._write_registers(address, wanted, doing)
-        if self._differs(read, wanted):
-            raise BadAnswer(self.name, doing, "it reads back other values", "check the module")
+        self._set_registers(what, address, wanted)
         return [f"{self.name}: {what} set"]
+
+    def _set_registers(self, what: str, address: int, values: list[int]) -> None:
+        doing = f"set its {what}"
+        self._write_registers(address, values, doing)
+        if self._differs(lambda: self._read_registers(address, len(values)), values):
+            raise BadAnswer(self.name, doing, "it reads back other values", "check the module")
 
     # ---- registers and coils ----
 
@@ -392,3 +442,8 @@ class AdamModule:
 def _bits(outputs: list[bool]) -> str:
     """Outputs, highest first, as in the manual."""
     return "".join(str(int(on)) for on in reversed(outputs))
+
+
+def _numbers(registers: list[int]) -> str:
+    """Registers as a text, to be noted."""
+    return " ".join(map(str, registers))

@@ -155,14 +155,25 @@ class PhotodiodeArray:
         """Identities of the modules, once connected."""
         return [module.identity for module in self._modules]
 
+    def identify(self) -> str:
+        """Open and identify all modules; nothing is written. Raises DeviceError as `connect` does."""
+        self._each(AdamModule.identify)
+        return self._identity
+
     def connect(self) -> str:
         """Open and identify all modules, write their settings; return their number and model. Raises DeviceError.
 
         Every module is tried; the error is that of the first failed one, and names the others.
         """
-        self.close()
+        self._connected = False
+        for module in self._modules:
+            module.release()
         self._each(AdamModule.connect)
         self._connected = True
+        return self._identity
+
+    @property
+    def _identity(self) -> str:
         return f"{len(self._modules)} modules {self.settings.model.title}"
 
     def reconnect(self) -> list[str]:
@@ -175,7 +186,7 @@ class PhotodiodeArray:
         return restored
 
     def close(self) -> None:
-        """Close the connections."""
+        """Restore the settings that were found, and close the connections."""
         self._connected = False
         for module in self._modules:
             module.close()

@@ -79,7 +79,7 @@ def test_a_module_that_refuses_function_16_is_written_one_by_one_with_function_6
     np.testing.assert_allclose(read(rig.rig.photodiodes, clock), before, atol=1)
     rig.close()
     functions = Counter(re.findall(r"write registers?, unit 5", (tmp_path / "photodiodes-4.txt").read_text(encoding="utf-8")))
-    assert functions == {"write registers, unit 5": 2, "write register, unit 5": 2 * 2 * 8}  # request and reply
+    assert functions == {"write registers, unit 5": 2, "write register, unit 5": 2 * 3 * 8}  # connect, reconnect, close
 
 
 def test_so_is_one_whose_confirmation_of_function_16_is_illegible(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,6 +164,10 @@ class MonitorPhotodiode:
 class MonochromatorDrive:
     """Speeds of grating, shutter, filter wheel (per position) and slits; echo and handshake mode of the serial line.
 
+    Units differ in the text of their status byte: it has `status_digits` at least, in hexadecimal or, with `status_decimal`, in
+    decimal numbers. They differ also in the answer to `ERROR?` without an error: an empty line, or 0 with `zero_is_no_error`.
+    The defaults are those of the manual. `gpib_address` answers `ADDRESS?`.
+
     `nm_per_step` is for a grating of 1200 lines per mm. `gratings` are pairs (lines per mm, label). `slew_nm_per_s`,
     `settle_s`, `shutter_s` and `grating_s` are the times, `echo` and `handshake` the modes. `filters` is the number of
     positions of its filter wheel (0: no wheel), `filter_s` the time from one to the next. `already_there_is_error`: a filter
@@ -184,6 +188,10 @@ class MonochromatorDrive:
     gratings: tuple[tuple[int, str], ...] = field(default=((1200, "VIS"), (600, "NIR")), metadata=NO_KEY)
     filters: Annotated[int, Ge(0), Le(6)] = 6
     already_there_is_error: bool = field(default=False, metadata=NO_KEY)
+    status_digits: Literal[1, 2] = field(default=2, metadata=LATER)
+    status_decimal: bool = field(default=False, metadata=LATER)
+    zero_is_no_error: bool = field(default=False, metadata=LATER)
+    gpib_address: Annotated[int, Ge(0), Le(30)] = field(default=4, metadata=LATER)
 
 
 @dataclass(frozen=True)
