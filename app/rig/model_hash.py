@@ -46,7 +46,7 @@ def canonical_text(value: object) -> str:
 
     Dataclasses and mappings are written by the names of their fields, in alphabetical order, lists and tuples alike, 1 as 1.0,
     an enum as its value, an array as its shape, type and the SHA-256 of its bytes. A field of a dataclass that was added
-    `LATER` is left out at its default. Raises TypeError for anything else, such as a function, because two of them cannot be
+    `LATER` is omitted at its default. Raises TypeError for anything else, such as a function, because two of them cannot be
     compared.
     """
     if value is None:

@@ -44,7 +44,7 @@ def test_the_raw_format_of_the_rig_file_is_that_of_the_module(opened: RigOpener)
         rig = opened(QUIET, *SERIAL, *changes, clock=VirtualClock(10.0))
         found.append(read(rig.rig.photodiodes, rig.rig.clock))
     np.testing.assert_array_equal(found[0], found[1])
-    assert abs(found[0] - found[2]).min() == 0x8000  # the file does not say it
+    assert abs(found[0] - found[2]).min() == 0x8000  # the file has another format
 
 
 def test_a_range_by_its_code_of_the_6000_series_is_written_by_that_of_the_4117(bench: BenchOpener) -> None:
