@@ -243,7 +243,7 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def stop_and_close(self) -> None:
-        """Stop a run in order, then close, without a question: after a signal no person may be there to acknowledge an order."""
+        """Stop a run in order, then close, without a question: after a signal, perhaps without a person at the window."""
         self._unattended = True
         self._stop_and_close()
 

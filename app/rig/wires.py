@@ -10,8 +10,10 @@ import serial
 import usb.core
 
 from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, check_serial_port, usbip_address
+from goniotwin.app.rig.found_note import FoundNote
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.tmcl import CANARY
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.drivers.tap import Explain, Tap, no_tap
@@ -70,7 +72,18 @@ class Wires:
         """The unit of an address, with its tap. Raises InvalidAddress."""
         unit = self._units.unit(self._in_this_process(file_address))
         unit.tap = self.tap(device, self._units.explain(unit))
+        unit.found = self.found(file_address)
         return unit
+
+    def found(self, file_address: str) -> FoundSettings:
+        """The settings as a driver finds them at an address; the note of them outlives this program.
+
+        A device in this process does not, and its driver asks for nothing more than it needs, so that no duration changes.
+        """
+        address = self._in_this_process(file_address)
+        if address.startswith(TWIN):
+            return FoundSettings(asks=False)
+        return FoundSettings(FoundNote(address))
 
     def usb(self, file_address: str) -> UsbOpener:
         """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.
