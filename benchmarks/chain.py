@@ -21,10 +21,10 @@ import numpy as np
 from benchmarks.rehearsal import QUICK, RIG, row_seconds
 from goniotwin.app.campaign.journal import writing
 from goniotwin.app.campaign.journal.chain import Chain
-from goniotwin.app.campaign.journal.record import Reading, RowData
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal
+from goniotwin.app.campaign.row import Reading, RowData
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 

@@ -1,7 +1,9 @@
-"""One row of a plan: the work between two commits to the journal."""
+"""A row: the work between two commits to the journal. As it is planned, and what was recorded: raw counts, times, positions."""
 
 from dataclasses import dataclass
 from typing import Literal
+
+from goniotwin.arrays import Counts
 
 RowKind = Literal["mount", "dark", "measure", "drift", "warm-up"]
 NO_SAMPLE = "nothing"
@@ -51,3 +53,40 @@ class Row:
     def unplanned(self) -> bool:
         """Whether the row belongs to the start of a resumed session, or to the end of a sleep, and not to the plan."""
         return self.identity.startswith((RESUME_PREFIX, WAKE_PREFIX))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Readings of all photodiodes at one gain.
+
+    `counts` (readings, photodiodes) are raw; reading k was taken `first_s` + k `period_s` on the rig's clock; `monitor_a` is
+    the mean current of the monitor over the same time.
+    """
+
+    gain_v_per_a: float
+    first_s: float
+    period_s: float
+    monitor_a: float
+    counts: Counts
+
+
+@dataclass(frozen=True)
+class RowData:
+    """Recorded data of a row: times on the rig's clock, read-back positions and encoders in degrees, one reading per gain.
+
+    Where the rig file has order filters, `positions` also has the position of the filter wheel, under `filter`.
+    """
+
+    started_s: float
+    ended_s: float
+    positions: dict[str, float | None] | None
+    readings: tuple[Reading, ...]
+    flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class CommittedRow:
+    """A row of a journal with its recorded data."""
+
+    row: Row
+    data: RowData

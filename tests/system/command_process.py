@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.row import RowData
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.protocols.clock import RealClock
 

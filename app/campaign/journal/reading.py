@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.chain import Chain
-from goniotwin.app.campaign.journal.record import CommittedRow, Reading, RowData
-from goniotwin.app.campaign.row import MIRRORED_MARK, SKIPPED, Row, RowKind
+from goniotwin.app.campaign.row import MIRRORED_MARK, SKIPPED, CommittedRow, Reading, Row, RowData, RowKind
 from goniotwin.app.errors import UserError
 
 ROW_INDEX = np.dtype(

@@ -27,7 +27,6 @@ from goniotwin.app.campaign.journal.reading import (
     open_read_only,
     report_damage,
 )
-from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.schema import (
     APPLICATION_ID,
     SCHEMA_VERSION,
@@ -37,7 +36,7 @@ from goniotwin.app.campaign.journal.schema import (
     migrate,
 )
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.app.formats.file import sync_folder
 from goniotwin.app.rig.lock import LockFile, lock_journal

@@ -14,11 +14,10 @@ from functools import partial
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import CommittedRow, RowData
 from goniotwin.app.campaign.reduction import pipeline
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.signals import LIGHT, dark_readings_by_gain
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.row import CommittedRow, Row, RowData
 from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile

@@ -7,7 +7,6 @@ Journal, live plot and rehearsal have no other reduction.
 
 from collections.abc import Callable, Mapping, Sequence
 
-from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.etalon import (
     ArcRows,
@@ -33,6 +32,7 @@ from goniotwin.app.campaign.reduction.signals import (
     divide_by_monitor,
     subtract_dark,
 )
+from goniotwin.app.campaign.row import RowData
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints

@@ -13,13 +13,13 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
-from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.points import PLACE
 from goniotwin.app.campaign.reduction.signals import dark_current_loss_s, dark_readings_by_gain, middle_s
+from goniotwin.app.campaign.row import CommittedRow
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile

@@ -10,9 +10,9 @@ from collections import defaultdict
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import CommittedRow, Reading
 from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE, saturation
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
+from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats

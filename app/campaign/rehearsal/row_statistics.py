@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.readout import GainSequence
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Flags, Floats

@@ -11,10 +11,9 @@ from functools import partial
 from itertools import accumulate
 from typing import TypeVar
 
-from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row
+from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row, RowData
 from goniotwin.app.campaign.running.events import (
     Event,
     EventLogged,

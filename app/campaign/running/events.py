@@ -4,8 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from goniotwin.app.campaign.journal.record import RowData
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.drivers import DeviceError, Rig
 
 

@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import Reading, RowData
 from goniotwin.app.campaign.readout import (
     MONITOR_MEAN_S,
     NOT_WARM,
@@ -17,7 +16,7 @@ from goniotwin.app.campaign.readout import (
     min_readings,
     shows_light,
 )
-from goniotwin.app.campaign.row import NO_SAMPLE, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, Reading, Row, RowData
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import AXES

@@ -19,7 +19,6 @@ import numpy as np
 from goniotwin.app.campaign.geometry.arcs import etalon_sigma_deg, far_arc, lit_arc
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith, scan_plane_deg, zenith_deg
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
-from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.checks import overlap_check
 from goniotwin.app.campaign.reduction.components import Signal
@@ -30,7 +29,7 @@ from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import DarkHistory
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
-from goniotwin.app.campaign.row import NO_SAMPLE, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Flags, Floats

@@ -9,10 +9,9 @@ from typing import Any
 
 from goniotwin.app.campaign.campaign import clock_for, operator_for
 from goniotwin.app.campaign.journal.chain import ENTRY, begin_chain
-from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.row import CommittedRow, Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import Operator

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.components import DETECTED, Signal
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import DarkHistory
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
+from goniotwin.app.campaign.row import CommittedRow
 from goniotwin.app.campaign.running.events import Event, Listener, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, ScanPoints

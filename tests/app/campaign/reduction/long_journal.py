@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import Reading, RowData
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.row import Reading, RowData
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import AXES, parse_rig
 from tests.conftest import RIG, changed

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.record import CommittedRow
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.row import SKIPPED
+from goniotwin.app.campaign.row import SKIPPED, CommittedRow
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule

@@ -94,7 +94,7 @@ def serving(make: Callable[[], ModbusBaseServer]) -> Iterator[ModbusBaseServer]:
     try:
         yield server
     finally:
-        asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result()  # type: ignore[no-untyped-call]
+        asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result()
         ModbusBaseServer.active_server = None
         loop.call_soon_threadsafe(loop.stop)
         thread.join()

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import clock_for, operator_for, resume_campaign, run_campaign
-from goniotwin.app.campaign.journal.record import RowData
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
-from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.resume import remaining_work
