@@ -40,7 +40,8 @@ EIGHT = str([*range(0, 40, 5)])
 class ForeignModule:
     """A module with a unit, its name, counts, and the only codes of ranges that it knows; it may refuse function 16.
 
-    `written` are the functions and addresses of the writes that it has accepted, `codes` the ranges at last.
+    `written` are the functions and addresses of the writes that it has accepted, `codes` the ranges that were written last, and
+    `measured` those with which the counts were read last.
     """
 
     unit: int
@@ -51,6 +52,7 @@ class ForeignModule:
     refuses_16: bool = False
     written: list[tuple[int, int]] = field(default_factory=list)
     codes: list[int] = field(default_factory=list)
+    measured: list[int] = field(default_factory=list)
 
     def registers(self) -> list[SimData]:
         held = {0: self.counts, 200: [self.first_code] * 8, 210: [self.name, 0, 0xA205, 0], 220: [0x00FF]}
@@ -67,6 +69,8 @@ class ForeignModule:
             self.codes[address - 200 : address - 200 + len(values)] = list(values)
         if values is not None:
             self.written.append((function, address))
+        elif address == 0:
+            self.measured = list(self.codes)
         return None
 
     def over_tcp(self) -> SimDevice:
@@ -131,7 +135,8 @@ def test_a_row_on_a_foreign_6017(write_rig: Writer, write_schedule: Writer, tmp_
         counts = measure_a_row(write_rig, write_schedule, tmp_path, units(place, f"{place}?unit=255"))
     assert counts.tolist() == [[*POSITIVE, *NEGATIVE]] * 2
     for each in modules:
-        assert each.codes == [0x0143] * 8
+        assert each.measured == [0x0143] * 8
+        assert each.codes == [each.first_code] * 8  # as it was found
         assert (15, 16) in each.written  # the gain, by the digital outputs
 
 
@@ -159,5 +164,6 @@ def test_a_row_on_foreign_4117s(write_rig: Writer, write_schedule: Writer, tmp_p
         counts = measure_a_row(write_rig, write_schedule, tmp_path, *kind)
     modem.close()
     assert counts.tolist() == [[*POSITIVE, *NEGATIVE]] * 2
-    assert [each.codes for each in modules] == [[0x08] * 8] * 2
-    assert [each.written for each in modules] == [[(16, 200)], [(6, 200 + channel) for channel in range(8)]]
+    assert [each.measured for each in modules] == [[0x08] * 8] * 2
+    assert [each.codes for each in modules] == [[each.first_code] * 8 for each in modules]  # as they were found
+    assert [each.written for each in modules] == [[(16, 200)] * 2, [(6, 200 + channel) for channel in range(8)] * 2]
