@@ -6,13 +6,12 @@ import tempfile
 import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from goniotwin.app.errors import one_line, room_on_disk
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
-MOST_BYTES = 1_000_000_000
-"""Bytes of a file: fifteen million rays."""
 SQLITE = b"SQLite format 3\0"
 
 
@@ -63,23 +62,33 @@ def _file_at(path: StrPath) -> Path:
     return file
 
 
-def read_head(path: StrPath, size: int) -> bytes:
-    """The first bytes of a file, at most `size`. Raises FormatError if it is absent, not a regular file, or unreadable."""
+@contextlib.contextmanager
+def open_file(path: StrPath, most: int | None = None) -> Iterator[BinaryIO]:
+    """Open a file for reading.
+
+    Raises FormatError if it has more bytes than `most`, is absent, not a regular file, or unreadable.
+    """
     try:
         if not Path(path).exists():
             raise FormatError(path, "there is no such file", "check the name and the folder")
         with _file_at(path).open("rb") as content:
-            return content.read(size)
+            if most is not None and os.fstat(content.fileno()).st_size > most:
+                raise FormatError(path, f"has more than {most} bytes", "check the name, or divide it into several files")
+            yield content
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})", "check the name and the permissions") from error
 
 
-def read_file(path: StrPath, most: int = MOST_BYTES) -> bytes:
-    """The bytes of a file. Raises FormatError if it has more than `most`, is absent, not a regular file, or unreadable."""
-    content = read_head(path, most + 1)
-    if len(content) > most:
-        raise FormatError(path, f"has more than {most} bytes", "check the name, or divide it into several files")
-    return content
+def read_head(path: StrPath, size: int) -> bytes:
+    """The first bytes of a file, at most `size`. Raises FormatError as `open_file` does."""
+    with open_file(path) as content:
+        return content.read(size)
+
+
+def read_file(path: StrPath, most: int) -> bytes:
+    """The bytes of a file. Raises FormatError as `open_file` does."""
+    with open_file(path, most) as content:
+        return content.read(os.fstat(content.fileno()).st_size)
 
 
 def check_writable(path: StrPath) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word, read_file, write_file
+from goniotwin.app.formats.file import FormatError, StrPath, name_file, open_file, quote_word, write_file
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.rayset import Rayset
 
@@ -49,6 +49,8 @@ ATTRIBUTES: dict[str, tuple[str, type]] = {
 }
 # The user block of HDF5: the library ignores it and looks for its signature after it.
 BLOCK = 512
+MOST_BYTES = 330_000_000
+"""Bytes of a file: five million rays, the most that are recorded, have 320 MB."""
 HEADING = "goniotwin rayset, simulated; HDF5 from byte 512 on, of which sha256="
 HEADING_PATTERN = re.compile(re.escape(HEADING).encode() + rb"([0-9a-f]{64})\n *\n")
 
@@ -79,17 +81,17 @@ def write_rayset(path: StrPath, rayset: Rayset) -> None:
 
 def read_rayset(path: StrPath) -> Rayset:
     """Read a rayset. Raises FormatError for another kind of file, and for a file that changed after it was written."""
-    content = read_file(path)
-    heading = HEADING_PATTERN.fullmatch(content[:BLOCK])
-    if heading is None:
-        raise FormatError(path, "is not a rayset", "give a rayset that was written by goniotwin")
-    if hashlib.sha256(content[BLOCK:]).hexdigest().encode() != heading[1]:
-        raise FormatError(path, "is damaged: its content does not match the sha256 in its first line", RECORD_AGAIN)
-    try:
-        with name_file(path, RECORD_AGAIN), h5py.File(io.BytesIO(content), "r") as file:
-            return Rayset(**_fields(path, file))
-    except (OSError, KeyError, RuntimeError, TypeError) as error:
-        raise FormatError(path, "cannot be read as HDF5", RECORD_AGAIN) from error
+    with open_file(path, MOST_BYTES) as content:
+        heading = HEADING_PATTERN.fullmatch(content.read(BLOCK))
+        if heading is None:
+            raise FormatError(path, "is not a rayset", "give a rayset that was written by goniotwin")
+        if hashlib.file_digest(content, "sha256").hexdigest().encode() != heading[1]:
+            raise FormatError(path, "is damaged: its content does not match the sha256 in its first line", RECORD_AGAIN)
+        try:
+            with name_file(path, RECORD_AGAIN), h5py.File(content, "r") as file:
+                return Rayset(**_fields(path, file))
+        except (OSError, KeyError, RuntimeError, TypeError) as error:
+            raise FormatError(path, "cannot be read as HDF5", RECORD_AGAIN) from error
 
 
 def _fields(path: StrPath, file: h5py.File) -> dict[str, Any]:
@@ -123,7 +125,7 @@ def _column(path: StrPath, file: h5py.File, name: str, column: RaysetColumn, flu
     if not isinstance(data, h5py.Dataset):
         raise FormatError(path, f"the column {name} is missing", RECORD_AGAIN)
     expected = 2 if column.width else 1
-    if data.dtype.kind != "f" or data.ndim != expected or (column.width and data.shape[1] != column.width):
+    if data.dtype != np.float64 or data.ndim != expected or (column.width and data.shape[1] != column.width):
         shape = f"(n, {column.width})" if column.width else "(n,)"
         raise FormatError(path, f"the column {name} has {data.dtype} {data.shape}, not numbers {shape}", RECORD_AGAIN)
     if data.nbytes != data.id.get_storage_size():  # nothing is compressed: numbers that are not stored fill the memory

@@ -9,7 +9,6 @@ import itertools
 import re
 import unicodedata
 from array import array
-from collections import Counter, deque
 from collections.abc import Collection, Iterable
 
 import numpy as np
@@ -23,7 +22,9 @@ from goniotwin.arrays import Floats
 CONTROL_CHARACTER = re.compile("[\x00-\x08\x0e-\x19\x1b-\x1f]")
 LINE_END = re.compile(r"\r\n|\r|\n")
 MOST_BYTES = 50_000_000
-"""Bytes of a text, which needs some ten times as much memory."""
+"""Bytes of a text."""
+MOST_COMMENTS = 500_000
+"""Lines of comments of a table, which stay in memory."""
 HEADER_WORDS = 5000
 """The keywords of a table are among so many words: a list of angles can be long."""
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -114,29 +115,30 @@ class Words:
         self.top_comments: list[str] = []
         self.comments: list[str] = []
         """All comments, including those at the top."""
-        self._mark = re.compile(r"(?:^|(?<=\s))" + re.escape(comment_mark))
-        self._lines: deque[tuple[int, str]] = deque()
-        self._words: deque[str] = deque()
-        self._words_line = 0
-        for number, line in enumerate(LINE_END.split(read_text(path)), 1):
-            self._sort_line(number, line)
-        self._last_line = self._lines[-1][0] if self._lines else None
+        text = read_text(path)
+        self._text = text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+        self._parts = re.finditer(rf"(?P<mark>{re.escape(comment_mark)})[^\n]*|\S+", self._text)
+        self._end = 0
+        """Where in the text the word that comes next ends."""
+        self._next: str | None = None
+        self._next_line = 1
         self._load()
 
-    def _sort_line(self, number: int, line: str) -> None:
-        if mark := self._mark.search(line):
-            comment = line[mark.end() :].removeprefix(" ").rstrip()
-            line = line[: mark.start()]
-            self.comments.append(comment)
-            if not self._lines and not line.strip():
-                self.top_comments.append(comment)
-        if line.strip():
-            self._lines.append((number, line))
-
     def _load(self) -> None:
-        if not self._words and self._lines:
-            self._words_line, line = self._lines.popleft()
-            self._words.extend(line.split())
+        """Find the next word, and the comments before it. Only one word is in memory: a file can have many millions."""
+        self._next = None
+        for part in self._parts:
+            self._next_line += self._text.count("\n", self._end, part.start())
+            self._end = part.end()
+            if part.lastgroup is None:
+                self._next = part[0]
+                return
+            comment = part[0].removeprefix(part["mark"]).removeprefix(" ").rstrip()
+            self.comments.append(comment)
+            if self.line is None:
+                self.top_comments.append(comment)
+            if len(self.comments) > MOST_COMMENTS:
+                raise FormatError(self.path, f"has more than {MOST_COMMENTS} lines of comments", "remove some", self._next_line)
 
     def error(self, wrong: str, remedy: str, line: int | None = None) -> FormatError:
         """A FormatError at the word taken last, or at `line`."""
@@ -144,14 +146,13 @@ class Words:
 
     def peek(self) -> str | None:
         """The next word, in lower case, without taking it; None at the end."""
-        return self._words[0].lower() if self._words else None
+        return None if self._next is None else self._next.lower()
 
     def take(self, wanted: str) -> str:
         """Take the next word; `wanted` is the name of what is expected, for the message at the end of the file."""
-        if not self._words:
-            raise self.error(f"the file ends before {wanted}", "it is cut short: copy it again", self._last_line)
-        self.line = self._words_line
-        word = self._words.popleft()
+        if self._next is None:
+            raise self.error(f"the file ends before {wanted}", "it is cut short: copy it again")
+        word, self.line = self._next, self._next_line
         self._load()
         return word
 
@@ -164,7 +165,7 @@ class Words:
     def take_line(self, wanted: str) -> str:
         """Take the next word and the words that follow it in its line."""
         words = [self.take(wanted)]
-        while self._words and self._words_line == self.line:
+        while self._next is not None and self._next_line == self.line:
             words.append(self.take(wanted))
         return " ".join(words)
 
@@ -207,16 +208,20 @@ class Words:
     def block(self, name: str, rows: int, per_row: int, ends: Collection[str]) -> Floats:
         """Take numbers (rows, per_row) up to one of the words in `ends` (lower case), which is not taken."""
         numbers = array("d")
-        in_line: Counter[int | None] = Counter()
-        surplus = None
+        count, line, in_line, odd, surplus = 0, self._next_line, 0, None, None
         while (word := self.peek()) is not None and word not in ends:
-            numbers.append(self.number(name))
-            in_line[self.line] += 1
-            if len(numbers) == rows * per_row + 1:
-                surplus = self.line
-        if len(numbers) != rows * per_row:
-            odd = next((line for line, count in in_line.items() if count != per_row), surplus or self.line)
-            size = "few" if len(numbers) < rows * per_row else "many"
-            wrong = f"{name} has too {size} numbers: {len(numbers)}, not {rows} rows of {per_row}"
+            if self._next_line != line:
+                odd = odd or (line if in_line != per_row else None)
+                line, in_line = self._next_line, 0
+            number = self.number(name)
+            count, in_line = count + 1, in_line + 1
+            if count <= rows * per_row:
+                numbers.append(number)
+            else:
+                surplus = surplus or line
+        if count != rows * per_row:
+            odd = odd or (line if in_line not in (0, per_row) else surplus) or self.line
+            size = "few" if count < rows * per_row else "many"
+            wrong = f"{name} has too {size} numbers: {count}, not {rows} rows of {per_row}"
             raise self.error(wrong, "correct this line, or the counts at the top", odd)
         return np.array(numbers).reshape(rows, per_row)

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import sqlite3
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from goniotwin.app.campaign.journal import chain
+from goniotwin.app.campaign.journal.schema import migrate
 from goniotwin.app.formats import BsdfTable, registry, write_rayset
 from goniotwin.app.formats.rayset import BLOCK, HEADING
 from goniotwin.twin.optics.illumination.rayset import record
@@ -28,6 +31,19 @@ EXTREMES = (
     "18446744073709551616", "1_0", "true", '""', '"a"', "[]", "{}", "[[1]]", "{ start = 0, stop = 1e9, step = 1e-9 }",
     "1979-05-27", "[" * 400, "a" + ".a" * 9, "\x00", "\N{ZERO WIDTH SPACE}", '"' + "x" * 100_000 + '"', "'''", "1 2", ",", "=",
 )  # fmt: skip
+HUGE = {
+    "lists": ("[", "[],", "[]]"),
+    "lists of a key": ('{"gains": [', "[],", "[]]}"),
+    "text": ("x", "xyz", "x"),
+    "digits": ("1", "111", "1"),
+    "after a NUL": ("\x00[", "[],", "[]]"),
+}
+"""Beginning, repeated part and end of texts of tens of MB; as objects they would take up to a hundred times as much."""
+HUGE_PARTS = 16_000_000
+JSON_EXTREMES = (
+    None, True, -1, 0, 10**9, 10**30, 1e300, float("nan"), float("inf"), "", "x" * 50_000, "\x00", "\ud800", [], [[]], [None],
+    {}, {"": {}}, [0] * 20_000, ["skipped"] * 10_000, {str(key): "" for key in range(10_000)},
+)  # fmt: skip
 TEXTS = {"schedule.toml", "rig.toml", "certificate.csv", "table.ddr", "table.bsdf"}
 COMMANDS: dict[str, list[str]] = {
     "schedule.toml": ["check", "schedule.toml", "--rig", "rig.toml", "--json"],
@@ -37,6 +53,8 @@ COMMANDS: dict[str, list[str]] = {
     "table.bsdf": ["check", "schedule.toml", "--rig", "bsdf.toml"],
     "finished.journal": ["export", "finished.journal", "--format", "csv", "--out", "points.csv"],
     "interrupted.journal": ["runs", ".", "--json"],
+    "chained.journal": ["export", "chained.journal", "--format", "csv", "--out", "points.csv"],
+    "left.journal": ["runs", ".", "--json"],
     "rays.h5": ["simulate", "--sample", "lambertian:reflectance=0.5", "--sigma", "0", "--estimator", "forward", "--paths", "1",
                 "--source", "rays.h5", "--wavelength", "550", "--interval", "10", "--out", "simulated.ddr"],
 }  # fmt: skip
@@ -62,6 +80,11 @@ def make_files(root: Path) -> Path:
         (folder / f"{suffix}.toml").write_text(rig.replace("[twin.samples.etalon]", sample), encoding="utf-8")
     for name in ("finished.journal", "interrupted.journal"):
         shutil.copy(REPOSITORY / "tests" / "golden" / "data" / name, folder)
+    for name, old in (("chained.journal", "finished.journal"), ("left.journal", "interrupted.journal")):
+        shutil.copy(folder / old, folder / name)
+        with contextlib.closing(sqlite3.connect(folder / name, isolation_level=None)) as db:
+            migrate(db)
+            compute_chain(db)
     write_rayset(folder / "rays.h5", record(IlluminationUnit(), 20, seed=1))
     return changed
 
@@ -72,10 +95,11 @@ def mutate(name: str, path: Path, numbers: np.random.Generator) -> None:
         if numbers.random() < 0.5:
             _change_bytes(path, numbers)
         elif name in TEXTS:
-            _change_words(path, numbers)
+            text = path.read_text(encoding="utf-8", errors="replace")
+            path.write_text(_with_changed_words(text, numbers), encoding="utf-8", errors="replace")
         elif name.endswith(".journal"):
-            with contextlib.suppress(sqlite3.Error):
-                _change_cell(path, numbers)
+            with contextlib.suppress(sqlite3.Error, ValueError, RecursionError):
+                change_journal(path, numbers)
         else:
             with contextlib.suppress(OSError, KeyError, TypeError, ValueError, RuntimeError):
                 _change_dataset(path, numbers)
@@ -100,8 +124,8 @@ def _change_bytes(path: Path, numbers: np.random.Generator) -> None:
     path.write_bytes(content)
 
 
-def _change_words(path: Path, numbers: np.random.Generator) -> None:
-    lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+def _with_changed_words(text: str, numbers: np.random.Generator) -> str:
+    lines = text.split("\n")
     k, other = (int(each) for each in numbers.integers(len(lines), size=2))
     extreme = EXTREMES[int(numbers.integers(len(EXTREMES)))]
     match int(numbers.integers(6)):
@@ -116,34 +140,121 @@ def _change_words(path: Path, numbers: np.random.Generator) -> None:
             lines[other:other] = [lines[k]] * int(numbers.integers(1, 100))
         case 5:
             lines[k] = extreme
-    path.write_text("\n".join(lines), encoding="utf-8", errors="replace")
+    return "\n".join(lines)
 
 
-def _change_cell(path: Path, numbers: np.random.Generator) -> None:
+def compute_chain(db: sqlite3.Connection) -> None:
+    """Compute all checksums of a journal anew, those of its first rows too: a stranger can."""
+    db.execute("DELETE FROM campaign WHERE key = ?", (chain.ENTRY,))
+    chain.begin_chain(db)
+    (about,) = db.execute("SELECT value FROM campaign WHERE key = ?", (chain.ENTRY,)).fetchone()
+    about = json.dumps(json.loads(about) | {"after_session": 0})
+    db.execute("UPDATE campaign SET value = ? WHERE key = ?", (about, chain.ENTRY))
+    db.execute("DELETE FROM chain")
+    found = chain.Chain(tip=chain.campaign_hash(db))
+    for number, attempt in db.execute("SELECT number, attempt FROM attempt ORDER BY session, number, attempt").fetchall():
+        found = chain.add_link(db, found, number, attempt)
+    db.execute("UPDATE session SET first_link = 1, last_link = ?, tip = ?", (found.length, found.tip))
+    for (session,) in db.execute("SELECT id FROM session").fetchall():
+        chain.seal_session(db, session)
+
+
+def change_journal(path: Path, numbers: np.random.Generator) -> None:
+    """Change values of a journal; most of those that have a chain get it computed anew, so that the values are read."""
     with contextlib.closing(sqlite3.connect(path)) as db, db:
-        tables = [name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")]
-        table = tables[int(numbers.integers(len(tables)))]
-        columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
-        column = columns[int(numbers.integers(len(columns)))]
-        values = (
-            None,
-            -1,
-            0,
-            2**63 - 1,
-            1e300,
-            "x" * 100_000,
-            "",
-            b"\xff" * 7,
-            b"",
-            "{}",
-            "[" * 5000,
-            "nan",
-            1e-300,
-            *EXTREMES,
-        )
-        value = values[int(numbers.integers(len(values)))]
         db.execute("PRAGMA ignore_check_constraints = ON")
-        db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid % 3 = ?", (value, int(numbers.integers(3))))
+        change = (_change_cell, _change_value, _change_value, _change_json, _change_json, _change_readings, _change_huge)
+        change[int(numbers.integers(len(change)))](db, numbers)
+        if numbers.random() < 0.9 and db.execute("SELECT 1 FROM sqlite_schema WHERE name = 'chain'").fetchone():
+            compute_chain(db)
+
+
+def _change_cell(db: sqlite3.Connection, numbers: np.random.Generator) -> None:
+    """Another value in a column, of whatever type."""
+    values = (None, -1, 0, 2**63 - 1, 1e300, "x" * 100_000, "", b"\xff" * 7, b"", "{}", "[" * 5000, "nan", 1e-300, *EXTREMES)
+    table, column = _column(db, numbers)
+    value = values[int(numbers.integers(len(values)))]
+    db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid % 3 = ?", (value, int(numbers.integers(3))))
+
+
+def _change_value(db: sqlite3.Connection, numbers: np.random.Generator) -> None:
+    """Another value of the column's type: words of a file, a number of another size."""
+    table, column, row, value = _cell(db, numbers)
+    numeric = (0, -1, 1, 2, 7, 10**6, 2**31, 2**63 - 1, -(2**63), 1e300, -1e300, 1e-300, 1e20, float("inf"), 0.5)
+    extreme = numeric[int(numbers.integers(len(numeric)))]
+    if isinstance(value, str):
+        value = _with_changed_words(value, numbers)
+    elif isinstance(value, int):
+        value = int(extreme) if abs(extreme) < 2**63 else 3
+    else:
+        value = float(extreme)
+    db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (value, row))
+
+
+def _change_json(db: sqlite3.Connection, numbers: np.random.Generator) -> None:
+    """Another part of a JSON text."""
+    columns = ("attempt.flags", "attempt.positions", "plan.detail", "session.versions", "campaign.value")
+    table, column = columns[int(numbers.integers(len(columns)))].split(".")
+    rows = db.execute(f"SELECT rowid, {column} FROM {table} WHERE json_valid({column}) OR {column} IS NULL").fetchall()
+    if not rows:
+        return
+    row, text = rows[int(numbers.integers(len(rows)))]
+    found = {"beta": 0.0} if text is None else json.loads(text)
+    extreme = JSON_EXTREMES[int(numbers.integers(len(JSON_EXTREMES)))]
+    if isinstance(found, dict) and found and numbers.random() < 0.8:
+        found[list(found)[int(numbers.integers(len(found)))]] = extreme
+    elif isinstance(found, list) and numbers.random() < 0.5:
+        found.append(extreme)
+    else:
+        found = extreme
+    db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (json.dumps(found), row))
+
+
+def _change_readings(db: sqlite3.Connection, numbers: np.random.Generator) -> None:
+    """Counts of another size, which fits the numbers of readings and of channels, or does not."""
+    rows = db.execute("SELECT rowid, readings, channels FROM reading").fetchall()
+    if not rows:
+        return
+    row, readings, channels = rows[int(numbers.integers(len(rows)))]
+    shapes = ((readings * 100, channels), (readings, channels + 1), (readings, 1), (1, channels), (0, channels), (readings, 0),
+              (-1, channels), (-1, -1), (15_000_000, 1), (400_000, 36), (1, 15_000_000), (2**40, 2**40))  # fmt: skip
+    shape = shapes[int(numbers.integers(len(shapes)))]
+    size = 2 * abs(shape[0] * shape[1])
+    counts = bytes(size) if numbers.random() < 0.5 and size < 1000 else b"\x05\x02" * (min(size, 30_000_000) // 2)
+    db.execute("UPDATE reading SET readings = ?, channels = ?, counts = ? WHERE rowid = ?", (*shape, counts, row))
+
+
+def _change_huge(db: sqlite3.Connection, numbers: np.random.Generator) -> None:
+    """A text of tens of MB."""
+    texts = [name for name in HUGE if numbers.random() < 0.5] or ["lists"]
+    table, column, row, _ = _cell(db, numbers, only_texts=True)
+    write_huge(db, table, column, row, texts[0])
+
+
+def write_huge(db: sqlite3.Connection, table: str, column: str, row: int, what: str) -> None:
+    """Write a text of HUGE in a cell."""
+    begin, part, end = HUGE[what]
+    db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (f"{begin}{part * HUGE_PARTS}{end}", row))
+
+
+def _column(db: sqlite3.Connection, numbers: np.random.Generator, *, only_texts: bool = False) -> tuple[str, str]:
+    tables = [name for (name,) in db.execute("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name")]
+    table = tables[int(numbers.integers(len(tables)))]
+    columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})") if row[2] == "TEXT" or not only_texts]
+    return (table, columns[int(numbers.integers(len(columns)))]) if columns else ("campaign", "value")
+
+
+def _cell(
+    db: sqlite3.Connection, numbers: np.random.Generator, *, only_texts: bool = False
+) -> tuple[str, str, int, str | float | bytes | None]:
+    """Table, column, number and value of a cell; of tables without rows that of the campaign."""
+    table, column = _column(db, numbers, only_texts=only_texts)
+    rows = db.execute(f"SELECT rowid, {column} FROM {table}").fetchall()
+    if not rows:
+        table, column = "campaign", "value"
+        rows = db.execute("SELECT rowid, value FROM campaign").fetchall()
+    row, value = rows[int(numbers.integers(len(rows)))]
+    return table, column, row, value
 
 
 def _change_dataset(path: Path, numbers: np.random.Generator) -> None:
@@ -175,8 +286,27 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise TooLong
 
 
-def attempt(number: int, originals: Path, folder: Path) -> str | None:
-    """Run the command of one mutation in `folder`, which is the current one; return what is wrong with how it ends."""
+@contextlib.contextmanager
+def memory_limit(size: int | None) -> Iterator[None]:
+    """Limit the memory of this process, bytes; what makes the files is not limited."""
+    if size is None:
+        yield
+        return
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def attempt(number: int, originals: Path, folder: Path, memory: int | None = None) -> str | None:
+    """Run the command of one mutation in `folder`, which is the current one; return what is wrong with how it ends.
+
+    `memory` is the limit of the command, bytes.
+    """
     numbers = np.random.default_rng(number)
     name = list(COMMANDS)[number % len(COMMANDS)]
     for path in folder.iterdir():
@@ -187,7 +317,8 @@ def attempt(number: int, originals: Path, folder: Path) -> str | None:
     before = signal.signal(signal.SIGPROF, _interrupt)
     signal.setitimer(signal.ITIMER_PROF, CPU_S)
     try:
-        done = invoke(*COMMANDS[name])
+        with memory_limit(memory):
+            done = invoke(*COMMANDS[name])
     except TooLong:
         return f"{number}: {name}: takes more than {CPU_S} s"
     finally:
@@ -200,13 +331,10 @@ def attempt(number: int, originals: Path, folder: Path) -> str | None:
     return None if done.returncode in (0, 1) or refused else f"{number}: {name}: status {done.returncode}: {done.stderr}"
 
 
-def attempt_many(numbers: range, originals: Path, folder: Path, report: Path) -> None:
+def attempt_many(numbers: Sequence[int], originals: Path, folder: Path, report: Path) -> None:
     """In a child process: attempt mutations, and write the number of each, with what is wrong, before the next."""
-    import resource
-
     os.chdir(folder)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     with report.open("w", encoding="utf-8") as file:
         for number in numbers:
             print(json.dumps([number, "did not end"]), file=file, flush=True)
-            print(json.dumps([number, attempt(number, originals, folder)]), file=file, flush=True)
+            print(json.dumps([number, attempt(number, originals, folder, MEMORY_BYTES)]), file=file, flush=True)

@@ -52,7 +52,17 @@ from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort
 from tests.system.command import invoke
 from tests.system.command_process import FORKED, CommandProcess, row_digest
 from tests.system.conftest import Serve
-from tests.system.mutations import attempt, attempt_many, make_files
+from tests.system.mutations import (
+    COMMANDS,
+    CPU_S,
+    HUGE,
+    MEMORY_BYTES,
+    attempt,
+    attempt_many,
+    compute_chain,
+    make_files,
+    write_huge,
+)
 
 # ---- a busy computer ----
 
@@ -548,6 +558,34 @@ def test_wild_mutations_are_refused_in_one_line(first: int, tmp_path: Path) -> N
     assert list(found) == list(numbers)
 
 
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="this system does not tell the memory of a process")
+@pytest.mark.parametrize("what", HUGE)
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [("chained.journal", "attempt.flags"), ("chained.journal", "plan.detail"), ("left.journal", "session.versions")],
+)
+def test_a_wild_text_of_tens_of_megabytes_is_refused_within_a_gigabyte(
+    name: str, place: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(make_files(tmp_path))
+    shutil.copy(tmp_path / "originals" / name, name)
+    with contextlib.closing(sqlite3.connect(name)) as database, database:
+        write_huge(database, *place.split("."), 1, what)
+        compute_chain(database)
+    command = [sys.executable, "-m", "goniotwin", *COMMANDS[name]]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        lines = process.stderr.read().splitlines()
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert used.ru_maxrss * 1024 < MEMORY_BYTES
+    assert used.ru_utime + used.ru_stime < CPU_S
+    assert process.returncode == (1 if name == "chained.journal" else 0)
+    assert len(lines) == 1
+    assert f"{name}: is damaged: " in lines[0]
+
+
 OLD_JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
 
 # ---- a journal of unknown origin is data, not a program; ports of known kinds ----
@@ -606,8 +644,19 @@ def test_a_journal_with_a_text_of_a_length_that_nothing_has_is_refused_before_it
     for arguments in (("export", path, "--format", "csv", "--out", tmp_path / "a.csv"), ("runs", tmp_path)):
         done = invoke(*arguments)
         assert done.returncode == (1 if arguments[0] == "export" else 0)
-        assert f"has more than 100000 characters in {column} of the table {table}" in done.stderr
+        assert f"has more than 100000 bytes in {column} of the table {table}" in done.stderr
     assert not (tmp_path / "a.csv").exists()
+
+
+@pytest.mark.parametrize("where", ["kind = 'dark'", "kind = 'measure'", "1"])
+@pytest.mark.parametrize("shape", ["readings = readings * 2, channels = channels / 2", "readings = 0, counts = x''"])
+def test_counts_of_other_photodiodes_than_the_rigs_are_refused(tmp_path: Path, shape: str, where: str) -> None:
+    changed = f"UPDATE reading SET {shape} WHERE number IN (SELECT number FROM plan WHERE {where});"
+    path = changed_journal(tmp_path / "a.journal", changed)
+    done = invoke("export", path, "--format", "csv", "--out", tmp_path / "a.csv")
+    assert done.returncode == 2
+    assert "a.journal: a row has counts of " in done.stderr
+    assert "the rig has 36 of these: use a copy of the journal" in done.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes and links as files")
@@ -699,6 +748,8 @@ def test_runs_lists_the_sound_journals_and_names_the_odd_ones(tmp_path: Path) ->
         "torn": lambda path: path.write_bytes(OLD_JOURNAL.read_bytes()[:20_000]),
         "outcome": lambda path: changed_journal(path, "UPDATE session SET outcome = 'strange'"),
         "versions": lambda path: changed_journal(path, f"UPDATE session SET versions = '{'[' * 100_000}'"),
+        "duration": lambda path: changed_journal(path, "UPDATE session SET started_s = -9e999"),
+        "plan": lambda path: changed_journal(path, "DELETE FROM reading; DELETE FROM attempt; UPDATE plan SET seconds = 9e999"),
         "flags": lambda path: changed_journal(path, "UPDATE attempt SET flags = 'skipped'"),
         "view": lambda path: changed_journal(path, STRANGE_SCHEMAS["view"]),
     }
@@ -706,6 +757,7 @@ def test_runs_lists_the_sound_journals_and_names_the_odd_ones(tmp_path: Path) ->
         odd["fifo"] = os.mkfifo
     for name, make in odd.items():
         make(folder / f"{name}.journal")
+    assert invoke("runs", folder, "--json").returncode == 0
     done = invoke("runs", folder)
     assert done.returncode == 0
     assert "[red]sound.journal" in done.stdout

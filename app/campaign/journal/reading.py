@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+import math
 import shutil
 import sqlite3
 import tempfile
@@ -115,7 +116,7 @@ class JournalReader:
     @property
     def seconds(self) -> float:
         """Duration of all sessions together, on the rig's clock."""
-        return sum(session.ended_s - session.started_s for session in self.sessions())
+        return self._finite(sum(session.ended_s - session.started_s for session in self.sessions()))
 
     def sessions(self) -> list[Session]:
         """The sessions in order of time."""
@@ -140,7 +141,12 @@ class JournalReader:
             ((seconds,),) = self._db.execute(
                 f"SELECT TOTAL(seconds) FROM plan p WHERE session IS NULL AND NOT ({ATTEMPTED}{self._sound})"
             )
-        return float(seconds) + sum(seconds for _, seconds in self._skipped_rows())
+        return self._finite(float(seconds) + sum(seconds for _, seconds in self._skipped_rows()))
+
+    def _finite(self, seconds: float) -> float:
+        if not math.isfinite(seconds):
+            raise DamagedJournal(f"{self.path}: is damaged: it has a duration of {seconds} s; {USE_A_COPY}")
+        return seconds
 
     def skipped_by_sample(self) -> dict[str, int]:
         """Number of the planned rows of each sample that were skipped because of a fault and not measured since."""

@@ -107,12 +107,18 @@ def check_schema(db: sqlite3.Connection, version: int) -> None:
 
 
 def check_lengths(db: sqlite3.Connection) -> None:
-    """Raise ValueError where a text is longer than any that is written: it could take a hundred times its size to parse."""
+    """Raise ValueError where a text is longer than any that is written: it could take a hundred times its size to parse.
+
+    The length is in bytes: of characters, SQLite counts those before the first NUL.
+    """
     for (table,) in db.execute("SELECT name FROM sqlite_schema WHERE type = 'table'").fetchall():
         for _, column, kind, *_ in db.execute(f"PRAGMA table_info({table})").fetchall():
             most = LONGEST_FILE if (table, column) in FILES else LONGEST_TEXT
-            if kind == "TEXT" and db.execute(f"SELECT 1 FROM {table} WHERE length({column}) > {most} LIMIT 1").fetchone():
-                raise ValueError(f"has more than {most} characters in {column} of the table {table}")
+            if (
+                kind == "TEXT"
+                and db.execute(f"SELECT 1 FROM {table} WHERE length(CAST({column} AS BLOB)) > {most} LIMIT 1").fetchone()
+            ):
+                raise ValueError(f"has more than {most} bytes in {column} of the table {table}")
 
 
 @cache

@@ -27,6 +27,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_tracing_error,
+    check_shape,
     choose_gain,
     convert_to_photocurrent,
     divide_by_monitor,
@@ -81,11 +82,12 @@ def reduce_readings(data: RowData, dark: Mapping[float, DarkReadings], settings:
     """The signal of a row: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
 
     `dark` are the dark readings by gain. Raises UserError for a gain without a dark reading, for a gain that the rig does not
-    have, and for a monitor without light.
+    have, for counts of other photodiodes, and for a monitor without light.
     """
     at_gains = []
     for reading in data.readings:
         gain = reading.gain_v_per_a
+        check_shape(reading, settings)
         if gain not in settings.gains_v_per_a:
             raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
         if gain not in dark:

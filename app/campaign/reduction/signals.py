@@ -66,12 +66,21 @@ class DarkReadings:
         return counts, float(monitor), float(divisor)
 
 
+def check_shape(reading: Reading, settings: ConverterDescription) -> None:
+    """Raise UserError for counts without readings, or of another number of photodiodes than the rig's."""
+    readings, channels = reading.counts.shape
+    if readings < 1 or channels != settings.count:
+        wrong = f"a row has counts of {readings} readings of {channels} photodiodes; the rig has {settings.count} of these"
+        raise UserError(f"{wrong}: use a copy of the journal, if there is one")
+
+
 def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescription) -> dict[float, DarkReadings]:
-    """The dark readings of all rows, by gain in V/A."""
+    """The dark readings of all rows, by gain in V/A. Raises UserError where they cannot be the rig's."""
     by_gain: dict[float, list[Reading]] = defaultdict(list)
     for each in rows:
         if each.row.kind == "dark":
             for reading in each.data.readings:
+                check_shape(reading, settings)
                 by_gain[reading.gain_v_per_a].append(reading)
     return {gain: DarkReadings(readings, settings) for gain, readings in by_gain.items()}
 

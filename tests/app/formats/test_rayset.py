@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from goniotwin.app.formats import FormatError, read_rayset, write_rayset
+from goniotwin.app.formats import FormatError, rayset, read_rayset, write_rayset
+from goniotwin.app.formats.rayset import BLOCK, HEADING
 from goniotwin.twin.optics.illumination.rayset import Rayset, record
 from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 
@@ -170,6 +172,7 @@ def column(name: str, value: object, unit: str) -> Callable[[h5py.File], None]:
         (column("flux", np.full(50, -1.0), "W"), "ray 0: flux -1.0 is negative"),
         (column("flux", np.full(49, 1e-9), "W"), "49 rays need"),
         (column("flux", np.full((50, 1), 1e-9), "W"), r"not numbers (n,)"),
+        (column("flux", np.full(50, 1e-3, dtype="<f2"), "W"), r"has float16 (50,), not numbers (n,)"),
         (column("direction", np.full((50, 3), "x", dtype="S1"), "1"), "not numbers (n, 3)"),
         (column("direction", np.zeros((50, 3)), "1"), "ray 0: directions [0. 0. 0.] has no length"),
         (column("wavelength", np.full(50, 5.55e-7), "m"), "the column wavelength is in 'm', not nm"),
@@ -181,3 +184,15 @@ def test_an_undamaged_file_with_a_wrong_field_is_refused(beam: Path, change: Cal
 
 def test_a_file_changed_without_error_is_read(beam: Path) -> None:
     assert same(read_rayset(changed(beam, lambda _file: None)), replace(record(UNIT, 50, seed=1)))
+
+
+def test_a_large_file_is_checked_without_being_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "large.h5"
+    path.write_bytes(f"{HEADING}{'0' * 64}\n".encode().ljust(BLOCK - 1) + b"\n" + bytes(10_000_000))
+    tracemalloc.start()
+    assert "its content does not match the sha256" in refusal(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 2_000_000
+    monkeypatch.setattr(rayset, "MOST_BYTES", 10_000_000)
+    assert "has more than 10000000 bytes" in refusal(path)

@@ -2,12 +2,14 @@
 
 import os
 import pickle
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
+from goniotwin.app.formats import text
 from goniotwin.app.formats.file import FormatError
-from goniotwin.app.formats.text import comment_lines, read_text, write_text
+from goniotwin.app.formats.text import Words, comment_lines, read_text, write_text
 
 
 def test_a_file_is_replaced_and_no_temporary_file_is_left(tmp_path: Path) -> None:
@@ -68,3 +70,39 @@ def test_an_error_is_one_printable_line_and_can_be_pickled() -> None:
     error = FormatError("a\nb\x1b.ddr", "is wrong", "correct it", 7)
     assert str(error) == "a b?.ddr, line 7: is wrong; correct it"
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def test_words_of_a_long_text_are_not_in_memory_together(tmp_path: Path) -> None:
+    """Neither many short lines, nor many words of one line, nor what follows an error."""
+    for separator in ("\n", " ", "\r\n"):
+        path = tmp_path / "a.ddr"
+        path.write_bytes(f"ab{separator}".encode() * 20_000)
+        tracemalloc.start()
+        words = Words(path, ";;")
+        taken = sum(words.take("a word") == "ab" for _ in range(20_000))
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert taken == 20_000
+        assert words.peek() is None
+        assert words.line == (20_000 if "\n" in separator else 1)
+        assert most < 600_000  # the text itself has 60 to 80 kB
+
+
+def test_more_comments_than_fit_in_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text, "MOST_COMMENTS", 10)
+    path = tmp_path / "a.ddr"
+    path.write_text(";;ab\n" * 11)
+    with pytest.raises(FormatError, match=r"a\.ddr, line 11: has more than 10 lines of comments"):
+        Words(path, ";;")
+
+
+def test_surplus_numbers_are_counted_and_not_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.ddr"
+    path.write_text("1\n" * 10_000)
+    words = Words(path, ";;")
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="line 3: def has too many numbers: 10000, not 2 rows of 1"):
+        words.block("def", 2, 1, ())
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 10_000
