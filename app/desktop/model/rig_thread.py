@@ -271,7 +271,9 @@ class RigThread:
             state = self._run_engine(engine)
             self._engine = None
             self.shutter_may_be_open = engine.shutter_may_be_open
-        self._send(RunEnded(state, self._reason, path))
+        if journal.note:
+            self._send(EventLogged("journal", journal.note, "journal"))
+        self._send(RunEnded(state, self._reason, journal.kept_at))
 
     def _run_engine(self, engine: Engine) -> State:
         """Run the engine. An exception that is not a fault of a device (a full disk, a program error) stops the axes too."""
