@@ -1,7 +1,7 @@
 """Run or resume a campaign, from its files to its journal, in one call: for the command line and for scripts."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from goniotwin.app.campaign.journal.chain import Chain
@@ -24,7 +24,8 @@ class Outcome:
     """Result of a campaign: the final `state` of the engine, and the reason where a stop condition of the schedule ended it.
 
     `rows` counts the measured planned rows, `skipped` those that were skipped because of faults, `planned` all planned rows;
-    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes.
+    `seconds` is the duration on the rig's clock; `chain` the journal's chain of hashes. `journal` is the file with all rows;
+    `journal_note` states why it is another than the one to be written, or not one file.
     """
 
     state: State
@@ -36,6 +37,8 @@ class Outcome:
     faults: tuple[str, ...]
     simulated: bool
     chain: Chain
+    journal: Path
+    journal_note: str = ""
 
 
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
@@ -57,14 +60,14 @@ def run_campaign(
 
     Raises UserError, before anything is written, where it cannot start.
     """
-    if (holder := journal_holder(journal_path)) is not None:
-        raise RigInUse(str(journal_path), holder)
+    _refuse_used(journal_path)
     with open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # raises the error before the rig is connected
         operator = _connect(opened, plan, ask)
         with Journal.create(journal_path, plan, software_versions()) as journal:
-            return _run_engine(opened, plan, journal, operator, listeners, plan.rows)
+            outcome = _run_engine(opened, plan, journal, operator, listeners, plan.rows)
+    return replace(outcome, journal=journal.kept_at, journal_note=journal.note)
 
 
 def resume_campaign(
@@ -84,6 +87,7 @@ def resume_campaign(
     moves, with each safety order of the last session that is not acknowledged. Raises UserError, without a change of the
     journal, where the campaign cannot be resumed: see `remaining_work`.
     """
+    _refuse_used(journal_path)  # what another program writes under another name cannot be read
     with Journal.open(journal_path) as unlocked:
         plan = remaining_work(unlocked, rig).plan  # raises the error before the journal is changed
         orders = unlocked.open_orders()
@@ -102,7 +106,13 @@ def resume_campaign(
         remaining = remaining_work(journal, rig)  # again, now that no other program can change the journal
         with open_rig(remaining.plan.rig, clock_for(remaining.plan.rig.file, remaining.start_s), transcript) as opened:
             operator = _connect(opened, remaining.plan, ask, homing=True, moves=bool(remaining.work))
-            return _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work)
+            outcome = _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work)
+    return replace(outcome, journal=journal.kept_at, journal_note=journal.note)
+
+
+def _refuse_used(journal_path: Path) -> None:
+    if (holder := journal_holder(journal_path)) is not None:
+        raise RigInUse(str(journal_path), holder)
 
 
 def _connect(opened: OpenRig, plan: Plan, ask: Ask | None, *, homing: bool = False, moves: bool = True) -> Operator:
@@ -124,6 +134,7 @@ def _run_engine(
     faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
     return Outcome(
         state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain,
+        journal.path,
     )  # fmt: skip
 
 

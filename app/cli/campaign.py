@@ -123,7 +123,8 @@ def run(
     question, or with --accept-rig. Missing and skipped rows are measured, after the sample is mounted again, a
     dark reading and a drift check.
 
-    Exit status: 0 if all rows are done; 1 after a fault, or if rows were skipped after faults; 2 if schedule or rig are
+    Exit status: 0 if all rows are done; 1 after a fault, if rows were skipped after faults, or if the data file cannot be read
+    back; 2 if schedule or rig are
     refused (no journal is created); 3 if the schedule ended the campaign ([stop], or a drift beyond its limit); 130 after
     Ctrl-C. After 1, 3 and 130 the journal has all measured rows, and --resume continues.
     """
@@ -149,6 +150,7 @@ def run(
         plan, journal = _make_plan(schedule, rig), out
         with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress:
             outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_operator)
+    moved, journal = outcome.journal != journal, outcome.journal
     result = {
         "journal": str(journal),
         "state": "stopped" if outcome.state is State.IDLE else str(outcome.state),
@@ -162,10 +164,17 @@ def run(
         "orders": progress.orders,
         "chain": outcome.chain.as_dict(),
     }
-    if (checks := check_journal(journal)) is not None:
+    checks, unread = None, ""
+    try:
+        checks = check_journal(journal, outcome.chain)
+    except UserError as error:
+        unread = str(error)
+    if checks is not None:
         result["checks"] = checks.as_dict()
     for fault in outcome.faults:
         print_error(fault)
+    for each in filter(None, (outcome.journal_note, unread)):
+        print_error(each)
     mark = "SIMULATED, " if outcome.simulated else ""
     skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
     rows = f"{outcome.rows} of {outcome.planned} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
@@ -181,6 +190,8 @@ def run(
         errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
     for order in progress.orders:
         print_order(order)
+    if outcome.state is State.DONE and (moved or unread):
+        raise typer.Exit(1)
     if outcome.state is not State.DONE or outcome.skipped:
         raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
 

@@ -1,6 +1,7 @@
 """Files: reading, atomic writing, and the error of this package."""
 
 import contextlib
+import errno
 import os
 import tempfile
 import threading
@@ -13,6 +14,8 @@ from goniotwin.app.errors import one_line, room_on_disk
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
 SQLITE = b"SQLite format 3\0"
+NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
+"""What a disk without hard links answers, as those of memory sticks."""
 
 
 class FormatError(ValueError):
@@ -140,6 +143,23 @@ def _refuse_database(path: StrPath, file: Path) -> None:
     if file.exists() and read_head(file, len(SQLITE)) == SQLITE:
         wrong = "is a data file (journal) or another database, and is not overwritten"
         raise FormatError(path, wrong, "choose another name")
+
+
+def name_new_file(spare: Path, path: Path) -> None:
+    """Rename a file to a name that no other file has. Raises FileExistsError where one has it, OSError."""
+    if os.name == "nt":  # which overwrites nothing
+        spare.rename(path)
+        return
+    try:
+        path.hardlink_to(spare)
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
+        spare.rename(path)
+    else:
+        spare.unlink()
 
 
 def sync_folder(folder: Path) -> None:

@@ -2,13 +2,15 @@
 
 A rig has two guards. Among the programs of one user it is a lock file for each device, in the user's state folder. Among
 users it is the device itself: a serial port is opened exclusively, the interface of a USB instrument is claimed, and for a TCP
-address a name of the system is taken, which every user sees: see `SystemName`. A journal has a lock file beside it.
+address a name of the system is taken, which every user sees: see `SystemName`. A journal has a lock file beside it, and, while
+it is written, two guards of the file itself, whatever its name: a lock file in the state folder and a name of the system.
 
 A lock file is empty and stays so, and no link is followed to it. The note of its holder, and since when, is a file beside it,
 replaced by renaming. So no byte changes of a file that another user has put there.
 """
 
 import contextlib
+import errno
 import getpass
 import hashlib
 import os
@@ -21,7 +23,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from goniotwin.app.errors import UserError, printable
+from goniotwin.app.errors import UserError, printable, room_on_disk
 from goniotwin.app.rig.addresses import device_names
 from goniotwin.own_files import make_own_folder, replace_text, state_folder
 from goniotwin.protocols.clock import calendar_stamp
@@ -86,7 +88,7 @@ class RigLock:
 
         Raises RigInUse with the holder of an address and the start of its lock.
         """
-        self._folder = folder if folder is not None else state_folder() / "locks"
+        self._folder = folder if folder is not None else _lock_folder()
         self._files: list[LockFile] = []
         self._names: list[SystemName] = []
         try:
@@ -140,20 +142,74 @@ class RigLock:
         return self._folder / f"{file_stem(name)}.lock"
 
 
-def lock_journal(path: Path, purpose: str) -> LockFile:
-    """Lock a journal, which need not exist yet, by a file beside it: among all users of its folder. Raises UserError.
+FileIdentity = tuple[int, int]
+"""Device and number of a file: what it keeps when it is renamed."""
 
-    The journal itself is not opened: SQLite's own locks on it end when any other opening of it in this process is closed.
+
+class JournalLock:
+    """The locks of one journal, held until `release` or until the process ends, also if it is killed.
+
+    The journal itself is never opened: SQLite's own locks on it end when any other opening of it in this process is closed.
     """
+
+    def __init__(self, path: Path, purpose: str) -> None:
+        self._path = path
+        self._purpose = purpose
+        self._files = [LockFile(_journal_lock(path), str(path), purpose, 0o666)]
+        self._name: SystemName | None = None
+        self.identity: FileIdentity | None = None
+        """The file that is locked too; None before `hold_file`."""
+
+    def hold_file(self, file: Path) -> None:
+        """Lock the journal's file too, which may be renamed from now on. Raises RigInUse with the holder, UserError."""
+        try:
+            self.identity = identity_of(file)
+            lock = _identity_lock(self.identity)
+            make_own_folder(lock.parent)
+            self._files.append(LockFile(lock, str(self._path), f"{self._purpose}, as {os.path.realpath(self._path)}", 0o600))
+        except OSError as error:
+            raise UserError(f"{self._path}: its lock in your state folder cannot be made: {error.strerror or error}") from None
+        with contextlib.suppress(OSError):  # a system that permits no such name: other users have the lock beside the journal
+            self._name = SystemName("journal:{}:{}".format(*self.identity), str(self._path))
+
+    def release(self, *, remove: bool = False) -> None:
+        """Release the locks; `remove` their files too. A second call has no effect."""
+        if self._name is not None:
+            self._name.release()
+        for file in self._files[::-1]:
+            file.release(remove=remove)
+
+
+def lock_journal(path: Path, purpose: str) -> JournalLock:
+    """Lock a journal, which need not exist yet, by a file beside it: among all users of its folder. Raises UserError."""
     try:
-        return LockFile(_journal_lock(path), str(path), purpose, 0o666)
+        return JournalLock(path, purpose)
     except OSError as error:
-        raise UserError(f"{path}: its lock file cannot be made: {error.strerror}; check the folder") from None
+        remedy = room_on_disk(error) or "check the folder"
+        raise UserError(f"{path}: its lock file cannot be made: {error.strerror}; {remedy}") from None
 
 
 def journal_holder(path: Path) -> str | None:
-    """The note of the program that has a journal open for writing, None if there is none."""
-    return holder_of(_journal_lock(path))
+    """The note of the program that has a journal open for writing, by this name or another; None if there is none."""
+    holder = holder_of(_journal_lock(path))
+    if holder is None:
+        with contextlib.suppress(OSError):
+            holder = holder_of(_identity_lock(identity_of(path)))
+    return holder
+
+
+def identity_of(path: Path) -> FileIdentity:
+    """What tells a file from others, whatever its name; the file is not opened. Raises OSError."""
+    status = path.stat()
+    return status.st_dev, status.st_ino
+
+
+def _lock_folder() -> Path:
+    return state_folder() / "locks"
+
+
+def _identity_lock(identity: FileIdentity) -> Path:
+    return _lock_folder() / "journal-{}-{}.lock".format(*identity)
 
 
 def _journal_lock(path: Path) -> Path:
@@ -266,8 +322,10 @@ elif sys.platform.startswith("linux"):
         try:
             held.bind(f"\0{name}")
             held.listen()  # so that the next one learns which process this is
-        except OSError:
+        except OSError as error:
             held.close()
+            if error.errno != errno.EADDRINUSE:
+                raise
             raise RigInUse(address, _holder_of_socket(name)) from None
         return held
 

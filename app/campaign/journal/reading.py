@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import json
 import math
+import os
 import shutil
 import sqlite3
 import tempfile
@@ -273,7 +274,11 @@ def open_read_only(path: Path) -> sqlite3.Connection:
     After a killed program or a power failure SQLite may have to recover the database before it can be read; in a read-only
     folder it may be unable to make its auxiliary files. Then a recovered copy in memory is opened.
     """
-    db = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
+    # A connection that may not write leaves the auxiliary files that it makes. One that may takes them away, and writes nothing
+    # into a database that is whole in its one file.
+    file = Path(os.path.realpath(path))
+    whole = not any(Path(f"{file}{suffix}").exists() for suffix in ("-wal", "-journal"))
+    db = sqlite3.connect(f"{file.as_uri()}?mode={'rw' if whole else 'ro'}", uri=True, check_same_thread=False)
     try:
         distrust(db)
         db.execute("PRAGMA user_version")

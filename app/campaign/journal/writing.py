@@ -6,10 +6,12 @@ and the raw counts; everything else can be derived from these again. docs/journa
 
 import contextlib
 import errno
+import itertools
 import json
 import math
 import os
 import platform
+import shutil
 import sqlite3
 import tempfile
 import threading
@@ -38,8 +40,8 @@ from goniotwin.app.campaign.journal.schema import (
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.errors import UserError, room_on_disk
-from goniotwin.app.formats.file import sync_folder
-from goniotwin.app.rig.lock import LockFile, lock_journal
+from goniotwin.app.formats.file import name_new_file, sync_folder
+from goniotwin.app.rig.lock import JournalLock, RigInUse, identity_of, lock_journal
 from goniotwin.protocols.clock import calendar_stamp
 
 CHECKPOINT_ROWS, CHECKPOINT_S = 10, 60.0
@@ -50,6 +52,8 @@ OLDEST_READABLE = 2
 """Older schemas lack columns that are read: a copy of them is migrated."""
 PROBE_BYTES = 1 << 16
 """SQLite makes its files longer by half of this at once."""
+UNFINISHED = ".goniotwin-new"
+"""End of the name of a journal until it is complete."""
 PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
 
 
@@ -63,12 +67,23 @@ class JournalError(Exception):
 
 
 class Journal(JournalReader):
-    """An open journal. A row is on the disk when `commit` returns."""
+    """An open journal. A row is on the disk when `commit` returns.
+
+    After `close`, `kept_at` is the file with all rows, and `note` states why it is not the journal's one file, if it is not.
+    """
 
     def __init__(
-        self, connection: sqlite3.Connection, path: Path, chain: Chain, lock: LockFile | None = None, *, written: bool = False
+        self,
+        connection: sqlite3.Connection,
+        path: Path,
+        chain: Chain,
+        lock: JournalLock | None = None,
+        *,
+        written: bool = False,
     ) -> None:
         super().__init__(connection, path, chain)
+        self.note = ""
+        self.kept_at = path
         self._lock = lock
         self._session: int | None = None
         self._written = written
@@ -89,31 +104,30 @@ class Journal(JournalReader):
         with contextlib.ExitStack() as failed:
             lock = lock_journal(path, plan.schedule.file.name)
             failed.callback(lock.release, remove=True)
-            if path.exists():
-                raise UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
-            for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
-                if leftover.exists():  # SQLite would apply it to the new database
-                    raise UserError(
-                        f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
-                    )
+            if os.path.lexists(path):
+                raise _not_overwritten(path)
+            _check_leftovers(path)
             journal = cls._create(path, plan, versions, lock, durable=durable)
             failed.pop_all()
         return journal
 
     @classmethod
-    def _create(cls, path: Path, plan: Plan, versions: dict[str, str], lock: LockFile, *, durable: bool) -> "Journal":
+    def _create(cls, path: Path, plan: Plan, versions: dict[str, str], lock: JournalLock, *, durable: bool) -> "Journal":
         spare = _spare(path)
         try:
-            _remove(spare)  # left by a program that was killed here
+            _sweep(spare)
             with contextlib.closing(_connect(spare, durable=durable)) as db:
                 create_tables(db)
                 _describe(db, plan, versions)
                 db.execute("PRAGMA wal_checkpoint")  # closing does this too, but ignores errors
-            spare.rename(path)
-        except (sqlite3.Error, OSError) as error:
-            with contextlib.suppress(OSError):  # a read-only disk
-                _remove(spare)
-            raise _unwritable(path, error) from None
+            if durable:
+                lock.hold_file(spare)  # before another program can find it
+            name_new_file(spare, path)
+        except (sqlite3.Error, OSError, UserError) as error:
+            _discard(spare)
+            if isinstance(error, UserError):
+                raise
+            raise _not_overwritten(path) if isinstance(error, FileExistsError) else _unwritable(path, error) from None
         try:
             db = _connect(path, durable=durable)
             return cls(db, path, Chain(tip=campaign_hash(db)), lock, written=durable)
@@ -135,7 +149,9 @@ class Journal(JournalReader):
                 db.backup(copy)
                 migrate(copy)
             db = copy
-        return cls(db, path, _checked(db, path))
+        journal = cls(db, path, _checked(db, path))
+        db.execute("PRAGMA query_only = ON")
+        return journal
 
     @classmethod
     def reopen(cls, path: Path) -> "Journal":
@@ -143,12 +159,17 @@ class Journal(JournalReader):
 
         Raises UserError for a file that is not a journal, or cannot be written.
         """
-        _known_version(path)
-        if path.stat().st_nlink > 1:  # SQLite keeps the latest rows in a file that has the journal's name
-            raise UserError(f"{path}: has another name too (a hard link), and could lose rows; copy it, and resume the copy")
+        _check_file(path)
         with contextlib.ExitStack() as failed:
             lock = lock_journal(path, "resumed")
             failed.callback(lock.release, remove=True)
+            lock.hold_file(path)
+            _discard(_spare(Path(os.path.realpath(path))))  # the other name, if a program was killed while it named it
+            if path.stat().st_nlink > 1:  # SQLite keeps the latest rows in a file that has the journal's name
+                raise UserError(
+                    f"{path}: has another name too (a hard link), and could lose rows; copy it, and resume the copy"
+                )
+            _known_version(path)
             try:
                 db = _connect(path)
             except sqlite3.Error as error:
@@ -162,47 +183,109 @@ class Journal(JournalReader):
         return journal
 
     def close(self) -> None:
-        """Close the journal. A written journal is then whole in its one file, also while other programs read it."""
+        """Close the journal. A written journal is then whole in its one file, also while other programs read it.
+
+        Where that cannot be, `note` has the reason. A journal that has lost its name is kept as a copy under another one.
+        """
         with self._writes:  # not in the middle of an event of another thread: Python's SQLite then crashes
+            moved = self._moved()
+            if moved:
+                self._rescue()
+            remains = ""
             try:
-                self._db.execute("PRAGMA journal_mode = DELETE")
+                if self._lock is not None:
+                    self._db.execute("PRAGMA journal_mode = DELETE")
             except sqlite3.Error:  # another program has it open
-                if self._written:
-                    self._finish()
+                if self._written and not moved:
+                    remains = self._finish()
             self._db.close()
+        if remains and _size(wal := Path(f"{os.path.realpath(self.path)}-wal")):
+            self.note = f"{self.path}: rows remain in {wal}, because {remains}; use goniotwin copy to have all in one file"
         if self._lock is not None:
             self._lock.release(remove=True)
 
-    def _finish(self) -> None:
-        """Bring all rows into the file of a journal that other programs have open.
+    def _finish(self) -> str:
+        """Bring all rows into the file of a journal that other programs have open; return why that cannot be, if so.
 
         SQLite waits some seconds for their reading to end. If it does not end, the journal is replaced by a copy; they keep
-        the file that they have open. Windows does not permit that: rows may then remain in the -wal file.
+        the file that they have open. Windows does not permit that, and a hard link would still lead to that file.
         """
         with contextlib.suppress(sqlite3.Error):
             if not self._db.execute("PRAGMA wal_checkpoint(FULL)").fetchone()[0]:
-                return
+                return ""
+        remains = "another program reads it"
+        if os.name == "nt":
+            return remains
         file = Path(os.path.realpath(self.path))
         spare = _spare(file)
-        with contextlib.suppress(sqlite3.Error, OSError):
-            if os.name != "nt" and file.stat().st_nlink == 1:
-                _copy(self._db, spare)
-                self._db.close()
-                spare.replace(file)
-                sync_folder(file.parent)
-                for suffix in ("-wal", "-shm"):
-                    Path(f"{file}{suffix}").unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
+        try:
+            if (status := file.stat()).st_nlink > 1:
+                return f"{remains}, and it has another name too (a hard link)"
             _remove(spare)
+            _copy(self._db, spare)
+            if (made := spare.stat()) and (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
+                os.chown(spare, status.st_uid, status.st_gid)
+            shutil.copymode(file, spare)
+            self._db.close()
+            spare.replace(file)
+            sync_folder(file.parent)
+            for suffix in ("-wal", "-shm"):
+                Path(f"{file}{suffix}").unlink(missing_ok=True)
+            return ""
+        except (sqlite3.Error, OSError) as error:
+            reason = _room_on_disk(file, error)
+            return f"{remains}, and a copy cannot take its place: {error}{f' ({reason})' if reason else ''}"
+        finally:
+            _discard(spare)
+
+    def _moved(self) -> bool:
+        """Whether the name of a journal that is written leads to another file, or to none."""
+        if self._lock is None or self._lock.identity is None:
+            return False
+        try:
+            return identity_of(self.path) != self._lock.identity
+        except (FileNotFoundError, NotADirectoryError):
+            return True
+        except OSError:  # a network disk that does not answer
+            return False
+
+    def _check_place(self) -> None:
+        """Raise JournalError where the rows go into a file that is not found by the journal's name any more."""
+        if self._moved():
+            now = "another file" if os.path.lexists(self.path) else "no file"
+            raise JournalError(
+                f"{self.path}: was moved, renamed or removed during the run, and {now} has its name now; "
+                "a copy with all rows is made beside it, which can be resumed"
+            )
+
+    def _rescue(self) -> None:
+        """Copy a journal that has lost its name to a free name beside the old one."""
+        lost = f"{self.path}: was moved, renamed or removed while it was written"
+        names = (f"{self.path.stem}-rescued{f'-{k}' if k else ''}{self.path.suffix}" for k in itertools.count())
+        copy = next(each for each in map(self.path.with_name, names) if not os.path.lexists(each))
+        try:
+            _new_copy(self._db, copy, self.path)
+        except UserError as error:
+            self.note = f"{lost}, and a copy cannot be made: {error}; the rows are where the file is now"
+        else:
+            self.kept_at = copy
+            self.note = f"{lost}; {copy} has all its rows: use that"
 
     def tend(self, t: float) -> None:
-        """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock."""
+        """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock. Raises JournalError."""
         with self._writes:
             if self._due_s is not None and t >= self._due_s:
                 self.checkpoint()
 
     def checkpoint(self) -> None:
-        """Bring the rows into the journal's one file as far as readers permit, so that a plain copy of it has them."""
+        """Bring the rows into the journal's one file as far as readers permit, so that a plain copy of it has them.
+
+        Raises JournalError where the journal has lost its name.
+        """
+        self._checkpoint()
+        self._check_place()
+
+    def _checkpoint(self) -> None:
         with self._writes, contextlib.suppress(sqlite3.Error):  # the rows are on the disk, in the -wal file
             self._fresh, self._due_s = 0, None
             if self._written:
@@ -216,9 +299,8 @@ class Journal(JournalReader):
             self._fresh += rows
             if self._due_s is None:
                 self._due_s = t + CHECKPOINT_S
-            if self._fresh >= CHECKPOINT_ROWS:
-                self.checkpoint()
-            self.tend(t)
+            if self._fresh >= CHECKPOINT_ROWS or t >= self._due_s:
+                self._checkpoint()
 
     def __enter__(self) -> "Journal":
         return self
@@ -295,6 +377,7 @@ class Journal(JournalReader):
                 self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
         self.chain = chain
         self._expect_checkpoint(data.ended_s, rows=1)
+        self._check_place()
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -343,9 +426,48 @@ def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
 
 
 def _remove(path: Path) -> None:
-    """Delete a database and the files that SQLite keeps beside it. Raises OSError."""
-    for suffix in ("", "-wal", "-shm", "-journal"):
+    """Delete a database and the files that SQLite keeps beside it, the database last. Raises OSError."""
+    for suffix in ("-wal", "-shm", "-journal", ""):
         Path(f"{path}{suffix}").unlink(missing_ok=True)
+
+
+def _discard(spare: Path) -> None:
+    """Delete an unfinished journal, where the disk permits it."""
+    with contextlib.suppress(OSError):
+        _remove(spare)
+
+
+def _sweep(spare: Path) -> None:
+    """Delete the unfinished journal `spare`, whose lock is held, and those that killed programs left in its folder.
+
+    Raises OSError for the first.
+    """
+    _remove(spare)
+    for left in spare.parent.glob(f".*{UNFINISHED}"):
+        with contextlib.suppress(UserError):  # a program makes it now
+            lock = lock_journal(left.with_name(left.name[1:].removesuffix(UNFINISHED)), "removing what a killed program left")
+            _discard(left)
+            lock.release(remove=True)
+
+
+def _size(path: Path) -> int:
+    """The size of a file; 0 where there is none."""
+    with contextlib.suppress(OSError):
+        return path.stat().st_size
+    return 0
+
+
+def _check_leftovers(path: Path) -> None:
+    """Raise UserError where the name of a new journal has files that SQLite would apply to it."""
+    for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
+        if leftover.exists():
+            raise UserError(
+                f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
+            )
+
+
+def _not_overwritten(path: Path) -> UserError:
+    return UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
 
 
 def _unwritable(path: Path, error: Exception) -> UserError:
@@ -368,11 +490,15 @@ def _room_on_disk(path: Path, error: Exception) -> str:
     return room_on_disk(OSError(errno.ENOSPC, "")) if getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL else ""
 
 
-def _known_version(path: Path) -> int:
-    """The schema version of a journal. Raises UserError for a file that is not a journal, or too new."""
+def _check_file(path: Path) -> None:
     if not path.is_file():
         what = "is a folder or a device, not a journal" if path.exists() else "there is no such journal"
         raise UserError(f"{path}: {what}; check the name")
+
+
+def _known_version(path: Path) -> int:
+    """The schema version of a journal. Raises UserError for a file that is not a journal, or too new."""
+    _check_file(path)
     try:
         with contextlib.closing(open_read_only(path)) as db:
             found = db.execute("PRAGMA application_id").fetchone()[0]
@@ -398,24 +524,42 @@ def copy_journal(path: Path, copy: Path) -> Chain:
     The copy has its name when it is whole. Raises UserError where it cannot be made, and DamagedJournal for a journal of which
     more than rows, plan or sessions is damaged.
     """
-    if copy.exists():
-        raise UserError(f"{copy}: exists, and nothing is overwritten; choose another name")
     _known_version(path)
+    try:
+        with contextlib.closing(open_read_only(path)) as db:
+            return _new_copy(db, copy, path)
+    except (sqlite3.Error, OSError) as error:
+        raise _unwritable(copy, error) from None
+
+
+def _new_copy(db: sqlite3.Connection, copy: Path, path: Path) -> Chain:
+    """Copy the journal `path`, open as `db`, to a new file, and check it. Raises UserError; nothing is overwritten."""
+    exists = UserError(f"{copy}: exists, and nothing is overwritten; choose another name")
+    if os.path.lexists(copy):
+        raise exists
+    if not copy.parent.is_dir():
+        raise UserError(f"{copy}: cannot be written: there is no folder {copy.parent}; create it first")
+    try:
+        lock = lock_journal(copy, f"copied from {path}")
+    except RigInUse as used:
+        raise UserError(f"{copy}: is being written by {used.holder}; nothing is overwritten: choose another name") from None
     spare = _spare(copy)
     try:
-        _remove(spare)
-        with contextlib.closing(open_read_only(path)) as db:
-            _copy(db, spare)
-        with contextlib.closing(open_read_only(spare)) as db:
-            chain = _checked(db, path)
-        spare.rename(copy)
+        _check_leftovers(copy)
+        _sweep(spare)
+        _copy(db, spare)
+        with contextlib.closing(open_read_only(spare)) as made:
+            chain = _checked(made, path)
+        name_new_file(spare, copy)
         sync_folder(copy.parent)
         return chain
+    except FileExistsError:
+        raise exists from None
     except (sqlite3.Error, OSError) as error:
         raise _unwritable(copy, error) from None
     finally:
-        with contextlib.suppress(OSError):
-            _remove(spare)
+        _discard(spare)
+        lock.release(remove=True)
 
 
 def _copy(db: sqlite3.Connection, to: Path) -> None:
@@ -426,8 +570,8 @@ def _copy(db: sqlite3.Connection, to: Path) -> None:
 
 
 def _spare(path: Path) -> Path:
-    """The name of a journal until it is complete."""
-    return path.with_name(f".{path.name}.new")
+    """The name of a journal until it is complete; who holds the journal's lock may make and delete it."""
+    return path.with_name(f".{path.name}{UNFINISHED}")
 
 
 def _checked(db: sqlite3.Connection, path: Path) -> Chain:

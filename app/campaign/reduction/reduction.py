@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
-from goniotwin.app.campaign.journal.reading import DamagedJournal, JournalReader
+from goniotwin.app.campaign.journal.chain import Chain
+from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
@@ -286,10 +287,15 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
     )  # fmt: skip
 
 
-def check_journal(path: Path) -> CheckResults | None:
-    """Evaluate the consistency checks of a journal, as far as it goes; None where its schedule asks for none."""
-    try:
-        with Journal.open(path) as journal:
+def check_journal(path: Path, chain: Chain | None = None) -> CheckResults | None:
+    """Evaluate the consistency checks of a journal, as far as it goes; None where its schedule asks for none.
+
+    Raises UserError where the journal cannot be read, or does not have the `chain` with which it was written.
+    """
+    with Journal.open(path) as journal:
+        if chain is not None and (journal.chain.length, journal.chain.tip) != (chain.length, chain.tip):
+            raise DamagedJournal(f"{path}: has other rows than were written; {USE_A_COPY}")
+        try:
             file = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
             if file.symmetry_check is None and file.overlap is None:
                 return None
@@ -301,8 +307,8 @@ def check_journal(path: Path) -> CheckResults | None:
                     checks.add(block.points)
                 results.add(name, checks)
             return results
-    except UserError as error:
-        return CheckResults({}, {}, str(error).removeprefix(f"{path}: "))
+        except UserError as error:
+            return CheckResults({}, {}, str(error).removeprefix(f"{path}: "))
 
 
 def missing_notes(journal: JournalReader, without_etalon: Mapping[str, int]) -> Iterator[str]:

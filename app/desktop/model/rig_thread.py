@@ -282,10 +282,12 @@ class RigThread:
             state = self._run_engine(engine)
             self._engine = None
             self._wait_for_short()  # a stop that is not confirmed is an order of this run
+        if journal.note:
+            self._send(EventLogged("journal", journal.note, "journal"))
         for device in engine.disconnected:
             self._axes_connected &= all(each.name != device for each in self._opened.rig.controllers)
             self._send(DeviceFault(device, f"{device}: could not be reconnected during the run; connect again"))
-        self._send(RunEnded(state, self._reason, path))
+        self._send(RunEnded(state, self._reason, journal.kept_at))
 
     def _run_engine(self, engine: Engine) -> State:
         """Run the engine. An exception that is not a fault of a device (a full disk, a program error) stops the axes too."""

@@ -170,6 +170,33 @@ def test_a_journal_is_locked_by_a_file_beside_it_which_goes_with_the_lock(tmp_pa
 
 
 @posix
+def test_a_journal_that_is_renamed_while_it_is_written_is_locked_under_any_name(tmp_path: Path) -> None:
+    """Also where the second program has another folder of locks, as another user has: on Linux by a name of the system."""
+    journal, moved = tmp_path / "a.journal", tmp_path / "b" / "b.journal"
+    journal.write_bytes(b"rows")
+    lock = lock_journal(journal, "measuring paint")
+    lock.hold_file(journal)
+    moved.parent.mkdir()
+    journal.rename(moved)
+    assert f"measuring paint, as {journal}" in (journal_holder(moved) or "")
+    second = lock_journal(moved, "resumed")
+    with pytest.raises(RigInUse, match=rf"b\.journal: is in use by process {os.getpid()} .*: measuring paint, as .*a\.journal"):
+        second.hold_file(moved)
+    if sys.platform.startswith("linux"):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("XDG_STATE_HOME", str(tmp_path / "other"))
+            with pytest.raises(RigInUse, match=rf"b\.journal: is in use by process {os.getpid()} of the user"):
+                second.hold_file(moved)
+    second.release(remove=True)
+    lock.release(remove=True)
+    assert journal_holder(moved) is None
+    again = lock_journal(moved, "resumed")
+    again.hold_file(moved)
+    again.release(remove=True)
+    assert [*moved.parent.iterdir()] == [moved]
+
+
+@posix
 def test_a_note_is_one_printable_line_whatever_lies_there(tmp_path: Path) -> None:
     lock = lock_journal(tmp_path / "a.journal", "measuring")
     note = tmp_path / "a.journal.holder"

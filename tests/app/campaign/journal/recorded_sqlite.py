@@ -16,7 +16,7 @@ from typing import Any
 
 import apsw
 
-from tests.app.campaign.journal.simulated_disk import FolderSynced, Named, Operation, Renamed, Resized, Synced, Written
+from tests.app.campaign.journal.simulated_disk import FolderSynced, Named, Operation, Resized, Synced, Written
 
 CHANGING = ("INSERT", "UPDATE", "DELETE", "REPLACE")
 DIRECTORY_SYNCED = apsw.SQLITE_OPEN_WAL | apsw.SQLITE_OPEN_MAIN_JOURNAL
@@ -55,10 +55,10 @@ class RecordingVfs(apsw.VFS):
         if self._files.pop(str(path), None) is not None:
             self.operations.append(Named(path.name, None))
 
-    def record_rename(self, path: Path, to: Path) -> None:
-        """Record the change of a name."""
-        self._files[str(to)] = self._files.pop(str(path))
-        self.operations.append(Renamed(path.name, to.name))
+    def record_link(self, path: Path, target: Path) -> None:
+        """Record another name of a file."""
+        self._files[str(path)] = self._files[str(target)]
+        self.operations.append(Named(path.name, self._files[str(path)]))
 
 
 class RecordingFile(apsw.VFSFile):

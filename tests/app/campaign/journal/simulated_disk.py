@@ -51,14 +51,6 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Renamed:
-    """A file in the folder renamed, atomically."""
-
-    name: str
-    to: str
-
-
-@dataclass(frozen=True)
 class FolderSynced:
     """The folder synced: all names are certain."""
 
@@ -72,8 +64,7 @@ class Acknowledged:
 
 
 Change = Written | Resized
-NameChange = Named | Renamed
-Operation = Change | Synced | NameChange | FolderSynced | Acknowledged
+Operation = Change | Synced | Named | FolderSynced | Acknowledged
 
 
 @dataclass
@@ -91,7 +82,7 @@ def files_after_power_loss(operations: Iterable[Operation], rng: np.random.Gener
     """
     files: dict[int, _File] = {}
     names: dict[str, int] = {}
-    name_changes: list[NameChange] = []
+    name_changes: list[Named] = []
     for each in operations:
         if isinstance(each, Written | Resized):
             files.setdefault(each.file, _File()).pending.append(each)
@@ -100,7 +91,7 @@ def files_after_power_loss(operations: Iterable[Operation], rng: np.random.Gener
             for change in file.pending:
                 _apply(file.certain, change)
             file.pending.clear()
-        elif isinstance(each, Named | Renamed):
+        elif isinstance(each, Named):
             name_changes.append(each)
         elif isinstance(each, FolderSynced):
             _apply_names(names, name_changes)
@@ -137,11 +128,9 @@ def _apply(content: bytearray, change: Change) -> None:
         content[change.offset : change.offset + len(change.data)] = change.data
 
 
-def _apply_names(names: dict[str, int], name_changes: Iterable[NameChange]) -> None:
+def _apply_names(names: dict[str, int], name_changes: Iterable[Named]) -> None:
     for each in name_changes:
-        if isinstance(each, Renamed):
-            names[each.to] = names.pop(each.name)
-        elif each.file is None:
+        if each.file is None:
             names.pop(each.name, None)
         else:
             names[each.name] = each.file

@@ -5,19 +5,22 @@ import itertools
 import os
 import shutil
 import sqlite3
+import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
-from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal import writing
+from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import DamagedJournal
 from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, CHECKPOINT_S, Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.cli.main import app as command
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.lock import lock_journal
 from tests.system.command_process import row_digest
 
 PAGE = 4096
@@ -147,3 +150,120 @@ def test_a_copy_is_not_made_over_a_file_nor_of_a_file_that_is_no_journal(
     assert sorted(each.name for each in tmp_path.iterdir() if "journal" in each.name) == [
         "a.journal", "b.journal", "c.journal", "d.journal",
     ]  # fmt: skip
+
+
+def test_of_two_copies_to_one_name_one_is_made_and_nothing_is_overwritten(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second begins while the first is made; then another file gets the name of the first."""
+    journal, copy, other = tmp_path / "a.journal", tmp_path / "b.journal", tmp_path / "c.journal"
+    run_campaign(plan, journal)
+    checked = writing._checked
+    seen: list[Path] = []
+
+    def interrupt(db: sqlite3.Connection, path: Path) -> Chain:
+        if not seen:
+            seen.extend(each for each in tmp_path.iterdir() if each.name.startswith("."))
+            with pytest.raises(UserError, match=rf"b\.journal: is being written by process {os.getpid()} .*copied from .*a\.j"):
+                copy_journal(journal, copy)
+            with pytest.raises(UserError, match=r"b\.journal: is in use by process"):
+                Journal.create(copy, plan, {})
+            copy_journal(journal, other)
+        return checked(db, path)
+
+    monkeypatch.setattr(writing, "_checked", interrupt)
+    copy_journal(journal, copy)
+    assert seen
+    assert digests(copy) == digests(other) == digests(journal)
+
+    def appear(db: sqlite3.Connection, path: Path) -> Chain:
+        copy.write_bytes(b"precious")
+        return checked(db, path)
+
+    copy.unlink()
+    monkeypatch.setattr(writing, "_checked", appear)
+    with pytest.raises(UserError, match=r"b\.journal: exists, and nothing is overwritten"):
+        copy_journal(journal, copy)
+    assert copy.read_bytes() == b"precious"
+    assert {*tmp_path.glob("*journal*"), *tmp_path.glob(".*")} == {journal, copy, other}
+
+
+def test_what_killed_programs_left_is_removed_and_what_is_being_made_is_not(plan: Plan, tmp_path: Path) -> None:
+    journal = tmp_path / "a.journal"
+    run_campaign(plan, journal)
+    left, made = (tmp_path / f".{name}.journal{writing.UNFINISHED}" for name in ("killed", "made"))
+    for each in (left, Path(f"{left}-wal"), made):
+        each.write_bytes(b"part")
+    lock = lock_journal(tmp_path / "made.journal", "measuring")
+    copy_journal(journal, tmp_path / "b.journal")
+    assert [*tmp_path.glob(".*")] == [made]
+    lock.release(remove=True)
+    copy_journal(journal, tmp_path / "c.journal")
+    assert [*tmp_path.glob(".*")] == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no hard links of open files")
+def test_rows_that_remain_outside_of_a_finished_journal_are_told(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "READERS_END_S", 0.05)
+    path, link = tmp_path / "a.journal", tmp_path / "link.journal"
+    readers: list[sqlite3.Connection] = []
+
+    def attach(event: Event) -> None:
+        if isinstance(event, RowCommitted) and event.done == 5:
+            os.link(path, link)
+            readers.append(sqlite3.connect(path, isolation_level=None))
+            readers[0].execute("BEGIN")
+            readers[0].execute("SELECT COUNT(*) FROM attempt").fetchone()
+
+    outcome = run_campaign(plan, path, listeners=[attach])
+    assert (outcome.state, outcome.journal) == (State.DONE, path)
+    assert outcome.journal_note == (
+        f"{path}: rows remain in {path}-wal, because another program reads it, and it has another name too (a hard link); "
+        "use goniotwin copy to have all in one file"
+    )
+    copy_journal(path, tmp_path / "whole.journal")
+    assert len(digests(tmp_path / "whole.journal")) == len(plan.rows)
+    readers[0].close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+def test_a_journal_that_is_replaced_at_its_end_keeps_its_mode(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "READERS_END_S", 0.05)
+    path = tmp_path / "a.journal"
+    owner = (1234, 2345) if os.geteuid() == 0 else (os.geteuid(), os.getegid())
+    readers: list[sqlite3.Connection] = []
+
+    def attach(event: Event) -> None:
+        if isinstance(event, RowCommitted) and event.done == 5:
+            path.chmod(0o640)
+            os.chown(path, *owner)
+            readers.append(sqlite3.connect(path, isolation_level=None))
+            readers[0].execute("BEGIN")
+            readers[0].execute("SELECT COUNT(*) FROM attempt").fetchone()
+
+    assert run_campaign(plan, path, listeners=[attach]).journal_note == ""
+    status = path.stat()
+    assert (stat.S_IMODE(status.st_mode), status.st_uid, status.st_gid) == (0o640, *owner)
+    readers[0].close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no hard links of open files")
+def test_reading_and_a_refused_resume_leave_no_files(plan: Plan, tmp_path: Path) -> None:
+    """Of a plain copy during the run, which is in WAL mode without its -wal file, under two names."""
+    copier = Copier(tmp_path / "a.journal", tmp_path)
+    run_campaign(plan, copier.path, listeners=[copier])
+    copier.close()
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    path, link = folder / "a.journal", folder / "link.journal"
+    path.write_bytes(copier.plain[-1])
+    os.link(path, link)
+    before = {each: (each.stat().st_mtime_ns, each.read_bytes()) for each in (path, link)}
+    assert len(digests(path)) > 1
+    with pytest.raises(UserError, match="has another name too"):
+        resume_campaign(link, plan.rig)
+    assert {each: (each.stat().st_mtime_ns, each.read_bytes()) for each in folder.iterdir()} == before

@@ -47,16 +47,15 @@ def record(steady: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rec
 
     def record_campaign(pages: int, translate: Callable[[str], str] = unchanged) -> list[Operation]:
         disk = RecordingVfs()
-        connect, rename, unlink = sqlite3.connect, Path.rename, Path.unlink
+        connect, link, unlink = sqlite3.connect, Path.hardlink_to, Path.unlink
 
         def connect_recorded(database: Any, **options: Any) -> Any:
             read_only = "uri" in options
             return connect(database, **options) if read_only else Connection(disk, database, translate, pages)
 
-        def rename_recorded(path: Path, to: Path) -> Path:
-            target = rename(path, to)
-            disk.record_rename(path, to)
-            return target
+        def link_recorded(path: Path, target: Path) -> None:
+            link(path, target)
+            disk.record_link(path, target)
 
         def unlink_recorded(path: Path, missing_ok: bool = False) -> None:
             unlink(path, missing_ok)
@@ -71,7 +70,7 @@ def record(steady: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rec
         path = tmp_path / f"{disk.name}.journal"
         with monkeypatch.context() as patch:
             patch.setattr(sqlite3, "connect", connect_recorded)
-            patch.setattr(Path, "rename", rename_recorded)
+            patch.setattr(Path, "hardlink_to", link_recorded)
             patch.setattr(Path, "unlink", unlink_recorded)
             assert run_campaign(steady, path, listeners=[partial(acknowledge, 6)]).state is State.IDLE
             assert resume_campaign(path, listeners=[partial(acknowledge, 0)]).state is State.DONE
