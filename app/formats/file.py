@@ -6,13 +6,15 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from goniotwin.app.errors import one_line, room_on_disk
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
+MOST_BYTES = 100_000_000
+"""Of a file that is read as a whole: parsed, it may take several times as much."""
 SQLITE = b"SQLite format 3\0"
 NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
 """What a disk without hard links answers, as those of memory sticks."""
@@ -66,7 +68,7 @@ def _file_at(path: StrPath) -> Path:
 
 
 @contextlib.contextmanager
-def open_file(path: StrPath, most: int | None = None) -> Iterator[BinaryIO]:
+def open_file(path: StrPath, most: int | None = None) -> Iterator[BufferedReader]:
     """Open a file for reading.
 
     Raises FormatError if it has more bytes than `most`, is absent, not a regular file, or unreadable.
@@ -88,7 +90,7 @@ def read_head(path: StrPath, size: int) -> bytes:
         return content.read(size)
 
 
-def read_file(path: StrPath, most: int) -> bytes:
+def read_file(path: StrPath, most: int = MOST_BYTES) -> bytes:
     """The bytes of a file. Raises FormatError as `open_file` does."""
     with open_file(path, most) as content:
         return content.read(os.fstat(content.fileno()).st_size)

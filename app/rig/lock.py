@@ -199,7 +199,7 @@ def journal_holder(path: Path) -> str | None:
 
 
 def identity_of(path: Path) -> FileIdentity:
-    """What tells a file from others, whatever its name; the file is not opened. Raises OSError."""
+    """What distinguishes a file from others, whatever its name; the file is not opened. Raises OSError."""
     status = path.stat()
     return status.st_dev, status.st_ino
 

@@ -40,7 +40,7 @@ HUGE = {
 }
 """Beginning, repeated part and end of texts of tens of MB; as objects they would take up to a hundred times as much."""
 HUGE_PARTS = 16_000_000
-JSON_EXTREMES = (
+JSON_EXTREMES: tuple[Any, ...] = (
     None, True, -1, 0, 10**9, 10**30, 1e300, float("nan"), float("inf"), "", "x" * 50_000, "\x00", "\ud800", [], [[]], [None],
     {}, {"": {}}, [0] * 20_000, ["skipped"] * 10_000, {str(key): "" for key in range(10_000)},
 )  # fmt: skip
@@ -246,7 +246,7 @@ def _column(db: sqlite3.Connection, numbers: np.random.Generator, *, only_texts:
 
 def _cell(
     db: sqlite3.Connection, numbers: np.random.Generator, *, only_texts: bool = False
-) -> tuple[str, str, int, str | float | bytes | None]:
+) -> tuple[str, str, int, str | int | float | bytes | None]:
     """Table, column, number and value of a cell; of tables without rows that of the campaign."""
     table, column = _column(db, numbers, only_texts=only_texts)
     rows = db.execute(f"SELECT rowid, {column} FROM {table}").fetchall()

@@ -559,7 +559,7 @@ def test_wild_mutations_are_refused_in_one_line(first: int, tmp_path: Path) -> N
 
 
 @pytest.mark.long
-@pytest.mark.skipif(sys.platform == "win32", reason="this system does not tell the memory of a process")
+@pytest.mark.skipif(sys.platform == "win32", reason="this system does not report the memory of a process")
 @pytest.mark.parametrize("what", HUGE)
 @pytest.mark.parametrize(
     ("name", "place"),
@@ -571,7 +571,8 @@ def test_a_wild_text_of_tens_of_megabytes_is_refused_within_a_gigabyte(
     monkeypatch.chdir(make_files(tmp_path))
     shutil.copy(tmp_path / "originals" / name, name)
     with contextlib.closing(sqlite3.connect(name)) as database, database:
-        write_huge(database, *place.split("."), 1, what)
+        table, column = place.split(".")
+        write_huge(database, table, column, 1, what)
         compute_chain(database)
     command = [sys.executable, "-m", "goniotwin", *COMMANDS[name]]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -223,7 +223,8 @@ class Journal(JournalReader):
                 return f"{remains}, and it has another name too (a hard link)"
             _remove(spare)
             _copy(self._db, spare)
-            if (made := spare.stat()) and (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
+            made = spare.stat()
+            if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
                 os.chown(spare, status.st_uid, status.st_gid)
             shutil.copymode(file, spare)
             self._db.close()
@@ -570,7 +571,7 @@ def _copy(db: sqlite3.Connection, to: Path) -> None:
 
 
 def _spare(path: Path) -> Path:
-    """The name of a journal until it is complete; who holds the journal's lock may make and delete it."""
+    """The name of a journal until it is complete; the holder of the journal's lock may make and delete it."""
     return path.with_name(f".{path.name}{UNFINISHED}")
 
 

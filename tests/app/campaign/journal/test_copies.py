@@ -203,7 +203,7 @@ def test_what_killed_programs_left_is_removed_and_what_is_being_made_is_not(plan
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no hard links of open files")
-def test_rows_that_remain_outside_of_a_finished_journal_are_told(
+def test_rows_that_remain_outside_of_a_finished_journal_are_reported(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "READERS_END_S", 0.05)
