@@ -173,7 +173,7 @@ class Monitor:
         self._wire.close()
         identity = self._wire.connect()
         self._found.take_up(identity)
-        self._present.clear()
+        self._present = self._ask_settings()
         self._resynchronisations = self._wire.resynchronisations
         self._quantity = "current"
         self._write_settings()
@@ -263,15 +263,21 @@ class Monitor:
     # ---- settings as found ----
 
     def _note(self, commands: Iterable[str]) -> list[str]:
-        """Note settings before these commands write them; return the names of those that change. Raises DeviceError."""
-        if not (self._found.asks and self._dialect.restores):
-            return []
-        wanted = {name: value for command in commands for name, value in _settings_of(command)}
-        self._present |= {name: self._setting(name) for name in wanted if name not in self._present}
+        """Note settings before these commands write them; return the names of those that change."""
+        settings = {name: value for command in commands for name, value in _settings_of(command)}
+        wanted = {name: value for name, value in settings.items() if name in self._present}
         self._found.note({name: (self._present[name], value) for name, value in wanted.items()})
         changed = [name for name, value in wanted.items() if self._present[name] != value]
         self._present |= wanted
         return changed
+
+    def _ask_settings(self) -> dict[str, str]:
+        """The settings that the driver may write, as they are now. Raises DeviceError."""
+        if not (self._found.asks and self._dialect.restores):
+            return {}
+        each = self._dialect
+        commands = (each.current, each.current_range, each.wavelength, each.low_pass, each.averaging, each.power_unit)
+        return {name: self._setting(name) for command in commands if command for name, _ in _settings_of(command)}
 
     def _note_reported(self, names: Iterable[str]) -> None:
         """Note the values that the instrument made of those that were written, such as the next range. Raises DeviceError."""
