@@ -161,15 +161,17 @@ class JournalLock:
         """The file that is locked too; None before `hold_file`."""
 
     def hold_file(self, file: Path) -> None:
-        """Lock the journal's file too, which may be renamed from now on. Raises RigInUse with the holder, UserError."""
-        try:
-            self.identity = identity_of(file)
+        """Lock the journal's file too, which may be renamed from now on. Raises RigInUse with the holder, OSError.
+
+        There is no such guard where it cannot be made: a user without a writable home can measure too, and not every system
+        has such names.
+        """
+        self.identity = identity_of(file)
+        with contextlib.suppress(OSError):
             lock = _identity_lock(self.identity)
             make_own_folder(lock.parent)
             self._files.append(LockFile(lock, str(self._path), f"{self._purpose}, as {os.path.realpath(self._path)}", 0o600))
-        except OSError as error:
-            raise UserError(f"{self._path}: its lock in your state folder cannot be made: {error.strerror or error}") from None
-        with contextlib.suppress(OSError):  # a system that permits no such name: other users have the lock beside the journal
+        with contextlib.suppress(OSError):
             self._name = SystemName("journal:{}:{}".format(*self.identity), str(self._path))
 
     def release(self, *, remove: bool = False) -> None:

@@ -182,9 +182,10 @@ def test_a_journal_that_is_renamed_while_it_is_written_is_locked_under_any_name(
     second = lock_journal(moved, "resumed")
     with pytest.raises(RigInUse, match=rf"b\.journal: is in use by process {os.getpid()} .*: measuring paint, as .*a\.journal"):
         second.hold_file(moved)
-    if sys.platform.startswith("linux"):
+    for state in (tmp_path / "other", journal.parent / "no-folder") if sys.platform.startswith("linux") else ():
+        (tmp_path / "no-folder").write_text("so that this user has no state folder")
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("XDG_STATE_HOME", str(tmp_path / "other"))
+            patch.setenv("XDG_STATE_HOME", str(state))
             with pytest.raises(RigInUse, match=rf"b\.journal: is in use by process {os.getpid()} of the user"):
                 second.hold_file(moved)
     second.release(remove=True)
