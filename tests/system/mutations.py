@@ -244,9 +244,7 @@ def _column(db: sqlite3.Connection, numbers: np.random.Generator, *, only_texts:
     return (table, columns[int(numbers.integers(len(columns)))]) if columns else ("campaign", "value")
 
 
-def _cell(
-    db: sqlite3.Connection, numbers: np.random.Generator, *, only_texts: bool = False
-) -> tuple[str, str, int, str | int | float | bytes | None]:
+def _cell(db: sqlite3.Connection, numbers: np.random.Generator, *, only_texts: bool = False) -> tuple[str, str, int, Any]:
     """Table, column, number and value of a cell; of tables without rows that of the campaign."""
     table, column = _column(db, numbers, only_texts=only_texts)
     rows = db.execute(f"SELECT rowid, {column} FROM {table}").fetchall()
