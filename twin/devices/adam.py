@@ -150,7 +150,6 @@ class ConverterModule:
 
     def __init__(self, plant: Plant, index: int, unit: int = adam.UNIT) -> None:
         electronics = plant.model.electronics
-        self.unit = unit if self.model.serial else electronics.tcp_units[0]
         self.units = (unit,) if self.model.serial else electronics.tcp_units
         self.multiple_writes = electronics.multiple_writes
         self._sign_bit = adam.sign_bit(electronics.raw_format)
@@ -166,6 +165,11 @@ class ConverterModule:
         if self.model.statistics:
             for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
                 self._writable |= {*range(first, first + adam.CHANNELS + 1)}
+
+    @property
+    def unit(self) -> int:
+        """The first unit to which it responds; the only one on a serial line."""
+        return self.units[0]
 
     def reset(self, t: float) -> None:
         """As after power-on: ranges, outputs and so the gain, enabled channels, maximum and minimum are forgotten."""
