@@ -1,8 +1,10 @@
 """The monochromator's driver."""
 
+from typing import Any
+
 import pytest
 
-from goniotwin.drivers import DeviceError, Refused, wait
+from goniotwin.drivers import BadAnswer, DeviceError, Refused, wait
 from goniotwin.protocols.cornerstone import Grating, Statement
 from tests.conftest import RigOpener
 from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
@@ -48,6 +50,26 @@ def test_an_error_of_the_unit_is_reported_as_text(opened: RigOpener) -> None:
     with pytest.raises(Refused, match="destination not allowed"):
         wait(rig.clock, [rig.monochromator.start_filter(9)])
     assert rig.monochromator.wavelength_nm() == 550.0  # the next exchange works
+
+
+@pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
+@pytest.mark.parametrize("unit", [{"status_digits": 1, "status_decimal": True}, {"zero_is_no_error": True}])
+def test_units_may_write_status_and_error_otherwise(
+    opened: RigOpener, echo: bool, handshake: bool, unit: dict[str, Any]
+) -> None:
+    bench = MonochromatorBench(opened, echo, handshake, **unit)  # its units are those of test_cornerstone260.py
+    bench.go(600.0)
+    with pytest.raises(Refused, match="destination not allowed"):
+        wait(bench.clock, [bench.driver.start_filter(9)])
+    wait(bench.clock, [bench.driver.start_filter(3)])
+    assert (bench.driver.filter(), bench.true_wavelength_nm()) == (3, 600.0)
+    assert not any("resynchronised" in each for each in bench.driver.events)
+
+
+def test_a_status_that_has_lost_a_digit_is_no_status(opened: RigOpener) -> None:
+    bench = MonochromatorBench(opened)
+    with pytest.raises(BadAnswer, match="not the status byte of this unit"):
+        bench.driver._wire.status_of(Statement("STB", query=True), b"0")  # "20" without its first digit
 
 
 def test_a_line_without_echo_is_detected(opened: RigOpener) -> None:
