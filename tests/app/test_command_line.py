@@ -154,14 +154,18 @@ def test_where_no_folder_can_be_written_the_line_has_the_place(tmp_path: Path, m
     )
 
 
-def test_an_error_of_another_thread_is_one_line_too() -> None:
+def test_an_error_of_another_thread_or_of_a_slot_is_one_line_too() -> None:
     text = "import sys, threading; from goniotwin.app.cli import main, device_search\n"
-    text += "def fail(*_): thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join(); sys.exit(5)\n"
+    text += "def fail(*_):\n"
+    text += "    thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join()\n"
+    text += "    sys.excepthook(IndexError, IndexError('of a slot'), None); sys.exit(5)\n"
     text += "device_search.find_devices = fail; sys.argv = ['goniotwin', 'devices']; main.main()"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 5
     assert re.fullmatch(
-        r"goniotwin: unexpected error: ZeroDivisionError: division by zero; the details are in .*\n", done.stderr
+        r"goniotwin: unexpected error: ZeroDivisionError: division by zero; the details are in .*\n"
+        r"goniotwin: unexpected error: IndexError: of a slot; the details are in .*\n",
+        done.stderr,
     )
 
 
