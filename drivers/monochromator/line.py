@@ -17,6 +17,7 @@ from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import (
+    ERROR_SINCE_LAST_READ,
     LINE_ENDED,
     MAX_LINE,
     NO_ERROR,
@@ -78,9 +79,9 @@ class CornerstoneLine:
             self._open()
             self._noise_left_s = LONGEST_NOISE_S
             try:
-                identity = self._query_identity()
+                identity, _ = self._query_identity()
             except (NoAnswer, BadAnswer):  # it was sent behind the bytes of another program
-                identity = self._query_identity()
+                identity, _ = self._query_identity()
             self._found.take_up(identity)
             self.restore()
             return identity
@@ -220,22 +221,24 @@ class CornerstoneLine:
         self._noise_left_s = LONGEST_NOISE_S
         self._drain()
         self.echoes = False
-        identity = self._query_identity()
+        identity, acknowledged = self._query_identity()
         if known_identity and identity != known_identity:
             raise BadAnswer(NAME, "INFO?", f"{identity} is connected, not {known_identity}", "connect the unit of the rig file")
         handshake, status = self._query_until_quiet(Statement("HANDSHAKE", query=True))
+        if acknowledged and handshake is not None and STATUS_TEXTS.get(handshake) == ERROR_SINCE_LAST_READ:
+            handshake, status = b"1", ERROR_SINCE_LAST_READ  # a unit without this query refuses it in this mode
         if (handshake == b"1" and status is None) or handshake not in (b"0", b"1", None):
             raise BadAnswer(NAME, "HANDSHAKE?", f"{handshake!r} with status {status}", CHECK_LINE)
         lost = had_handshake and handshake != b"1"
         self._found.take_up(identity)
-        if handshake is not None:
-            self._found.note({"HANDSHAKE": (handshake.decode("ascii"), "1")})
+        present = str(int(acknowledged)) if handshake is None else handshake.decode("ascii")
+        self._found.note({"HANDSHAKE": (present, "1")})
         if handshake != b"1":
             _, status = self._query_until_quiet(Statement("HANDSHAKE", parameter="1"))
         self.handshake = status is not None
         units, _ = self._query_until_quiet(Statement("UNITS", query=True))
-        if units in UNITS:
-            self._found.note({"UNITS": (units.decode("ascii"), "NM")})
+        if units is not None and units.upper() in UNITS:
+            self._found.note({"UNITS": (units.upper().decode("ascii"), "NM")})
         if units is not None and units.upper() != b"NM":
             self._query_until_quiet(Statement("UNITS", parameter="NM"))
             lost = lost or bool(known_identity)
@@ -250,18 +253,21 @@ class CornerstoneLine:
                 NAME, "check its settings", "it has reset; its settings are restored", "set wavelength and shutter again"
             )
 
-    def _query_identity(self) -> str:
-        reply, _ = self._query_until_quiet(Statement("INFO", query=True))
+    def _query_identity(self) -> tuple[str, bool]:
+        """The unit's identity, and whether it acknowledges statements: it is in handshake mode. Raises DeviceError."""
+        reply, status = self._query_until_quiet(Statement("INFO", query=True))
         if reply is None or len(reply) < 3 or not any(chr(each).isalpha() for each in reply):
             raise BadAnswer(NAME, "INFO?", f"{reply!r} is not an identity", CHECK_LINE)
-        return reply.decode("ascii", "replace")
+        return reply.decode("ascii", "replace"), status is not None
 
     def _setting(self, word: str) -> str:
-        """Reply to the query of a setting. Raises DeviceError."""
+        """Present value of a setting, in capitals. Raises DeviceError."""
         reply, _ = self._query_until_quiet(Statement(word, query=True))
+        if word == "HANDSHAKE" and (reply is None or STATUS_TEXTS.get(reply) == ERROR_SINCE_LAST_READ):
+            return str(int(self._query_identity()[1]))  # a unit without this query
         if reply is None:
             raise NoAnswer(NAME, f"{word}?", "not responding", CHECK_LINE)
-        return reply.decode("ascii", "replace")
+        return reply.decode("ascii", "replace").upper()
 
     def _query_until_quiet(self, statement: Statement) -> tuple[bytes | None, int | None]:
         """Send a statement and receive lines until the line is quiet; return reply and status, None for a missing one."""

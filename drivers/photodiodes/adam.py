@@ -26,7 +26,7 @@ first fault.
 """
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TypeVar
 
@@ -46,7 +46,7 @@ SettingsCheck = Callable[[], None]
 
 READ_COILS = 1
 READ_REGISTERS = (3, 4)
-WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 6, 15, 16
+WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
 CHECK_INTERVAL_S = 60.0
 CHECK_WIRING = "check address, cable and power"
 RANGES, ENABLED, OUTPUTS = "ranges", "enabled channels", "outputs"
@@ -104,7 +104,7 @@ class AdamModule:
         self._lost_settings: str | None = None
         self._checked_s = clock.now()
         self._unverified = False
-        self._writes_singly = False
+        self._writes_singly = self._sets_outputs_singly = False
         self._function_index = self._marker = 0
 
     # ---- connection ----
@@ -161,12 +161,11 @@ class AdamModule:
     def set_outputs(self, outputs: list[bool]) -> None:
         """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
         doing = f"set its outputs to {_bits(outputs)}"
-        call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
         if self._last_outputs is not None:
-            self._found.note({OUTPUTS: (_bits(self._last_outputs), _bits(outputs))})
+            self._found.note(_changes(OUTPUTS, map(int, self._last_outputs), map(int, outputs)))
             self._last_outputs = list(outputs)
         self._outputs, self._outputs_written, self._outputs_checked = list(outputs), False, False
-        self._repeat_once(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
+        self._write_outputs(outputs, doing)
         self._outputs_written = True
 
     # ---- checks of the settings ----
@@ -256,23 +255,31 @@ class AdamModule:
             return
         self._lost_settings, self._settings_written = None, False  # they are compared here
         for what, address, count in ((RANGES, adam.RANGE_CODE, adam.CHANNELS), (ENABLED, adam.CHANNEL_ENABLE, 1)):
-            if what in self._found.changes:
+            if self._has_changed(what):
                 present = self._read_registers(address, count)
-                if (found := self._found.value_to_restore(what, _numbers(present))) is not None:
-                    self._set_registers(what, address, [int(each) for each in found.split()])
-        if OUTPUTS in self._found.changes:
-            found = self._found.value_to_restore(OUTPUTS, _bits(self._read_outputs()))
-            if found is not None:
-                self.set_outputs([bit == "1" for bit in reversed(found)])
+                if (found := self._as_found(what, present)) != present:
+                    self._set_registers(what, address, found)
+        if self._has_changed(OUTPUTS):
+            outputs = self._read_outputs()
+            if (found := self._as_found(OUTPUTS, list(map(int, outputs)))) != outputs:
+                self.set_outputs(list(map(bool, found)))
                 self.check_outputs()
         self._found.clear()
+
+    def _has_changed(self, what: str) -> bool:
+        return any(name.startswith(f"{what} ") for name in self._found.changes)
+
+    def _as_found(self, what: str, present: list[int]) -> list[int]:
+        """The values to be restored, and the present ones of what another program has set."""
+        found = [self._found.value_to_restore(f"{what} {number}", str(now)) for number, now in enumerate(present)]
+        return [now if was is None else int(was) for now, was in zip(present, found, strict=True)]
 
     def _restore(self, what: str, address: int, wanted: list[int]) -> list[str]:
         """Write registers that differ from their wanted values, read them back, and report it."""
         present = self._read_registers(address, len(wanted))
         if present != wanted:
             present = self._read_registers(address, len(wanted))
-        self._found.note({what: (_numbers(present), _numbers(wanted))})
+        self._found.note(_changes(what, present, wanted))
         if present == wanted:
             return []
         self._set_registers(what, address, wanted)
@@ -313,6 +320,25 @@ class AdamModule:
         reply = self._ask(lambda client: client.write_register(address, value, device_id=self._unit), doing, WRITE_REGISTER)
         if (reply.address, reply.registers) != (address, [value]):
             self._reject(doing, f"{reply.registers} in {reply.address} confirmed instead of {value} in {address}")
+
+    def _write_outputs(self, outputs: list[bool], doing: str) -> None:
+        """Write the outputs at once, or one by one where the module refuses function 15."""
+        call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
+        if not self._sets_outputs_singly:
+            try:
+                self._repeat_once(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
+                return
+            except ModuleRefused as refused:
+                if refused.code in TRANSIENT:
+                    raise
+        for at, on in enumerate(outputs, adam.DIGITAL_OUTPUT):
+            self._repeat_once(partial(self._write_output, at, on, doing))
+        self._sets_outputs_singly = True
+
+    def _write_output(self, at: int, on: bool, doing: str) -> None:
+        reply = self._ask(lambda client: client.write_coil(at, on, device_id=self._unit), doing, WRITE_COIL)
+        if (reply.address, reply.bits) != (at, [on]):
+            self._reject(doing, f"{reply.bits} in {reply.address} confirmed instead of {on} in {at}")
 
     def _read_ranges(self) -> list[int]:
         return self._read_registers(adam.RANGE_CODE, adam.CHANNELS)
@@ -444,6 +470,6 @@ def _bits(outputs: list[bool]) -> str:
     return "".join(str(int(on)) for on in reversed(outputs))
 
 
-def _numbers(registers: list[int]) -> str:
-    """Registers as a text, to be noted."""
-    return " ".join(map(str, registers))
+def _changes(what: str, present: Iterable[int], wanted: Iterable[int]) -> dict[str, tuple[str, str]]:
+    """What is noted of registers or outputs, each by itself: a program killed between two writes has written some of them."""
+    return {f"{what} {number}": (str(now), str(then)) for number, (now, then) in enumerate(zip(present, wanted, strict=True))}

@@ -16,7 +16,7 @@ from goniotwin.drivers import DeviceError, Monitor, Monochromator, PhotodiodeArr
 from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.tmcl import TmclSettings
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
-from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode
+from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode, WavelengthUnit
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter, GlobalParameter
 from tests.conftest import RigOpener
@@ -320,6 +320,20 @@ def test_every_unit_is_left_as_it_was(opened: RigOpener, echo: bool, handshake: 
     assert slew.poll() is False
     bench.driver.close()  # in the middle of a motion
     assert replace(bench.unit._state, status=NO_ERROR, error=ErrorCode.NONE) == before
+
+
+def test_units_in_small_letters_are_restored_too(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Case does not matter in statements (MCS260 p. 49); whether replies keep to capitals is stated nowhere."""
+    bench = MonochromatorBench(opened)
+    bench.driver.close()
+    reply = bench.unit._reply
+    monkeypatch.setattr(bench.unit, "_reply", lambda t, text: reply(t, text.lower()))
+    bench.unit.receive(b"UNITS UM\n", bench.clock.now())
+    bench.unit.outbox.clear()
+    bench.driver.connect()
+    assert bench.unit._state.unit is WavelengthUnit.NM
+    bench.driver.close()
+    assert bench.unit._state.unit is WavelengthUnit.UM
 
 
 def test_a_dead_unit_does_not_hold_up_the_end(opened: RigOpener) -> None:

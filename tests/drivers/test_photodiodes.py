@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, PhotodiodeSettings, Refused, wait
+from goniotwin.drivers.found import FoundSettings
+from goniotwin.drivers.photodiodes.adam import AdamModule
+from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.devices import RtuStation
 from tests.conftest import RigOpener
 from tests.drivers.photodiode_bench import NARROW, QUIET, SERIAL, BenchOpener, bench, read
+from tests.drivers.test_left_as_found import Notes
 
 __all__ = ["bench"]
 
@@ -80,6 +84,40 @@ def test_a_module_that_refuses_function_16_is_written_one_by_one_with_function_6
     rig.close()
     functions = Counter(re.findall(r"write registers?, unit 5", (tmp_path / "photodiodes-4.txt").read_text(encoding="utf-8")))
     assert functions == {"write registers, unit 5": 2, "write register, unit 5": 2 * 3 * 8}  # connect, reconnect, close
+
+
+@pytest.mark.parametrize("written", [1, 7])
+def test_ranges_of_which_a_killed_program_has_written_some_are_restored(opened: RigOpener, written: int) -> None:
+    """Function 06 takes one register of a module that refuses 16 (HC2, of an ADAM-4017P)."""
+    rig = opened(QUIET, NARROW, *SERIAL, ("[twin.electronics]\n", "[twin.electronics]\nmultiple_writes = false\n"))
+    assert rig.virtual is not None
+    rig.rig.close()
+    first, module, clock = rig.rig.photodiodes._modules[0], rig.virtual.modbus["adc-0"], rig.rig.clock
+    notes = Notes()
+
+    def driver() -> AdamModule:
+        unit = ModbusUnit(first._bus, first._unit, found=FoundSettings(notes))
+        return AdamModule("module", unit, adam.ADAM_4117, 0x09, clock)
+
+    write, left = module.write_registers, [written]
+
+    def kill(address: int, values: list[int], t: float) -> None:
+        if len(values) == 1 and not left[0]:
+            raise KeyboardInterrupt
+        left[0] -= len(values) == 1
+        write(address, values, t)
+
+    module.write_registers = kill  # type: ignore[method-assign]
+    killed = driver()
+    with pytest.raises(KeyboardInterrupt):
+        killed.connect()
+    killed.release()
+    module.write_registers = write  # type: ignore[method-assign]
+    assert module.inputs.ranges == [0x09] * written + [0x08] * (8 - written)
+    following = driver()
+    following.identify()
+    following.close()
+    assert (module.inputs.ranges, notes.text) == ([0x08] * 8, "")
 
 
 def test_so_is_one_whose_confirmation_of_function_16_is_illegible(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:

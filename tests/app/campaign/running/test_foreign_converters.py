@@ -38,7 +38,7 @@ EIGHT = str([*range(0, 40, 5)])
 
 @dataclass
 class ForeignModule:
-    """A module with a unit, its name, counts, and the only codes of ranges that it knows; it may refuse function 16.
+    """A module with a unit, its name, counts, and the only codes of ranges that it knows; it may refuse functions 15 and 16.
 
     `written` are the functions and addresses of the writes that it has accepted, `codes` the ranges that were written last, and
     `measured` those with which the counts were read last.
@@ -49,7 +49,7 @@ class ForeignModule:
     counts: list[int]
     known: set[int]
     first_code: int
-    refuses_16: bool = False
+    refuses_many: bool = False
     written: list[tuple[int, int]] = field(default_factory=list)
     codes: list[int] = field(default_factory=list)
     measured: list[int] = field(default_factory=list)
@@ -61,7 +61,7 @@ class ForeignModule:
     async def act(
         self, function: int, start: int, address: int, count: int, registers: list[int], values: list[int] | list[bool] | None
     ) -> ExcCodes | None:
-        if function == 16 and self.refuses_16:
+        if function in (15, 16) and self.refuses_many:
             return ExcCodes.ILLEGAL_FUNCTION
         if values is not None and 200 <= address < 208:
             if not self.known.issuperset(values):
@@ -124,10 +124,10 @@ def units(first: str, second: str) -> Change:
 
 
 def test_a_row_on_a_foreign_6017(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    """The second module responds to unit 255 alone."""
+    """The second one responds to unit 255 alone, and takes functions 05 (Rope Robotics) and 06 (IoTConnect), not 15 and 16."""
     modules = [
         ForeignModule(1, 0x6017, POSITIVE, CODES_6017, 0x0180),
-        ForeignModule(255, 0x6017, NEGATIVE, CODES_6017, 0x0142),
+        ForeignModule(255, 0x6017, NEGATIVE, CODES_6017, 0x0142, refuses_many=True),
     ]
     with serving(lambda: ModbusTcpServer([each.over_tcp() for each in modules], address=("127.0.0.1", 0))) as server:
         transport: asyncio.Server = server.transport  # type: ignore[assignment]
@@ -137,7 +137,8 @@ def test_a_row_on_a_foreign_6017(write_rig: Writer, write_schedule: Writer, tmp_
     for each in modules:
         assert each.measured == [0x0143] * 8
         assert each.codes == [each.first_code] * 8  # as it was found
-        assert (15, 16) in each.written  # the gain, by the digital outputs
+        assert {(5, 16), (5, 17)}.issubset(each.written) is each.refuses_many  # the gain, by the digital outputs
+        assert ((15, 16) in each.written) is not each.refuses_many
 
 
 @pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
@@ -146,7 +147,7 @@ def test_a_row_on_foreign_4117s(write_rig: Writer, write_schedule: Writer, tmp_p
     """They know the codes 0x07 to 0x0D and 0x48 to 0x4D only, and the second one refuses function 16."""
     modules = [
         ForeignModule(1, 0x4117, [count ^ flip for count in POSITIVE], CODES_4117, 0x0D),
-        ForeignModule(2, 0x4117, [count ^ flip for count in NEGATIVE], CODES_4117, 0x07, refuses_16=True),
+        ForeignModule(2, 0x4117, [count ^ flip for count in NEGATIVE], CODES_4117, 0x07, refuses_many=True),
     ]
     modem = NullModem()
 
