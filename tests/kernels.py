@@ -2,8 +2,9 @@
 
     python -m tests.kernels [fast] [forward]
 
-What the product does with its optics and its planner, each once and as small as it can be. The two parts take about as long
-as each other. A kernel that is missing here is compiled by the first test that needs it: that costs time and nothing else.
+What the product does with its optics and its planner, each once and as small as it can be. `forward` takes about as long as
+mypy and `fast` after it (see the Makefile). A kernel that is missing here is compiled by the first test that needs it: that
+costs time and nothing else.
 """
 
 import gc
@@ -11,6 +12,7 @@ import sys
 
 import numpy as np
 
+from goniotwin import examples
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
@@ -34,32 +36,40 @@ from goniotwin.twin.optics import (
 )
 from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
 from goniotwin.twin.optics.forward.stray_light import stray_map, stray_throughput
-from tests.conftest import RIG, SCHEDULE
 from tests.twin.optics.models import MODELS
 
+RIG, SCHEDULE = examples.RIG, examples.SCHEDULE
 SIGMA_DEG = 30.0
 PATHS = 10_000
 DIRECTIONS = from_specular(SIGMA_DEG, np.array([1.0, 5.0]), np.array([0.0, 90.0]))
 
 
-def rig_and_plan() -> None:
-    """The light and the electronics of the virtual rig, and the planner's shortening."""
-    description = read_rig(RIG)
-    model = description.model()
+def rig() -> None:
+    """The light and the electronics of the virtual rig."""
+    model = read_rig(RIG).model()
     assert model is not None
     VirtualRig.build(model, RealClock())
-    make_plan(read_schedule(SCHEDULE.with_name("transmission.toml")), description)
+
+
+def plan() -> None:
+    """The planner's shortening."""
+    make_plan(read_schedule(SCHEDULE.with_name("transmission.toml")), read_rig(RIG))
+
+
+def seen() -> None:
+    """The fast estimator, with every model of the tests."""
+    for model in MODELS:
+        throughput(Instrument(), SIGMA_DEG, DIRECTIONS, model)
+        throughput(Instrument(field_deg=20.0, detector_diameter_mm=60.0), SIGMA_DEG, DIRECTIONS, model)
 
 
 def samples() -> None:
-    """Every model of the tests: values, drawing, densities, the fast estimator."""
+    """Every model of the tests: values, drawing, densities."""
     light, uniform = light_direction(SIGMA_DEG), np.random.default_rng(1).random((10, 4))
     for model in MODELS:
         evaluate(model, light, DIRECTIONS)
         draw_directions(model, light, uniform)
         albedo(model, SIGMA_DEG, False)
-        throughput(Instrument(), SIGMA_DEG, DIRECTIONS, model)
-        throughput(Instrument(field_deg=20.0, detector_diameter_mm=60.0), SIGMA_DEG, DIRECTIONS, model)
         for lobe in model.lobes:
             kind, params, sigma, phi, theta, psi, _ = lobe.kernel_arguments
             x, y, z = (float(c) for c in light)
@@ -81,7 +91,7 @@ def traced() -> None:
     record(IlluminationUnit(), rays=PATHS, seed=1)
 
 
-PARTS = {"fast": (rig_and_plan, samples), "forward": (traced,)}
+PARTS = {"fast": (seen, rig), "forward": (traced, samples, plan)}
 
 
 def main() -> None:
