@@ -62,8 +62,11 @@ def _file_at(path: StrPath) -> Path:
         file = Path(os.path.realpath(path))
     except ValueError as error:
         raise FormatError(path, "is not a possible file name", "check the name") from error
-    if file.exists() and not file.is_file():
-        raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+    try:
+        if file.exists() and not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+    except OSError as error:  # a name that is too long, a folder that this user cannot enter
+        raise FormatError(path, f"cannot be reached ({error.strerror})", "check the name and the permissions") from error
     return file
 
 
