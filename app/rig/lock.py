@@ -184,6 +184,9 @@ class JournalLock:
 
 def lock_journal(path: Path, purpose: str) -> JournalLock:
     """Lock a journal, which need not exist yet, by a file beside it: among all users of its folder. Raises UserError."""
+    folder = Path(os.path.realpath(path)).parent
+    if not folder.is_dir():  # FileLock would make it
+        raise UserError(f"{path}: there is no folder {folder}; create it first")
     try:
         return JournalLock(path, purpose)
     except OSError as error:
@@ -230,7 +233,7 @@ def _note_of(lock: Path) -> Path:
 def _write_note(path: Path, note: str) -> None:
     """Replace a note; without one the lock holds as well, so that a full disk is no error."""
     with contextlib.suppress(OSError):
-        replace_text(path, f"{note}\n", 0o644)
+        replace_text(path, f"{printable(note)}\n", 0o644)  # a file name may have bytes that are no text
 
 
 def _read_note(path: Path) -> str:

@@ -406,7 +406,7 @@ def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> N
         "name": plan.schedule.file.name,
         "schedule": plan.schedule.text,
         "rig": plan.rig.text,
-        "rig_folder": str(plan.rig.folder.absolute()),
+        "rig_folder": str(plan.rig.folder.absolute()).encode(errors="backslashreplace").decode(),  # a name need not be text
         "simulated": json.dumps(plan.rig.simulated),
         "seed": json.dumps(plan.rig.seed),
         "model": json.dumps(plan.rig.model_hash()),
