@@ -58,6 +58,8 @@ MOST_BESIDE = 1 << 30
 """Bytes of the files beside a journal that are copied with it."""
 LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
 ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
+MOST_ORDERS = 20
+"""Safety orders of a session that are listed: a run gives two."""
 OUTCOMES = ("done", "stopped", "failed", None)
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
@@ -200,7 +202,10 @@ class JournalReader:
             return list(dict.fromkeys(str(text) for (text,) in found))
 
     def open_orders(self) -> list[str]:
-        """Texts of the safety orders of the last session that are not acknowledged, in order of time."""
+        """Texts of the safety orders of the last session that are not acknowledged, in order of time.
+
+        A journal of unknown origin may have a million, among which those of others would be lost: beyond MOST_ORDERS their number.
+        """
         with self._reading():
             found = self._db.execute(
                 "SELECT kind, text, session = (SELECT MAX(id) FROM session) FROM event"
@@ -212,7 +217,8 @@ class JournalReader:
                     orders.pop(str(text), None)
                 elif last:
                     orders[str(text)] = None
-            return list(orders)
+            more = len(orders) - MOST_ORDERS
+            return [*itertools.islice(orders, MOST_ORDERS), *([f"and {more} more orders"] if more > 0 else [])]
 
     def last_number(self) -> int:
         """Highest row number, unplanned rows included."""

@@ -397,6 +397,8 @@ class Journal(JournalReader):
                 yield
         except sqlite3.Error as error:
             remedy = _room_on_disk(self.path, error) or "check the disk, its permissions and any limit of the size of files"
+            if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_BUSY:
+                remedy = "close the other program that writes to it"
             raise JournalError(f"{self.path}: cannot be written: {error}; {remedy}") from None
 
 

@@ -82,6 +82,15 @@ def test_an_event_of_any_length_leaves_a_journal_that_can_be_opened(plan: Plan, 
     assert text.startswith("\N{GRINNING FACE}")
 
 
+def test_a_journal_with_any_number_of_orders_lists_some(plan: Plan, tmp_path: Path) -> None:
+    with Journal.create(tmp_path / "a.journal", plan, {}) as journal:
+        journal.begin_session(0.0, plan.rig.text, {})
+        for k in range(23):
+            journal.event(1.0, "order", f"order {k}")
+        journal.event(2.0, "acknowledged", "order 0")
+        assert journal.open_orders() == [*(f"order {k}" for k in range(1, 21)), "and 2 more orders"]
+
+
 def test_a_journal_is_not_closed_in_the_middle_of_another_threads_event(plan: Plan, tmp_path: Path) -> None:
     """Stop records a safety order in its own thread while the run ends: Python's SQLite then ended in a segmentation fault."""
     journal = Journal.create(tmp_path / "a.journal", plan, {})
@@ -156,7 +165,7 @@ def test_free_space_is_asked_for_only_where_the_disk_is_full(
         with pytest.raises(JournalError, match="readonly") as read_only:
             journal.event(0.0, "fault", "x")
         assert "free space" not in f"{locked.value}{read_only.value}"
-        assert str(locked.value).endswith("; check the disk, its permissions and any limit of the size of files")
+        assert str(locked.value).endswith("database is locked; close the other program that writes to it")
         monkeypatch.setattr(tempfile, "TemporaryFile", full)
         with pytest.raises(JournalError, match=r"; free space on the disk$"):
             journal.event(0.0, "fault", "x")
