@@ -184,10 +184,10 @@ class JournalLock:
 
 def lock_journal(path: Path, purpose: str) -> JournalLock:
     """Lock a journal, which need not exist yet, by a file beside it: among all users of its folder. Raises UserError."""
-    folder = Path(os.path.realpath(path)).parent
-    if not folder.is_dir():  # FileLock would make it
-        raise UserError(f"{path}: there is no folder {folder}; create it first")
     try:
+        folder = Path(os.path.realpath(path)).parent
+        if not folder.is_dir():  # FileLock would make it
+            raise UserError(f"{path}: there is no folder {folder}; create it first")
         return JournalLock(path, purpose)
     except OSError as error:
         remedy = room_on_disk(error) or "check the folder"

@@ -165,7 +165,10 @@ def test_a_letter_that_the_output_does_not_have_is_replaced(
     """As in a terminal of Windows, or a file name that is no text."""
     schedule = write_schedule()
     schedule.write_text(schedule.read_text(encoding="utf-8").replace('name = "', 'name = "größe '), encoding="utf-8")
-    for arguments in (["check", str(schedule)], ["run", str(schedule), "--out", str(tmp_path / "\N{GREEK SMALL LETTER MU}.journal")]):
+    for arguments in (
+        ["check", str(schedule)],
+        ["run", str(schedule), "--out", str(tmp_path / "\N{GREEK SMALL LETTER MU}.journal")],
+    ):
         out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
         monkeypatch.setattr(sys, "stdout", out)
         monkeypatch.setattr(sys, "argv", ["goniotwin", *arguments, "--rig", str(RIG)])

@@ -204,7 +204,7 @@ class JournalReader:
     def open_orders(self) -> list[str]:
         """Texts of the safety orders of the last session that are not acknowledged, in order of time.
 
-        A journal of unknown origin may have a million, among which those of others would be lost: beyond MOST_ORDERS their number.
+        Beyond MOST_ORDERS it is their number: a journal of unknown origin may have a million, which would hide those of others.
         """
         with self._reading():
             found = self._db.execute(

@@ -77,7 +77,7 @@ def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder; give the folder of the journals")
-    os.listdir(folder)  # raises the error for one that cannot be listed, which `glob` takes for an empty one
+    os.scandir(folder).close()  # raises the error for one that cannot be listed, which `glob` takes for an empty one
     summaries, errors = [], []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:
