@@ -56,7 +56,7 @@ def read_transcript(path: Path) -> list[Transfer]:
         raise TranscriptError(
             f"{path}, line {len(lines) + 1}: the file ends within it: end the line if it is whole, else remove it"
         )
-    found = []
+    found: list[Transfer] = []
     for number, line in enumerate((*lines, last), 1):
         if not line.strip() or line.startswith("#"):
             continue
