@@ -8,6 +8,8 @@ from pathlib import Path
 
 TO_DEVICE, FROM_DEVICE = ">", "<"
 LATEST_S = 1.0e9
+MOST_BYTES, MOST_TRANSFERS = 150_000_000, 1_500_000
+"""Of one file: a campaign of a day has fewer. They take several hundred bytes each."""
 _LINE = re.compile(r"\s*(?P<t>-?[0-9]+(\.[0-9]+)?) (?P<direction>[<>]) (?P<bytes>([0-9a-fA-F]{2} ?)+?)\s*(\|.*)?")
 
 
@@ -42,6 +44,10 @@ class Exchange:
 def read_transcript(path: Path) -> list[Transfer]:
     """Read all transfers, in order. Raises TranscriptError."""
     try:
+        if path.exists() and not path.is_file():  # a pipe blocks, and a device such as /dev/zero has no end
+            raise TranscriptError(f"{path}: is a folder or a device, not a file; check the name")
+        if path.stat().st_size > MOST_BYTES:
+            raise TranscriptError(f"{path}: has more than {MOST_BYTES} bytes; give a part of it")
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise TranscriptError(f"{path}: cannot be read: {error}") from None
@@ -50,7 +56,7 @@ def read_transcript(path: Path) -> list[Transfer]:
         raise TranscriptError(
             f"{path}, line {len(lines) + 1}: the file ends within it: end the line if it is whole, else remove it"
         )
-    found = []
+    found: list[Transfer] = []
     for number, line in enumerate((*lines, last), 1):
         if not line.strip() or line.startswith("#"):
             continue
@@ -59,6 +65,8 @@ def read_transcript(path: Path) -> list[Transfer]:
             raise TranscriptError(f"{path}, line {number}: is no line of a transcript: {line[:60]!a}")
         if abs(t := float(match["t"])) > LATEST_S:
             raise TranscriptError(f"{path}, line {number}: {match['t'][:60]} s is no time")
+        if len(found) == MOST_TRANSFERS:
+            raise TranscriptError(f"{path}, line {number}: has more than {MOST_TRANSFERS} transfers; give a part of it")
         found.append(Transfer(t, match["direction"], bytes.fromhex(match["bytes"]), number, path.name))
     return found
 

@@ -1,7 +1,9 @@
 """The command `goniotwin`: its groups of commands, the entry point and the last-resort error handler."""
 
 import atexit
+import errno
 import functools
+import io
 import json
 import logging
 import os
@@ -28,6 +30,8 @@ FAULT = 1
 """Exit status after an unexpected error, and where standard output cannot be written."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
+UNREACHABLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOTDIR})
+"""What the system answers to a name that no file can have, or in a folder that this user cannot enter: bad input."""
 COMMANDS = (
     "devices", "home", "here", "check", "rehearse", "run", "runs", "export", "copy", "simulate",
     "demo", "examples", "schema", "serve", "usb", "replay", "desktop",
@@ -168,6 +172,9 @@ def main() -> None:
     logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors are raised as exceptions too
     sys.excepthook = lambda _kind, error, _trace: print_error(unexpected_error(error))  # of the window's slots
     threading.excepthook = lambda fault: print_error(unexpected_error(fault.exc_value or fault.exc_type()))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a letter that a terminal does not have must not break off a command
+            stream.reconfigure(errors="backslashreplace")
     interrupt_on_end_signal()  # a stop in order: axes at rest, journal closed
     status = _run_command()
     try:
@@ -203,6 +210,9 @@ def _run_command() -> int:
     except BrokenPipeError:  # such as of `goniotwin ... | head`: the reader has what it wants
         return FAULT
     except Exception as error:  # noqa: BLE001  (last resort)
+        if isinstance(error, OSError) and error.errno in UNREACHABLE and error.filename:
+            print_error(f"{error.filename}: {error.strerror}; check the name and the permissions")
+            return UserError.status
         print_error(_full_disk(error) or unexpected_error(error))
         return FAULT
 

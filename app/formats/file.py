@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import re
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator
@@ -16,6 +17,7 @@ LONGEST_WORD = 40
 MOST_BYTES = 100_000_000
 """Of a file that is read as a whole: parsed, it may take several times as much."""
 SQLITE = b"SQLite format 3\0"
+BESIDE_DATABASE = re.compile("-(wal|shm|journal)$")
 NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
 """What a disk without hard links answers, as those of memory sticks."""
 
@@ -62,8 +64,11 @@ def _file_at(path: StrPath) -> Path:
         file = Path(os.path.realpath(path))
     except ValueError as error:
         raise FormatError(path, "is not a possible file name", "check the name") from error
-    if file.exists() and not file.is_file():
-        raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+    try:
+        if file.exists() and not file.is_file():
+            raise FormatError(path, "is a folder or a device, not a file", "give the name of a file")
+    except OSError as error:  # a name that is too long, a folder that this user cannot enter
+        raise FormatError(path, f"cannot be reached ({error.strerror})", "check the name and the permissions") from error
     return file
 
 
@@ -142,8 +147,9 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
 
 
 def _refuse_database(path: StrPath, file: Path) -> None:
-    if file.exists() and read_head(file, len(SQLITE)) == SQLITE:
-        wrong = "is a data file (journal) or another database, and is not overwritten"
+    owner = file.with_name(BESIDE_DATABASE.sub("", file.name) or file.name)
+    if any(each.exists() and read_head(each, len(SQLITE)) == SQLITE for each in (file, owner)):
+        wrong = "is a data file (journal) or another database, or belongs to one, and is not overwritten"
         raise FormatError(path, wrong, "choose another name")
 
 

@@ -154,6 +154,7 @@ def _tcp_names(place: str, default_port: str) -> frozenset[str]:
     All addresses of this computer are `localhost`: a server listens on several of them, mostly.
     """
     host, port = host_and_port(place.lower(), default_port)
+    port = port.lstrip("0") or port  # 04001 is opened as 4001
     found: set[str] = set()
     with contextlib.suppress(OSError, UnicodeError):
         for family, *_, address in socket.getaddrinfo(host, None, proto=socket.IPPROTO_TCP):

@@ -185,6 +185,9 @@ class JournalLock:
 def lock_journal(path: Path, purpose: str) -> JournalLock:
     """Lock a journal, which need not exist yet, by a file beside it: among all users of its folder. Raises UserError."""
     try:
+        folder = Path(os.path.realpath(path)).parent
+        if not folder.is_dir():  # FileLock would make it
+            raise UserError(f"{path}: there is no folder {folder}; create it first")
         return JournalLock(path, purpose)
     except OSError as error:
         remedy = room_on_disk(error) or "check the folder"
@@ -235,7 +238,7 @@ def _note_of(lock: Path) -> Path:
 def _write_note(path: Path, note: str) -> None:
     """Replace a note; without one the lock holds as well, so that a full disk is no error."""
     with contextlib.suppress(OSError):
-        replace_text(path, f"{note}\n", 0o644)
+        replace_text(path, f"{printable(note)}\n", 0o644)  # a file name may have bytes that are no text
 
 
 def _read_note(path: Path) -> str:

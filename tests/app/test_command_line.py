@@ -1,5 +1,6 @@
 """The command line: the order of its commands, the cost of its help, and the message after Ctrl-C."""
 
+import io
 import json
 import os
 import re
@@ -13,10 +14,10 @@ import pytest
 from goniotwin.app import errors
 from goniotwin.app.campaign.running.events import Event, RowStarted
 from goniotwin.app.cli import device_search
-from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app
+from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main
 from goniotwin.app.cli.output import RowProgress
 from goniotwin.drivers import DeviceError, Rig
-from tests.conftest import RIG, Writer
+from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.command import invoke
 
 HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py")
@@ -42,6 +43,7 @@ last = Last()
 main._run_command = lambda: 1
 main.main()
 """
+JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
 SUBCOMMANDS = ("simulate illumination", "simulate table3", "simulate shadow")
 
 
@@ -135,6 +137,46 @@ def test_an_unexpected_error_is_one_line_and_a_file_with_the_details(tmp_path: P
     details = Path(found[1])
     assert details.is_relative_to(tmp_path)
     assert re.search(r"'devices'\n.*Traceback .*in fail\n.*ZeroDivisionError", details.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "export {} --format csv --out a.csv",
+        "export {journal} --format csv --out {}",
+        "copy {journal} {}",
+        "run {schedule} --rig {rig} --out {}",
+        "run --resume {}",
+        "rehearse {schedule} --rig {rig} --out {}",
+        "check {} --rig {}",
+        "runs {}",
+    ],
+)
+def test_a_name_that_no_file_can_have_is_bad_input(arguments: str, write_schedule: Writer) -> None:
+    words = arguments.format(*["n" * 300] * 2, journal=JOURNAL, schedule=write_schedule(), rig=RIG).split()
+    done = invoke(*words)
+    assert done.returncode == 2
+    assert re.fullmatch(r"goniotwin: .*File name too long.*; check [^\n]*\n", done.stderr), done.stderr
+
+
+def test_a_letter_that_the_output_does_not_have_is_replaced(
+    write_schedule: Writer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As in a terminal of Windows, or a file name that is no text."""
+    schedule = write_schedule()
+    schedule.write_text(schedule.read_text(encoding="utf-8").replace('name = "', 'name = "größe '), encoding="utf-8")
+    for arguments in (
+        ["check", str(schedule)],
+        ["run", str(schedule), "--out", str(tmp_path / "\N{GREEK SMALL LETTER MU}.journal")],
+    ):
+        out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+        monkeypatch.setattr(sys, "stdout", out)
+        monkeypatch.setattr(sys, "argv", ["goniotwin", *arguments, "--rig", str(RIG)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out.seek(0)
+        assert ended.value.code == 0
+        assert ("gr\\xf6\\xdfe" if arguments[0] == "check" else "\\u03bc.journal") in out.read()
 
 
 def test_where_no_folder_can_be_written_the_line_has_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

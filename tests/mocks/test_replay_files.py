@@ -4,6 +4,7 @@ import contextlib
 import errno
 import io
 import logging
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
@@ -17,6 +18,7 @@ from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
 from goniotwin.drivers.usb import usbtmc
+from goniotwin.mocks import transcript as transcripts
 from goniotwin.mocks.transcript import TranscriptError, Transfer, exchanges, merge_transcripts, read_transcript
 from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener
@@ -52,6 +54,25 @@ def test_written_transcripts_are_read_back(
     assert [each.t for each in found] == pytest.approx([t for t, _, _ in pieces], rel=1e-15, abs=5e-7)
     assert [each.line for each in found] == list(range(2, len(pieces) + 2))
     assert {each.file for each in found} <= {"device.txt"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and devices as files")
+def test_a_file_without_end_is_no_transcript(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe, long, many = tmp_path / "pipe.txt", tmp_path / "long.txt", tmp_path / "many.txt"
+    os.mkfifo(pipe)
+    long.touch()
+    os.truncate(long, 10**11)  # takes no room
+    many.write_text("0 > 00\n" * 11, encoding="utf-8")
+    monkeypatch.setattr(transcripts, "MOST_TRANSFERS", 10)
+    not_a_file = "is a folder or a device, not a file"
+    for path, wrong in (
+        (Path("/dev/zero"), not_a_file),
+        (pipe, not_a_file),
+        (long, "has more than 150000000 bytes"),
+        (many, "line 11: has more than 10 transfers"),
+    ):
+        with pytest.raises(TranscriptError, match=wrong):
+            read_transcript(path)
 
 
 @given(st.sampled_from(EXPLAINS), st.sampled_from("<>"), st.binary(max_size=40))
@@ -137,13 +158,13 @@ class FullDisk(io.StringIO):
 
 
 @pytest.fixture
-def full(monkeypatch: pytest.MonkeyPatch) -> dict[str, FullDisk]:
+def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, FullDisk]:
     """Transcripts with room for nine lines each, by their names."""
     files: dict[str, FullDisk] = {}
     really: Callable[..., IO[Any]] = Path.open
 
     def opened(path: Path, *arguments: Any, **options: Any) -> IO[Any]:
-        if path.suffix != ".txt":
+        if path.suffix != ".txt" or not path.is_relative_to(tmp_path):
             return really(path, *arguments, **options)
         return files.setdefault(path.name, FullDisk(9))
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import socket
 import sqlite3
+import struct
 import subprocess
 import sys
 import tempfile
@@ -680,6 +681,41 @@ def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:
     ):
         done = invoke("export", path, "--format", "csv", "--out", tmp_path / "a.csv")
         assert (done.returncode, done.stderr) == (2, f"goniotwin: {path}: {what}; check the name\n")
+
+
+def rollback_journal(naming: Path) -> bytes:
+    """A rollback journal without pages that names a super-journal (https://sqlite.org/fileformat.html, section 3, and the
+    comment of `readSuperJournal` in SQLite's pager.c): once it is rolled back, SQLite deletes the file of that name.
+    """
+    magic, name = bytes.fromhex("d9d505f920a163d7"), str(naming).encode()
+    head = magic + struct.pack(">5I", 0, 1, OLD_JOURNAL.stat().st_size // 4096, 512, 4096)
+    locked_page = (1 << 30) // 4096 + 1
+    return head.ljust(512, b"\0") + struct.pack(">I", locked_page) + name + struct.pack(">2I", len(name), sum(name)) + magic
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and links as files")
+@pytest.mark.parametrize("strange", ["super-journal", "long", "link", "pipe"])
+def test_a_strange_file_beside_a_journal_is_named_and_nothing_else_is_touched(tmp_path: Path, strange: str) -> None:
+    path, precious = changed_journal(tmp_path / "a.journal", ""), tmp_path / "precious"
+    precious.write_text("x", encoding="utf-8")
+    beside = Path(f"{path}-wal" if strange == "link" else f"{path}-journal")
+    if strange == "super-journal":
+        beside.write_bytes(rollback_journal(precious))
+    elif strange == "long":
+        beside.write_bytes(rollback_journal(precious))
+        os.truncate(beside, 10**11)  # takes no room
+    elif strange == "link":
+        beside.symlink_to(precious)
+    else:
+        os.mkfifo(beside)
+    export = ("export", path, "--format", "csv", "--out", tmp_path / "a.csv")
+    for arguments in (("runs", tmp_path), export, ("copy", path, tmp_path / "b.journal"), ("run", "--resume", path)):
+        done = invoke(*arguments)
+        assert done.returncode == (0 if arguments[0] == "runs" else 2)
+        assert f"{beside}: " in done.stderr
+        assert "remove it, and beware of its origin" in done.stderr
+    assert precious.read_text(encoding="utf-8") == "x"
+    assert {each.name for each in tmp_path.iterdir()} == {path.name, beside.name, "precious"}
 
 
 def test_a_journal_of_any_own_version_is_opened(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import sqlite3
+import stat
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -51,8 +52,14 @@ LIMITS = {
 """Bounds for all journals, far above what one needs: bytes of a value and of a statement, and what a schema could have."""
 LEAST_STEPS, STEPS_PER_BYTE, STEPS_TOGETHER = 10_000_000, 100, 100_000
 """Steps of SQLite's machine that a check of a journal may take, and after how many these are counted."""
+SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")
+"""Last bytes of a rollback journal that names another file, which SQLite deletes after it; this program makes none."""
+MOST_BESIDE = 1 << 30
+"""Bytes of the files beside a journal that are copied with it."""
 LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
 ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
+MOST_ORDERS = 20
+"""Safety orders of a session that are listed: a run gives two."""
 OUTCOMES = ("done", "stopped", "failed", None)
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
@@ -195,7 +202,10 @@ class JournalReader:
             return list(dict.fromkeys(str(text) for (text,) in found))
 
     def open_orders(self) -> list[str]:
-        """Texts of the safety orders of the last session that are not acknowledged, in order of time."""
+        """Texts of the safety orders of the last session that are not acknowledged, in order of time.
+
+        Beyond MOST_ORDERS it is their number: a journal of unknown origin may have a million, which would hide those of others.
+        """
         with self._reading():
             found = self._db.execute(
                 "SELECT kind, text, session = (SELECT MAX(id) FROM session) FROM event"
@@ -207,7 +217,8 @@ class JournalReader:
                     orders.pop(str(text), None)
                 elif last:
                     orders[str(text)] = None
-            return list(orders)
+            more = len(orders) - MOST_ORDERS
+            return [*itertools.islice(orders, MOST_ORDERS), *([f"and {more} more orders"] if more > 0 else [])]
 
     def last_number(self) -> int:
         """Highest row number, unplanned rows included."""
@@ -269,7 +280,7 @@ class JournalReader:
 
 
 def open_read_only(path: Path) -> sqlite3.Connection:
-    """Open a database without changing the file. Raises sqlite3.Error, OSError.
+    """Open a database without changing the file. Raises sqlite3.Error, OSError, and UserError for what is strange beside it.
 
     After a killed program or a power failure SQLite may have to recover the database before it can be read; in a read-only
     folder it may be unable to make its auxiliary files. Then a recovered copy in memory is opened.
@@ -277,6 +288,7 @@ def open_read_only(path: Path) -> sqlite3.Connection:
     # A connection that may not write leaves the auxiliary files that it makes. One that may takes them away, and writes nothing
     # into a database that is whole in its one file.
     file = Path(os.path.realpath(path))
+    _check_beside(file)
     whole = not any(Path(f"{file}{suffix}").exists() for suffix in ("-wal", "-journal"))
     db = sqlite3.connect(f"{file.as_uri()}?mode={'rw' if whole else 'ro'}", uri=True, check_same_thread=False)
     try:
@@ -286,11 +298,42 @@ def open_read_only(path: Path) -> sqlite3.Connection:
         db.close()
         if error.sqlite_errorcode & 0xFF not in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
             raise
-        return _recovered_copy(path)
+        return _recovered_copy(file)
     return db
 
 
+def _check_beside(file: Path) -> None:
+    """Raise UserError for a file beside a journal for which SQLite would wait, or which makes it delete another file.
+
+    A journal of unknown origin may come with such files. A rollback journal has each page of the database at most once.
+    """
+    for suffix in ("-wal", "-shm", "-journal"):
+        beside = Path(f"{file}{suffix}")
+        try:
+            status = beside.lstat()
+        except OSError:  # there is none
+            continue
+        if not stat.S_ISREG(status.st_mode):
+            wrong = "is a link, a folder or a device"
+        elif suffix == "-journal" and status.st_size > 2 * file.stat().st_size + MOST_BESIDE // 1000:
+            wrong = f"has {status.st_size} bytes, more than the journal explains"
+        elif suffix == "-journal" and _last_bytes(beside, len(SUPER_JOURNAL)) == SUPER_JOURNAL:
+            wrong = "names another file, which would be deleted"
+        else:
+            continue
+        raise UserError(f"{beside}: {wrong}; no version of goniotwin makes such a file: remove it, and beware of its origin")
+
+
+def _last_bytes(file: Path, count: int) -> bytes:
+    with file.open("rb") as content:
+        content.seek(max(0, content.seek(0, os.SEEK_END) - count))
+        return content.read(count)
+
+
 def _recovered_copy(path: Path) -> sqlite3.Connection:
+    beside = [Path(f"{path}{suffix}") for suffix in ("-wal", "-journal")]
+    if sum(each.stat().st_size for each in beside if each.exists()) > MOST_BESIDE:
+        raise UserError(f"{path}: {beside[0].name} is too large to be read here; copy all its files to a folder of your own")
     with tempfile.TemporaryDirectory() as folder:
         spare = Path(folder) / path.name
         for suffix in ("", "-wal", "-journal"):

@@ -1,5 +1,6 @@
 """Summaries of campaigns: how each journal of a folder ended, and how many rows are left."""
 
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -76,6 +77,7 @@ def campaign_summaries(folder: Path) -> tuple[list[CampaignSummary], list[str]]:
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder; give the folder of the journals")
+    os.scandir(folder).close()  # raises the error for one that cannot be listed, which `glob` takes for an empty one
     summaries, errors = [], []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:

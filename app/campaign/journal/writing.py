@@ -257,21 +257,27 @@ class Journal(JournalReader):
             now = "another file" if os.path.lexists(self.path) else "no file"
             raise JournalError(
                 f"{self.path}: was moved, renamed or removed during the run, and {now} has its name now; "
-                "a copy with all rows is made beside it, which can be resumed"
+                "a copy with all rows is made, which can be resumed"
             )
 
     def _rescue(self) -> None:
-        """Copy a journal that has lost its name to a free name beside the old one."""
-        lost = f"{self.path}: was moved, renamed or removed while it was written"
-        names = (f"{self.path.stem}-rescued{f'-{k}' if k else ''}{self.path.suffix}" for k in itertools.count())
-        copy = next(each for each in map(self.path.with_name, names) if not os.path.lexists(each))
-        try:
-            _new_copy(self._db, copy, self.path)
-        except UserError as error:
-            self.note = f"{lost}, and a copy cannot be made: {error}; the rows are where the file is now"
-        else:
-            self.kept_at = copy
-            self.note = f"{lost}; {copy} has all its rows: use that"
+        """Copy a journal that has lost its name to a free name beside the old one, or in the nearest folder that permits it."""
+        folders = [self.path.parent]
+        with contextlib.suppress(OSError):  # the program's own folder was removed
+            folders += self.path.absolute().parent.parents
+        lost, failed = f"{self.path}: was moved, renamed or removed while it was written", ""
+        for folder in filter(Path.is_dir, [*folders, Path(tempfile.gettempdir())]):
+            names = (f"{self.path.stem}-rescued{f'-{k}' if k else ''}{self.path.suffix}" for k in itertools.count())
+            copy = next(each for each in map(folder.joinpath, names) if not os.path.lexists(each))
+            try:
+                _new_copy(self._db, copy, self.path)
+            except UserError as error:
+                failed = failed or str(error)
+            else:
+                self.kept_at = copy
+                self.note = f"{lost}; {copy} has all its rows: use that"
+                return
+        self.note = f"{lost}, and a copy cannot be made: {failed}; the rows are where the file is now"
 
     def tend(self, t: float) -> None:
         """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock. Raises JournalError."""
@@ -391,6 +397,8 @@ class Journal(JournalReader):
                 yield
         except sqlite3.Error as error:
             remedy = _room_on_disk(self.path, error) or "check the disk, its permissions and any limit of the size of files"
+            if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_BUSY:
+                remedy = "close the other program that writes to it"
             raise JournalError(f"{self.path}: cannot be written: {error}; {remedy}") from None
 
 
@@ -400,7 +408,7 @@ def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> N
         "name": plan.schedule.file.name,
         "schedule": plan.schedule.text,
         "rig": plan.rig.text,
-        "rig_folder": str(plan.rig.folder.absolute()),
+        "rig_folder": str(plan.rig.folder.absolute()).encode(errors="backslashreplace").decode(),  # a name need not be text
         "simulated": json.dumps(plan.rig.simulated),
         "seed": json.dumps(plan.rig.seed),
         "model": json.dumps(plan.rig.model_hash()),

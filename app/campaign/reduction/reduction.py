@@ -290,11 +290,13 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
 def check_journal(path: Path, chain: Chain | None = None) -> CheckResults | None:
     """Evaluate the consistency checks of a journal, as far as it goes; None where its schedule asks for none.
 
-    Raises UserError where the journal cannot be read, or does not have the `chain` with which it was written.
+    Raises UserError where the journal cannot be read, or is not whole with the `chain` with which it was written.
     """
     with Journal.open(path) as journal:
         if chain is not None and (journal.chain.length, journal.chain.tip) != (chain.length, chain.tip):
             raise DamagedJournal(f"{path}: has other rows than were written; {USE_A_COPY}")
+        if chain is not None and journal.chain.damage:
+            raise DamagedJournal(f"{path}: differs from what was measured: {journal.chain.damage}; {RESUME}, or {USE_A_COPY}")
         try:
             file = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
             if file.symmetry_check is None and file.overlap is None:

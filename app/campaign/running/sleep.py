@@ -1,8 +1,10 @@
 """Sleep of this computer during a run: it is prevented where the system has a way, and noticed where it comes all the same."""
 
+import contextlib
 import ctypes
 import os
 import select
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -89,9 +91,10 @@ class StayAwake:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End the input of a process, and so the process."""
+    """End the input of a process, and so the process; or, if it does not end, all of its session, which has its output open."""
     try:
         process.communicate(timeout=ANSWER_S)
     except subprocess.TimeoutExpired:
-        process.kill()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
         process.communicate()

@@ -81,6 +81,9 @@ def test_units_of_one_port_share_one_bus() -> None:
         ("SOCKET://localhost:4001/", "rfc2217://127.0.0.1:4001?ign_set_control"),
         ("1313:807A:P1", "1313:807a:P1"),
         ("/dev/../dev/ttyUSB0", "/dev/ttyUSB0"),
+        ("socket://localhost:04001", "localhost:4001"),
+        ("127.0.0.1:0502", "127.0.0.1"),
+        ("usbip:localhost:03240/1-1", "usbip:localhost/1-1"),
     ],
 )
 def test_spellings_of_one_device_have_a_name_in_common(one: str, other: str) -> None:

@@ -1,15 +1,18 @@
 """The journal: refusals, its entries about the campaign, and damaged files."""
 
 import errno
+import os
 import sqlite3
+import sys
 import tempfile
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.writing import Journal, JournalError
+from goniotwin.app.campaign.journal.writing import Journal, JournalError, copy_journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.errors import UserError
@@ -21,6 +24,26 @@ def test_a_journal_is_not_overwritten(plan: Plan, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="exists already"):
         run_campaign(plan, path)
     assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere every name of a file is text")
+def test_a_journal_may_have_a_name_that_is_no_text(plan: Plan, tmp_path: Path) -> None:
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.journal"))
+    plan = replace(plan, rig=replace(plan.rig, folder=path.parent / "\udcff"))
+    assert run_campaign(plan, path).journal == path
+    assert [*tmp_path.glob("*journal*")] == [path]
+    with Journal.open(path) as journal:
+        assert journal.row_counts() == (len(plan.rows), len(plan.rows))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links to files")
+def test_a_journal_behind_a_link_to_nowhere_is_refused_and_no_folder_is_made(plan: Plan, tmp_path: Path) -> None:
+    (tmp_path / "a.journal").symlink_to("nowhere/b.journal")
+    Journal.create(tmp_path / "c.journal", plan, {}).close()
+    for make in (lambda path: Journal.create(path, plan, {}), lambda path: copy_journal(tmp_path / "c.journal", path)):
+        with pytest.raises(UserError, match=r"a\.journal: "):
+            make(tmp_path / "a.journal")
+    assert not (tmp_path / "nowhere").exists()
 
 
 @pytest.mark.parametrize("content", [b"", b"not a database at all", b"SQLite format 3\0"])
@@ -57,6 +80,15 @@ def test_an_event_of_any_length_leaves_a_journal_that_can_be_opened(plan: Plan, 
     with Journal.open(tmp_path / "a.journal") as opened:
         (text,) = opened.faults()
     assert text.startswith("\N{GRINNING FACE}")
+
+
+def test_a_journal_with_any_number_of_orders_lists_some(plan: Plan, tmp_path: Path) -> None:
+    with Journal.create(tmp_path / "a.journal", plan, {}) as journal:
+        journal.begin_session(0.0, plan.rig.text, {})
+        for k in range(23):
+            journal.event(1.0, "order", f"order {k}")
+        journal.event(2.0, "acknowledged", "order 0")
+        assert journal.open_orders() == [*(f"order {k}" for k in range(1, 21)), "and 2 more orders"]
 
 
 def test_a_journal_is_not_closed_in_the_middle_of_another_threads_event(plan: Plan, tmp_path: Path) -> None:
@@ -133,7 +165,7 @@ def test_free_space_is_asked_for_only_where_the_disk_is_full(
         with pytest.raises(JournalError, match="readonly") as read_only:
             journal.event(0.0, "fault", "x")
         assert "free space" not in f"{locked.value}{read_only.value}"
-        assert str(locked.value).endswith("; check the disk, its permissions and any limit of the size of files")
+        assert str(locked.value).endswith("database is locked; close the other program that writes to it")
         monkeypatch.setattr(tempfile, "TemporaryFile", full)
         with pytest.raises(JournalError, match=r"; free space on the disk$"):
             journal.event(0.0, "fault", "x")

@@ -281,8 +281,12 @@ def test_a_refused_export_leaves_every_file_as_it_was(reduced: BsdfDataset, tmp_
     journal.write_bytes(b"SQLite format 3\0 and more")
     folder.mkdir()
     beside.write_text("notes of the user", encoding="utf-8")
+    latest = tmp_path / "a.ddr-wal"  # the latest rows of a journal
+    latest.write_bytes(b"rows")
     before = sorted(tmp_path.iterdir())
     for path, wrong in (
+        (latest, r"a\.ddr-wal: .*or belongs to one, and is not overwritten"),
+        (tmp_path / "a.ddr-shm", r"a\.ddr-shm: .*or belongs to one, and is not overwritten"),
         (journal, r"a\.ddr: is a data file \(journal\)"), (folder, r"f\.ddr: is a folder"),
         (tmp_path / "sub" / "none.ddr", r"none\.ddr: there is no folder .*sub; make it first"),
         (tmp_path / "b.ddr", r"b\.ddr: the uncertainties go to .*b\.u\.ddr, and another file is there; choose another name"),
@@ -290,7 +294,7 @@ def test_a_refused_export_leaves_every_file_as_it_was(reduced: BsdfDataset, tmp_
         with pytest.raises(UserError, match=wrong):
             export(reduced, None, path, export_format("ddr"))
         assert sorted(tmp_path.iterdir()) == before
-    assert beside.read_text(encoding="utf-8") == "notes of the user"
+    assert (beside.read_text(encoding="utf-8"), latest.read_bytes()) == ("notes of the user", b"rows")
     for _ in range(2):  # what an export wrote is replaced by the next one
         assert export(reduced, None, tmp_path / "c.ddr", export_format("ddr")).files[1] == tmp_path / "c.u.ddr"
 

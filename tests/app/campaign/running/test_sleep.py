@@ -10,6 +10,7 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.campaign.running import sleep
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.recovery import FaultPolicies
@@ -144,6 +145,19 @@ def test_the_computer_is_kept_awake_while_a_run_goes_on(plan: Plan, tmp_path: Pa
     assert len(seen[0]) == 1
     assert "--what=sleep:idle" in seen[0][0]
     assert log.read_text(encoding="ascii").splitlines()[1:] == ["ended"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has a way of its own")
+def test_a_way_to_stay_awake_that_hangs_with_its_children_holds_up_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, late = tmp_path / ("caffeinate" if sys.platform == "darwin" else "systemd-inhibit"), tmp_path / "late"
+    program.write_text(f"#!/bin/sh\n/bin/sh -c '/bin/sleep 15; echo > {late}'\n", encoding="ascii")
+    program.chmod(0o700)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(sleep, "ANSWER_S", 0.1)
+    assert StayAwake().begin("nothing") == f"{program.name} does not grant it"
+    assert not late.exists()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems have other programs")
