@@ -7,6 +7,7 @@ The note outlives the program. After a crash, or where the device did not respon
 a setting that still has a written value was found as the note has it; any other value was set since, and is found now.
 """
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -52,8 +53,8 @@ class FoundSettings:
         """Begin a session with a device: take up the note of an earlier one that has not ended well."""
         if identity != self._identity:
             self._identity, self._changes = identity, {}
-        if self._store is not None and (changes := _decode(self._store.read(), identity)):
-            self._changes = changes
+        if self._store is not None and not self._changes:  # on a full disk the note may be older than what is known here
+            self._changes = _decode(self._store.read(), identity)
 
     def note(self, settings: Mapping[str, tuple[str, str]]) -> None:
         """Note settings before they are written: the value that each has now, and the one that it gets."""
@@ -84,13 +85,21 @@ class FoundSettings:
         self._changes = changes
         if self._store is not None:
             note = {"identity": self._identity, "settings": {name: asdict(each) for name, each in changes.items()}}
-            self._store.write(json.dumps(note) if changes else "")
+            self._store.write(_encode(json.dumps(note)) if changes else "")
+
+
+def _encode(note: str) -> str:
+    """A note behind its checksum: nothing of a damaged one is sent to a device."""
+    return f"{hashlib.sha256(note.encode()).hexdigest()}\n{note}"
 
 
 def _decode(text: str, identity: str) -> dict[str, Change]:
     """The changes of a note about a device of this identity; none for any other text."""
+    note_text = text.partition("\n")[2]
+    if text != _encode(note_text):
+        return {}
     try:
-        note = json.loads(text)
+        note = json.loads(note_text)
         changes = {name: Change(each["found"], tuple(each["written"])) for name, each in note["settings"].items()}
     except (ValueError, LookupError, TypeError, AttributeError):
         return {}

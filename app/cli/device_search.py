@@ -86,10 +86,13 @@ def _serial_ports(clock: Clock) -> Iterator[PortStatus]:
 
 
 def _probe_port(device: str, clock: Clock) -> PortStatus:
-    """Ask for the identity with each protocol in turn."""
-    tried = []
+    """Ask for the identity with each protocol in turn, motion controllers last.
 
-    for name, probe in [each for kind in kinds() for each in kind.probes]:
+    Their binary frames are a wrong statement to a device that reads lines; they drop what a line has left after a silence.
+    """
+    tried = []
+    in_turn = sorted(kinds(), key=lambda kind: kind.role == "axes")
+    for name, probe in [each for kind in in_turn for each in kind.probes]:
         try:
             return PortStatus("serial", device, probe(partial(open_serial, device), clock))
         except DeviceError as error:

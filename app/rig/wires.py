@@ -44,11 +44,13 @@ def open_serial(address: str, baudrate: int, timeout_s: float) -> serial.Serial:
 
 
 class FoundNote:
-    """The note about the device at an address, kept in the user's state folder for what a killed program leaves changed."""
+    """The note about the device at an address, kept in the user's state folder for what a killed program leaves changed.
 
-    def __init__(self, address: str) -> None:
-        unit = address.partition("?")[2]  # several modules on one line
-        self._name = f"{min(device_names(address))} {unit}".rstrip()
+    `unit` is that of a module among several at the address, whose text may have it or not.
+    """
+
+    def __init__(self, address: str, unit: int | None = None) -> None:
+        self._name = min(device_names(address)) + ("" if unit is None else f" unit={unit}")
 
     def read(self) -> str:
         """The note; empty if there is none that can be read."""
@@ -110,10 +112,10 @@ class Wires:
         """The unit of an address, with its tap. Raises InvalidAddress."""
         unit = self._units.unit(self._in_this_process(file_address))
         unit.tap = self.tap(device, self._units.explain(unit))
-        unit.found = self.found(file_address)
+        unit.found = self.found(file_address, unit.unit)
         return unit
 
-    def found(self, file_address: str) -> FoundSettings:
+    def found(self, file_address: str, unit: int | None = None) -> FoundSettings:
         """The settings as a driver finds them at an address; the note of them outlives this program.
 
         A device in this process does not, and its driver asks for nothing more than it needs, so that no duration changes.
@@ -121,7 +123,7 @@ class Wires:
         address = self._in_this_process(file_address)
         if address.startswith(TWIN):
             return FoundSettings(asks=False)
-        return FoundSettings(FoundNote(address))
+        return FoundSettings(FoundNote(address, unit))
 
     def usb(self, file_address: str) -> UsbOpener:
         """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.

@@ -292,11 +292,16 @@ class Monitor:
         self._wire.ready()
         present = {name: self._setting(name) for name in self._found.changes}
         for name, value in present.items():
-            if (found := self._found.value_to_restore(name, value)) is not None:
+            if (found := self._found.value_to_restore(name, value)) is not None and not self._ranges_itself(name):
                 separator = ":" if name == CONFIGURE else " "
                 self._check_errors("restore its settings", f"{name}{separator}{found};:{NEXT_ERROR}")
         self._found.clear()
         self._present.clear()
+
+    def _ranges_itself(self, name: str) -> bool:
+        """Whether it chooses this range by an auto-range that stays on, which a written range would end. Raises DeviceError."""
+        auto = f"{name}:AUTO"
+        return name.endswith(":RANG") and self._setting(auto) == "1" and self._found.value_to_restore(auto, "1") is None
 
     def _setting(self, name: str) -> str:
         return _as_noted(self._wire.query(f"{name}?").decode("ascii", "replace"))

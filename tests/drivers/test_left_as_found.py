@@ -74,6 +74,41 @@ def test_what_has_the_wanted_value_is_not_noted_and_nothing_is_restored_for_anot
     assert not other.changes
 
 
+def test_of_two_notes_that_one_on_a_full_disk_is_the_older() -> None:
+    notes = Notes()
+    found = FoundSettings(notes)
+    found.take_up("unit")
+    found.note({"handshake": ("0", "1")})
+    full = notes.text
+    found.note({"units": ("UM", "NM")})
+    notes.text = full  # the second one could not be written
+    found.take_up("unit")  # connected again, after a fault
+    assert found.value_to_restore("units", "NM") == "UM"
+
+
+DAMAGE = {
+    "another name": lambda text: text.replace("units", "unite"),
+    "another value": lambda text: text.replace("UM", "UN"),
+    "an end": lambda text: text[:-1],
+    "lists": lambda text: text.partition("\n")[0] + "\n" + 90_000 * "[",
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_nothing_of_a_damaged_note_is_sent(damage: str) -> None:
+    notes = Notes()
+    found = FoundSettings(notes)
+    found.take_up("unit")
+    found.note({"units": ("UM", "NM")})
+    undamaged, notes.text = notes.text, DAMAGE[damage](notes.text)
+    following = FoundSettings(notes)
+    following.take_up("unit")
+    assert not following.changes
+    notes.text = undamaged
+    following.take_up("unit")
+    assert following.changes
+
+
 @given(st.text() | st.just('{"identity": "unit", "settings": {"units": {"found": 3, "written": ["NM"]}}}'))
 def test_a_damaged_note_is_no_note(text: str) -> None:
     found = FoundSettings(Notes(text))
@@ -290,6 +325,42 @@ def test_what_another_program_sets_after_a_kill_stays(bench: Bench) -> None:
     bench.change()
     assert bench.state() == after  # what it had set is as it had set it
     device.close()
+
+
+# ---- the monitor's auto-range, and modules that a line has lost ----
+
+
+@pytest.mark.parametrize("found", [b"0", b"1"])
+def test_an_auto_range_that_another_program_has_switched_on_stays_on(opened: RigOpener, found: bytes) -> None:
+    """It may have chosen the range that the killed program had written, and `RANG` ends it (assumed of the PM100D)."""
+    bench = MonitorSetUp(opened())
+    bench.notes[0].text = ""
+    bench.ask(b"SENS:CURR:RANG 5E-3;:SENS:CURR:RANG:AUTO " + found)
+    killed = bench.driver()
+    killed.connect()
+    written = bench.ask(b"SENS:CURR:RANG?")
+    bench.ask(b"SENS:CURR:RANG:AUTO 1")
+    following = bench.driver()
+    following.identify()
+    following.close()
+    assert (bench.ask(b"SENS:CURR:RANG:AUTO?"), bench.ask(b"SENS:CURR:RANG?")) == (b"1", written)
+
+
+def test_a_note_of_a_module_that_is_no_longer_on_the_line_does_not_hold_up_the_others(opened: RigOpener) -> None:
+    """As after one module was taken away, or with another rig file on the same port: nobody answers to its address."""
+    bench = AxesSetUp(opened())
+    bench.notes[0].text = ""
+    before = bench.state()
+    killed = bench.driver()
+    killed.connect()
+    killed.module.found.note({"SAP 2 4 0": ("1", "2")})
+    following = bench.driver()
+    asked: list[int] = []
+    exchange = following.module.exchange
+    following.module.exchange = lambda request, *_: (asked.append(request.address), exchange(request))[1]
+    following.identify()
+    following.close()
+    assert (bench.state(), bench.notes[0].text, set(asked)) == (before, "", {1})
 
 
 # ---- the monochromator's wire ----

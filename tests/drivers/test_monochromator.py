@@ -75,7 +75,7 @@ HANDSHAKE_QUERY = Statement("HANDSHAKE", query=True)
 def test_a_unit_without_the_query_of_handshake_mode_is_left_as_it_was(
     opened: RigOpener, monkeypatch: pytest.MonkeyPatch, echo: bool, found: str
 ) -> None:
-    """No page and no public driver has `HANDSHAKE?`; that every statement is acknowledged in this mode is on p. 51 of MCS260."""
+    """`HANDSHAKE?` is assumed; that every statement is acknowledged in this mode is on p. 51 of MCS260."""
     perform = Statements.perform
 
     def refuse(statements: Statements, state: UnitState, statement: Statement, t: float) -> StatementResult:

@@ -146,10 +146,13 @@ class TmclModule:
                 self._clock.sleep_until(self._clock.now() + self.heartbeat_s + STOPPING_S)
                 if turning := self._turning(motors):
                     raise DeviceError(self.name, "restore its settings", f"motor {turning[0]} turns", "connect it again")
-            present = {name: str(self.exchange(read_request(name))) for name in self.found.changes}
+            requests = {name: read_request(name) for name in self.found.changes}
+            # A module of the note may have left the line since.
+            own = {name: each for name, each in requests.items() if each.address in self.addresses}
+            present = {name: str(self.exchange(each)) for name, each in own.items()}
             for name, value in present.items():
                 if (found := self.found.value_to_restore(name, value)) is not None:
-                    self.exchange(replace(read_request(name), command=WRITES[read_request(name).command], value=int(found)))
+                    self.exchange(replace(own[name], command=WRITES[own[name].command], value=int(found)))
         self.found.clear()
 
     @contextlib.contextmanager

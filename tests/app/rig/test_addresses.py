@@ -13,6 +13,7 @@ from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.app.rig.addresses import ModbusUnits, check_address, device_names, resolve_port, rtu_address
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.served_file import endpoint_address
+from goniotwin.app.rig.wires import FoundNote, Wires
 from goniotwin.mocks.served import Endpoint, Wire
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.doors import NoSuchTwin
@@ -191,3 +192,19 @@ def test_a_port_is_found_by_its_description_before_it_is_locked(monkeypatch: pyt
     ):
         with pytest.raises(UserError, match=reason):
             resolve_port(address)
+
+
+@pytest.mark.parametrize(("addresses", "other"), [
+    (("127.0.0.1:502", "127.0.0.1", "localhost?unit=1"), "127.0.0.1?unit=2"),
+    (("rtu:/dev/null", "rtu:/dev/null?unit=1&baudrate=9600", "rtu:/dev/null?baudrate=9600&unit=1"), "rtu:/dev/null?unit=2"),
+])  # fmt: skip
+def test_the_note_of_a_module_is_the_same_however_its_address_is_written(addresses: tuple[str, ...], other: str) -> None:
+    """After a kill another rig file finds it."""
+
+    def note(address: str) -> str:
+        store = Wires(VirtualClock(), None, None).modbus(address, "module").found._store
+        assert isinstance(store, FoundNote)
+        return str(store._path)
+
+    assert len(set(map(note, addresses))) == 1
+    assert note(other) not in map(note, addresses)
