@@ -229,15 +229,14 @@ def test_the_sums_agree_to_three_parts_in_ten_thousand(sigma_deg: float, width_d
             sigma_deg,
             directions,
             sample,
-            {60.0: 500_000_000, 80.0: 800_000_000}.get(sigma_deg, 300_000_000),
+            800_000_000 if sigma_deg == 80.0 else 500_000_000,
             sum_error=3e-4,
             rays=MANY_RAYS,
         )
         return
     instrument, step_deg = lobe_detectors(width_deg)
     sample = gaussian(width_deg, side="both")
-    paths = 300_000_000 if sigma_deg == 80.0 else 200_000_000
-    check_agreement(instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, paths, sum_error=3e-4, rays=MANY_RAYS)
+    check_agreement(instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, 300_000_000, sum_error=3e-4, rays=MANY_RAYS)
 
 
 @pytest.mark.long
