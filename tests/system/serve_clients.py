@@ -71,7 +71,7 @@ def cornerstone(address: str, abrupt: bool) -> Iterator[None]:
         for _ in range(QUESTIONS):
             port.write(b"WAVE?\n")
             lines = [port.read_until(b"\n") for _ in range(2)]
-            while lines[0] != b"WAVE?\r\n":  # the answer to the unfinished command
+            while lines[0] != b"WAVE?\n":  # the answer to the unfinished command
                 lines = [lines[1], port.read_until(b"\n")]
                 if not lines[1]:
                     raise WrongAnswer(f"WAVE?: {lines}")
