@@ -7,7 +7,7 @@ import pytest
 from goniotwin.mocks.serial_endpoints import ptys_exist
 from tests.conftest import RIG
 from tests.system.command import CALLS, Call
-from tests.system.conftest import ForkedServe, Serve, at
+from tests.system.conftest import ForkedServe, at
 
 pytestmark = pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals")
 
@@ -64,13 +64,14 @@ def test_a_rig_file_that_cannot_be_written_is_refused_before_any_port_opens(tmp_
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
 
 
-def test_the_rig_file_with_the_token_of_the_control_port_is_for_this_user_alone(serve: Serve, tmp_path: Path) -> None:
-    rig = tmp_path / "served.toml"
-    for _ in range(2):  # the second time it replaces the file, which was made readable meanwhile
-        process, lines = serve(RIG, "--write-rig", rig)
+def test_the_rig_file_with_the_token_of_the_control_port_is_for_this_user_alone(
+    forked_serve: ForkedServe, tmp_path: Path
+) -> None:
+    (tmp_path / "file").mkdir()
+    rig = tmp_path / "file" / "served.toml"
+    for ptys in ("first", "second"):  # the second replaces the file, which was made readable meanwhile
+        lines = forked_serve(RIG, "--write-rig", rig, "--ptys", tmp_path / ptys)
         assert f'control_token = "{at(lines, "control", "port")["token"]}"' in rig.read_text(encoding="utf-8")
         assert rig.stat().st_mode & 0o777 == 0o600
-        assert [each.name for each in tmp_path.iterdir() if each.is_file()] == ["served.toml"]
+        assert [each.name for each in rig.parent.iterdir()] == ["served.toml"]
         rig.chmod(0o644)
-        process.kill()
-        process.wait()

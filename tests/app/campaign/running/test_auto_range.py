@@ -71,7 +71,7 @@ def test_a_row_saturated_at_the_lowest_gain_is_flagged(write_rig: Writer, write_
     assert [each.data.flags for each in run.of("measure", "etalon")] == [()] * 2
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+@pytest.mark.parametrize("share", [pytest.param(0.3, marks=pytest.mark.long), 0.6, pytest.param(0.8, marks=pytest.mark.long)])
 def test_a_resumed_campaign_uses_the_same_gains(plan: Plan, tmp_path: Path, share: float) -> None:
     run_campaign(plan, tmp_path / "whole.journal")
     whole = planned_values(tmp_path / "whole.journal")

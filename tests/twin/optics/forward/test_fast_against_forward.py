@@ -207,15 +207,11 @@ def measured_paint(step: int = 1) -> Scatterer:
     return thinned(paint, step)
 
 
-@parted(32)
-@pytest.mark.parametrize(
-    "sigma_deg", [pytest.param(each, marks=[] if each in (30.0, 150.0) else pytest.mark.long) for each in SIGMA]
-)
-def test_both_agree_for_a_measured_paint(sigma_deg: float, part: int) -> None:
-    paths, sum_error, rays = (32_000_000, 1e-3, RAYS) if sigma_deg == 150.0 else (6_000_000, 4e-3, FEW_RAYS)
-    rays = rays if part == 1 else FEW_RAYS
-    paint = measured_paint(1 if part == 1 else 4)
-    check_agreement(WIDE, sigma_deg, rings(sigma_deg, 6.5, 8), paint, paths, sum_error=sum_error, rays=rays, part=part)
+@pytest.mark.parametrize(("sigma_deg", "paths", "sum_error"), [(30.0, 6_000_000, 4e-3), (150.0, 32_000_000, 1e-3)])
+def test_both_agree_for_a_measured_paint(sigma_deg: float, paths: int, sum_error: float) -> None:
+    """A small part of `test_the_sums_agree_for_a_measured_paint`, which checks the same with all angles and many more paths."""
+    directions, paint = rings(sigma_deg, 6.5, 8), measured_paint(4)
+    check_agreement(WIDE, sigma_deg, directions, paint, paths, sum_error=sum_error, rays=FEW_RAYS, part=32)
 
 
 @pytest.mark.long
@@ -229,15 +225,14 @@ def test_the_sums_agree_to_three_parts_in_ten_thousand(sigma_deg: float, width_d
             sigma_deg,
             directions,
             sample,
-            {60.0: 500_000_000, 80.0: 800_000_000}.get(sigma_deg, 300_000_000),
+            800_000_000 if sigma_deg == 80.0 else 500_000_000,
             sum_error=3e-4,
             rays=MANY_RAYS,
         )
         return
     instrument, step_deg = lobe_detectors(width_deg)
     sample = gaussian(width_deg, side="both")
-    paths = 300_000_000 if sigma_deg == 80.0 else 200_000_000
-    check_agreement(instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, paths, sum_error=3e-4, rays=MANY_RAYS)
+    check_agreement(instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, 300_000_000, sum_error=3e-4, rays=MANY_RAYS)
 
 
 @pytest.mark.long
