@@ -347,7 +347,7 @@ def test_an_auto_range_that_another_program_has_switched_on_stays_on(opened: Rig
 
 
 def test_a_note_of_a_module_that_is_no_longer_on_the_line_does_not_hold_up_the_others(opened: RigOpener) -> None:
-    """As after one module was taken away, or with another rig file on the same port: nobody answers to its address."""
+    """As after one module was taken away, or with another rig file on the same port: no module has its address."""
     bench = AxesSetUp(opened())
     bench.notes[0].text = ""
     before = bench.state()
