@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 # The tests start the program some hundred times: a shell that forbids Python to keep compiled modules would double their time.
 export PYTHONDONTWRITEBYTECODE :=
+# numba tries many types for each call, and would colour the text of an error for each that does not fit.
+export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
 PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest -n 3 --dist worksteal
 
 .PHONY: demo test test-long desktop clean

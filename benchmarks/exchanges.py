@@ -108,7 +108,7 @@ def modbus_rtu(tap: Tap) -> Call:
 def _counts(bench: BenchmarkRig, model: adam.Model) -> Call:
     unit = ModbusUnits(bench.virtual).unit(f"twin://{bench.name}/adc-0")
     unit.tap = bench.tap
-    module = AdamModule("photodiodes module 0", unit, model, adam.PLUS_MINUS_10_V, bench.clock)
+    module = AdamModule("photodiodes module 0", unit, model, model.power_on, bench.clock)
     module.connect()
     return module.counts
 

@@ -5,7 +5,7 @@ No call blocks for longer than one exchange on its wire. `wait` polls any number
 
 from collections.abc import Callable, Iterable
 from operator import attrgetter
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from serial import Serial
 
@@ -33,7 +33,21 @@ class Device(Protocol):
         """Restore the connection and the settings after a fault. Nothing moves. Raises DeviceError."""
 
     def close(self) -> None:
-        """Close the wire. Nothing moves."""
+        """Restore the settings that `connect` and later calls have changed, and close the wire. Nothing moves.
+
+        A device that is not responding, or still moves, is left to the next connection.
+        """
+
+
+@runtime_checkable
+class Identifiable(Protocol):
+    """A device that can be identified without being connected. Drivers of other packages may not have it."""
+
+    def identify(self) -> str:
+        """Open the wire and return the identity of the device. Nothing is written and nothing moves. Raises DeviceError.
+
+        Only what an earlier session has left changed, because it was killed, is restored: see `drivers.found`.
+        """
 
 
 class Pending(Protocol):

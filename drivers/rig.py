@@ -2,9 +2,10 @@
 
 import contextlib
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from goniotwin.drivers.device import Device
+from goniotwin.drivers.device import Device, Identifiable
 from goniotwin.drivers.errors import BadAnswer, DeviceError, LimitError, NoAnswer
 from goniotwin.drivers.monitor.monitor import Monitor
 from goniotwin.drivers.monochromator.monochromator import Monochromator
@@ -59,13 +60,21 @@ class Rig:
         """The controller of an axis."""
         return next(each for each in self.controllers if axis in each.axes)
 
+    def identify(self) -> dict[str, DeviceError | None]:
+        """Open every device and read its identity; nothing is written. Returns the error, or None, of each device."""
+        self.identities = {}
+        return {
+            each.name: self._open(each, each.identify if isinstance(each, Identifiable) else each.connect)
+            for each in self.devices
+        }
+
     def connect(self) -> dict[str, DeviceError | None]:
         """Open every device and write its settings; nothing moves. Returns the error, or None, of each device."""
         self.identities = {}
-        return {device.name: self._connect(device) for device in self.devices}
+        return {device.name: self._open(device, device.connect) for device in self.devices}
 
     def close(self) -> None:
-        """Close every device. Nothing moves."""
+        """Close every device, with the settings that it was found with. Nothing moves."""
         for device in self.devices:
             with contextlib.suppress(DeviceError):
                 device.close()
@@ -127,12 +136,13 @@ class Rig:
             self._paths.clear()
         device.reconnect()
 
-    def _connect(self, device: Device) -> DeviceError | None:
+    def _open(self, device: Device, action: Callable[[], str]) -> DeviceError | None:
+        """`action` opens a device and returns its identity."""
         try:
             try:
-                identity = device.connect()
+                identity = action()
             except (NoAnswer, BadAnswer):  # nothing moves: once more
-                identity = device.connect()
+                identity = action()
             if SIMULATED_SERIAL in identity and not self.simulated:
                 device.close()
                 raise BadAnswer(

@@ -21,11 +21,15 @@ PolarAngle = Annotated[float, Ge(0.0), Le(90.0)]
 Count = Annotated[int, Gt(0)]
 Address = Annotated[int, Ge(1), Le(255)]
 """Address of a motion module."""
+TcpUnit = Annotated[int, Ge(0), Le(255)]
+"""Unit of a Modbus request over TCP."""
 MotorNumber = Annotated[int, Ge(0), Le(5)]
 WheelPosition = Annotated[int, Ge(1), Le(6)]
 
 NO_KEY: Mapping[str, Any] = MappingProxyType({"key": None})
 """Metadata of a dataclass' field that no file has. `{"key": NAME}` is of a field with another name in the file."""
+LATER: Mapping[str, Any] = MappingProxyType({"later": True})
+"""Metadata of a field that was added to the twin's model later: at its default it is not part of the model's hash."""
 COMPARISONS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 
 

@@ -1,8 +1,8 @@
 """The statements of the Oriel Cornerstone 260 monochromator: lines of ASCII over RS232.
 
-Source: Newport/Oriel, "Cornerstone 260 monochromator" user's manual (MCS260): syntax, echo and handshake mode, error
-codes. To be confirmed on hardware: the spelling of UNITS and what the classic 260 answers to statements of the 260B,
-whether it knows FACTOR, ZERO, BANDPASS and `STEP?`, the numbers of OUTPORT, the decimals of wavelengths in um and 1/cm.
+Source: Newport/Oriel, "Cornerstone 260 monochromator" user's manual (MCS260): syntax, echo and handshake mode (p. 49 to
+51), error codes (p. 58). Each fact with its proof is in docs/interoperability.md. To be confirmed on hardware: the statement
+BANDPASS, the decimals of wavelengths in um and 1/cm.
 """
 
 import math
@@ -14,17 +14,19 @@ TO_DEVICE = b"\n"
 FROM_DEVICE = b"\r\n"
 NO_ERROR = 0x00
 ERROR_SINCE_LAST_READ = 0x20
-STATUS_TEXTS = {b"00": NO_ERROR, b"20": ERROR_SINCE_LAST_READ, b"32": ERROR_SINCE_LAST_READ}
-"""The status byte as units send it: bit 5 in hexadecimal, or in decimal."""
+STATUS_TEXTS = {b"00": NO_ERROR, b"0": NO_ERROR, b"20": ERROR_SINCE_LAST_READ, b"32": ERROR_SINCE_LAST_READ}
+"""The status byte as units send it: bit 5 in hexadecimal (p. 58), or in decimal; without an error one digit or two."""
 MAX_LINE = 256
 MAX_LABEL = 8
 
+LINE_ENDED = b"\r"
+"""What `take_lines` leaves pending after a line that a CR has ended."""
+_TERMINATOR = re.compile(rb"\r\n|\r|\n")
 _NUMBER = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
-_TERMINATOR = re.compile(rb"[\r\n]")
 
 
 class ErrorCode(IntEnum):
-    """What `ERROR?` answers."""
+    """What `ERROR?` answers. 0 is a system error in the manual of the 260 (p. 58), and no error in that of the 260B (p. 62)."""
 
     NONE = 0
     NOT_UNDERSTOOD = 1
@@ -37,7 +39,9 @@ class ErrorCode(IntEnum):
     SYSTEM = 10
 
     def in_words(self) -> str:
-        """The manual's meaning."""
+        """The manuals' meaning."""
+        if self is ErrorCode.NONE:
+            return "none, or a system error"
         return self.name.replace("_", " ").lower()
 
 
@@ -69,13 +73,18 @@ class StatementError(ValueError):
 
 
 def take_lines(pending: bytes, data: bytes) -> tuple[list[bytes], bytes]:
-    """The lines that `data` completes after `pending`, and what is left pending; empty lines are none.
+    """The lines that `data` completes after `pending`, without their ends, and what is left pending.
 
-    CR, LF and CR LF end a line. Of an endless line the first MAX_LINE + 1 bytes are kept, one too many for `decode`. The
-    lines are the same however the bytes are split.
+    CR, LF and CR LF end a line: an echo has the end that was sent, a reply CR LF. A CR at the end is left pending although its
+    line is complete: an LF that follows belongs to it. Of an endless line the first MAX_LINE + 1 bytes are kept, one too many
+    for `decode`. The lines are the same however the bytes are split.
     """
-    *whole, rest = _TERMINATOR.split(pending + data)
-    return [line[: MAX_LINE + 1] for line in whole if line], rest[: MAX_LINE + 1]
+    if not data:
+        return [], pending
+    received = data.removeprefix(b"\n") if pending == LINE_ENDED else pending + data
+    *whole, rest = _TERMINATOR.split(received)
+    left = LINE_ENDED if received.endswith(LINE_ENDED) else rest[: MAX_LINE + 1]
+    return [line[: MAX_LINE + 1] for line in whole], left
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,20 +124,12 @@ class Statement:
         return line.strip().upper() == str(self).encode("ascii").upper()
 
 
-def encode_status(status: int) -> bytes:
-    """The status byte as handshake mode sends it: two hexadecimal digits."""
-    return f"{status:02X}".encode("ascii") + FROM_DEVICE
+def encode_status(status: int, digits: int = 2, *, decimal: bool = False) -> str:
+    """The status byte as `STB?` and handshake mode answer it, with so many digits at least."""
+    return f"{status:0{digits}{'d' if decimal else 'X'}}"
 
 
 def decode_status(line: bytes) -> int:
-    """The status byte from its line. Raises StatementError."""
-    text = line.strip()
-    if not re.fullmatch(rb"[0-9A-Fa-f]{2}", text):
-        raise StatementError(f"no status byte: {line!r}")
-    return int(text, 16)
-
-
-def decode_known_status(line: bytes) -> int:
     """NO_ERROR or ERROR_SINCE_LAST_READ: a status byte with any other bit is taken for a fault. Raises StatementError."""
     try:
         return STATUS_TEXTS[line.strip()]

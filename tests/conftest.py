@@ -11,6 +11,7 @@ Hypothesis takes its number of examples from a profile: few in `make test`, many
 import contextlib
 import gc
 import os
+import signal
 import sys
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -74,6 +75,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if {"serve", "forked_serve"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.endpoint)
     items.sort(key=lambda item: item.get_closest_marker("endpoint") is None)
+
+
+@pytest.fixture
+def heard_hangup() -> Iterator[None]:
+    """SIGHUP is not ignored, as `nohup make test` would have it."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.hookimpl(wrapper=True)

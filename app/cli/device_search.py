@@ -1,6 +1,7 @@
 """Search for devices: the ports of this computer or of a rig file, and the identity of the device at each.
 
-Only identities are read, so nothing moves.
+Only identities are read: nothing moves, and every device keeps its settings. What a killed program has left changed at the
+devices of a rig file is restored.
 """
 
 from collections.abc import Iterator
@@ -64,7 +65,7 @@ def exit_status(ports: list[PortStatus]) -> int:
 def _rig_devices(rig: RigDescription, clock: Clock) -> list[PortStatus]:
     """The devices of a rig file. Raises UserError if another program has the rig open."""
     with open_rig(rig, clock) as opened:
-        outcome = opened.rig.connect()
+        outcome = opened.rig.identify()
         return [
             PortStatus(RIG_BUS, device, opened.rig.identities.get(device), "" if error is None else str(error))
             for device, error in outcome.items()

@@ -2,16 +2,19 @@
 
 import atexit
 import errno
+import functools
 import io
 import json
 import logging
 import os
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+import typer.main
 from rich.console import Console
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
@@ -185,10 +188,16 @@ def main() -> None:
     sys.exit(status)
 
 
+@functools.cache
+def command() -> Callable[..., Any]:
+    """The command with all of its groups. Called in place of `app`, which makes it anew and takes over `sys.excepthook`."""
+    return typer.main.get_command(app)
+
+
 def _run_command() -> int:
     """The exit status of the command."""
     try:
-        return int(app(standalone_mode=False) or 0)
+        return int(command()(standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort):
         print_error("stopped")
         return INTERRUPTED

@@ -83,6 +83,12 @@ def print_order(text: str) -> None:
     print_error(f"SAFETY: {text}")
 
 
+def print_note(text: str) -> None:
+    """Print what the program is doing on standard error, in one line."""
+    with contextlib.suppress(OSError):  # a closed terminal
+        errors.print(f"goniotwin: {one_line(text)}", style="dim", markup=False)
+
+
 class CurrentStepColumn(ProgressColumn):
     """The current step. In a narrow terminal this column is cut off, and not the numbers before it."""
 

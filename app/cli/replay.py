@@ -119,7 +119,7 @@ def _address_units(rig: RigDescription, virtual: VirtualRig) -> None:
     """Give the twin's modules the unit numbers that the rig file has for a real line."""
     for device in rig.file.devices:
         if device.address.startswith(RTU) and device.twin in virtual.modbus:
-            virtual.modbus[device.twin].unit = rtu_address(device.address)[1]
+            virtual.modbus[device.twin].units = (rtu_address(device.address)[1],)
 
 
 def _check_device(name: str, rig: RigDescription, virtual: VirtualRig, path: Path, *, from_file_name: bool) -> None:

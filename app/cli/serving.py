@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from goniotwin.app.cli.output import Json, RigOption, answer
+from goniotwin.app.cli.output import Json, RigOption, answer, print_note
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the twin is compiled code, which a command's help does not need
+    from usb.backend import IBackend
+
     from goniotwin.app.rig import RigDescription
     from goniotwin.twin import TwinModel
 
@@ -49,6 +51,8 @@ def serve(
 
     Programs that use USB but not USB/IP reach the monitor with `goniotwin usb`.
     """
+    # Before the imports, which load compiled code, or compile it.
+    print_note(f"preparing the virtual rig of {rig}; the first start on a computer compiles the twin: half a minute or more")
     from goniotwin.app.rig import read_rig
     from goniotwin.app.rig.served_file import check_served_rig, served_rig, write_served_rig
     from goniotwin.mocks.served import ServedRig
@@ -85,24 +89,57 @@ def usb(
 ) -> None:
     """Run a pyusb program with the USB devices of a virtual rig.
 
-    The program is not modified."""
+    With the rig file of a served rig (`goniotwin serve --write-rig`) they are those of that rig. The program is not modified.
+    """
     from goniotwin.app.rig import read_rig
     from goniotwin.mocks import install_backend
-    from goniotwin.protocols.clock import RealClock
-    from goniotwin.twin import VirtualRig
-    from goniotwin.twin.doors import TwinUsbBackend
 
     description = read_rig(rig)
     if not program.is_file():
         raise UserError(f"{program}: no such program; check the name")
-    virtual = VirtualRig.build(_twin_model(description), RealClock())
+    backend = _usb_backend(description)
     sys.argv = [str(program), *context.args]
+    before = list(sys.path)
+    sys.path.insert(0, str(program.resolve().parent))  # as Python itself does for a program
     try:
-        with install_backend(TwinUsbBackend(virtual)):
+        with install_backend(backend):
             runpy.run_path(str(program), run_name="__main__")
     except Exception:  # noqa: BLE001  (of another program: in full, as without this command)
         traceback.print_exc()
         raise typer.Exit(1) from None
+    finally:
+        sys.path[:] = before
+
+
+def _usb_backend(rig: "RigDescription") -> "IBackend":
+    """pyusb's backend with the USB devices of a rig: of one in this process, or of one behind a USB/IP server.
+
+    Raises UserError.
+    """
+    import usb.core
+
+    from goniotwin.app.rig.addresses import USBIP, usbip_address
+    from goniotwin.drivers.usb.usbip import UsbIpBackend, exported_devices
+    from goniotwin.protocols.clock import RealClock
+    from goniotwin.twin import VirtualRig
+    from goniotwin.twin.doors import TwinUsbBackend
+
+    model, address = rig.model(), rig.file.monitor.usb
+    if model is not None:
+        return TwinUsbBackend(VirtualRig.build(model, RealClock()))
+    if not address.startswith(USBIP):
+        raise UserError(
+            f"{rig.name}: has no [twin] table, and the monitor is at {address}, which is no USB/IP server; name the file of a "
+            "virtual rig, or the one that goniotwin serve --write-rig has written"
+        )
+    host, port, bus_id = usbip_address(address)
+    try:
+        exported = {each.bus_id for each in exported_devices(host, port)}
+    except usb.core.USBError as error:
+        raise UserError(f"{rig.name}: monitor: {error.strerror or error}; start goniotwin serve") from None
+    if bus_id not in exported:
+        raise UserError(f"{rig.name}: monitor: {address}: the server has no device {bus_id}; plug it in, or serve the rig anew")
+    return UsbIpBackend(host, port, bus_id)
 
 
 @app.command()

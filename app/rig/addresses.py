@@ -4,7 +4,7 @@
 |---|---|
 | virtual rig | `twin://RIG/NAME` |
 | serial | path of a device, `COMn`, `socket://HOST:PORT`, `rfc2217://HOST:PORT`, `hwgrep://TEXT` (the port so described) |
-| Modbus TCP | `HOST` or `HOST:PORT` |
+| Modbus TCP | `HOST` or `HOST:PORT`, with `?unit=N` for a module that responds to another unit than 1 |
 | Modbus RTU | `rtu:PORT?unit=N&baudrate=9600`; units of one port share one client and one lock |
 | USB | `VENDOR:PRODUCT:SERIAL`, or `usbip:HOST:PORT/BUSID` |
 
@@ -62,7 +62,7 @@ _KNOWN = re.compile(
             rf"{RTU}(?:{_SERIAL}|[^:/?]*)(?:\?[^/]*)?",
             rf"{USBIP}{_HOST}(?::[0-9]{{1,5}})?/[A-Za-z0-9.-]+",
             r"[0-9a-fA-F]{4}:[0-9a-fA-F]{4}(?::[^/\x00-\x1f]*)?",
-            rf"{_HOST}(?::[0-9]{{1,5}})?",
+            rf"{_HOST}(?::[0-9]{{1,5}})?(?:\?unit=[^/\x00-\x1f]*)?",
         )
     )
 )
@@ -198,10 +198,14 @@ class ModbusUnits:
         if address.startswith(RTU):
             port, unit, baudrate = rtu_address(address)
             return self._on_line(port, unit, baudrate, address, _serial_opener(port, baudrate))
-        host, number = host_and_port(address, MODBUS_PORT)
-        if not host or not is_port(number) or "?" in address:
+        place, _, query = address.partition("?")
+        host, number = host_and_port(place, MODBUS_PORT)
+        if not host or not is_port(number):
             raise InvalidAddress(address, "is neither HOST, HOST:PORT nor rtu:PORT?unit=N")
-        return ModbusUnit(ModbusBus(_tcp_opener(host, int(number))))
+        unit = _whole_number(address, "unit", _query(address, query, "unit").get("unit", str(adam.UNIT)))
+        if unit > adam.LAST_TCP_UNIT:
+            raise InvalidAddress(address, f"unit is 0 to {adam.LAST_TCP_UNIT} over TCP, not {unit}")
+        return ModbusUnit(ModbusBus(_tcp_opener(host, int(number))), unit)
 
     @staticmethod
     def explain(unit: ModbusUnit) -> Explain:
@@ -211,7 +215,8 @@ class ModbusUnits:
     def _twin(self, address: str) -> ModbusUnit:
         device = self._virtual.modbus.get(address.rsplit("/", 1)[1]) if self._virtual is not None else None
         if device is None or not device.model.serial:
-            return ModbusUnit(ModbusBus(lambda trace: TwinModbusClient(address, timeout=MODBUS_TIMEOUT_S, trace_packet=trace)))
+            bus = ModbusBus(lambda trace: TwinModbusClient(address, timeout=MODBUS_TIMEOUT_S, trace_packet=trace))
+            return ModbusUnit(bus, adam.UNIT if device is None else device.unit)
         assert self._virtual is not None
         baudrate = self._virtual.plant.model.electronics.baudrate
 
@@ -235,15 +240,7 @@ def rtu_address(address: str) -> tuple[str, int, int]:
     port, _, query = address.removeprefix(RTU).partition("?")
     if not _SERIAL_PORT.fullmatch(port) or port.startswith(TWIN):
         raise InvalidAddress(address, "has no serial port")
-    try:
-        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
-    except ValueError:
-        raise InvalidAddress(address, "the text after ? is not of the form unit=N&baudrate=B") from None
-    settings = dict(pairs)
-    if len(settings) < len(pairs):
-        raise InvalidAddress(address, "has a setting twice")
-    if unknown := sorted(settings.keys() - {"unit", "baudrate"}):
-        raise InvalidAddress(address, f"has the setting {', '.join(unknown)}, and only unit and baudrate are known")
+    settings = _query(address, query, "unit", "baudrate")
     unit = _whole_number(address, "unit", settings.get("unit", str(adam.UNIT)))
     baudrate = _whole_number(address, "baudrate", settings.get("baudrate", str(adam.BAUDRATE)))
     if not 1 <= unit <= adam.LAST_UNIT:
@@ -251,6 +248,20 @@ def rtu_address(address: str) -> tuple[str, int, int]:
     if baudrate not in BAUDRATES:
         raise InvalidAddress(address, f"baudrate is one of {', '.join(map(str, BAUDRATES))}, not {baudrate}")
     return port, unit, baudrate
+
+
+def _query(address: str, query: str, *known: str) -> dict[str, str]:
+    """The settings after the ? of an address. Raises InvalidAddress."""
+    try:
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
+    except ValueError:
+        raise InvalidAddress(address, f"the text after ? is not of the form {'=N&'.join(known)}=N") from None
+    settings = dict(pairs)
+    if len(settings) < len(pairs):
+        raise InvalidAddress(address, "has a setting twice")
+    if unknown := sorted(settings.keys() - set(known)):
+        raise InvalidAddress(address, f"has the setting {', '.join(unknown)}, and can only have {' and '.join(known)}")
+    return settings
 
 
 def usbip_address(address: str) -> tuple[str, int, str]:

@@ -143,6 +143,7 @@ def _electronics(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
         "gains_v_per_a": table.gains_v_per_a,
         "module": table.kind,
         "conversions_per_s": speed,
+        "raw_format": table.raw_format,
         "settling_s": min(Electronics.settling_s, table.settling_s / SETTLED),  # settled within the operator's settling time
     }
     if table.units[0].startswith(RTU):

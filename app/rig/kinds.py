@@ -265,7 +265,8 @@ class MonitorTable(MonitorSettings):
 
 def _open_tmcl(wires: Wires, name: str, table: Any, axes: Mapping[str, AxisSettings]) -> TmclController:
     tap = wires.tap(name, tmcl.explain)
-    return TmclController(name, wires.serial(table.port), wires.clock, table, axes, tap, wires.session)
+    opener, found = wires.serial(table.port), wires.found(table.port)
+    return TmclController(name, opener, wires.clock, table, axes, tap, wires.session, found)
 
 
 def _check_motors(axes: Mapping[str, AxisSettings]) -> None:
@@ -307,7 +308,8 @@ def _tmcl_mechanics(name: str, axis: AxisSettings, assumptions: list[str]) -> di
 
 
 def _open_cornerstone(wires: Wires, table: Any) -> Monochromator:
-    return Monochromator(wires.serial(table.port), table, wires.clock, wires.tap("monochromator", as_text))
+    tap, found = wires.tap("monochromator", as_text), wires.found(table.port)
+    return Monochromator(wires.serial(table.port), table, wires.clock, tap, found)
 
 
 def _open_adam(wires: Wires, table: Any) -> PhotodiodeArray:
@@ -316,7 +318,8 @@ def _open_adam(wires: Wires, table: Any) -> PhotodiodeArray:
 
 
 def _open_pm100d(wires: Wires, table: Any) -> Monitor:
-    return Monitor(wires.usb(table.usb), table, wires.clock, wires.tap("monitor", usbtmc.explain))
+    tap, found = wires.tap("monitor", usbtmc.explain), wires.found(table.usb)
+    return Monitor(wires.usb(table.usb), table, wires.clock, tap, found)
 
 
 def _probe_tmcl(open_port: PortOpener, clock: Clock, baudrate: int) -> str:
@@ -330,7 +333,7 @@ def _probe_tmcl(open_port: PortOpener, clock: Clock, baudrate: int) -> str:
 def _probe_cornerstone(open_port: PortOpener, clock: Clock) -> str:
     monochromator = Monochromator(open_port, MonochromatorSettings(), clock)
     try:
-        return monochromator.connect()
+        return monochromator.identify()
     finally:
         monochromator.close()
 

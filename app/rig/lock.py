@@ -139,7 +139,7 @@ class RigLock:
                 raise RigInUse(address, holder)
 
     def _path(self, name: str) -> Path:
-        return self._folder / f"{_stem(name)}-{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock"
+        return self._folder / f"{file_stem(name)}.lock"
 
 
 FileIdentity = tuple[int, int]
@@ -220,6 +220,11 @@ def _identity_lock(identity: FileIdentity) -> Path:
 def _journal_lock(path: Path) -> Path:
     real = Path(os.path.realpath(path))
     return real.with_name(f"{real.name}.lock")
+
+
+def file_stem(name: str) -> str:
+    """The name of a file about a device, without its suffix."""
+    return f"{_stem(name)}-{hashlib.sha256(name.encode()).hexdigest()[:20]}"
 
 
 def _stem(name: str) -> str:

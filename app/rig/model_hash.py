@@ -1,7 +1,7 @@
 """The hash of a virtual rig's model: it covers everything that decides the behaviour of the virtual rig.
 
 Version 2, `model_hash`, is of a text with the names and values of fields, without names of classes and modules, so that these
-can change. A hash begins with the version of its text.
+can change. A hash begins with the version of its text. A model that does not use a later field keeps its hash.
 
 Version 1, `old_model_hash`, has no such prefix. It is of the `repr` of the model's parts, with the names of classes at that
 time. Older journals and rig files of older served rigs identify a model by it. These names and the order of the fields are
@@ -11,7 +11,7 @@ frozen here and must not follow later changes of the classes.
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from enum import Enum
 from numbers import Integral, Real
 from typing import Any
@@ -45,8 +45,9 @@ def canonical_text(value: object) -> str:
     """A text that is the same for equal values.
 
     Dataclasses and mappings are written by the names of their fields, in alphabetical order, lists and tuples alike, 1 as 1.0,
-    an enum as its value, an array as its shape, type and the SHA-256 of its bytes. Raises TypeError for anything else, such
-    as a function, because two of them cannot be compared.
+    an enum as its value, an array as its shape, type and the SHA-256 of its bytes. A field of a dataclass that was added
+    `LATER` is omitted at its default. Raises TypeError for anything else, such as a function, because two of them cannot be
+    compared.
     """
     if value is None:
         return "null"
@@ -63,10 +64,14 @@ def canonical_text(value: object) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(canonical_text, value))}]"
     if is_dataclass(value) and not isinstance(value, type):
-        value = {entry.name: getattr(value, entry.name) for entry in fields(value)}
+        value = {entry.name: getattr(value, entry.name) for entry in fields(value) if not _is_later_default(entry, value)}
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{json.dumps(str(key))}: {canonical_text(value[key])}' for key in sorted(value))}}}"
     raise TypeError(f"a {type(value).__name__} has no canonical text: give numbers, texts, arrays of numbers or dataclasses")
+
+
+def _is_later_default(entry: Field[Any], owner: Any) -> bool:
+    return "later" in entry.metadata and bool(getattr(owner, entry.name) == entry.default)
 
 
 def _number(value: Real) -> str:

@@ -11,6 +11,7 @@ from goniotwin.app.rig.file import set_addresses
 from goniotwin.app.rig.opening import RigDescription
 from goniotwin.mocks.served import CONTROL, Endpoint, Wire
 from goniotwin.own_files import replace_text
+from goniotwin.protocols import adam
 
 FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start. SIMULATED."
 
@@ -47,7 +48,7 @@ def endpoint_address(endpoint: Endpoint) -> str:
         case Wire.USBIP:
             return f"usbip:{place}/{endpoint.bus_id}"
         case Wire.MODBUS_TCP:
-            return place
+            return place if endpoint.unit == adam.UNIT else f"{place}?unit={endpoint.unit}"
         case Wire.MODBUS_RTU:
             return f"rtu:{port}?unit={endpoint.unit}&baudrate={endpoint.baudrate}"
         case _:

@@ -1,25 +1,36 @@
-"""Wires of a rig: openers for the addresses of its file, and taps. Only this module opens ports and devices by name."""
+"""Wires of a rig: openers for the addresses of its file, taps, notes of settings as found.
 
+Only this module opens ports and devices by name.
+"""
+
+import contextlib
 import errno
 import secrets
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import serial
 import usb.core
 
-from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, check_serial_port, usbip_address
+from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, check_serial_port, device_names, usbip_address
+from goniotwin.app.rig.lock import file_stem
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.tmcl import CANARY
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.drivers.tap import Explain, Tap, no_tap
 from goniotwin.drivers.usb.usbip import find_usbip
 from goniotwin.drivers.usb.usbtmc import UsbOpener
+from goniotwin.own_files import make_own_folder, replace_text, state_folder
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.doors import TwinUsbBackend
+
+FOUND_NOTES = "found"
+LONGEST_NOTE = 100_000
 
 
 def open_serial(address: str, baudrate: int, timeout_s: float) -> serial.Serial:
@@ -30,6 +41,35 @@ def open_serial(address: str, baudrate: int, timeout_s: float) -> serial.Serial:
         if error.errno in (errno.EAGAIN, errno.EBUSY):
             raise serial.SerialException(f"{address} is in use by another program; end that program") from None
         raise
+
+
+class FoundNote:
+    """The note about the device at an address, kept in the user's state folder for what a killed program leaves changed."""
+
+    def __init__(self, address: str) -> None:
+        unit = address.partition("?")[2]  # several modules on one line
+        self._name = f"{min(device_names(address))} {unit}".rstrip()
+
+    def read(self) -> str:
+        """The note; empty if there is none that can be read."""
+        try:
+            with self._path.open(encoding="utf-8") as file:
+                return file.read(LONGEST_NOTE)
+        except (OSError, UnicodeError):
+            return ""
+
+    def write(self, text: str) -> None:
+        """Replace the note; an empty one is removed. Without it settings are restored as well: a full disk is no error."""
+        with contextlib.suppress(OSError):
+            if text:
+                make_own_folder(self._path.parent)
+                replace_text(self._path, text)
+            else:
+                self._path.unlink()
+
+    @property
+    def _path(self) -> Path:
+        return state_folder() / FOUND_NOTES / f"{file_stem(self._name)}.json"
 
 
 class Wires:
@@ -70,7 +110,18 @@ class Wires:
         """The unit of an address, with its tap. Raises InvalidAddress."""
         unit = self._units.unit(self._in_this_process(file_address))
         unit.tap = self.tap(device, self._units.explain(unit))
+        unit.found = self.found(file_address)
         return unit
+
+    def found(self, file_address: str) -> FoundSettings:
+        """The settings as a driver finds them at an address; the note of them outlives this program.
+
+        A device in this process does not, and its driver asks for nothing more than it needs, so that no duration changes.
+        """
+        address = self._in_this_process(file_address)
+        if address.startswith(TWIN):
+            return FoundSettings(asks=False)
+        return FoundSettings(FoundNote(address))
 
     def usb(self, file_address: str) -> UsbOpener:
         """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.

@@ -3,8 +3,8 @@
 The averaging is the canary: it is read back after each mean and after each resynchronisation of the wire. If it differs,
 the instrument has reset, and all settings are written again. Each setting is sent with a query in the same message, so that
 a lost setting is detected. An overrange (9.9E37) is an error and never a value, and so is a number beyond the range. For
-undetectable faults of the wire see drivers.usb.usbtmc. To be confirmed on hardware: 3000 samples per second, duration of a
-zero.
+undetectable faults of the wire see drivers.usb.usbtmc. Each setting is noted before it is written, and `close` restores what
+was found. To be confirmed on hardware: 3000 samples per second, duration of a zero.
 
 The SCPI commands of a family of instruments are a `Dialect`. Another picoammeter with USBTMC and SCPI is one more Dialect.
 To be confirmed on hardware: everything but the PM100D's commands.
@@ -13,12 +13,13 @@ To be confirmed on hardware: everything but the PM100D's commands.
 import contextlib
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from goniotwin.drivers.device import Pending, Poll
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.drivers.usb.usbtmc import UsbOpener, UsbTmc
 from goniotwin.keys import Fraction, Positive
@@ -34,6 +35,8 @@ TRANSFERS_AT_END = 5
 LONGEST_READING_S = 1.0
 OVERRANGE = 1.1
 NEXT_ERROR = "SYST:ERR?"
+CONFIGURE = "CONF"
+"""`CONF:CURR` selects what `CONF?` answers with CURR."""
 MOST_ERRORS = 40
 LONGEST_ERRORS_S = 1.0
 """Longest time for reading the error queue."""
@@ -47,7 +50,8 @@ Quantity = Literal["current", "power"]
 class Dialect:
     """SCPI commands of a family; None for what the family does not have. `{}` takes a number.
 
-    `averaging` takes a number of samples if `averages_samples`, else seconds. `before` is sent once at connect.
+    `averaging` takes a number of samples if `averages_samples`, else seconds. `before` is sent once at connect. With `restores`
+    each setting can be asked for, and is restored at the end.
     """
 
     name: str
@@ -65,6 +69,7 @@ class Dialect:
     zero_state: str | None = None
     zero_value: str | None = None
     before: tuple[str, ...] = ()
+    restores: bool = False
 
 
 PM100D = Dialect(
@@ -80,6 +85,7 @@ PM100D = Dialect(
     zero="SENS:CORR:COLL:ZERO:INIT",
     zero_state="SENS:CORR:COLL:ZERO:STAT?",
     zero_value="SENS:CORR:COLL:ZERO:MAGN?",
+    restores=True,
 )
 B2980 = Dialect(
     name="b2980",
@@ -129,7 +135,16 @@ class Monitor:
     name = NAME
     parts: tuple[str, ...] = ()
 
-    def __init__(self, opener: UsbOpener, settings: MonitorSettings, clock: Clock, tap: Tap = no_tap) -> None:
+    def __init__(
+        self,
+        opener: UsbOpener,
+        settings: MonitorSettings,
+        clock: Clock,
+        tap: Tap = no_tap,
+        found: FoundSettings | None = None,
+    ) -> None:
+        self._found = found or FoundSettings()
+        self._present: dict[str, str] = {}
         self._wire = UsbTmc(NAME, opener, clock, tap=tap)
         self._clock = clock
         self._dialect = DIALECTS[settings.dialect]
@@ -146,10 +161,19 @@ class Monitor:
         """The driver's own actions (wire resynchronised, device found again), newest last."""
         return self._wire.events
 
+    def identify(self) -> str:
+        """Open the instrument and return its identity; no setting is written. Raises DeviceError."""
+        identity = self._wire.connect()
+        self._found.take_up(identity)
+        self._leave_as_found()
+        return identity
+
     def connect(self) -> str:
         """Open and identify the instrument, write its settings; return its identity. Raises DeviceError."""
-        self.close()
+        self._wire.close()
         identity = self._wire.connect()
+        self._found.take_up(identity)
+        self._present = self._ask_settings()
         self._resynchronisations = self._wire.resynchronisations
         self._quantity = "current"
         self._write_settings()
@@ -160,7 +184,9 @@ class Monitor:
         self.connect()
 
     def close(self) -> None:
-        """Release the USB interface."""
+        """Restore the settings that were found, unless the instrument is not responding, and release the USB interface."""
+        with contextlib.suppress(DeviceError):
+            self._leave_as_found()
         self._wire.close()
 
     # ---- settings ----
@@ -234,6 +260,47 @@ class Monitor:
         """Current that the instrument subtracts as zero, A. Raises DeviceError."""
         return self._query_number(self._require(self._dialect.zero_value, "zero adjustment"))
 
+    # ---- settings as found ----
+
+    def _note(self, commands: Iterable[str]) -> list[str]:
+        """Note settings before these commands write them; return the names of those that change."""
+        settings = {name: value for command in commands for name, value in _settings_of(command)}
+        wanted = {name: value for name, value in settings.items() if name in self._present}
+        self._found.note({name: (self._present[name], value) for name, value in wanted.items()})
+        changed = [name for name, value in wanted.items() if self._present[name] != value]
+        self._present |= wanted
+        return changed
+
+    def _ask_settings(self) -> dict[str, str]:
+        """The settings that the driver may write, as they are now. Raises DeviceError."""
+        if not (self._found.asks and self._dialect.restores):
+            return {}
+        each = self._dialect
+        commands = (each.current, each.current_range, each.wavelength, each.low_pass, each.averaging, each.power_unit)
+        return {name: self._setting(name) for command in commands if command for name, _ in _settings_of(command)}
+
+    def _note_reported(self, names: Iterable[str]) -> None:
+        """Note the values that the instrument made of those that were written, such as the next range. Raises DeviceError."""
+        for name in names:
+            reported = self._setting(name)
+            self._found.note({name: (self._present[name], reported)})
+            self._present[name] = reported
+
+    def _leave_as_found(self) -> None:
+        if not self._found.changes:
+            return
+        self._wire.ready()
+        present = {name: self._setting(name) for name in self._found.changes}
+        for name, value in present.items():
+            if (found := self._found.value_to_restore(name, value)) is not None:
+                separator = ":" if name == CONFIGURE else " "
+                self._check_errors("restore its settings", f"{name}{separator}{found};:{NEXT_ERROR}")
+        self._found.clear()
+        self._present.clear()
+
+    def _setting(self, name: str) -> str:
+        return _as_noted(self._wire.query(f"{name}?").decode("ascii", "replace"))
+
     # ---- exchanges ----
 
     def _limit(self) -> float | None:
@@ -288,6 +355,7 @@ class Monitor:
 
     def _send(self, doing: str, *commands: str) -> None:
         """Send commands, each with a query in the same message, whose reply confirms it. Raises DeviceError."""
+        changed = self._note(commands)
         for command in commands:
             try:
                 self._check_errors(doing, f"{command};:{NEXT_ERROR}")
@@ -297,6 +365,7 @@ class Monitor:
                     if code in COMMAND_ERRORS:
                         raise self._refused(doing, code, text) from None
                 raise
+        self._note_reported(changed)
 
     def _query_number(self, query: str) -> float:
         try:
@@ -330,6 +399,25 @@ class Monitor:
         if command is None:
             raise Refused(NAME, "write its settings", f"a {self._dialect.name} has no {what}", "change the rig file")
         return command
+
+
+def _settings_of(command: str) -> list[tuple[str, str]]:
+    """Names and values of the settings that a command writes; none for `*CLS`."""
+    name, blank, value = command.partition(" ")
+    if not blank:
+        name, _, value = command.rpartition(":")
+        return [(name, value)] if name == CONFIGURE else []
+    settings = [(name, _as_noted(value))]
+    return [*settings, (f"{name}:AUTO", "0")] if name.endswith(":RANG") else settings  # a range ends the auto-range
+
+
+def _as_noted(text: str) -> str:
+    """The value of a setting, of a command or a reply, in one form."""
+    text = text.strip()
+    try:
+        return f"{float(text):.6g}"
+    except ValueError:
+        return {"ON": "1", "OFF": "0"}.get(text.upper(), text)
 
 
 class MonitorMean:

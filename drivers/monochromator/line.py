@@ -13,17 +13,21 @@ from serial import Serial, SerialException
 
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.errors import BadAnswer, Forgotten, NoAnswer, unless_late
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import (
+    ERROR_SINCE_LAST_READ,
+    LINE_ENDED,
     MAX_LINE,
     NO_ERROR,
     STATUS_TEXTS,
     ErrorCode,
     Statement,
     StatementError,
-    decode_known_status,
+    WavelengthUnit,
     decode_number,
+    decode_status,
     take_lines,
 )
 
@@ -35,21 +39,25 @@ LONGEST_NOISE_S = 1.5
 MOST_READS = 64
 """Reads of MAX_LINE bytes in one go. A line of 9600 Bd sends that much in 17 s."""
 EVENTS_KEPT = 100
+UNITS = tuple(each.name.encode("ascii") for each in WavelengthUnit)
 CHECK_LINE = "check cable and baud rate"
 
 
 class CornerstoneLine:
     """The line. `echoes` and `handshake` are detected. `events` are its own actions (resynchronised), newest last."""
 
-    def __init__(self, open_port: PortOpener, baudrate: int, clock: Clock, tap: Tap) -> None:
+    def __init__(self, open_port: PortOpener, baudrate: int, clock: Clock, tap: Tap, found: FoundSettings) -> None:
         self._open_port = open_port
         self._baudrate = baudrate
         self._clock = clock
         self._tap = tap
+        self._found = found
         self._lock = threading.RLock()
         self._port: Serial | None = None
         self._connected = False
         self._lines: deque[bytes] = deque()
+        self._empty_is_reply = False
+        self._no_error_text: bytes | None = None
         self._pending = b""
         self._untapped = b""
         self._late_s = 0.0  # by how much this computer was late, s, since the last statement
@@ -60,11 +68,47 @@ class CornerstoneLine:
         self.identity = ""
         self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
 
+    def identify(self) -> str:
+        """Open the port and return the unit's identity: `INFO?` is all that is sent, twice if the first is not answered.
+
+        Settings that an earlier session has left changed are restored. Raises DeviceError.
+        """
+        with self._lock:
+            self.close()
+            self._connected, self.echoes = True, False
+            self._open()
+            self._noise_left_s = LONGEST_NOISE_S
+            try:
+                identity, _ = self._query_identity()
+            except (NoAnswer, BadAnswer):  # it was sent behind the bytes of another program
+                identity, _ = self._query_identity()
+            self._found.take_up(identity)
+            self.restore()
+            return identity
+
+    def restore(self) -> None:
+        """Restore units and handshake mode to what was found, unless they were changed elsewhere since. Raises DeviceError."""
+        with self._lock:
+            if not self._found.changes:
+                return
+            if self._port is None:
+                raise NoAnswer(NAME, "restore its settings", "the port is not open", "connect it again")
+            self._noise_left_s = LONGEST_NOISE_S
+            self.in_step = False
+            self._drain()
+            for word in ("UNITS", "HANDSHAKE"):
+                found = self._found.value_to_restore(word, self._setting(word))
+                if found is not None:
+                    self._query_until_quiet(Statement(word, parameter=found))
+                    if (now := self._setting(word)) != found:
+                        raise BadAnswer(NAME, f"{word} {found}", f"it is {now}", CHECK_LINE)
+            self._found.clear()
+
     def open(self) -> str:
         """Open the port, identify the unit, detect echo and handshake mode. Nothing moves. Raises DeviceError."""
         with self._lock:
             self.close()
-            self.identity, self.handshake, self._connected = "", False, True
+            self.identity, self.handshake, self._connected, self._no_error_text = "", False, True, None
             self._open()
             self._resynchronise()
             return self.identity
@@ -88,7 +132,7 @@ class CornerstoneLine:
                     self.check_echo(statement, self.line(statement))
                 reply = self.line(statement) if statement.query else b""
                 status = self.status_of(statement, self.line(statement)) if self.handshake else NO_ERROR
-                if self._lines or self._pending:
+                if self._lines or self._pending not in (b"", LINE_ENDED):
                     raise BadAnswer(NAME, str(statement), f"more lines than its reply: {list(self._lines)}", CHECK_LINE)
             except BaseException:  # also of a signal: replies may be on their way
                 self.in_step = False
@@ -98,6 +142,8 @@ class CornerstoneLine:
     def last_error(self) -> str:
         """Reply of `ERROR?`, as text. Raises DeviceError."""
         reply, _ = self.exchange(Statement("ERROR", query=True))
+        if not reply:
+            return "it reports no error"
         try:
             number = int(decode_number(reply))
         except StatementError as error:
@@ -113,7 +159,7 @@ class CornerstoneLine:
             self.events.append("port reopened")
         if self.in_step:
             self.receive()
-            if self._lines or self._pending:
+            if self._lines or self._pending not in (b"", LINE_ENDED):
                 self.in_step = False
         if not self.in_step:
             self._resynchronise()
@@ -122,6 +168,7 @@ class CornerstoneLine:
         """Write a statement. Raises NoAnswer if the port fails."""
         self._lines.clear()
         self._late_s = 0.0
+        self._empty_is_reply = statement.word == "ERROR"  # without an error; any other empty line is skipped
         self._write(statement.encode(), str(statement))
 
     def send_now(self, statement: Statement) -> None:
@@ -136,11 +183,14 @@ class CornerstoneLine:
             raise BadAnswer(NAME, str(statement), f"the echo is {line!r}", CHECK_LINE)
 
     def status_of(self, statement: Statement, line: bytes) -> int:
-        """Status of a line. Raises BadAnswer if it is not a status."""
+        """Status of a line. Raises BadAnswer if it is not a status, or one of fewer digits than this unit sends."""
         try:
-            return decode_known_status(line)
+            status = decode_status(line)
+            if status == NO_ERROR and self._no_error_text not in (line.strip(), None):
+                raise StatementError(f"not the status byte of this unit: {line!r}")
         except StatementError as error:
             raise BadAnswer(NAME, str(statement), str(error), CHECK_LINE) from None
+        return status
 
     def line(self, statement: Statement, seconds: float = REPLY_S) -> bytes:
         """Wait for the next line. Raises NoAnswer."""
@@ -171,20 +221,24 @@ class CornerstoneLine:
         self._noise_left_s = LONGEST_NOISE_S
         self._drain()
         self.echoes = False
-        reply, _ = self._query_until_quiet(Statement("INFO", query=True))
-        if reply is None or len(reply) < 3 or not any(chr(each).isalpha() for each in reply):
-            raise BadAnswer(NAME, "INFO?", f"{reply!r} is not an identity", CHECK_LINE)
-        identity = reply.decode("ascii", "replace")
+        identity, acknowledged = self._query_identity()
         if known_identity and identity != known_identity:
             raise BadAnswer(NAME, "INFO?", f"{identity} is connected, not {known_identity}", "connect the unit of the rig file")
         handshake, status = self._query_until_quiet(Statement("HANDSHAKE", query=True))
+        if acknowledged and handshake is not None and STATUS_TEXTS.get(handshake) == ERROR_SINCE_LAST_READ:
+            handshake, status = b"1", ERROR_SINCE_LAST_READ  # a unit without this query refuses it in this mode
         if (handshake == b"1" and status is None) or handshake not in (b"0", b"1", None):
             raise BadAnswer(NAME, "HANDSHAKE?", f"{handshake!r} with status {status}", CHECK_LINE)
         lost = had_handshake and handshake != b"1"
+        self._found.take_up(identity)
+        present = str(int(acknowledged)) if handshake is None else handshake.decode("ascii")
+        self._found.note({"HANDSHAKE": (present, "1")})
         if handshake != b"1":
             _, status = self._query_until_quiet(Statement("HANDSHAKE", parameter="1"))
         self.handshake = status is not None
         units, _ = self._query_until_quiet(Statement("UNITS", query=True))
+        if units is not None and units.upper() in UNITS:
+            self._found.note({"UNITS": (units.upper().decode("ascii"), "NM")})
         if units is not None and units.upper() != b"NM":
             self._query_until_quiet(Statement("UNITS", parameter="NM"))
             lost = lost or bool(known_identity)
@@ -199,6 +253,22 @@ class CornerstoneLine:
                 NAME, "check its settings", "it has reset; its settings are restored", "set wavelength and shutter again"
             )
 
+    def _query_identity(self) -> tuple[str, bool]:
+        """The unit's identity, and whether it acknowledges statements: it is in handshake mode. Raises DeviceError."""
+        reply, status = self._query_until_quiet(Statement("INFO", query=True))
+        if reply is None or len(reply) < 3 or not any(chr(each).isalpha() for each in reply):
+            raise BadAnswer(NAME, "INFO?", f"{reply!r} is not an identity", CHECK_LINE)
+        return reply.decode("ascii", "replace"), status is not None
+
+    def _setting(self, word: str) -> str:
+        """Present value of a setting, in capitals. Raises DeviceError."""
+        reply, _ = self._query_until_quiet(Statement(word, query=True))
+        if word == "HANDSHAKE" and (reply is None or STATUS_TEXTS.get(reply) == ERROR_SINCE_LAST_READ):
+            return str(int(self._query_identity()[1]))  # a unit without this query
+        if reply is None:
+            raise NoAnswer(NAME, f"{word}?", "not responding", CHECK_LINE)
+        return reply.decode("ascii", "replace").upper()
+
     def _query_until_quiet(self, statement: Statement) -> tuple[bytes | None, int | None]:
         """Send a statement and receive lines until the line is quiet; return reply and status, None for a missing one."""
         self.send(statement)
@@ -206,7 +276,8 @@ class CornerstoneLine:
         try:
             lines.append(self.line(statement))
         except NoAnswer:
-            if statement.word != "HANDSHAKE" or self._port is None:  # a unit may not support this mode
+            # A command has no reply without echo and handshake mode, and a unit may not support this mode.
+            if (statement.query and statement.word != "HANDSHAKE") or self._port is None:
                 raise
         lines += self._until_quiet(statement)
         echoes = [index for index, line in enumerate(lines) if statement.echoed_by(line)]
@@ -217,15 +288,21 @@ class CornerstoneLine:
             raise BadAnswer(NAME, str(statement), f"no echo in {lines}", CHECK_LINE)
         status = None
         if lines and lines[-1].strip() in STATUS_TEXTS and len(lines) > statement.query:
-            status = STATUS_TEXTS[lines.pop().strip()]
+            status = self._learn_status(lines.pop().strip())
         if not statement.query or not lines:
             return None, status
         return lines[-1].strip(), status
 
+    def _learn_status(self, text: bytes) -> int:
+        """A status of this unit; without an error units write it with one digit or two."""
+        if STATUS_TEXTS[text] == NO_ERROR:
+            self._no_error_text = text
+        return STATUS_TEXTS[text]
+
     def _drain(self) -> None:
         """End a partial statement in the unit's buffer, and discard everything until the line is quiet."""
         statement = Statement("INFO", query=True)
-        self._write(b"\n", "drain the line")
+        self._write(b"\r\n", "drain the line")
         self._until_quiet(statement)
         self._lines.clear()
         self._pending = b""
@@ -286,7 +363,7 @@ class CornerstoneLine:
             raise NoAnswer(NAME, "read", f"the port failed: {error}", "check cable and power") from None
         self._late_s = max(self._late_s, self._clock.now() - started - timeout_s)
         lines, self._pending = take_lines(self._pending, data)
-        self._lines.extend(lines)
+        self._lines.extend(line for line in lines if line or self._empty_is_reply)
         self._untapped += data
         end = max(self._untapped.rfind(b"\r"), self._untapped.rfind(b"\n")) + 1
         self._tap(FROM_DEVICE, self._untapped[:end])

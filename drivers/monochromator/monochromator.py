@@ -15,21 +15,27 @@ Undetectable in ASCII without a checksum, and limits of the damage:
   a reset between two motions shows only by the query after the next one;
 - a reset: handshake mode is then off, so that the canary is read with each exchange (its status line is missing).
 The filter wheel is queried before it is turned, and not turned if it is at its target already.
+`identify` sends `INFO?` alone. `close` restores handshake mode and units as they were found.
 To be confirmed on hardware: error 7 (already there), the statements of slits and labels, steps, the wheel's direction.
 """
 
+import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable
 
 from goniotwin.drivers.device import Pending, PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Refused
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.monochromator.line import CHECK_LINE, NAME, CornerstoneLine
 from goniotwin.drivers.monochromator.settings import MonochromatorSettings
 from goniotwin.drivers.monochromator.statement import ABORT, PendingStatement
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import NO_ERROR, Grating, Statement, StatementError, decode_number, encode_nm
+
+LONGEST_WAIT_S = 10.0
+"""Longest time for which `close` waits for a motion."""
 
 
 class Monochromator:
@@ -38,8 +44,15 @@ class Monochromator:
     name = NAME
     parts: tuple[str, ...] = ()
 
-    def __init__(self, open_port: PortOpener, settings: MonochromatorSettings, clock: Clock, tap: Tap = no_tap) -> None:
-        self._wire = CornerstoneLine(open_port, settings.baudrate, clock, tap)
+    def __init__(
+        self,
+        open_port: PortOpener,
+        settings: MonochromatorSettings,
+        clock: Clock,
+        tap: Tap = no_tap,
+        found: FoundSettings | None = None,
+    ) -> None:
+        self._wire = CornerstoneLine(open_port, settings.baudrate, clock, tap, found or FoundSettings())
         self._clock = clock
         self._lock = threading.RLock()
         self._motion: PendingStatement | None = None
@@ -51,6 +64,10 @@ class Monochromator:
     def events(self) -> deque[str]:
         """The driver's own actions (port reopened, settings restored), newest last."""
         return self._wire.events
+
+    def identify(self) -> str:
+        """Open the port and return the identity; `INFO?` is all that is sent. Raises DeviceError."""
+        return self._wire.identify()
 
     def connect(self) -> str:
         """Open the port, detect echo and handshake mode; return the identity. Nothing moves. Raises DeviceError."""
@@ -66,8 +83,13 @@ class Monochromator:
         self.connect()
 
     def close(self) -> None:
-        """Close the port. Nothing is sent."""
-        self._wire.close()
+        """Restore handshake mode and units as they were found, unless the unit is not responding, and close the port."""
+        with self._lock:
+            if self._motion is not None and not self._motion.aborted and self.moving:  # it replies when it has arrived
+                self._clock.sleep_until(min(self._motion.due, self._clock.now() + LONGEST_WAIT_S))
+            with contextlib.suppress(DeviceError):
+                self._wire.restore()
+            self._wire.close()
 
     # ---- queries ----
 

@@ -18,11 +18,16 @@ Detectable and undetectable faults of the wires:
   after the next readings. (This requires that the power-on values of the outputs are off.) At intervals name, ranges,
   outputs and enabled channels are all read back.
 
+Ranges, enabled channels and outputs get back at the end what was found; a range is in the module's memory, and written only if
+it differs.
+
 A read, and writing a setting, are repeated once after a fault. A call takes five timeouts at most, and that only with the
 first fault.
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TypeVar
 
 from pymodbus.client.base import ModbusBaseSyncClient
@@ -41,9 +46,10 @@ SettingsCheck = Callable[[], None]
 
 READ_COILS = 1
 READ_REGISTERS = (3, 4)
-WRITE_COILS, WRITE_REGISTERS = 15, 16
+WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
 CHECK_INTERVAL_S = 60.0
 CHECK_WIRING = "check address, cable and power"
+RANGES, ENABLED, OUTPUTS = "ranges", "enabled channels", "outputs"
 TRANSIENT = (adam.DEVICE_FAILURE, adam.BUSY)
 EXCEPTIONS = {
     adam.ILLEGAL_FUNCTION: "it does not support the function",
@@ -72,14 +78,25 @@ class AdamModule:
     value is accepted.
     """
 
-    def __init__(self, name: str, unit: ModbusUnit, model: adam.Model, range_code: int, clock: Clock) -> None:
+    def __init__(
+        self,
+        name: str,
+        unit: ModbusUnit,
+        model: adam.Model,
+        range_code: int,
+        clock: Clock,
+        raw_format: adam.RawFormat = "unsigned",
+    ) -> None:
         self.name = name
         self.identity = ""
         self._bus = unit.bus
         self._unit = unit.unit
         self._tap = unit.tap
+        self._found = unit.found
+        self._last_outputs: list[bool] | None = None
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
+        self._sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
         self._outputs: list[bool] | None = None
         self._outputs_written = self._outputs_checked = False
@@ -87,6 +104,7 @@ class AdamModule:
         self._lost_settings: str | None = None
         self._checked_s = clock.now()
         self._unverified = False
+        self._writes_singly = self._sets_outputs_singly = False
         self._function_index = self._marker = 0
 
     # ---- connection ----
@@ -95,6 +113,14 @@ class AdamModule:
     def bus(self) -> ModbusBus:
         """Its wire."""
         return self._bus
+
+    def identify(self) -> str:
+        """Open the wire and identify the module; nothing is written. Raises DeviceError."""
+        self._open()
+        self._lost_settings, self._settings_written, self._outputs = None, False, None
+        self._identify()
+        self._leave_as_found()
+        return self.identity
 
     def connect(self) -> str:
         """Open the wire, identify the module, write its settings; return its identity. Raises DeviceError."""
@@ -117,21 +143,29 @@ class AdamModule:
             return self._initialise()
 
     def close(self) -> None:
-        """Release the wire."""
+        """Restore what was found, unless the module is not responding, and release the wire."""
+        with contextlib.suppress(DeviceError):
+            self._leave_as_found()
+        self.release()
+
+    def release(self) -> None:
+        """Release the wire; nothing is sent."""
         self._bus.close(self)
 
     # ---- readings and outputs ----
 
     def counts(self) -> list[int]:
-        """Raw values of all channels. Raises DeviceError."""
-        return self._read_registers(adam.AI_VALUE, adam.CHANNELS)
+        """Raw values of all channels, 0 to 65535 over the range. Raises DeviceError."""
+        return [register ^ self._sign_bit for register in self._read_registers(adam.AI_VALUE, adam.CHANNELS)]
 
     def set_outputs(self, outputs: list[bool]) -> None:
         """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
         doing = f"set its outputs to {_bits(outputs)}"
-        call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
+        if self._last_outputs is not None:
+            self._found.note(_changes(OUTPUTS, map(int, self._last_outputs), map(int, outputs)))
+            self._last_outputs = list(outputs)
         self._outputs, self._outputs_written, self._outputs_checked = list(outputs), False, False
-        self._repeat_once(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
+        self._write_outputs(outputs, doing)
         self._outputs_written = True
 
     # ---- checks of the settings ----
@@ -166,8 +200,7 @@ class AdamModule:
 
     def _check_name(self) -> None:
         name = self._read_registers(adam.MODULE_NAME, len(self._model.name))
-        if tuple(name) != self._model.name:
-            self._wrong_name(name)
+        self._check_first_word(name)
 
     def _check_enabled(self) -> None:
         if self._differs(lambda: self._read_registers(adam.CHANNEL_ENABLE, 1), [adam.ALL_CHANNELS]):
@@ -197,11 +230,11 @@ class AdamModule:
     def _initialise(self) -> list[str]:
         """Identify the module and write its settings. Returns what had to be restored."""
         self._lost_settings, self._settings_written = None, False
-        self._check_name()
-        version = self._read_registers(adam.FIRMWARE_VERSION, 2)
-        self.identity = f"{self._model.title} firmware {adam.firmware(version)}"
-        restored = self._restore("ranges", adam.RANGE_CODE, self._ranges)
-        restored += self._restore("enabled channels", adam.CHANNEL_ENABLE, [adam.ALL_CHANNELS])
+        self._identify()
+        if self._found.asks and self._model.outputs and self._outputs is None:
+            self._last_outputs = self._read_outputs()
+        restored = self._restore(RANGES, adam.RANGE_CODE, self._ranges)
+        restored += self._restore(ENABLED, adam.CHANNEL_ENABLE, [adam.ALL_CHANNELS])
         if self._outputs is not None and not (self._outputs_written and self._read_outputs() == self._outputs):
             self.set_outputs(self._outputs)
             self.check_outputs()
@@ -210,25 +243,102 @@ class AdamModule:
         self._checked_s = self._clock.now()
         return restored
 
+    def _identify(self) -> None:
+        self._check_name()
+        version = self._read_registers(adam.FIRMWARE_VERSION, 2)
+        self.identity = f"{self._model.title} firmware {adam.firmware(version)}"
+        self._found.take_up(self.identity)
+
+    def _leave_as_found(self) -> None:
+        """Restore settings that another program has not changed since. Raises DeviceError."""
+        if not self._found.changes:
+            return
+        self._lost_settings, self._settings_written = None, False  # they are compared here
+        for what, address, count in ((RANGES, adam.RANGE_CODE, adam.CHANNELS), (ENABLED, adam.CHANNEL_ENABLE, 1)):
+            if self._has_changed(what):
+                present = self._read_registers(address, count)
+                if (found := self._as_found(what, present)) != present:
+                    self._set_registers(what, address, found)
+        if self._has_changed(OUTPUTS):
+            outputs = self._read_outputs()
+            if (found := self._as_found(OUTPUTS, list(map(int, outputs)))) != outputs:
+                self.set_outputs(list(map(bool, found)))
+                self.check_outputs()
+        self._found.clear()
+
+    def _has_changed(self, what: str) -> bool:
+        return any(name.startswith(f"{what} ") for name in self._found.changes)
+
+    def _as_found(self, what: str, present: list[int]) -> list[int]:
+        """The values to be restored, and the present ones of what another program has set."""
+        found = [self._found.value_to_restore(f"{what} {number}", str(now)) for number, now in enumerate(present)]
+        return [now if was is None else int(was) for now, was in zip(present, found, strict=True)]
+
     def _restore(self, what: str, address: int, wanted: list[int]) -> list[str]:
         """Write registers that differ from their wanted values, read them back, and report it."""
-        doing = f"set its {what}"
-
-        def read() -> list[int]:
-            return self._read_registers(address, len(wanted))
-
-        if not self._differs(read, wanted):
+        present = self._read_registers(address, len(wanted))
+        if present != wanted:
+            present = self._read_registers(address, len(wanted))
+        self._found.note(_changes(what, present, wanted))
+        if present == wanted:
             return []
-        call: Call = lambda client: client.write_registers(address, wanted, device_id=self._unit)  # noqa: E731
-        self._repeat_once(lambda: self._write(call, doing, WRITE_REGISTERS, address, len(wanted)))
-        if self._differs(read, wanted):
-            raise BadAnswer(self.name, doing, "it reads back other values", "check the module")
+        self._set_registers(what, address, wanted)
         return [f"{self.name}: {what} set"]
+
+    def _set_registers(self, what: str, address: int, values: list[int]) -> None:
+        doing = f"set its {what}"
+        self._write_registers(address, values, doing)
+        if self._differs(lambda: self._read_registers(address, len(values)), values):
+            raise BadAnswer(self.name, doing, "it reads back other values", "check the module")
 
     # ---- registers and coils ----
 
     def _read_registers(self, address: int, count: int) -> list[int]:
         return self._repeat_once(lambda: self._registers(address, count, self._ask))
+
+    def _write_registers(self, address: int, values: list[int], doing: str) -> None:
+        """Write registers at once, or one by one where the module refuses function 16.
+
+        On a serial line some modules do not confirm the longer request in a legible way; that counts as a refusal.
+        """
+        call: Call = lambda client: client.write_registers(address, values, device_id=self._unit)  # noqa: E731
+        if not self._writes_singly:
+            try:
+                self._repeat_once(lambda: self._write(call, doing, WRITE_REGISTERS, address, len(values)))
+                return
+            except ModuleRefused as refused:
+                if refused.code in TRANSIENT:
+                    raise
+            except (NoAnswer, BadAnswer):
+                if not self._bus.rtu:
+                    raise
+        for at, value in enumerate(values, address):
+            self._repeat_once(partial(self._write_register, at, value, doing))
+        self._writes_singly = True
+
+    def _write_register(self, address: int, value: int, doing: str) -> None:
+        reply = self._ask(lambda client: client.write_register(address, value, device_id=self._unit), doing, WRITE_REGISTER)
+        if (reply.address, reply.registers) != (address, [value]):
+            self._reject(doing, f"{reply.registers} in {reply.address} confirmed instead of {value} in {address}")
+
+    def _write_outputs(self, outputs: list[bool], doing: str) -> None:
+        """Write the outputs at once, or one by one where the module refuses function 15."""
+        call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
+        if not self._sets_outputs_singly:
+            try:
+                self._repeat_once(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
+                return
+            except ModuleRefused as refused:
+                if refused.code in TRANSIENT:
+                    raise
+        for at, on in enumerate(outputs, adam.DIGITAL_OUTPUT):
+            self._repeat_once(partial(self._write_output, at, on, doing))
+        self._sets_outputs_singly = True
+
+    def _write_output(self, at: int, on: bool, doing: str) -> None:
+        reply = self._ask(lambda client: client.write_coil(at, on, device_id=self._unit), doing, WRITE_COIL)
+        if (reply.address, reply.bits) != (at, [on]):
+            self._reject(doing, f"{reply.bits} in {reply.address} confirmed instead of {on} in {at}")
 
     def _read_ranges(self) -> list[int]:
         return self._read_registers(adam.RANGE_CODE, adam.CHANNELS)
@@ -334,14 +444,15 @@ class AdamModule:
         reply = self._exchange(call, doing, READ_REGISTERS[function_index])
         if len(reply.registers) != count:
             self._reject(doing, f"{len(reply.registers)} values received instead of {count}")
-        if tuple(reply.registers) != self._model.name[:count]:
-            self._wrong_name(list(reply.registers))
+        self._check_first_word(list(reply.registers))
 
-    def _wrong_name(self, name: list[int]) -> None:
-        raise BadAnswer(
-            self.name, "read its name", f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
-            "check which module has this address, and the kind in the rig file",
-        )  # fmt: skip
+    def _check_first_word(self, name: list[int]) -> None:
+        """Raise BadAnswer for the name of another model. The second word may have the letter of a revision."""
+        if name[0] != self._model.name[0]:
+            raise BadAnswer(
+                self.name, "read its name", f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
+                "check which module has this address, and the kind in the rig file",
+            )  # fmt: skip
 
     def _open(self) -> None:
         try:
@@ -357,3 +468,8 @@ class AdamModule:
 def _bits(outputs: list[bool]) -> str:
     """Outputs, highest first, as in the manual."""
     return "".join(str(int(on)) for on in reversed(outputs))
+
+
+def _changes(what: str, present: Iterable[int], wanted: Iterable[int]) -> dict[str, tuple[str, str]]:
+    """What is noted of registers or outputs, each by itself: a program killed between two writes has written some of them."""
+    return {f"{what} {number}": (str(now), str(then)) for number, (now, then) in enumerate(zip(present, wanted, strict=True))}

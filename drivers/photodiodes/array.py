@@ -34,7 +34,9 @@ class PhotodiodeSettings:
     """The converters, their amplifiers, and the polar angles of the photodiodes on the two arcs at shift 0.
 
     The angles are `upper_deg` and `lower_deg`, the nominal gains `gains_v_per_a` with a relative `gain_uncertainty`. `kind` is
-    the model of the converters, `range_code` their input range, `settling_s` the time in which the amplifiers settle.
+    the model of the converters, `range_code` their input range (by the code of this model, or that of the 6000 series), and
+    `raw_format` that of their registers, which is configured on the module: `unsigned`, or `twos-complement` for an ADAM-4117.
+    `settling_s` is the time in which the amplifiers settle.
 
     Channels are numbered through the upper arc first. A module makes `conversions_per_s` for all its channels, so that each
     channel is converted once per `period_s`. After a change of gain or pose the first reading follows after `wait_s`.
@@ -53,11 +55,15 @@ class PhotodiodeSettings:
     conversions_per_s: Positive = 100.0
     settling_s: Annotated[float, Gt(0.0), Le(600.0)] = 0.25
     exchange_s: Positive | None = None
+    raw_format: adam.RawFormat = "unsigned"
 
     def __post_init__(self) -> None:
-        if self.range_code not in adam.VOLTAGE_RANGES:
-            known = ", ".join(f"0x{each:04X}" for each in adam.VOLTAGE_RANGES)
-            raise ValueError(f"range_code: 0x{self.range_code:04X} is not the code of a voltage range; give one of {known}")
+        chosen = self.model.range(self.range_code)
+        if chosen is None or chosen.current:
+            known = ", ".join(adam.code_text(each) for each in sorted(self.model.ranges) if not adam.RANGES[each].current)
+            wrong = f"range_code: {adam.code_text(self.range_code)} is not the code of a voltage range of an {self.model.title}"
+            raise ValueError(f"{wrong}; give one of {known}")
+        self.model.check_raw_format(self.raw_format)
         if tuple(sorted(set(self.gains_v_per_a))) != self.gains_v_per_a:
             raise ValueError(
                 "gains_v_per_a: the gains do not ascend; list each once, the lowest first, in the order of the outputs' numbers"
@@ -119,8 +125,10 @@ class PhotodiodeSettings:
 
     @property
     def range(self) -> adam.Range:
-        """Input range of all channels."""
-        return adam.RANGES[self.range_code]
+        """Input range of all channels, with the code of the model."""
+        chosen = self.model.range(self.range_code)
+        assert chosen is not None
+        return chosen
 
 
 class PhotodiodeArray:
@@ -132,7 +140,7 @@ class PhotodiodeArray:
         self._clock = clock
         self.settings = settings
         self._modules = [
-            AdamModule(f"photodiodes module {index}", unit, settings.model, settings.range_code, clock)
+            AdamModule(f"photodiodes module {index}", unit, settings.model, settings.range.code, clock, settings.raw_format)
             for index, unit in enumerate(units)
         ]
         self._connected = False
@@ -147,14 +155,25 @@ class PhotodiodeArray:
         """Identities of the modules, once connected."""
         return [module.identity for module in self._modules]
 
+    def identify(self) -> str:
+        """Open and identify all modules; nothing is written. Raises DeviceError as `connect` does."""
+        self._each(AdamModule.identify)
+        return self._identity
+
     def connect(self) -> str:
         """Open and identify all modules, write their settings; return their number and model. Raises DeviceError.
 
         Every module is tried; the error is that of the first failed one, and names the others.
         """
-        self.close()
+        self._connected = False
+        for module in self._modules:
+            module.release()
         self._each(AdamModule.connect)
         self._connected = True
+        return self._identity
+
+    @property
+    def _identity(self) -> str:
         return f"{len(self._modules)} modules {self.settings.model.title}"
 
     def reconnect(self) -> list[str]:
@@ -167,7 +186,7 @@ class PhotodiodeArray:
         return restored
 
     def close(self) -> None:
-        """Close the connections."""
+        """Restore the settings that were found, and close the connections."""
         self._connected = False
         for module in self._modules:
             module.close()

@@ -19,6 +19,7 @@ from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
@@ -187,11 +188,12 @@ class ModbusBus:
 
 @dataclass
 class ModbusUnit:
-    """Address of a module: its wire and its unit."""
+    """Address of a module: its wire and its unit; the settings that are found there."""
 
     bus: ModbusBus
     unit: int = adam.UNIT
     tap: Tap = field(default=no_tap)
+    found: FoundSettings = field(default_factory=FoundSettings)
 
 
 FUNCTIONS = {

@@ -62,11 +62,12 @@ def exported_devices(host: str, port: int) -> list[usbip.ExportedDevice]:
 
 
 class UsbIpLink:
-    """An imported device; it belongs to this program until `close`."""
+    """An imported device; it belongs to this program until every user has called `close`."""
 
     def __init__(self, host: str, port: int, bus_id: str) -> None:
         """Import the device. Raises USBError if it is not connected, or in use by another program."""
         self._lock = threading.Lock()
+        self._users, self._users_lock = 1, threading.Lock()
         self._buffer = bytearray()
         self._number = 0
         self._socket = _connect(host, port)
@@ -94,9 +95,20 @@ class UsbIpLink:
         """Read from a bulk or interrupt endpoint. Raises USBError."""
         return self._transfer(endpoint & 0x0F, b"", length, timeout_ms, to_host=True).data
 
+    def share(self) -> bool:
+        """Add a user, which calls `close` as well; False for a link that is closed."""
+        with self._users_lock:
+            if self._socket.fileno() < 0:
+                return False
+            self._users += 1
+            return True
+
     def close(self) -> None:
-        """Release the device."""
-        self._socket.close()
+        """Release the device, if this is the last user."""
+        with self._users_lock:
+            self._users -= 1
+            if self._users <= 0:
+                self._socket.close()
 
     def _transfer(
         self, endpoint: int, data: bytes, length: int, timeout_ms: int, setup: bytes = usbip.NO_SETUP, *, to_host: bool = False
@@ -150,11 +162,19 @@ class UsbIpDevice:
 
     def __init__(self, host: str, port: int, exported: usbip.ExportedDevice) -> None:
         self.host, self.port, self.exported = host, port, exported
+        self._lock = threading.Lock()
+        self._link: UsbIpLink | None = None
         self._descriptors: tuple[bytes, list[Configuration]] | None = None
 
     def open(self) -> UsbIpLink:
-        """Import the device. Raises USBError if it is not connected, or in use by another program."""
-        return UsbIpLink(self.host, self.port, self.exported.bus_id)
+        """Import the device. Raises USBError if it is not connected, or in use by another program.
+
+        As with libusb, this program can open it several times.
+        """
+        with self._lock:
+            if self._link is None or not self._link.share():
+                self._link = UsbIpLink(self.host, self.port, self.exported.bus_id)
+            return self._link
 
     def descriptors(self) -> tuple[bytes, list[Configuration]]:
         """Device descriptor and configurations. Raises USBError."""
@@ -178,10 +198,12 @@ class UsbIpBackend(IBackend):
         """With a `bus_id`, only this device."""
         super().__init__()
         self._host, self._port, self._bus_id = host, port, bus_id
+        self._known: dict[usbip.ExportedDevice, UsbIpDevice] = {}
 
     def enumerate_devices(self) -> list[UsbIpDevice]:
-        exported = exported_devices(self._host, self._port)
-        return [UsbIpDevice(self._host, self._port, each) for each in exported if self._bus_id in (None, each.bus_id)]
+        """The devices now; one that was known is the same object, since pyusb compares devices by it."""
+        exported = [each for each in exported_devices(self._host, self._port) if self._bus_id in (None, each.bus_id)]
+        return [self._known.setdefault(each, UsbIpDevice(self._host, self._port, each)) for each in exported]
 
     def get_parent(self, dev: UsbIpDevice) -> None:
         del dev

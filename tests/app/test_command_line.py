@@ -196,19 +196,25 @@ def test_where_no_folder_can_be_written_the_line_has_the_place(tmp_path: Path, m
     )
 
 
-def test_an_error_of_another_thread_is_one_line_too() -> None:
+def test_an_error_of_another_thread_or_of_a_slot_is_one_line_too() -> None:
     text = "import sys, threading; from goniotwin.app.cli import main, device_search\n"
-    text += "def fail(*_): thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join(); sys.exit(5)\n"
+    text += "def fail(*_):\n"
+    text += "    thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join()\n"
+    text += "    sys.excepthook(IndexError, IndexError('of a slot'), None); sys.exit(5)\n"
     text += "device_search.find_devices = fail; sys.argv = ['goniotwin', 'devices']; main.main()"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 5
     assert re.fullmatch(
-        r"goniotwin: unexpected error: ZeroDivisionError: division by zero; the details are in .*\n", done.stderr
+        r"goniotwin: unexpected error: ZeroDivisionError: division by zero; the details are in .*\n"
+        r"goniotwin: unexpected error: IndexError: of a slot; the details are in .*\n",
+        done.stderr,
     )
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device of a full disk")
-@pytest.mark.parametrize("arguments", ["--help", "--version", "runs .", pytest.param("schema rig", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "arguments", ["--help", "--version", *(pytest.param(each, marks=pytest.mark.long) for each in ("runs .", "schema rig"))]
+)
 def test_an_output_that_cannot_be_written_is_status_1(arguments: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "goniotwin", *arguments.split()]
     with open("/dev/full", "w") as full:  # noqa: PTH123
@@ -223,14 +229,16 @@ def test_an_output_that_cannot_be_written_is_status_1(arguments: str, tmp_path: 
 
 
 @pytest.mark.skipif(os.name == "nt", reason="closes streams by their numbers")
-def test_closed_standard_streams_lead_nowhere(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "closed", ["<&- >&- 2>&-", *(pytest.param(each, marks=pytest.mark.long) for each in ("<&-", ">&-", "2>&-"))]
+)
+def test_closed_standard_streams_lead_nowhere(tmp_path: Path, closed: str) -> None:
     text = "import os, sys; from goniotwin.__main__ import main; sys.argv = ['goniotwin', 'runs', '.']\n"
     text += "try: main()\nexcept SystemExit as end: status = end.code\n"
     text += "with open('first', 'w') as file: print(status, file.fileno() > 2, file=file); os.write(1, b'!'); os.write(2, b'!')"
-    for closed in (">&-", "2>&-", "<&- >&- 2>&-"):
-        done = subprocess.run(
-            ["/bin/sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, text],
-            cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
-        )  # fmt: skip
-        assert "Error" not in done.stderr
-        assert (tmp_path / "first").read_text() == "0 True\n"
+    done = subprocess.run(
+        ["/bin/sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, text],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert "Error" not in done.stderr
+    assert (tmp_path / "first").read_text() == "0 True\n"

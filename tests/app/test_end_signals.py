@@ -9,7 +9,10 @@ import pytest
 
 from goniotwin.app.end_signals import END_SIGNALS, call_on_end_signal
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process"),
+    pytest.mark.usefixtures("heard_hangup"),
+]
 OVERDUE_STOP = """
 import signal
 from goniotwin.app import end_signals

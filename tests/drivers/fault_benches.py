@@ -60,9 +60,9 @@ class FaultBench(ABC):
 
     def __init__(self) -> None:
         self.opened: OpenRig = open_rig(_description(QUIET + self.changes), VirtualClock(1.0))
-        self.opened.connect()
         assert self.opened.virtual is not None
         self.rig, self.virtual = self.opened.rig, self.opened.virtual
+        self.rig.device(self.devices[0]).connect()  # the other devices have no part in the task
         self.clock = self.virtual.clock
         self.insert_faulty_wire()
         self.run_task()

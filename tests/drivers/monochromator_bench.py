@@ -1,6 +1,7 @@
 """Test bench: the monochromator driver, its virtual unit, and a wire with faults between them."""
 
 from dataclasses import replace
+from typing import Any
 
 from goniotwin.drivers import wait
 from goniotwin.mocks.faults import FaultPlan, ScriptedFaults
@@ -14,11 +15,12 @@ DIALECTS = [(echo, handshake) for echo in (True, False) for handshake in (True, 
 class MonochromatorBench:
     """A monochromator in one of the DIALECTS: with or without echo, with or without handshake mode."""
 
-    def __init__(self, opened: RigOpener, echo: bool = True, handshake: bool = True) -> None:
+    def __init__(self, opened: RigOpener, echo: bool = True, handshake: bool = True, **unit: Any) -> None:
+        """`unit` has further settings of the virtual unit."""
         rig = opened()
         assert rig.virtual is not None
         self.plant, self.clock = rig.virtual.plant, rig.rig.clock
-        drive = replace(self.plant.model.monochromator, echo=echo, handshake=handshake)
+        drive = replace(self.plant.model.monochromator, echo=echo, handshake=handshake, **unit)
         self.plant.model = replace(self.plant.model, monochromator=drive)
         self.unit = Cornerstone260(self.plant)
         self.line = FaultyLine(self.unit, ScriptedFaults([]))

@@ -1,9 +1,12 @@
 """The monochromator's driver."""
 
+from typing import Any
+
 import pytest
 
-from goniotwin.drivers import DeviceError, Refused, wait
-from goniotwin.protocols.cornerstone import Grating, Statement
+from goniotwin.drivers import BadAnswer, DeviceError, Refused, wait
+from goniotwin.protocols.cornerstone import ErrorCode, Grating, Statement
+from goniotwin.twin.devices.cornerstone_statements import StatementRefused, StatementResult, Statements, UnitState
 from tests.conftest import RigOpener
 from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
 
@@ -48,6 +51,56 @@ def test_an_error_of_the_unit_is_reported_as_text(opened: RigOpener) -> None:
     with pytest.raises(Refused, match="destination not allowed"):
         wait(rig.clock, [rig.monochromator.start_filter(9)])
     assert rig.monochromator.wavelength_nm() == 550.0  # the next exchange works
+
+
+@pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
+@pytest.mark.parametrize("unit", [{"status_digits": 1, "status_decimal": True}, {"zero_is_no_error": True}])
+def test_units_may_write_status_and_error_otherwise(
+    opened: RigOpener, echo: bool, handshake: bool, unit: dict[str, Any]
+) -> None:
+    bench = MonochromatorBench(opened, echo, handshake, **unit)  # its units are those of test_cornerstone260.py
+    bench.go(600.0)
+    with pytest.raises(Refused, match="destination not allowed"):
+        wait(bench.clock, [bench.driver.start_filter(9)])
+    wait(bench.clock, [bench.driver.start_filter(3)])
+    assert (bench.driver.filter(), bench.true_wavelength_nm()) == (3, 600.0)
+    assert not any("resynchronised" in each for each in bench.driver.events)
+
+
+HANDSHAKE_QUERY = Statement("HANDSHAKE", query=True)
+
+
+@pytest.mark.parametrize("echo", [True, False])
+@pytest.mark.parametrize("found", ["0", "1"])
+def test_a_unit_without_the_query_of_handshake_mode_is_left_as_it_was(
+    opened: RigOpener, monkeypatch: pytest.MonkeyPatch, echo: bool, found: str
+) -> None:
+    """No page and no public driver has `HANDSHAKE?`; that every statement is acknowledged in this mode is on p. 51 of MCS260."""
+    perform = Statements.perform
+
+    def refuse(statements: Statements, state: UnitState, statement: Statement, t: float) -> StatementResult:
+        if statement == HANDSHAKE_QUERY:
+            raise StatementRefused(ErrorCode.NOT_UNDERSTOOD)
+        return perform(statements, state, statement, t)
+
+    monkeypatch.setattr(Statements, "perform", refuse)
+    bench = MonochromatorBench(opened, echo)
+    bench.driver.close()
+    bench.unit.receive(f"HANDSHAKE {found}\n".encode(), bench.clock.now())
+    bench.unit.outbox.clear()
+    bench.driver.connect()
+    bench.go(600.0)
+    assert bench.unit._state.handshake
+    bench.driver.close()
+    assert bench.unit._state.handshake is (found == "1")
+    bench.driver.connect()  # it is not locked out by what it has done
+    bench.go(610.0)
+
+
+def test_a_status_that_has_lost_a_digit_is_no_status(opened: RigOpener) -> None:
+    bench = MonochromatorBench(opened)
+    with pytest.raises(BadAnswer, match="not the status byte of this unit"):
+        bench.driver._wire.status_of(Statement("STB", query=True), b"0")  # "20" without its first digit
 
 
 def test_a_line_without_echo_is_detected(opened: RigOpener) -> None:

@@ -21,7 +21,12 @@ def test_the_points_of_a_campaign_are_the_golden_ones(name: str, tmp_path: Path)
     check_points(files.as_written(contents.points_record(journal)), files.read(f"points-{name}"))
 
 
-@pytest.mark.parametrize("schedule", contents.PLANS)
+SLOW_PLAN = "dense-lobe-spectral"
+
+
+@pytest.mark.parametrize(
+    "schedule", [pytest.param(each, marks=[pytest.mark.long] if each == SLOW_PLAN else []) for each in contents.PLANS]
+)
 def test_the_plans_of_a_schedule_are_the_golden_ones(schedule: str) -> None:
     golden = files.read("plans")[schedule]
     assert tuple(golden) == tuple(sorted(contents.PLANS[schedule]))

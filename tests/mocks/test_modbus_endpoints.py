@@ -95,6 +95,8 @@ def test_an_unmodified_tcp_client(tcp: ModbusEndpoints, caplog: pytest.LogCaptur
         assert client.read_holding_registers(adam.RANGE_CODE, count=8).registers == [0x0140] * 8
         assert not client.write_coils(adam.DIGITAL_OUTPUT, [True, False]).isError()
         assert client.read_coils(adam.DIGITAL_OUTPUT, count=2).bits[:2] == [True, False]
+        for unit in (0, 1, 255):
+            assert client.read_holding_registers(0, count=1, device_id=unit).dev_id == unit
         with pytest.raises(ModbusIOException):
             client.read_holding_registers(0, count=1, device_id=7)
         assert not client.read_holding_registers(0, count=8).isError()
@@ -182,7 +184,8 @@ def test_an_unmodified_rtu_client(line: tuple[OpenRig, NullModem, ModbusEndpoint
         for unit in range(1, 6):
             assert client.read_holding_registers(adam.MODULE_NAME, count=2, device_id=unit).registers == [0x4117, 0]
         assert client.read_holding_registers(adam.AVERAGE, count=1, device_id=2).exception_code == 2
-        assert client.write_register(adam.RANGE_CODE, 7, device_id=2).exception_code == 3
+        assert client.write_register(adam.RANGE_CODE, 0x0143, device_id=2).exception_code == 3
+        assert not client.write_register(adam.RANGE_CODE, 7, device_id=2).isError()
         with pytest.raises(ModbusIOException):
             client.read_holding_registers(0, count=1, device_id=9)
         assert not client.read_input_registers(0, count=8, device_id=5).isError()

@@ -92,6 +92,7 @@ def test_the_monochromator_connects_to_what_was_recorded(rig_of: RigMaker, tmp_p
     assert replay_to_device(virtual(rig_of(QUIET)).serial["mono"], transcript) == []
     device = virtual(again).serial["mono"] = RecordedDevice(transcript, 9600)
     assert again.rig.monochromator.connect() == identity
+    again.rig.monochromator.close()
     assert device.finished
 
 

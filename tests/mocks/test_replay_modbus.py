@@ -79,14 +79,13 @@ def test_a_module_with_other_settings_is_detected_byte_by_byte(
 ) -> None:
     recorded, _ = record(rig_of, tmp_path, *changes)
     rig = virtual(rig_of(*changes))
-    rig.modbus["adc-2"].write_registers(200, [0x0142], 0.0)
+    serial = "adcs" in rig.serial  # an ADAM-4117, with the codes of its series
+    rig.modbus["adc-2"].write_registers(200, [0x09 if serial else 0x0142], 0.0)
     device, way_s = end(rig, 2)
     first = replay_to_device(device, recorded[2], way_s)[0]
-    header = 3 if "adcs" in rig.serial else 9
-    assert str(first).startswith(
-        f"photodiodes-2.txt, line {first.line}, from the device: byte {header + 1}: 43 recorded, 42 now"
-    )
-    assert first.asked[-5 if "adcs" in rig.serial else -3] == 200
+    header, found = (3, "08 recorded, 09 now") if serial else (9, "43 recorded, 42 now")
+    assert str(first).startswith(f"photodiodes-2.txt, line {first.line}, from the device: byte {header + 1}: {found}")
+    assert first.asked[-5 if serial else -3] == 200
     rest = {index: replay_to_device(end(rig, index)[0], recorded[index], way_s) for index in (0, 1, 3, 4)}
     assert rest == {0: [], 1: [], 3: [], 4: []}
 

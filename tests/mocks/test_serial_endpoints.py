@@ -109,7 +109,7 @@ def test_a_client_that_does_not_read_does_not_block_other_clients(served: Served
         lazy.send(ASK * 50)
     port = serial.serial_for_url(f"socket://127.0.0.1:{served.mono_port}", timeout=10.0)
     port.write(b"WAVE?\n")
-    assert port.read_until(b"\n") == b"WAVE?\r\n"
+    assert port.read_until(b"\n") == b"WAVE?\n"
     port.close()
     lazy.close()
 
@@ -166,7 +166,7 @@ def test_answers_for_a_disconnected_client_do_not_reach_the_next(served: Served)
     client.close()
     following = serial.serial_for_url(f"socket://127.0.0.1:{served.mono_port}", timeout=5.0)
     following.write(b"WAVE?\n")
-    assert following.read_until(b"\n") == b"WAVE?\r\n"
+    assert following.read_until(b"\n") == b"WAVE?\n"
     following.close()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 import usb.core
+import usb.util
 import usbtmc
 
 from goniotwin.app.rig import read_rig
@@ -71,6 +72,18 @@ def test_the_driver_measures_over_usbip_and_reports_a_lost_connection(served: Us
     monitor.connect()
     assert "TWIN0001" in monitor.connect()
     monitor.close()
+
+
+def test_a_program_can_open_a_device_several_times_as_with_libusb(served: UsbEndpoints) -> None:
+    """Programs list the devices with their serial numbers, which opens them, and then open one."""
+    backend = UsbIpBackend(HOST, served.port)
+    listed, used = (usb.core.find(backend=backend) for _ in range(2))
+    assert listed == used
+    assert (listed.serial_number, used.serial_number) == ("TWIN0001", "TWIN0001")
+    usb.util.dispose_resources(listed)
+    assert used.ctrl_transfer(0xA1, 64, 0, 0, 1).tobytes() == b"\x01"  # USBTMC 1.0, table 15: INDICATOR_PULSE
+    usb.util.dispose_resources(used)
+    assert instrument(served).ask("*IDN?")
 
 
 def test_a_second_client_is_refused(served: UsbEndpoints) -> None:

@@ -15,7 +15,9 @@ PARAMETER = st.from_regex(r"([A-Z0-9.]+( [A-Z0-9.]+)?)?", fullmatch=True)
 def test_statements_are_the_manuals_lines() -> None:
     assert cs.Statement("GOWAVE", parameter="546.070").encode() == b"GOWAVE 546.070\n"
     assert cs.Statement("WAVE", query=True).encode() == b"WAVE?\n"
-    assert cs.encode_status(cs.ERROR_SINCE_LAST_READ) == b"20\r\n"
+    # MCS260 p. 58: "00 indicates no error, 20 indicates error condition"; of the 260B p. 62: "set to the value 32".
+    assert (cs.encode_status(cs.NO_ERROR), cs.encode_status(cs.ERROR_SINCE_LAST_READ)) == ("00", "20")
+    assert cs.encode_status(cs.ERROR_SINCE_LAST_READ, decimal=True) == "32"
 
 
 @pytest.mark.parametrize("line", [b"gowave   546.07 \r\n", b"GOWAVE 546.07", b"  GoWave 546.07\n"])
@@ -29,9 +31,16 @@ def test_a_statement_survives_the_wire(word: str, query: bool, parameter: str) -
     assert cs.Statement.decode(statement.encode()) == statement
 
 
-@given(st.integers(0, 255))
-def test_a_status_survives_the_wire(status: int) -> None:
-    assert cs.decode_status(cs.encode_status(status)) == status
+@pytest.mark.parametrize("status", [cs.NO_ERROR, cs.ERROR_SINCE_LAST_READ])
+@pytest.mark.parametrize("digits", [1, 2])
+@pytest.mark.parametrize("decimal", [False, True])
+def test_a_status_survives_the_wire(status: int, digits: int, decimal: bool) -> None:
+    assert cs.decode_status(cs.encode_status(status, digits, decimal=decimal).encode() + cs.FROM_DEVICE) == status
+
+
+def test_an_echo_and_an_empty_reply_are_lines() -> None:
+    assert cs.take_lines(b"", b"WAVE?\n500\r\nERROR?\r\n\r\n0") == ([b"WAVE?", b"500", b"ERROR?", b""], b"0")
+    assert cs.take_lines(*cs.take_lines(b"", b"00\r")[1:], b"\n20\r\n") == ([b"20"], b"")
 
 
 @given(st.binary(max_size=40))
@@ -68,7 +77,7 @@ def test_an_endless_line_is_cut_and_is_no_statement() -> None:
 
 @given(st.binary(max_size=40))
 def test_other_bytes_are_neither_gratings_nor_known_statuses(data: bytes) -> None:
-    for decode in (cs.Grating.decode, cs.decode_known_status):
+    for decode in (cs.Grating.decode, cs.decode_status):
         with contextlib.suppress(cs.StatementError):
             decode(data)
 

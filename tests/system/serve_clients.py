@@ -23,6 +23,8 @@ from goniotwin.protocols.tmcl_parameters import AxisParameter
 QUESTIONS = 25
 TALKING = "talking"
 TIMEOUT_S = 2.0
+PAUSE_S = 0.002
+"""Of a client in a process of its own, after each exchange: four of them would take the processor from other tests."""
 LINGER_NOT = struct.pack("ii", 1, 0)
 Line = AbstractContextManager[serial.Serial]
 
@@ -69,7 +71,7 @@ def cornerstone(address: str, abrupt: bool) -> Iterator[None]:
         for _ in range(QUESTIONS):
             port.write(b"WAVE?\n")
             lines = [port.read_until(b"\n") for _ in range(2)]
-            while lines[0] != b"WAVE?\r\n":  # the answer to the unfinished command
+            while lines[0] != b"WAVE?\n":  # the answer to the unfinished command
                 lines = [lines[1], port.read_until(b"\n")]
                 if not lines[1]:
                     raise WrongAnswer(f"WAVE?: {lines}")
@@ -123,7 +125,7 @@ KINDS: dict[str, Callable[[str, bool], Iterator[None]]] = {
 }  # fmt: skip
 
 
-def talk(kind: str, seconds: float, addresses: list[str]) -> dict[str, int]:
+def talk(kind: str, seconds: float, addresses: list[str], pause_s: float = 0.0) -> dict[str, int]:
     """Visit the addresses in turn; count exchanges, connections, and failures caused by killed clients on the same line."""
     clock, done = RealClock(), Counter[str](exchanges=0, connections=0, disturbed=0)
     while clock.now() < seconds:
@@ -135,6 +137,7 @@ def talk(kind: str, seconds: float, addresses: list[str]) -> dict[str, int]:
                 if not done["exchanges"]:
                     print(TALKING, flush=True)
                 done["exchanges"] += 1
+                clock.sleep_until(clock.now() + pause_s)
         except (WrongAnswer, OSError, ValueError) as error:
             done["disturbed"] += 1
             print(f"{kind} at {addresses[number % len(addresses)]}: {error}", file=sys.stderr)
@@ -145,4 +148,4 @@ def talk(kind: str, seconds: float, addresses: list[str]) -> dict[str, int]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(talk(sys.argv[1], float(sys.argv[2]), sys.argv[3:])))
+    print(json.dumps(talk(sys.argv[1], float(sys.argv[2]), sys.argv[3:], PAUSE_S)))

@@ -20,7 +20,7 @@ from tests.conftest import Writer
 from tests.system.command_process import FORKED
 from tests.system.conftest import MAIN, ForkedServe, control_client, until
 
-pytestmark = FORKED
+pytestmark = [*FORKED, pytest.mark.usefixtures("heard_hangup")]
 TURNS = ("beta_deg = [180]", "beta_deg = [0, 180]")
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 

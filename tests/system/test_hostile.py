@@ -34,7 +34,7 @@ from goniotwin.app.campaign.reduction import export as exporting
 from goniotwin.app.campaign.reduction import readings, reduction
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.cli.main import app as command
+from goniotwin.app.cli.main import command
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
 from goniotwin.app.rig.last_rig import remember_rig
@@ -205,7 +205,7 @@ def export_csv(journal: Path, out: Path) -> bytes | None:
     out.unlink(missing_ok=True)
     try:
         with contextlib.redirect_stdout(io.StringIO()):
-            status = command(["export", str(journal), "--format", "csv", "--out", str(out)], standalone_mode=False)
+            status = command()(["export", str(journal), "--format", "csv", "--out", str(out)], standalone_mode=False)
     except UserError as error:
         return None if error.status and "\n" not in str(error) and not out.exists() else b"other"
     return None if status else out.read_bytes()
@@ -871,6 +871,6 @@ def test_a_million_rows_are_exported_within_a_gigabyte(tmp_path: Path) -> None:
         process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0
     with out.open(encoding="utf-8") as file:
-        assert sum(not line.startswith("#") for line in file) > 1_990_000
+        assert sum(not line.startswith("#") for line in file) == 1 + 998_400
     print(f"\n{rows} rows: {used.ru_maxrss / 1024:.0f} MiB, {used.ru_utime:.0f} s")
     assert used.ru_maxrss * 1024 < 1e9

@@ -21,7 +21,10 @@ from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.conftest import ForkedServe, control_client, until
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process"),
+    pytest.mark.usefixtures("heard_hangup"),
+]
 LONGEST_S = 300.0
 LONGEST_RUN_S = 3600.0
 ROWS = 3000

@@ -1,7 +1,7 @@
 """Advantech's converter modules: ADAM-6017, whose digital outputs choose the amplifiers' gain, and ADAM-4117, without any.
 
 An ADAM-4117 stands behind amplifiers of one fixed gain, the first of the plant's list. Registers of the 4X table are
-read by functions 03 and 04 alike, coils of the 0X table by 01 and 02 alike (the latter to be confirmed on hardware).
+read by functions 03 and 04 alike, coils of the 0X table by 01 and 02 alike.
 
 The eight inputs have ranges, counts, a maximum and a minimum; a change of range loses one reading.
 """
@@ -22,15 +22,16 @@ LOOK_BACK = 64
 class Inputs:
     """The inputs of module `index` of the plant, at a time t."""
 
-    def __init__(self, plant: Plant, index: int) -> None:
+    def __init__(self, plant: Plant, index: int, power_on: int) -> None:
         self._plant = plant
         self._index = index
+        self._power_on = power_on
         self._period = plant.conversion_period_s
         self.reset(0.0)
 
     def reset(self, t: float) -> None:
-        """As after power-on: all inputs enabled, +-10 V, no maximum and no minimum yet."""
-        self.ranges = [adam.PLUS_MINUS_10_V] * adam.CHANNELS
+        """As after power-on: all inputs enabled, the range `power_on`, no maximum and no minimum yet."""
+        self.ranges = [self._power_on] * adam.CHANNELS
         self.enabled = adam.ALL_CHANNELS
         self._held: dict[int, tuple[int, int]] = {}
         self._scale()
@@ -72,10 +73,9 @@ class Inputs:
 
     def broken(self, t: float) -> list[bool]:
         """Of each channel: a 4-20 mA input with less than 4 mA is taken for a broken wire."""
-        four_to_twenty = adam.RANGES[adam.FOUR_TO_TWENTY_MA]
+        ranges = [adam.RANGES[code] for code in self.ranges]
         volts = self._plant.volts(self._index, t)
-        below = [bool(volt < four_to_twenty.low_v) for volt in volts]
-        return [code == four_to_twenty.code and low for code, low in zip(self.ranges, below, strict=True)]
+        return [each.current and each.low_v > 0.0 and bool(volt < each.low_v) for each, volt in zip(ranges, volts, strict=True)]
 
     def highest(self, t: float) -> list[int]:
         """The highest raw values since the last reset, of the channels and of the average."""
@@ -141,17 +141,22 @@ class ModbusFault(Exception):
 class ConverterModule:
     """Module `index` of the plant: registers and coils at a time t.
 
+    `units` are those to which it responds, `unit` on a serial line. `multiple_writes`: whether it has function 16.
+
     For tests, not on the wire: `silent`, `reset`, and `refusals`, exception codes for the next requests.
     """
 
     model = adam.ADAM_6017
 
     def __init__(self, plant: Plant, index: int, unit: int = adam.UNIT) -> None:
-        self.unit = unit
+        electronics = plant.model.electronics
+        self.units = (unit,) if self.model.serial else electronics.tcp_units
+        self.multiple_writes = electronics.multiple_writes
+        self._sign_bit = adam.sign_bit(electronics.raw_format)
         self.silent = False
         self.refusals: deque[int] = deque()
-        self.latency_s = plant.model.electronics.latency_s
-        self.inputs = Inputs(plant, index)
+        self.latency_s = electronics.latency_s
+        self.inputs = Inputs(plant, index, self.model.power_on)
         self._plant = plant
         self._index = index
         self._outputs = [False] * self.model.outputs
@@ -160,6 +165,11 @@ class ConverterModule:
         if self.model.statistics:
             for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
                 self._writable |= {*range(first, first + adam.CHANNELS + 1)}
+
+    @property
+    def unit(self) -> int:
+        """The first unit to which it responds; the only one on a serial line."""
+        return self.units[0]
 
     def reset(self, t: float) -> None:
         """As after power-on: ranges, outputs and so the gain, enabled channels, maximum and minimum are forgotten."""
@@ -172,7 +182,7 @@ class ConverterModule:
         """Holding (and input) registers. Raises ModbusFault for an address without a register."""
         self._refuse()
         if address == adam.AI_VALUE and count <= adam.CHANNELS:
-            return self.inputs.counts(t)[:count]
+            return [raw ^ self._sign_bit for raw in self.inputs.counts(t)[:count]]
         wanted = range(address, address + count)
         held = self._measured(t) if address < adam.FLOAT_VALUE + INPUT_REGISTERS else {}
         held |= self._settings()
@@ -241,7 +251,7 @@ class ConverterModule:
 
     def _measured(self, t: float) -> dict[int, int]:
         """The input registers by their addresses."""
-        held = dict(enumerate(self.inputs.counts(t), adam.AI_VALUE))
+        held = dict(enumerate((raw ^ self._sign_bit for raw in self.inputs.counts(t)), adam.AI_VALUE))
         if self.model.statistics:
             held[adam.AVERAGE] = self.inputs.average(t)
             held |= enumerate(self.inputs.highest(t), adam.MAXIMUM)
@@ -262,11 +272,10 @@ class ConverterModule:
 
     def _flags(self, t: float) -> dict[int, bool]:
         """The coils that are no outputs, by their addresses. No alarm limits can be set over Modbus, so no alarm is ever on."""
-        held: dict[int, bool] = {}
+        held = dict(enumerate(self.inputs.broken(t), self.model.burn_out))
         if self.model.statistics:
             for first in (adam.RESET_MAXIMUM, adam.RESET_MINIMUM):
                 held |= {first + channel: False for channel in range(adam.CHANNELS + 1)}
-            held |= enumerate(self.inputs.broken(t), adam.BURN_OUT)
             for first in (adam.HIGH_ALARM, adam.LOW_ALARM):
                 held |= {first + channel: False for channel in range(adam.CHANNELS)}
         return held

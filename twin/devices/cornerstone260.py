@@ -1,10 +1,11 @@
 """An Oriel Cornerstone 260: grating drive, shutter, filter wheel and slits behind lines of ASCII.
 
 While something moves it hears but does not answer, as the classic unit does: what it has heard it does afterwards, in
-order. Only ABORT is heard at once; it stops what moves, and what waited behind comes next. Echo and handshake mode as on
-RS232. Assumed where the manual is silent (to be confirmed on hardware): the echo of what waits comes when it is its turn;
-an aborted statement ends like any other, with its status in handshake mode; filters, slits and gratings take their
-time, the wheel from one position to the next, and an aborted wheel stops at the nearest. Slits and gratings pass all light.
+order. Only ABORT is heard at once; it stops what moves, and what waited behind comes next. Echo, byte for byte, and handshake
+mode as on RS232 (MCS260 p. 50 and 51). Assumed where the manual is silent (to be confirmed on hardware): the echo of what
+waits comes when it is its turn; a reply begins one character's time after the echo; an aborted statement ends like any other,
+with its status in handshake mode; filters, slits and gratings take their time, the wheel from one position to the next, and
+an aborted wheel stops at the nearest. Slits and gratings pass all light.
 """
 
 import re
@@ -19,21 +20,28 @@ from goniotwin.protocols.cornerstone import (
     ErrorCode,
     Statement,
     StatementError,
-    encode_status,
 )
-from goniotwin.twin.devices.cornerstone_statements import IDENTITY, GratingData, StatementRefused, Statements, UnitState
+from goniotwin.twin.devices.cornerstone_statements import (
+    IDENTITY,
+    GratingData,
+    StatementRefused,
+    Statements,
+    UnitState,
+    status_text,
+)
 from goniotwin.twin.plant import Plant
 
 __all__ = ["IDENTITY", "Cornerstone260"]
 
 LATENCY_S = 2.0e-3
+BITS_A_CHARACTER = 10.0
 WAITING_AT_MOST = 64
 LINE_FEED = b"\n"
 
 
 @dataclass(frozen=True)
 class Turn:
-    """A statement that has been given its turn: what it was, from when on, and the state before it."""
+    """A statement that has been given its turn: its line as it was heard, from when on, and the state before it."""
 
     line: bytes
     start: float
@@ -49,12 +57,15 @@ class Cornerstone260:
         self._statements = Statements(plant, self._drive)
         self.baudrate = self._drive.baudrate
         self.outbox: deque[tuple[float, bytes]] = deque()
+        self._character_s = BITS_A_CHARACTER / self._drive.baudrate
         self._pending = b""
-        self._unechoed = self._last = b""
+        self._unechoed = b""
+        self._echoed = 0.0
         self._busy_until = 0.0
         self._turns: deque[Turn] = deque(maxlen=WAITING_AT_MOST)
         gratings = tuple(GratingData(lines, label) for lines, label in self._drive.gratings)
-        self._state = UnitState(gratings, tuple(f"FILTER{k + 1}" for k in range(self._drive.filters)))
+        labels = tuple(f"FILTER{k + 1}" for k in range(self._drive.filters))
+        self._state = UnitState(gratings, labels, gpib_address=self._drive.gpib_address)
 
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`."""
@@ -64,7 +75,7 @@ class Cornerstone260:
             self._pending = (self._pending + piece.removesuffix(LINE_FEED))[: MAX_LINE + 2]
             self._echo(max(t, self._busy_until))
             if piece.endswith(LINE_FEED):
-                line, self._pending = self._pending.removesuffix(b"\r"), b""
+                line, self._pending = self._pending + LINE_FEED, b""
                 self._hear(line, t)
 
     def _hear(self, line: bytes, t: float) -> None:
@@ -85,12 +96,9 @@ class Cornerstone260:
 
     def _echo(self, t: float) -> None:
         heard, self._unechoed = self._unechoed, b""
-        if not heard:
-            return
-        before, self._last = self._last, heard[-1:]
-        echo = heard if before == b"\r" and heard[:1] == b"\n" else re.sub(rb"(?<!\r)\n", FROM_DEVICE, heard)
-        if self._drive.echo:
-            self.outbox.append((t, echo))
+        if heard and self._drive.echo:
+            self.outbox.append((t, heard))
+            self._echoed = t + len(heard) * self._character_s
 
     def _take_turn(self, line: bytes, t: float) -> None:
         start = max(t, self._busy_until)
@@ -101,21 +109,25 @@ class Cornerstone260:
         answer: str | None = None
         done = t
         try:
-            result = self._statements.perform(self._state, Statement.decode(line), t)
+            result = self._statements.perform(self._state, Statement.decode(line.rstrip(b"\r\n")), t)
             self._state, done, answer = result.state, result.t, result.answer
         except StatementError:
             self._fail(ErrorCode.NOT_UNDERSTOOD)
         except StatementRefused as refused:
             self._fail(refused.error)
         if answer is not None:
-            self.outbox.append((t, answer.encode("ascii") + FROM_DEVICE))
+            self._reply(t, answer)
         self._busy_until = done
         self._end_statement(done)
 
     def _end_statement(self, t: float) -> None:
         if self._state.handshake:
-            self.outbox.append((t, encode_status(self._state.status)))
+            self._reply(t, status_text(self._drive, self._state.status))
             self._state = replace(self._state, status=NO_ERROR)  # sent is read
+
+    def _reply(self, t: float, text: str) -> None:
+        """A line of a reply at `t`, but not before one character's time after the echo."""
+        self.outbox.append((max(t, self._echoed + self._character_s), text.encode("ascii") + FROM_DEVICE))
 
     def _fail(self, error: ErrorCode) -> None:
         self._state = replace(self._state, error=error, status=ERROR_SINCE_LAST_READ)
@@ -125,7 +137,7 @@ class Cornerstone260:
         self._busy_until = t
         self._end_statement(t)  # of what has been aborted
         for each in (line, *waiting):
-            self._unechoed = each + b"\n"
+            self._unechoed = each
             self._echo(max(t, self._busy_until))
             self._take_turn(each, t)
 

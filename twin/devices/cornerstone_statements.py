@@ -16,6 +16,7 @@ from goniotwin.protocols.cornerstone import (
     StatementError,
     WavelengthUnit,
     decode_number,
+    encode_status,
 )
 from goniotwin.twin.plant import MonochromatorDrive, Plant
 
@@ -24,20 +25,24 @@ SLITS = 3
 
 @dataclass(frozen=True)
 class GratingData:
-    """A grating's calibration: the wavelength shown is that of its steps times `factor` plus `zero_nm`."""
+    """A grating's calibration: the wavelength shown is that of its steps times `factor` plus `zero_nm` plus `offset_nm`.
+
+    CALIBRATE changes the offset, as the commands of the Cornerstone 130 do. The unit of the zero is assumed.
+    """
 
     lines_per_mm: int
     label: str
     zero_nm: float = 0.0
     factor: float = 1.0
+    offset_nm: float = 0.0
 
     def shown_nm(self, true_nm: float) -> float:
         """Wavelength shown by the unit, nm."""
-        return true_nm * self.factor + self.zero_nm
+        return true_nm * self.factor + self.zero_nm + self.offset_nm
 
     def true_nm(self, shown_nm: float) -> float:
         """True wavelength for a shown one, nm."""
-        return (shown_nm - self.zero_nm) / self.factor
+        return (shown_nm - self.zero_nm - self.offset_nm) / self.factor
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,7 @@ class UnitState:
     handshake: bool = False
     status: int = NO_ERROR
     error: ErrorCode = field(default=ErrorCode.NONE)
+    gpib_address: int = 4
 
     @property
     def current(self) -> GratingData:
@@ -67,16 +73,22 @@ class UnitState:
         return replace(self, gratings=tuple(changed))
 
     def after_power_on(self) -> "UnitState":
-        """State after power-on: calibration and labels are kept."""
-        return UnitState(self.gratings, self.filter_labels)
+        """State after power-on: calibration, labels and GPIB address are kept."""
+        return UnitState(self.gratings, self.filter_labels, gpib_address=self.gpib_address)
 
 
 IDENTITY = "Cornerstone 260 virtual"
 HIGHEST_NM_OF_1200 = 1400.0
+LAST_GPIB_ADDRESS = 30
 WIDEST_SLIT_UM = 3000.0
 NM_A_MICROMETRE_OF_1200 = 0.0032
 """Bandpass of a slit: 3.2 nm a millimetre for 1200 lines/mm (to be confirmed on hardware)."""
 OUTPORTS = (1, 2)
+
+
+def status_text(drive: MonochromatorDrive, status: int) -> str:
+    """The status byte as this unit writes it."""
+    return encode_status(status, drive.status_digits, decimal=drive.status_decimal)
 
 
 class StatementRefused(Exception):
@@ -106,6 +118,7 @@ class Statements:
             "GOWAVE": self._go_wave, "STEP": self._step, "ABORT": lambda state, _, t: StatementResult(state, t),
             "CALIBRATE": self._calibrate, "GRAT": self._go_grating, "SHUTTER": self._shutter, "FILTER": self._go_filter,
             "OUTPORT": self._outport, "BANDPASS": self._bandpass, "UNITS": self._units, "HANDSHAKE": self._handshake,
+            "ADDRESS": self._address,
         }  # fmt: skip
 
     def perform(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
@@ -146,13 +159,16 @@ class Statements:
                 answer = state.unit.name
             case "HANDSHAKE" if self._drive.handshake:
                 answer = str(int(state.handshake))
+            case "ADDRESS":
+                answer = str(state.gpib_address)
             case "INFO":
                 answer = IDENTITY
             case "STB":
-                answer = f"{state.status:02X}" if state.handshake else f"{state.status:02d}"
+                answer = status_text(self._drive, state.status)
                 state = replace(state, status=NO_ERROR)
             case "ERROR":
-                answer = str(int(state.error))
+                none = state.error is ErrorCode.NONE and not self._drive.zero_is_no_error
+                answer = "" if none else str(int(state.error))
                 state = replace(state, error=ErrorCode.NONE)
             case word:
                 answer = self._ask_numbered(state, word)
@@ -172,6 +188,8 @@ class Statements:
                 return str(grating.lines_per_mm)
             case "ZERO":
                 return f"{grating.zero_nm:.4f}"
+            case "OFFSET":
+                return f"{grating.offset_nm:.6f}"
         return f"{grating.factor:.6f}"
 
     def _set_numbered(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
@@ -195,6 +213,8 @@ class Statements:
             return StatementResult(state.with_grating(number, lines_per_mm=_integer(text)), t)
         if name == "ZERO":
             return StatementResult(state.with_grating(number, zero_nm=_number(text)), t)
+        if name == "OFFSET":
+            return StatementResult(state.with_grating(number, offset_nm=_number(text)), t)
         if not 0.5 <= _number(text) <= 2.0:
             raise StatementRefused(ErrorCode.BAD_PARAMETER)
         return StatementResult(state.with_grating(number, factor=_number(text)), t)
@@ -222,8 +242,8 @@ class Statements:
         shown = state.unit.to_nm(_number(text))
         if not 0.0 <= shown <= 10_000.0:
             raise StatementRefused(ErrorCode.BAD_PARAMETER)
-        zero = shown - self._plant.wavelength_nm.at(t) * state.current.factor
-        return StatementResult(state.with_grating(state.grating, zero_nm=zero), t)
+        offset = state.current.offset_nm + shown - state.current.shown_nm(self._plant.wavelength_nm.at(t))
+        return StatementResult(state.with_grating(state.grating, offset_nm=offset), t)
 
     def _go_grating(self, state: UnitState, text: str, t: float) -> StatementResult:
         number = _integer(text)
@@ -294,10 +314,15 @@ class Statements:
             raise StatementRefused(ErrorCode.BAD_PARAMETER)
         return StatementResult(replace(state, handshake=text == "1"), t)
 
+    def _address(self, state: UnitState, text: str, t: float) -> StatementResult:
+        if not 0 <= _integer(text) <= LAST_GPIB_ADDRESS:
+            raise StatementRefused(ErrorCode.BAD_PARAMETER)
+        return StatementResult(replace(state, gpib_address=_integer(text)), t)
+
 
 def _numbered(word: str, state: UnitState, filters: int) -> tuple[str, int, str]:
     """Split a word such as `GRAT2LABEL` into its parts: GRAT, 2, LABEL. Raises StatementRefused."""
-    match = re.fullmatch(r"(GRAT)(\d)(LABEL|LINES|ZERO|FACTOR)|(FILTER)(\d)(LABEL)|(SLIT)(\d)(MICRONS)", word)
+    match = re.fullmatch(r"(GRAT)(\d)(LABEL|LINES|ZERO|FACTOR|OFFSET)|(FILTER)(\d)(LABEL)|(SLIT)(\d)(MICRONS)", word)
     if match is None:
         raise StatementRefused(ErrorCode.NOT_UNDERSTOOD)
     kind, digit, name = (each for each in match.groups() if each is not None)

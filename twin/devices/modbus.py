@@ -52,7 +52,7 @@ class TcpStation:
             if len(frame) < 6 + length:
                 return
             self._buffer = self._buffer[len(frame) :]
-            if unit == self.device.unit and not self.device.silent:
+            if unit in self.device.units and not self.device.silent:
                 self._free = max(self._free, t)
                 answer = answered(self.device, frame[adam.MBAP :], self._free)
                 self._free += 0.5 * self.device.latency_s  # the other half is the way here
@@ -198,6 +198,8 @@ def _written(device: ConverterModule, request: bytes, t: float) -> bytes:
         case 15:
             bits = int.from_bytes(request[6:], "little")
             device.write_coils(address, [bool(bits >> place & 1) for place in range(number)], t)
+        case 16 if not device.multiple_writes:
+            raise ModbusFault(adam.ILLEGAL_FUNCTION)
         case 16:
             device.write_registers(address, [*unpack(f">{number}H", request[6:])], t)
     return request[:5]

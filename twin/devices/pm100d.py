@@ -1,30 +1,62 @@
-"""A Thorlabs PM100D with a photodiode: current and power, ranges, averaging, wavelength, dark zero.
+"""A Thorlabs PM100D with a photodiode: current, power and its density, ranges, averaging, wavelength, dark zero, delta mode.
 
-Source: Thorlabs, PM100D operation manual, "SCPI commands". To be confirmed on hardware: ranges, 3000 samples a second,
-the bits of the status groups, the sensor's curve, how long a zero takes and from which current on it is refused. The
-low-pass filter is a setting that changes nothing here.
+Source: Thorlabs, PM100D operation manual, "SCPI commands"; what of it was seen, and what is assumed, stands in
+docs/interoperability.md. To be confirmed on hardware: ranges, 3000 samples a second, the sensor's curve, how long a zero takes
+and from which current on it is refused, the bit that it sets, the limits of references and threshold.
+
+Settings without an effect here: low-pass filter, line frequency, type of the adapter (for a sensor without memory), beeper
+and display. The instrument's calendar begins at 2000-01-01 with the rig, until it is set.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from datetime import date, datetime, time, timedelta
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
-from goniotwin.protocols.scpi import NOT_A_NUMBER, OVERRANGE, MessageUnit, ScpiError, encode_number, suffixes
+from goniotwin.protocols.scpi import NOT_A_NUMBER, OVERRANGE, MessageUnit, ScpiError, encode_number, suffixes, words
 from goniotwin.twin.devices.scpi_instrument import Command, ScpiInstrument, bare, limit, number, single, switch
 from goniotwin.twin.plant import Plant
 
+
+class Ends(NamedTuple):
+    """Limits of a setting and its default, which MIN, MAX and DEF stand for."""
+
+    lowest: float
+    highest: float
+    default: float
+
+
 RANGES_A = (50e-9, 500e-9, 5e-6, 50e-6, 500e-6, 5e-3)
 OVER = 1.05
-WAVELENGTHS_NM = (400.0, 1100.0)
-SENSOR_A_PER_W = ((400.0, 0.02), (500.0, 0.06), (600.0, 0.1), (700.0, 0.14), (900.0, 0.2), (1000.0, 0.18), (1100.0, 0.05))
+WAVELENGTHS_NM = Ends(200.0, 1100.0, 635.0)
+SENSOR_A_PER_W = (
+    (200.0, 0.01), (400.0, 0.02), (500.0, 0.06), (600.0, 0.1), (700.0, 0.14), (900.0, 0.2), (1000.0, 0.18), (1100.0, 0.05),
+)  # fmt: skip
 MAX_AVERAGES = 10_000
 ZERO_S = 1.0
 BRIGHTEST_ZERO_A = 50e-9
 CALIBRATING, MEASURING = 0, 4  # bits of STATus:OPERation
 OVER_CURRENT, OVER_POWER, ZEROED_BADLY = 1, 3, 8  # bits of STATus:QUEStionable
-CURRENT, POWER = "CURR", "POW"
+CURRENT, POWER, DENSITY, FREQUENCY, TEMPERATURE = "CURR", "POW", "PDEN", "FREQ", "TEMP"
+MEASURABLE = {
+    CURRENT: "CURRent[:DC]", POWER: "[POWer]", DENSITY: "PDENsity", FREQUENCY: "FREQuency", TEMPERATURE: "TEMPerature",
+}  # fmt: skip
+OTHER_SENSORS = ("VOLTage[:DC]", "ENERgy", "EDENsity")
+"""What thermopiles and pyroelectric sensors measure, and a photodiode does not."""
+ADAPTERS = ("PHOTodiode", "THERmal", "PYRo")
 AMPERES, WATTS, NANOMETRES = suffixes("A"), suffixes("W"), {"NM": 1.0, "UM": 1e3, "M": 1e9}
+NO_UNIT: Mapping[str, float] = {}
+DECIBELS, MILLIMETRES, PERCENT = {"DB": 1.0}, {"MM": 1.0, "M": 1e3}, {"PCT": 1.0, "%": 1.0}
+LOSS_DB, BEAM_MM, THRESHOLD_PERCENT = Ends(-60.0, 60.0, 0.0), Ends(0.1, 100.0, 9.5), Ends(0.0, 100.0, 20.0)
+DISPLAY = Ends(0.0, 1.0, 0.5)
+LINE_HZ = Ends(50.0, 60.0, 50.0)
+GATE_S = 0.5
+"""Time in which a frequency is counted."""
+CALENDAR, YEARS = datetime(2000, 1, 1), (2000, 2099)
+KELVIN = 273.15
 
 
 class Pm100d(ScpiInstrument):
@@ -42,18 +74,26 @@ class Pm100d(ScpiInstrument):
         self._monitor = plant.model.monitor
         self.serial_number = self._monitor.serial_number
         self._zero_a = 0.0
+        self._beeper = True
+        self._brightness = self._contrast = DISPLAY.default
+        self._line_hz = LINE_HZ.default
+        self._adapter = ADAPTERS[0]
+        self._calendar = CALENDAR
         super().__init__()
 
     def preset(self) -> None:
-        """*RST; the dark zero stays."""
+        """*RST; the dark zero, and what belongs to the console, stay."""
         self._quantity = POWER
         self._range_a = RANGES_A[-1]
         self._auto = True
         self._averages = 1
-        self._wavelength_nm = 635.0
+        self._wavelength_nm = WAVELENGTHS_NM.default
         self._responsivity = _sensor(self._wavelength_nm)
-        self._loss_db = 0.0
-        self._beam_mm = 9.5
+        self._loss_db = LOSS_DB.default
+        self._beam_mm = BEAM_MM.default
+        self._threshold_percent = THRESHOLD_PERCENT.default
+        self._reference_a = self._reference_w = 0.0
+        self._delta_current = self._delta_power = False
         self._dbm = False
         self._low_pass = False
         self.abort()
@@ -81,22 +121,39 @@ class Pm100d(ScpiInstrument):
         operation.set(MEASURING, self._measured is not None and self._measured[1] > t)
 
     def commands(self) -> Iterator[Command]:
-        """Measuring, and everything under SENSe and INPut."""
-        for quantity, pattern in ((CURRENT, "CURRent[:DC]"), (POWER, "POWer")):
+        """Measuring, and everything under SENSe, INPut, SYSTem, DISPlay and CALibration."""
+        for quantity, pattern in MEASURABLE.items():
             yield f"CONFigure[:SCALar]:{pattern}", False, bare(partial(self._configure, quantity))
             yield f"MEASure[:SCALar]:{pattern}", True, bare(partial(self._measure, quantity))
-        yield "CONFigure[:SCALar]:VOLTage[:DC]", False, bare(_no_hardware)
-        yield "MEASure[:SCALar]:VOLTage[:DC]", True, bare(_no_hardware)
+        for pattern in OTHER_SENSORS:
+            yield f"CONFigure[:SCALar]:{pattern}", False, bare(_no_hardware)
+            yield f"MEASure[:SCALar]:{pattern}", True, bare(_no_hardware)
         yield "CONFigure", True, bare(lambda: self._quantity.encode("ascii"))
         yield "INITiate[:IMMediate]", False, bare(self._initiate)
         yield "FETCh", True, bare(self._fetch)
         yield "READ", True, bare(self._read)
         yield "ABORt", False, bare(self.abort)
-        yield "SYSTem:SENSor:IDN", True, bare(lambda: b"S120VC,TWIN,virtual photodiode,1,1,33")
-        yield "INPut[:PDIode]:FILTer[:LPASs][:STATe]", False, self._set_low_pass
-        yield "INPut[:PDIode]:FILTer[:LPASs][:STATe]", True, bare(lambda: b"%d" % self._low_pass)
+        yield from self._switch("INPut[:PDIode]:FILTer[:LPASs][:STATe]", "_low_pass")
+        yield "INPut:ADAPter[:TYPE]", False, self._set_adapter
+        yield "INPut:ADAPter[:TYPE]", True, bare(lambda: words(self._adapter)[0].encode("ascii"))
+        yield from self._console()
         yield from self._sensing()
         yield from self._correcting()
+
+    def _console(self) -> Iterator[Command]:
+        """What belongs to the console and not to a measurement."""
+        yield "SYSTem:SENSor:IDN", True, bare(lambda: b"S120VC,TWIN,virtual photodiode,1,18,289")
+        yield "CALibration:STRing", True, bare(lambda: b'"Calibrated: virtual instrument"')
+        yield "SYSTem:BEEPer[:IMMediate]", False, bare(lambda: None)
+        yield from self._switch("SYSTem:BEEPer:STATe", "_beeper")
+        yield "SYSTem:LFRequency", False, self._set_line_frequency
+        yield "SYSTem:LFRequency", True, lambda u: b"%d" % limit(u, *LINE_HZ, self._line_hz)
+        yield "SYSTem:DATE", False, self._set_date
+        yield "SYSTem:DATE", True, bare(lambda: "{0.year},{0.month},{0.day}".format(self._today()).encode("ascii"))
+        yield "SYSTem:TIME", False, self._set_time
+        yield "SYSTem:TIME", True, bare(lambda: "{0.hour},{0.minute},{0.second}".format(self._today()).encode("ascii"))
+        yield from self._setting("DISPlay:BRIGhtness", "_brightness", lambda: DISPLAY)
+        yield from self._setting("DISPlay:CONTrast", "_contrast", lambda: DISPLAY)
 
     def _sensing(self) -> Iterator[Command]:
         yield "[SENSe]:AVERage[:COUNt]", False, self._set_averages
@@ -110,16 +167,24 @@ class Pm100d(ScpiInstrument):
             lambda u: encode_number(limit(u, *_ends(self._watts_per_ampere), self._range_a * self._watts_per_ampere)),
         )
         for quantity in ("CURRent[:DC]", "POWer[:DC]"):
-            yield f"[SENSe]:{quantity}:RANGe:AUTO", False, self._set_auto
-            yield f"[SENSe]:{quantity}:RANGe:AUTO", True, bare(lambda: b"%d" % self._auto)
+            yield from self._switch(f"[SENSe]:{quantity}:RANGe:AUTO", "_auto")
         yield "[SENSe]:POWer[:DC]:UNIT", False, self._set_unit
         yield "[SENSe]:POWer[:DC]:UNIT", True, bare(lambda: b"DBM" if self._dbm else b"W")
+        yield from self._setting("[SENSe]:CURRent[:DC]:REFerence", "_reference_a", lambda: _around_zero(1.0), AMPERES)
+        yield from self._switch("[SENSe]:CURRent[:DC]:REFerence:STATe", "_delta_current")
+        yield from self._setting(
+            "[SENSe]:POWer[:DC]:REFerence", "_reference_w", lambda: _around_zero(self._watts_per_ampere), WATTS
+        )
+        yield from self._switch("[SENSe]:POWer[:DC]:REFerence:STATe", "_delta_power")
+        yield "[SENSe]:FREQuency:RANGe[:UPPer]", True, bare(lambda: encode_number(0.5 * self._monitor.samples_per_s))
+        yield "[SENSe]:FREQuency:RANGe:LOWer", True, bare(lambda: encode_number(1.0 / GATE_S))
+        threshold = "[SENSe]:PEAKdetector[:THReshold]"
+        yield from self._setting(threshold, "_threshold_percent", lambda: THRESHOLD_PERCENT, PERCENT)
 
     def _correcting(self) -> Iterator[Command]:
         correction = "[SENSe]:CORRection"
-        ends = (*WAVELENGTHS_NM, 635.0)
         yield f"{correction}:WAVelength", False, self._set_wavelength
-        yield f"{correction}:WAVelength", True, lambda u: encode_number(limit(u, *ends, self._wavelength_nm))
+        yield f"{correction}:WAVelength", True, lambda u: encode_number(limit(u, *WAVELENGTHS_NM, self._wavelength_nm))
         yield f"{correction}:COLLect:ZERO[:INITiate]", False, bare(self._start_zero)
         yield f"{correction}:COLLect:ZERO:ABORt", False, bare(self._abort_zero)
         yield f"{correction}:COLLect:ZERO:STATe", True, bare(lambda: b"%d" % (self._zeroing is not None))
@@ -127,11 +192,24 @@ class Pm100d(ScpiInstrument):
         responsivity = f"{correction}:POWer[:PDIode][:RESPonse]"
         yield responsivity, False, self._set_responsivity
         yield responsivity, True, self._ask_responsivity
-        loss = f"{correction}[:LOSS][:INPut][:MAGNitude]"
-        yield loss, False, self._set_loss
-        yield loss, True, lambda u: encode_number(limit(u, -60.0, 60.0, 0.0, self._loss_db))
-        yield f"{correction}:BEAMdiameter", False, self._set_beam
-        yield f"{correction}:BEAMdiameter", True, lambda u: encode_number(limit(u, 0.1, 100.0, 9.5, self._beam_mm))
+        yield from self._setting(f"{correction}[:LOSS][:INPut][:MAGNitude]", "_loss_db", lambda: LOSS_DB, DECIBELS)
+        yield from self._setting(f"{correction}:BEAMdiameter", "_beam_mm", lambda: BEAM_MM, MILLIMETRES)
+
+    def _setting(
+        self, pattern: str, name: str, ends: Callable[[], Ends], factors: Mapping[str, float] = NO_UNIT
+    ) -> Iterator[Command]:
+        """A number in the attribute `name`, and its query."""
+
+        def change(unit: MessageUnit) -> None:
+            setattr(self, name, number(unit, *ends(), factors))
+
+        yield pattern, False, change
+        yield pattern, True, lambda unit: encode_number(limit(unit, *ends(), getattr(self, name)))
+
+    def _switch(self, pattern: str, name: str) -> Iterator[Command]:
+        """On or off in the attribute `name`, and its query."""
+        yield pattern, False, lambda unit: setattr(self, name, switch(unit))
+        yield pattern, True, bare(lambda: b"%d" % getattr(self, name))
 
     # ---- measuring ----
 
@@ -145,23 +223,40 @@ class Pm100d(ScpiInstrument):
 
     def _initiate(self) -> None:
         """Start averaging; the value is available when the averaging ends."""
-        end = self._now + self._averages / self._monitor.samples_per_s
+        if self._quantity == TEMPERATURE:
+            self._measured = (self._plant.model.electronics.temperature_k - KELVIN, self._now)
+            return
+        end = self._now + (GATE_S if self._quantity == FREQUENCY else self._averages / self._monitor.samples_per_s)
         current = self._plant.monitor_a(self._now, end)
         if self._auto:
             self._range_a = next((upper for upper in RANGES_A if abs(current) <= upper), RANGES_A[-1])
+        if self._quantity == FREQUENCY:
+            self._measured = (self._frequency_hz(self._now), end)
+            return
         over = abs(current) > OVER * self._range_a
         questionable = self.groups["QUEStionable"]
         questionable.set(OVER_CURRENT, over and self._quantity == CURRENT)
-        questionable.set(OVER_POWER, over and self._quantity == POWER)
+        questionable.set(OVER_POWER, over and self._quantity != CURRENT)
         self._measured = (OVERRANGE if over else self._shown(current - self._zero_a), end)
 
     def _shown(self, current_a: float) -> float:
         if self._quantity == CURRENT:
-            return current_a
-        watts = current_a * self._watts_per_ampere
+            return current_a - (self._reference_a if self._delta_current else 0.0)
+        watts = current_a * self._watts_per_ampere - (self._reference_w if self._delta_power else 0.0)
+        if self._quantity == DENSITY:
+            return watts / (math.pi * (0.05 * self._beam_mm) ** 2)  # W/cm2
         if not self._dbm:
             return watts
         return 10.0 * math.log10(watts / 1e-3) if watts > 0.0 else NOT_A_NUMBER
+
+    def _frequency_hz(self, start: float) -> float:
+        """Frequency at which the current rises through the threshold; 0 for one that does not do so twice in the gate time."""
+        period = 1.0 / self._monitor.samples_per_s
+        threshold = 0.01 * self._threshold_percent * self._range_a
+        times = [start + k * period for k in range(round(GATE_S / period))]
+        above = [self._plant.monitor_a(t, t + period) > threshold for t in times]
+        rises = [t for t, (before, now) in zip(times[1:], pairwise(above), strict=True) if now and not before]
+        return (len(rises) - 1) / (rises[-1] - rises[0]) if len(rises) > 1 else 0.0
 
     @property
     def _watts_per_ampere(self) -> float:
@@ -209,19 +304,13 @@ class Pm100d(ScpiInstrument):
         self._range_a = next((upper for upper in RANGES_A if wanted_a <= upper * (1.0 + 1e-9)), RANGES_A[-1])
         self._auto = False
 
-    def _set_auto(self, unit: MessageUnit) -> None:
-        self._auto = switch(unit)
-
     def _set_unit(self, unit: MessageUnit) -> None:
         if single(unit).upper() not in ("W", "DBM"):
             raise ScpiError(-224, "Illegal parameter value")
         self._dbm = single(unit).upper() == "DBM"
 
-    def _set_low_pass(self, unit: MessageUnit) -> None:
-        self._low_pass = switch(unit)
-
     def _set_wavelength(self, unit: MessageUnit) -> None:
-        self._wavelength_nm = number(unit, *WAVELENGTHS_NM, 635.0, NANOMETRES)
+        self._wavelength_nm = number(unit, *WAVELENGTHS_NM, NANOMETRES)
         self._responsivity = _sensor(self._wavelength_nm)
 
     def _set_responsivity(self, unit: MessageUnit) -> None:
@@ -230,16 +319,52 @@ class Pm100d(ScpiInstrument):
     def _ask_responsivity(self, unit: MessageUnit) -> bytes:
         return encode_number(limit(unit, 1e-6, 10.0, _sensor(self._wavelength_nm), self._responsivity))
 
-    def _set_loss(self, unit: MessageUnit) -> None:
-        self._loss_db = number(unit, -60.0, 60.0, 0.0, {"DB": 1.0})
+    def _set_adapter(self, unit: MessageUnit) -> None:
+        text = single(unit).upper()
+        chosen = next((each for each in ADAPTERS if text in words(each)), None)
+        if chosen is None:
+            raise ScpiError(-224, "Illegal parameter value")
+        self._adapter = chosen
 
-    def _set_beam(self, unit: MessageUnit) -> None:
-        self._beam_mm = number(unit, 0.1, 100.0, 9.5, {"MM": 1.0, "M": 1e3})
+    def _set_line_frequency(self, unit: MessageUnit) -> None:
+        self._line_hz = 50.0 if number(unit, *LINE_HZ, suffixes("HZ")) < 55.0 else 60.0
+
+    # ---- calendar ----
+
+    def _today(self) -> datetime:
+        return self._calendar + timedelta(seconds=self._now)
+
+    def _set_date(self, unit: MessageUnit) -> None:
+        year, month, day = _whole_numbers(unit, YEARS, (1, 12), (1, 31))
+        try:
+            wanted = date(year, month, day)
+        except ValueError:
+            raise ScpiError(-222, "Data out of range") from None
+        self._calendar += wanted - self._today().date()
+
+    def _set_time(self, unit: MessageUnit) -> None:
+        hour, minute, second = _whole_numbers(unit, (0, 23), (0, 59), (0, 59))
+        today = self._today()
+        self._calendar += datetime.combine(today, time(hour, minute, second)) - today
 
 
-def _ends(factor: float) -> tuple[float, float, float]:
+def _ends(factor: float) -> Ends:
     """Smallest and largest range, and the default."""
-    return RANGES_A[0] * factor, RANGES_A[-1] * factor, RANGES_A[-1] * factor
+    return Ends(RANGES_A[0] * factor, RANGES_A[-1] * factor, RANGES_A[-1] * factor)
+
+
+def _around_zero(factor: float) -> Ends:
+    """Limits of a reference: the largest range, to both sides."""
+    return Ends(-RANGES_A[-1] * factor, RANGES_A[-1] * factor, 0.0)
+
+
+def _whole_numbers(unit: MessageUnit, *ends: tuple[int, int]) -> list[int]:
+    """The numbers of a command, between these limits. Raises ScpiError."""
+    if len(unit.parameters) != len(ends):
+        fewer = len(unit.parameters) < len(ends)
+        raise ScpiError(-109, "Missing parameter") if fewer else ScpiError(-108, "Parameter not allowed")
+    each = zip(unit.parameters, ends, strict=True)
+    return [round(number(replace(unit, parameters=(text,)), low, high, low, {})) for text, (low, high) in each]
 
 
 def _sensor(wavelength_nm: float) -> float:
@@ -251,4 +376,4 @@ def _sensor(wavelength_nm: float) -> float:
 
 
 def _no_hardware() -> bytes:
-    raise ScpiError(-241, "Hardware missing; no voltage sensor")
+    raise ScpiError(-241, "Hardware missing; the sensor is a photodiode")

@@ -17,8 +17,8 @@ class TmclLine:
 
     Without `controller` it is the plant's own, with the axes that no further device has.
 
-    Over USB a module answers whatever address it is called by; on RS485 it is silent where another's is called, and all
-    answer to 0 at once, so that replies of several modules collide.
+    Over USB a module answers whatever address it is called by; on RS485 it is silent where another's is called. Replies of
+    modules that were given the same address collide.
 
     `idle_gap_s` is the pause after which a frame that has been begun is forgotten; on an endpoint, whose bytes come when
     the system brings them, it has to be as much longer as the clock is faster.

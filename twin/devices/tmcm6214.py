@@ -61,7 +61,7 @@ MODULE_KINDS = {
 
 
 class MotionModule:
-    """One module, with its axes by the numbers of their motors. On RS485 it answers to its own address and to 0 only.
+    """One module, with its axes by the numbers of their motors. On RS485 it answers to its own address only, over USB to any.
 
     `post` sends unsolicited replies, `withdraw` takes one back.
     """
@@ -120,7 +120,7 @@ class MotionModule:
     def answer(self, frame: bytes, t: float) -> Answers:
         """Reply to a frame that arrived at `t`: none or one, with its delay."""
         host, address = self.globals.get(0, GlobalParameter.HOST_ADDRESS, t), self.globals.get(0, GlobalParameter.ADDRESS, t)
-        if t < self._dead_until or (self._strict and frame[0] not in (0, address)):
+        if t < self._dead_until or (self._strict and frame[0] != address):
             return []
         self._mind_heartbeat(t)
         if self._event is not None and self._event_due <= t:  # it has been sent, and one is all that was asked for

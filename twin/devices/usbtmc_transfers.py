@@ -11,6 +11,8 @@ from goniotwin.twin.devices.scpi_instrument import OUTPUT_QUEUE_BYTES, ScpiInstr
 from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, MAX_PACKET
 
 LOG_KEPT = 2000
+WHITE_SPACE = bytes(range(33))
+"""IEEE 488.2, 7.4.1.2: a control character is white space too, such as the zero with which C ends a text."""
 
 
 class Stall(Exception):
@@ -173,7 +175,7 @@ class Transfers:
         # What is too much is kept as far as the instrument needs to see that it is.
         self._input = bytearray(rest[: self.instrument.max_message + 1])
         for program in programs:
-            if program.strip():
+            if program.strip(WHITE_SPACE):
                 self._execute(program, t)
 
     def _execute(self, program: bytes, t: float) -> None:

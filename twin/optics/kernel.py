@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from numba import njit
+from numba import njit, types
 from numba.core import config
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -21,15 +21,34 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function], Function]:
     """Compile a function at its first call. `options` are those of `numba.njit`. Division by zero gives inf or nan."""
-    settings: dict[str, Any] = {"cache": CACHED, "error_model": error_model, **options}
+    # Nothing calls a kernel from C, and numba's entrance for that is a twentieth of the time to compile.
+    settings: dict[str, Any] = {"cache": CACHED, "error_model": error_model, "no_cfunc_wrapper": True, **options}
 
     def compiled(function: Function) -> Function:
         dispatcher: Any = njit(**settings)(function)
+        if config.DISABLE_JIT:
+            return function
+        _compile_for_all_values(dispatcher)
         _discard_unreadable(dispatcher._cache)
         result: Function = dispatcher
         return result
 
     return compiled
+
+
+def _compile_for_all_values(dispatcher: Any) -> None:
+    """Compile the function once for all values of an argument.
+
+    numba takes a constant in a call from another kernel as a type of its own: `f(x, 0)` and `f(x, 1)` would be two functions,
+    and a variable that starts as a constant would have the function compiled for that constant first, to no use.
+    """
+    template: Any = dispatcher.get_call_template
+    plain: Any = types.unliteral
+
+    def get_call_template(arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
+        return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
+
+    dispatcher.get_call_template = get_call_template
 
 
 def _discard_unreadable(cache: Any) -> None:
@@ -94,12 +113,12 @@ def _home() -> Path | None:
 
 def _set_cache_folder() -> bool:
     """Set the folder of numba's cache before the first kernel is made; False where compiled code cannot be stored."""
-    if config.CACHE_DIR:  # type: ignore[attr-defined]
+    if config.CACHE_DIR:
         return True
     sources = Path(__file__).parent
     folder = find_cache(sources, _home(), Path(tempfile.gettempdir()))
     if folder is not None and folder.parent != sources:  # beside the sources is numba's own first choice
-        config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+        config.CACHE_DIR = str(folder)
     return folder is not None
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Protocol
 from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen, MultipleOf
 
 from goniotwin.keys import (
+    LATER,
     NO_KEY,
     Address,
     Count,
@@ -20,6 +21,7 @@ from goniotwin.keys import (
     PolarAngle,
     Positive,
     Share,
+    TcpUnit,
     WheelPosition,
 )
 from goniotwin.protocols import adam
@@ -116,6 +118,10 @@ class Electronics:
 
     `module` is the kind of converter. One with a serial line (`adam-4117`, at `baudrate`) has no outputs, so its gain is always
     the first. `conversions_per_s` counts those of all channels of a module.
+
+    What differs between modules of one kind: `tcp_units` are the units to which one on Ethernet responds (the driver takes
+    the first), `raw_format` is that of the values of one with a serial line, and one without `multiple_writes` refuses
+    function 16.
     """
 
     gains_v_per_a: Annotated[tuple[Positive, ...], MinLen(1), MaxLen(4)] = (1e6, 1e8, 1e10, 1e11)
@@ -128,6 +134,15 @@ class Electronics:
     latency_s: float = field(default=4.0e-4, metadata=NO_KEY)
     module: adam.ModelName = "adam-6017"
     baudrate: Count = 9600
+    tcp_units: Annotated[tuple[TcpUnit, ...], MinLen(1)] = field(default=adam.TCP_UNITS, metadata=LATER)
+    raw_format: adam.RawFormat = field(default="unsigned", metadata=LATER)
+    multiple_writes: bool = field(default=True, metadata=LATER)
+
+    def __post_init__(self) -> None:
+        if self.raw_format != "unsigned" and not adam.MODELS[self.module].serial:
+            raise ValueError(
+                f"raw_format: the registers of an {adam.MODELS[self.module].title} are unsigned; remove raw_format"
+            )
 
 
 @dataclass(frozen=True)
@@ -149,6 +164,10 @@ class MonitorPhotodiode:
 class MonochromatorDrive:
     """Speeds of grating, shutter, filter wheel (per position) and slits; echo and handshake mode of the serial line.
 
+    Units differ in the text of their status byte: it has `status_digits` at least, in hexadecimal or, with `status_decimal`, in
+    decimal numbers. They differ also in the answer to `ERROR?` without an error: an empty line, or 0 with `zero_is_no_error`.
+    The defaults are those of the manual. `gpib_address` answers `ADDRESS?`.
+
     `nm_per_step` is for a grating of 1200 lines per mm. `gratings` are pairs (lines per mm, label). `slew_nm_per_s`,
     `settle_s`, `shutter_s` and `grating_s` are the times, `echo` and `handshake` the modes. `filters` is the number of
     positions of its filter wheel (0: no wheel), `filter_s` the time from one to the next. `already_there_is_error`: a filter
@@ -169,6 +188,10 @@ class MonochromatorDrive:
     gratings: tuple[tuple[int, str], ...] = field(default=((1200, "VIS"), (600, "NIR")), metadata=NO_KEY)
     filters: Annotated[int, Ge(0), Le(6)] = 6
     already_there_is_error: bool = field(default=False, metadata=NO_KEY)
+    status_digits: Literal[1, 2] = field(default=2, metadata=LATER)
+    status_decimal: bool = field(default=False, metadata=LATER)
+    zero_is_no_error: bool = field(default=False, metadata=LATER)
+    gpib_address: Annotated[int, Ge(0), Le(30)] = field(default=4, metadata=LATER)
 
 
 @dataclass(frozen=True)

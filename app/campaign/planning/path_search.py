@@ -183,7 +183,8 @@ def shorten_path(path: Ints, table: Floats, work: int) -> Ints:
     return ended[1:-1]
 
 
-# In the kernels a path is an array (n + 2,) of the points' numbers with the number n, which is not a point, at both ends.
+# In the kernels a path is an array (n + 2,) of the points' numbers with the number n, which is not a point, at both ends. They
+# assign no arrays to slices: numba compiles the text of an error message for that, which takes longer than the kernels.
 
 
 @kernel(error_model="python")
@@ -236,7 +237,8 @@ def _reverse_piece(path: Any, table: Any, forth: Any, back: Any, i: int, far: in
             best, chosen = reversed_s - present, j
     if chosen < 0:
         return False
-    path[i : chosen + 1] = path[i : chosen + 1][::-1].copy()
+    for k in range((chosen + 1 - i) // 2):
+        path[i + k], path[chosen - k] = path[chosen - k], path[i + k]
     _sums(path, table, forth, back)
     return True
 
@@ -265,13 +267,15 @@ def _move_piece(path: Any, table: Any, forth: Any, back: Any, i: int, size: int,
     if chosen < 0:
         return False
     piece = path[i:end].copy()
-    if reverse:
-        piece = piece[::-1].copy()
     if chosen < i:
-        path[chosen + size : end] = path[chosen:i].copy()
-        path[chosen : chosen + size] = piece
+        start = chosen
+        for k in range(i - 1, chosen - 1, -1):
+            path[k + size] = path[k]
     else:
-        path[i : chosen - size] = path[end:chosen].copy()
-        path[chosen - size : chosen] = piece
+        start = chosen - size
+        for k in range(end, chosen):
+            path[k - size] = path[k]
+    for k in range(size):
+        path[start + k] = piece[size - 1 - k] if reverse else piece[k]
     _sums(path, table, forth, back)
     return True

@@ -19,6 +19,8 @@ from goniotwin.protocols.tmcl import Command, CommandFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
 from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag, SearchCommand
 
+KEPT = (Parameter.MICROSTEP_RESOLUTION, Parameter.ENCODER_RESOLUTION, Parameter.STANDBY_CURRENT)
+"""Parameters that `close` leaves as they are: the scales of the counters, and what holds the axis where it is."""
 EXCHANGES_AT_START = 3
 """Number of exchanges of the start of a move: position, canary, target."""
 
@@ -76,7 +78,9 @@ class TmclAxis:
 
     def connect(self) -> None:
         """Write the settings to the module. The axis does not move. Raises DeviceError."""
-        for parameter, value in self._parameters():
+        parameters = self._parameters()
+        self._registers.note([(each, value) for each, value in parameters if each not in KEPT])
+        for parameter, value in parameters:
             self._registers.write(parameter, value)
         try:
             self._reference.errors |= self._registers.error_flags()  # reading clears them: another connection needs them too
@@ -251,6 +255,7 @@ class TmclAxis:
 
     def set_currents(self, run: int, standby: int) -> None:
         """Set the motor current while moving and at rest, of 255, until the next connection. Raises DeviceError."""
+        self._registers.note([(Parameter.RUN_CURRENT, run)])
         self._registers.write(Parameter.RUN_CURRENT, run)
         self._registers.write(Parameter.STANDBY_CURRENT, standby)
 

@@ -1,5 +1,6 @@
 """A line of TMCL modules as the motion controller of its axes."""
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
@@ -7,6 +8,8 @@ from typing import Annotated
 from annotated_types import Ge, Le
 
 from goniotwin.drivers.device import PortOpener
+from goniotwin.drivers.errors import DeviceError
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.drivers.motion.stop import StopSteps
 from goniotwin.drivers.motion.tmcl.axis import TmclAxis
@@ -40,11 +43,14 @@ class TmclController:
         axes: Mapping[str, AxisSettings],
         tap: Tap = no_tap,
         session: int = CANARY,
+        found: FoundSettings | None = None,
     ) -> None:
         """`session` is the canary: a number, not 0, that no other program has."""
         self.name = name
         addresses = [axis.module for axis in axes.values()]
-        self.module = TmclModule(open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name, session)
+        self.module = TmclModule(
+            open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name, session, found
+        )
         self.axes = {axis: TmclAxis(axis, self.module, table, clock) for axis, table in axes.items()}
 
     @property
@@ -56,6 +62,13 @@ class TmclController:
     def stop_count(self) -> int:
         """Number of stop requests so far."""
         return self.module.stop_count
+
+    def identify(self) -> str:
+        """Open the port and identify the modules. Nothing is written, nothing moves. Raises DeviceError."""
+        identity = f"TMCM-{self.module.identify()}"
+        self.module.found.take_up(identity)
+        self._restore()
+        return identity
 
     def connect(self) -> str:
         """Open the port, identify the modules, write the settings; an axis whose module has reset becomes unreferenced.
@@ -73,8 +86,13 @@ class TmclController:
         self.connect()
 
     def close(self) -> None:
-        """Close the port. Nothing moves."""
+        """Restore the settings that were found, unless a motor turns, and close the port. Nothing moves."""
+        with contextlib.suppress(DeviceError):
+            self._restore()
         self.module.close()
+
+    def _restore(self) -> None:
+        self.module.restore([(axis.settings.module, axis.settings.motor) for axis in self.axes.values()])
 
     def begin_stop(self) -> StopSteps:
         """Request a stop of all axes; return its steps. Thread-safe."""

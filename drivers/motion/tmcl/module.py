@@ -17,7 +17,7 @@ that the module has reset and lost its settings; that of another session, that a
 locks: from another computer, or another network of this one. The module is left to it, and nothing but a stop is sent any
 more. The heartbeat makes the module stop its motors after 2 s without a request: four times the interval
 between two polls of a moving axis, longer than the 1 s for which another bus may block the engine.
-(*) Firmware keeps the heartbeat in EEPROM: it is written only if it differs.
+(*) Firmware keeps the heartbeat in EEPROM: it is written only if it differs. At the end it gets back the value that was found.
 """
 
 import contextlib
@@ -28,6 +28,7 @@ from functools import partial
 
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer, Taken, unless_late
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.stop import StopPhase, StopSteps
 from goniotwin.drivers.motion.stop_lock import StopLock
 from goniotwin.drivers.motion.tmcl.port import FRAME_S_BITS, PORT_FAULTS, SLICE_S, Targets, TmclPort
@@ -36,15 +37,18 @@ from goniotwin.drivers.motion.tmcl.rules import (
     CANARY_VARIABLE,
     FIRST_MARKER,
     MARKER_VARIABLE,
+    WRITES,
     check_reply,
     is_repeatable,
+    read_request,
+    setting_name,
     starts_motion,
     unreferenced_marks,
 )
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.tmcl import HOST_ADDRESS, Command, CommandFrame, ReplyFrame, ReplyStatus
-from goniotwin.protocols.tmcl_parameters import USER_BANK, GlobalParameter
+from goniotwin.protocols.tmcl_parameters import USER_BANK, AxisParameter, GlobalParameter
 
 MODELS = (6214, 1240)
 TIMEOUT_S = 0.06
@@ -52,6 +56,7 @@ SLOW_LINE_TIMEOUT_S = 0.5
 PATIENT_TIMEOUT_S = 0.5
 ATTEMPTS, PATIENT_ATTEMPTS = 2, 3
 HEARTBEAT_S = 2.0
+STOPPING_S = 1.0
 RESYNCHRONISATIONS = 2
 EVENTS_KEPT = 100
 
@@ -74,8 +79,10 @@ class TmclModule:
         heartbeat_s: float = HEARTBEAT_S,
         name: str = "axes",
         session: int = CANARY,
+        found: FoundSettings | None = None,
     ) -> None:
         self.name = name
+        self.found = found or FoundSettings(asks=False)
         self._session = session
         self._taken: Taken | None = None
         self._open_port = open_port
@@ -121,10 +128,29 @@ class TmclModule:
         return numbers[0]
 
     def identify(self) -> int:
-        """Open the port and read the first module's number; nothing is written to the module. Raises DeviceError."""
+        """Open the port and read the numbers of the modules; return the first. Nothing is written. Raises DeviceError."""
         self._open()
         with self.patiently():
-            return self.exchange(CommandFrame(self.addresses[0], Command.FIRMWARE_VERSION, 1, 0)) >> 16
+            numbers = [self._number(address) for address in self.addresses]
+        return numbers[0]
+
+    def restore(self, motors: Sequence[tuple[int, int]]) -> None:
+        """Restore the settings that were found, when the motors (module, motor) rest. Raises DeviceError.
+
+        One that turns is stopped by the heartbeat, in a silence that is waited for.
+        """
+        if not self.found.changes:
+            return
+        with self.patiently():
+            if self._turning(motors):
+                self._clock.sleep_until(self._clock.now() + self.heartbeat_s + STOPPING_S)
+                if turning := self._turning(motors):
+                    raise DeviceError(self.name, "restore its settings", f"motor {turning[0]} turns", "connect it again")
+            present = {name: str(self.exchange(read_request(name))) for name in self.found.changes}
+            for name, value in present.items():
+                if (found := self.found.value_to_restore(name, value)) is not None:
+                    self.exchange(replace(read_request(name), command=WRITES[read_request(name).command], value=int(found)))
+        self.found.clear()
 
     @contextlib.contextmanager
     def patiently(self) -> Iterator[None]:
@@ -240,12 +266,14 @@ class TmclModule:
 
     def _initialise(self, address: int) -> int:
         """Identify a module, set its canary and heartbeat; return its number. Raises DeviceError."""
-        number = self.exchange(CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0)) >> 16
+        number = self._number(address)
         if number not in MODELS:
             raise BadAnswer(
                 self.name, f"identify module {address}", f"it is a TMCM-{number}",
                 f"this driver supports {' and '.join(f'TMCM-{each}' for each in MODELS)}",
             )  # fmt: skip
+        if address == self.addresses[0]:
+            self.found.take_up(f"TMCM-{number}")
         canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, self._session)
         if (found := self.exchange(replace(canary, command=Command.GGP, value=0))) != self._session:
             if address in self._connected:
@@ -253,11 +281,20 @@ class TmclModule:
                 self._note_reset(address)
             self.exchange(canary)
         heartbeat = CommandFrame(address, Command.SGP, GlobalParameter.HEARTBEAT, 0, round(self.heartbeat_s * 1000.0))
-        if self.exchange(replace(heartbeat, command=Command.GGP, value=0)) != heartbeat.value:
+        if (present := self.exchange(replace(heartbeat, command=Command.GGP, value=0))) != heartbeat.value:
+            self.found.note({setting_name(heartbeat): (str(present), str(heartbeat.value))})
             self.exchange(heartbeat)
         self._connected.add(address)
         self._reset.discard(address)
         return number
+
+    def _turning(self, motors: Sequence[tuple[int, int]]) -> list[int]:
+        """Those of the motors (module, motor) that turn."""
+        requests = [CommandFrame(address, Command.GAP, AxisParameter.ACTUAL_VELOCITY, motor) for address, motor in motors]
+        return [each.motor for each in requests if self.exchange(each) != 0]
+
+    def _number(self, address: int) -> int:
+        return self.exchange(CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0)) >> 16
 
     def _check_not_taken(self, address: int, value: int) -> None:
         """Raise Taken for the canary of another session, if it is read twice: a value can be corrupted unnoticed."""

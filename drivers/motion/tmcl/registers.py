@@ -1,10 +1,12 @@
 """Registers of one motor of a TMCL module: the axis parameters, positions in degrees."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from goniotwin.drivers.errors import DeviceError
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.drivers.motion.tmcl.module import TmclModule
+from goniotwin.drivers.motion.tmcl.rules import setting_name
 from goniotwin.protocols.tmcl import Command, CommandFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter as Parameter
 from goniotwin.protocols.tmcl_parameters import DriverFlag, ErrorFlag
@@ -54,6 +56,13 @@ class Registers:
     def write(self, parameter: Parameter, value: int) -> None:
         """Set an axis parameter (SAP)."""
         self.exchange(Command.SAP, parameter, value)
+
+    def note(self, parameters: Sequence[tuple[Parameter, int]]) -> None:
+        """Note parameters as they are found, before they are written; one exchange each, two on a line without pauses."""
+        found = self._module.found
+        if found.asks:
+            names = [(setting_name(self.request(Command.SAP, each)), each, str(value)) for each, value in parameters]
+            found.note({name: (str(self.read(each)), value) for name, each, value in names})
 
     def read_confirmed(self, parameter: Parameter) -> int:
         """Confirmed value of an axis parameter, in CONFIRMED_EXCHANGES. Raises Forgotten as well."""

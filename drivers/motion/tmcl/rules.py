@@ -19,6 +19,8 @@ from goniotwin.protocols.tmcl import (
 )
 from goniotwin.protocols.tmcl_parameters import USER_BANK, AxisParameter, SearchCommand
 
+WRITES: dict[int, Command] = {Command.GAP: Command.SAP, Command.GGP: Command.SGP}
+READS = {write.name: read for read, write in WRITES.items()}
 ECHOING = frozenset({Command.SAP, Command.SGP, Command.ROR, Command.ROL, Command.MST})
 REPEATABLE = frozenset({Command.GAP, Command.GGP, Command.SAP, Command.SGP, Command.MST, Command.FIRMWARE_VERSION})
 
@@ -39,6 +41,17 @@ def mark(address: int, motor: int, value: int | None = None) -> CommandFrame:
 def unreferenced_marks(address: int) -> list[CommandFrame]:
     """The requests that mark all motors of a module as unreferenced."""
     return [mark(address, motor, UNREFERENCED) for motor in range(MOTORS)]
+
+
+def setting_name(request: CommandFrame) -> str:
+    """The name of the setting that a request sets, for `FoundSettings`."""
+    return f"{Command(request.command).name} {request.address} {request.type} {request.motor}"
+
+
+def read_request(name: str) -> CommandFrame:
+    """The request that reads a setting. Raises ValueError for a text that is no name of a setting."""
+    command, address, number, motor = name.split(" ")
+    return CommandFrame(int(address), READS[command], int(number), int(motor))
 
 
 def is_repeatable(request: CommandFrame) -> bool:

@@ -196,9 +196,17 @@ def check_result(found: CaseResult) -> None:
 
 FIRST = [case for k, case in enumerate(CASES) if case.name not in [each.name for each in CASES[:k]]]
 """Each disturbance with one sample. The others, and more directions, are in the table."""
+STRAY_CASES = [case for case in FIRST if case.rig in (FRAMES, LIFTED)]
+"""Their stray light is traced, which takes longer than the run."""
 
 
-@pytest.mark.parametrize("case", FIRST, ids=[f"{case.name}-{case.sample}" for case in FIRST])
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=f"{case.name}-{case.sample}", marks=[pytest.mark.long] if case in STRAY_CASES else [])
+        for case in FIRST
+    ],
+)
 def test_each_disturbance_is_corrected_or_flagged(case: Case, tmp_path: Path) -> None:
     check_result(run_case(case, SMALL_GRID, tmp_path))
 

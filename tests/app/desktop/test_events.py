@@ -58,7 +58,7 @@ def break_photodiodes(window: MainWindow, *, broken: bool = True) -> None:
     opened = window.rig_thread._opened
     assert opened is not None
     assert opened.virtual is not None
-    opened.virtual.modbus["adc-2"].unit = 9 if broken else 1
+    opened.virtual.modbus["adc-2"].units = (9,) if broken else (1,)
 
 
 def button_of(shown: QWidget) -> QPushButton:

@@ -183,7 +183,7 @@ def handlers(qapp: QApplication) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("number", END_SIGNALS)
-@pytest.mark.usefixtures("handlers")
+@pytest.mark.usefixtures("heard_hangup", "handlers")
 def test_a_signal_ends_the_desktop(qapp: QApplication, tmp_path: Path, number: int) -> None:
     QTimer.singleShot(0, lambda: signal.raise_signal(number))
     assert run_desktop(RIG, None, tmp_path) == STOPPED

@@ -12,6 +12,8 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.app.rig.addresses import ModbusUnits, check_address, device_names, resolve_port, rtu_address
 from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.served_file import endpoint_address
+from goniotwin.mocks.served import Endpoint, Wire
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.doors import NoSuchTwin
 from goniotwin.twin.doors.registry import find
@@ -28,13 +30,25 @@ def test_an_rtu_address_has_port_unit_and_baud_rate() -> None:
 @pytest.mark.parametrize("address", [
     "rtu:", "rtu:?unit=3", "rtu:COM4?unit=0", "rtu:COM4?unit=248", "rtu:COM4?unit=x", "rtu:COM4?unit=", "rtu:COM4?unit",
     "rtu:COM4?unit=1&unit=2", "rtu:COM4?baudrate=9601", "rtu:COM4?parity=E", "rtu:COM4?unit=1,baudrate=9600",
-    "rtu:twin://virtual/adcs?unit=1", "", ":502", "adam-0:", "adam-0:0", "adam-0:65536", "adam-0:http", "adam-0:502?unit=3",
+    "rtu:twin://virtual/adcs?unit=1", "", ":502", "adam-0:", "adam-0:0", "adam-0:65536", "adam-0:http",
+    "adam-0:502?unit=256", "adam-0:502?unit=-1", "adam-0:502?baudrate=9600", "adam-0?unit=", "adam-0:502?3",
 ])  # fmt: skip
 def test_an_invalid_address_is_refused_with_its_text(address: str) -> None:
     with pytest.raises(UserError) as error:
         ModbusUnits(None).unit(address)
     assert repr(address) in str(error.value)
     assert "rig file" in str(error.value)
+
+
+@pytest.mark.parametrize(("address", "unit"), [("adam-0", 1), ("adam-0?unit=0", 0), ("[::1]:502?unit=255", 255)])
+def test_a_module_over_tcp_may_respond_to_another_unit(address: str, unit: int) -> None:
+    check_address(address)
+    assert ModbusUnits(None).unit(address).unit == unit
+
+
+@pytest.mark.parametrize(("unit", "address"), [(1, "127.0.0.1:5020"), (0, "127.0.0.1:5020?unit=0")])
+def test_a_served_module_is_found_by_its_unit(unit: int, address: str) -> None:
+    assert endpoint_address(Endpoint("adc-0", "adam-6017", Wire.MODBUS_TCP, host="127.0.0.1", port=5020, unit=unit)) == address
 
 
 def test_units_of_one_port_share_one_bus() -> None:
@@ -55,6 +69,7 @@ def test_units_of_one_port_share_one_bus() -> None:
     [
         ("rtu:/dev/ttyUSB1?unit=3&baudrate=9600", "/dev/ttyUSB1"),
         ("127.0.0.1", "127.0.0.1:502"),
+        ("127.0.0.1?unit=255", "127.0.0.1:502"),
         ("127.0.0.1", "rtu:127.0.0.1"),
         ("localhost:4001", "socket://127.0.0.1:4001"),
         ("LOCALHOST:4001", "localhost:4001"),

@@ -156,9 +156,10 @@ def test_converters_on_a_serial_line_stay_on_a_serial_line() -> None:
     lines = ", ".join(f'"rtu:/dev/ttyUSB1?unit={k + 1}&baudrate=19200"' for k in range(5))
     twin = described(
         (f"units = [{units}]", f"units = [{lines}]"),
-        ('kind = "adam-6017"', 'kind = "adam-4117"'),
+        ('kind = "adam-6017"', 'kind = "adam-4117"\nraw_format = "twos-complement"'),
         ("gains_v_per_a = [1e6, 1e8, 1e10, 1e11]", "gains_v_per_a = [1e10]"),
     )
     assert (model(twin).electronics.module, model(twin).electronics.baudrate) == ("adam-4117", 19200)
+    assert model(twin).electronics.raw_format == "twos-complement"
     with open_rig(twin.rig, VirtualClock()) as opened:
         opened.connect()

@@ -13,6 +13,7 @@ import pytest
 from goniotwin.app.rig import parse_rig, read_rig
 from goniotwin.app.rig.model_hash import canonical_text, model_hash, model_hashes, old_model_hash
 from goniotwin.app.rig.twin_file import twin_model
+from goniotwin.keys import LATER
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import spectral_table
 from tests.conftest import RIG, Change, changed
@@ -80,7 +81,11 @@ def renamed(value: Any) -> Any:
     """The same value with every dataclass replaced by one of another name, with its fields in another order."""
     if is_dataclass(value) and not isinstance(value, type):
         content = {entry.name: renamed(getattr(value, entry.name)) for entry in reversed(fields(value))}
-        return make_dataclass(f"Other{type(value).__name__[::-1]}", list(content), frozen=True, eq=False)(**content)
+        columns = [
+            (entry.name, Any, field(default=entry.default, metadata=entry.metadata, kw_only=True))
+            for entry in reversed(fields(value))
+        ]
+        return make_dataclass(f"Other{type(value).__name__[::-1]}", columns, frozen=True, eq=False)(**content)
     if isinstance(value, tuple):
         return tuple(renamed(each) for each in value)
     if isinstance(value, MappingProxyType | dict):
@@ -202,6 +207,19 @@ def test_a_model_that_version_1_cannot_represent_has_no_old_hash() -> None:
     assert old_model_hash(replace(model, light=light())) == old_model_hash(replace(model, light=type(model.light)()))
     assert old_model_hash(replace(model, light=light(later=0.5))) is None
     assert len(model_hashes(replace(model, light=light(later=0.5)))) == 1
+
+
+def test_a_later_field_counts_only_where_it_is_not_at_its_default() -> None:
+    model = model_of("virtual")
+    later = ("later", bool, field(default=False, metadata=LATER))
+    light = make_dataclass("Light", [later], bases=(type(model.light),), frozen=True)
+    plain = model_hash(replace(model, light=type(model.light)()))
+    assert model_hash(replace(model, light=light())) == plain
+    assert model_hash(replace(model, light=light(later=True))) != plain
+
+
+def test_version_2_does_not_change() -> None:
+    assert model_hash(model_of("virtual")) == "2:53c954a4394e10c9"
 
 
 def test_the_hashes_of_a_rig_file_are_those_of_its_model() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from goniotwin.protocols import adam
-from goniotwin.twin.devices import Adam4117, Adam6017
+from goniotwin.twin.devices import Adam4117, Adam6017, ConverterModule
 from goniotwin.twin.devices.adam import ModbusFault
 from goniotwin.twin.plant import Plant
 from tests.conftest import RigOpener
@@ -61,7 +61,8 @@ def test_maximum_and_minimum_hold_an_unread_peak_until_they_are_reset(module: Ad
 
 
 @pytest.mark.parametrize("code", sorted(adam.RANGES))
-def test_each_range_scales_and_clips(module: Adam6017, plant: Plant, code: int) -> None:
+def test_each_range_scales_and_clips(module: ConverterModule, plant: Plant, code: int) -> None:
+    module = module if code in module.model.ranges else Adam4117(plant, 0)
     module.write_registers(adam.RANGE_CODE, [code] * 8, T)
     t = T + 1.0
     volts = plant.volts(0, t)
@@ -79,10 +80,12 @@ def test_a_change_of_range_loses_the_next_reading(module: Adam6017, plant: Plant
     assert module.registers(adam.AI_VALUE, 8, T + 1.0) == after
 
 
-def test_a_broken_wire_shows_in_the_range_of_4_to_20_ma(module: Adam6017) -> None:
-    assert module.coils(adam.BURN_OUT, 8, T) == [False] * 8
-    module.write_registers(adam.RANGE_CODE + 2, [adam.FOUR_TO_TWENTY_MA], T)
-    assert module.coils(adam.BURN_OUT, 8, T + 1.0) == [channel == 2 for channel in range(8)]
+def test_a_broken_wire_shows_in_the_range_of_4_to_20_ma(module: Adam6017, plant: Plant) -> None:
+    """Coils 0 to 7 of an ADAM-4117: two public drivers, `ADAM411xRegister` of SolarNode and `Adam_4117` for MinimalModbus."""
+    for each, first, code in ((module, 120, 0x0180), (Adam4117(plant, 0), 0, 0x07)):
+        assert each.coils(first, 8, T) == [False] * 8
+        each.write_registers(adam.RANGE_CODE + 2, [code], T)
+        assert each.coils(first, 8, T + 1.0) == [channel == 2 for channel in range(8)]
     assert module.coils(adam.HIGH_ALARM, 8, T) + module.coils(adam.LOW_ALARM, 8, T) == [False] * 16
 
 
@@ -118,6 +121,10 @@ def test_a_serial_module_has_no_outputs_and_no_statistics_but_a_watchdog(plant: 
     module = Adam4117(plant, 0)
     assert module.registers(adam.MODULE_NAME, 2, T) == [0x4117, 0x0000]
     assert module.registers(adam.COMM_SAFETY_ENABLE, 2, T) == [0, 0]
+    assert module.registers(adam.RANGE_CODE, 8, T) == [0x08] * 8
+    for foreign in (0x0143, 0x02):
+        with pytest.raises(ModbusFault, match="3"):
+            module.write_registers(adam.RANGE_CODE, [foreign], T)
     module.write_registers(adam.COMM_SAFETY_ENABLE, [1], T)
     assert module.registers(adam.COMM_SAFETY_ENABLE, 2, T) == [1, 0]
     for address in (adam.AVERAGE, adam.MAXIMUM, adam.FLOAT_VALUE):

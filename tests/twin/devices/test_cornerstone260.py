@@ -1,6 +1,7 @@
 """The virtual monochromator, by its lines."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -29,21 +30,22 @@ def exchange(device: Cornerstone260, line: bytes, t: float) -> list[tuple[float,
     return answers
 
 
-def test_it_echoes_and_answers(device: Cornerstone260) -> None:
-    (echo, answer) = exchange(device, b"WAVE?\n", 200.0)
-    assert echo == (200.0, b"WAVE?\r\n")
+@pytest.mark.parametrize("line", [b"WAVE?\n", b"wave? \r\n"])
+def test_it_echoes_byte_for_byte_and_answers(device: Cornerstone260, line: bytes) -> None:
+    (echo, answer) = exchange(device, line, 200.0)
+    assert echo == (200.0, line)  # MCS260 p. 50: to WAVE?[lf] it answers WAVE?[lf]500[cr][lf]
     assert answer[1] == b"550.000\r\n"
 
 
 def test_while_it_moves_the_next_answer_waits(device: Cornerstone260) -> None:
-    assert [text for _, text in exchange(device, b"GOWAVE 725\n", 200.0)] == [b"GOWAVE 725\r\n"]
+    assert [text for _, text in exchange(device, b"GOWAVE 725\n", 200.0)] == [b"GOWAVE 725\n"]  # p. 50
     (_, answer) = exchange(device, b"wave?\n", 200.1)
     assert answer[1] == b"725.000\r\n"
     assert answer[0] == pytest.approx(200.0 + 175.0 / 175.0 + 0.1, abs=0.01)  # 175 nm at 175 nm/s, and 0.1 s to settle
 
 
 def test_handshake_mode_reports_completion(device: Cornerstone260) -> None:
-    assert [text for _, text in exchange(device, b"HANDSHAKE 1\n", 200.0)] == [b"HANDSHAKE 1\r\n", b"00\r\n"]
+    assert [text for _, text in exchange(device, b"HANDSHAKE 1\n", 200.0)] == [b"HANDSHAKE 1\n", b"00\r\n"]  # p. 51
     (_, done) = exchange(device, b"SHUTTER O\n", 201.0)
     assert done[1] == b"00\r\n"
     assert done[0] == pytest.approx(201.15, abs=0.01)
@@ -58,10 +60,39 @@ def test_handshake_mode_reports_completion(device: Cornerstone260) -> None:
 )
 def test_errors_are_silent_until_asked_for(device: Cornerstone260, line: bytes, error: bytes) -> None:
     assert len(exchange(device, line, 200.0)) == 1  # the echo
-    assert exchange(device, b"STB?\n", 201.0)[1][1] == b"32\r\n"
+    assert exchange(device, b"STB?\n", 201.0)[1][1] == b"20\r\n"  # MCS260 p. 58, in either mode
     assert exchange(device, b"STB?\n", 202.0)[1][1] == b"00\r\n"
     assert exchange(device, b"ERROR?\n", 203.0)[1][1] == error + b"\r\n"
-    assert exchange(device, b"ERROR?\n", 204.0)[1][1] == b"0\r\n"
+    assert exchange(device, b"ERROR?\n", 204.0)[1][1] == b"\r\n"  # 0 is a system error (p. 58); fsc2's oriel_cs_260.c
+
+
+@pytest.mark.parametrize(
+    ("unit", "without", "with_error", "no_error"),
+    [
+        ({"status_digits": 1, "status_decimal": True}, b"0", b"32", b""),  # fsc2's oriel_cs_260.c
+        ({"status_decimal": True, "zero_is_no_error": True}, b"00", b"32", b"0"),  # MCS260B p. 62
+    ],
+)
+@pytest.mark.parametrize("handshake", [False, True])
+def test_units_differ_in_status_and_error(
+    rig: VirtualRig, unit: dict[str, Any], without: bytes, with_error: bytes, no_error: bytes, handshake: bool
+) -> None:
+    rig.plant.model = replace(rig.plant.model, monochromator=replace(rig.plant.model.monochromator, **unit))
+    device = Cornerstone260(rig.plant)
+    exchange(device, b"HANDSHAKE %d\n" % handshake, 200.0)
+    status = [without] * handshake
+    assert lines(device, b"STB?\n", 201.0) == [without, *status]
+    assert lines(device, b"ERROR?\n", 202.0) == [no_error, *status]
+    assert lines(device, b"GOWAVE x\n", 203.0) == [with_error] * handshake
+    assert lines(device, b"STB?\n", 204.0) == [without if handshake else with_error, *status]  # sent is read
+    assert lines(device, b"ERROR?\n", 205.0) == [b"2", *status]
+
+
+def test_it_has_a_gpib_address_that_outlives_the_power(device: Cornerstone260) -> None:
+    assert lines(device, b"ADDRESS?\n", 200.0) == [b"4"]
+    exchange(device, b"ADDRESS  9\n", 201.0)  # as fsc2's oriel_cs_260.c sends it
+    device.reset(202.0)
+    assert lines(device, b"ADDRESS?\n", 203.0) == [b"9"]
 
 
 def test_the_shutter_lets_light_through_when_it_has_opened(rig: VirtualRig, device: Cornerstone260) -> None:
@@ -121,6 +152,9 @@ def test_a_statement_byte_by_byte_is_the_same_statement(device: Cornerstone260) 
         (b"GRAT2LINES 300", b"GRAT2LINES?", b"300"),
         (b"GRAT1ZERO 0.25", b"GRAT1ZERO?", b"0.2500"),
         (b"GRAT1FACTOR 1.001", b"GRAT1FACTOR?", b"1.001000"),
+        (b"GRAT2OFFSET -0.25", b"GRAT2OFFSET?", b"-0.250000"),
+        (b"GRAT1OFFSET 0.5", b"WAVE?", b"550.500"),
+        (b"CALIBRATE 551.5", b"GRAT1OFFSET?", b"1.500000"),
         (b"GRAT 2", b"GRAT?", b"2,600,NIR"),
         (b"FILTER 3", b"FILTER?", b"3"),
         (b"FILTER3LABEL OG550", b"FILTER3LABEL?", b"OG550"),
@@ -146,6 +180,7 @@ def test_a_query_returns_the_set_value(device: Cornerstone260, command: bytes, q
     [
         (b"GRAT1LABEL much too long", b"9"), (b"GRAT 9", b"3"), (b"GRAT9LINES?", b"2"), (b"SLIT4MICRONS 10", b"2"),
         (b"SLIT1MICRONS 99999", b"3"), (b"OUTPORT 3", b"2"), (b"UNITS ell", b"2"), (b"STEP 1.5", b"2"), (b"STEP 999999", b"3"),
+        (b"ADDRESS 31", b"2"),
         (b"HANDSHAKE 2", b"2"), (b"\xff\xfe", b"1"), (b"WAVE", b"1"), (b"GOWAVE nan", b"2"), (b"IDLE?", b"1"),
     ],
 )  # fmt: skip

@@ -1,18 +1,27 @@
 """The modules' ends of the wires: any split of the bytes gives the same requests, and rubbish gives none."""
 
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
+from goniotwin.protocols import adam
 from goniotwin.twin.devices import Adam4117, Adam6017, ConverterModule, RtuStation, TcpStation
 from goniotwin.twin.optics import Instrument
-from goniotwin.twin.plant import Plant, TwinModel
+from goniotwin.twin.plant import Electronics, Plant, TwinModel
 
 BYTE_S = 10 / 9600
-PLANT = Plant(TwinModel(seed=1, axes={}, samples={}, instrument=Instrument(), noise=False))
+
+
+def plant_of(**electronics: Any) -> Plant:
+    model = TwinModel(seed=1, axes={}, samples={}, instrument=Instrument(), noise=False, electronics=Electronics(**electronics))
+    return Plant(model)
+
+
+PLANT = plant_of()
 
 
 def rtu(body: str) -> bytes:
@@ -86,7 +95,7 @@ def test_a_wrong_checksum_is_silent_until_the_next_gap() -> None:
 @pytest.mark.parametrize(("request_", "answer"), [
     ("01 2B 0E 01 00", "01 AB 01"), ("01 17 0000 0001 0000 0001 02 0000", "01 97 01"), ("01 07", "01 87 01"),
     ("01 03 0000 0000", "01 83 03"), ("01 03 0000 007E", "01 83 03"), ("01 05 0010 1234", "01 85 03"),
-    ("01 10 00C8 0002 02 0143", "01 90 03"), ("01 03 0063 0001", "01 83 02"), ("01 08 0000 A55A", "01 08 0000 A55A"),
+    ("01 10 00C8 0002 02 0008", "01 90 03"), ("01 03 0063 0001", "01 83 02"), ("01 08 0000 A55A", "01 08 0000 A55A"),
     ("01 08 0001 0000", "01 88 01"), ("01 06 00C8 9999", "01 86 03"),
 ])  # fmt: skip
 def test_what_a_module_does_not_do_is_an_exception(request_: str, answer: str) -> None:
@@ -97,11 +106,41 @@ def test_what_a_module_does_not_do_is_an_exception(request_: str, answer: str) -
 
 def test_all_units_of_a_line_hear_a_broadcast_and_none_answers() -> None:
     station = line()
-    station.receive(rtu("00 06 00C8 0148"), 10.0)
+    station.receive(rtu("00 06 00C8 0048"), 10.0)
     assert take_answers(station) == []
-    assert [device.inputs.ranges[0] for device in station.devices] == [0x0148, 0x0148]
+    assert [device.inputs.ranges[0] for device in station.devices] == [0x48, 0x48]
     station.receive(rtu("03 03 0000 0001"), 11.0)
     assert take_answers(station) == []
+
+
+def test_a_module_without_function_16_has_function_6() -> None:
+    station = RtuStation([Adam4117(plant_of(module="adam-4117", multiple_writes=False), 0, 1)])
+    station.receive(rtu("01 10 00C8 0001 02 0009"), 10.0)
+    assert take_answers(station) == [rtu("01 90 01")]
+    station.receive(rtu("01 06 00C8 0009"), 11.0)
+    station.receive(rtu("01 04 00C8 0001"), 12.0)
+    assert take_answers(station) == [rtu("01 06 00C8 0009"), rtu("01 04 02 0009")]
+
+
+def test_the_format_of_raw_values_is_a_setting_of_the_module() -> None:
+    """Twos complement: ADAM-4000 Series User's Manual, B.1.3. Unsigned: the maker's .NET library divides by 65535."""
+    formats: tuple[adam.RawFormat, ...] = ("unsigned", "twos-complement")
+    devices = [Adam4117(plant_of(module="adam-4117", raw_format=each), 0, 1) for each in formats]
+    for address, count in ((0, 8), (1, 1), (0, 1)):
+        unsigned, signed = ([*device.registers(address, count, 10.0)] for device in devices)
+        assert [value ^ 0x8000 for value in unsigned] == signed
+    assert unsigned[0] in range(0x8000, 0x8010)  # dark, 1 mV: just above zero
+
+
+@pytest.mark.parametrize(("units", "answered"), [(None, {0, 1, 255}), ((1,), {1}), ((7, 8), {7, 8})])
+def test_which_units_a_module_answers_over_tcp_is_a_setting(units: tuple[int, ...] | None, answered: set[int]) -> None:
+    """255, and 0 as well, are units of a server that needs none: Modbus Messaging on TCP/IP 1.0b, p. 23, as quoted."""
+    device = Adam6017(PLANT if units is None else plant_of(tcp_units=units), 0)
+    assert device.unit == (1 if units is None else units[0])
+    station = TcpStation(device)
+    for unit in range(256):
+        station.receive(bytes.fromhex(f"0001 0000 0006 {unit:02x} 03 00D2 0001"), 10.0)
+    assert {answer[6] for answer in take_answers(station)} == answered
 
 
 def test_a_silent_module_leaves_its_neighbours_alone() -> None:

@@ -1,4 +1,4 @@
-"""The cache of compiled functions."""
+"""Compiled functions, and their cache."""
 
 import importlib
 import os
@@ -7,6 +7,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from goniotwin.twin.optics.kernel import kernel
 
 SOURCE = """
 from typing import NamedTuple
@@ -37,6 +39,40 @@ def import_anew(folder: Path, name: str, factor: float, changed_s: int) -> Modul
     sys.modules.pop(MODULE, None)
     importlib.invalidate_caches()
     return importlib.import_module(MODULE)
+
+
+CONSTANTS = """
+from goniotwin.twin.optics.kernel import kernel
+
+
+@kernel()
+def added(number, count):
+    return number + count
+
+
+@kernel()
+def result():
+    count = 0
+    while count < 3:
+        count = added(count, 1)
+    return added(count, 2)
+"""
+
+
+def test_a_kernel_is_compiled_once_for_all_constants(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "kernel_of_constants.py").write_text(CONSTANTS, encoding="utf-8")
+    module = importlib.import_module("kernel_of_constants")
+    assert module.result() == 5
+    assert len(module.added.signatures) == 1
+    sys.modules.pop("kernel_of_constants")
+
+
+def test_without_numbas_compiler_a_kernel_is_the_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with NUMBA_DISABLE_JIT=1, for a debugger."""
+    monkeypatch.setattr("numba.core.config.DISABLE_JIT", True)
+    assert kernel()(import_anew) is import_anew
 
 
 def test_a_cache_that_names_a_renamed_class_is_compiled_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

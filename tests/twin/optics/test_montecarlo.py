@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import njit
 
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
+from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import high_16, low_16, scramble, uniform, upper_24, word, word_key
 from tests.sizes import parted
 
 COUNT = 1 << 20
 
 
-@njit
+@kernel()
 def numbers(block: int, count: int) -> Any:
     """Numbers made of the three words of a block's paths."""
     key = scramble(np.uint64(block))
@@ -55,7 +55,7 @@ def test_blocks_are_independent() -> None:
         assert abs(chi_square(np.histogram2d(drawn[1:, 0, a], drawn[:-1, 0, a], 32, [[0, 1], [0, 1]])[0])) < 4.5
 
 
-@njit
+@kernel()
 def applied(which: int, values: Any) -> Any:
     result = np.empty(values.size)
     for i in range(values.size):

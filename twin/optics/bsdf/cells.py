@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.tables import azimuth_place, find_interval, phi_in_list, specular_angles, specular_vector
+from goniotwin.twin.optics.bsdf.tables import specular_vector
 from goniotwin.twin.optics.geometry.coordinates import from_specular
 from goniotwin.twin.optics.kernel import kernel
 
@@ -43,69 +43,63 @@ def _phi_edges(ph: Floats, j: int) -> tuple[float, float]:
     return ph[j], ph[j + 1]
 
 
-@kernel()
-def _cell_density(ph: Floats, th: Floats, shares: Floats, n: int, m: int, theta: float, phi: float) -> float:
-    """Density in 1/sr of the list of psi n and sigma m."""
+@kernel(forceinline=True)
+def _share(shares: Floats, n: int, m: int, cell: int) -> float:
+    """Share of the light that one cell of the list of psi n and sigma m scatters."""
+    below = shares[n, m, cell - 1] if cell > 0 else 0.0
+    return shares[n, m, cell] - below  # type: ignore[no-any-return]
+
+
+@kernel(forceinline=True)
+def cell_density(
+    ph: Floats, th: Floats, shares: Floats, n: int, n1: int, share: float, m: int, a: float, j: int, k: int, theta: float
+) -> float:  # fmt: skip
+    """Density in 1/sr of `cell_direction`, at the places of light and observer: linear between neighbouring sigma and psi."""
     count, lead = theta_cells(th)
-    k = 0
-    if theta >= th[0]:
-        k = lead + (find_interval(th, theta)[0] if theta < th[th.size - 1] else th.size - 1)
-    k = min(k, count - 1)
-    j = find_interval(ph, phi)[0]
+    if theta < th[0]:
+        k = 0
+    else:
+        k = min(lead + (k if theta < th[th.size - 1] else th.size - 1), count - 1)
     start, end = _phi_edges(ph, j)
     # In a list over 180 deg a cell lies on both sides of the plane of incidence.
     sides = 2.0 if ph.size > 1 and ph[ph.size - 1] <= 180.0 else 1.0
     area = 2.0 * sides * math.radians(end - start) * (_height(th, lead, k + 1) - _height(th, lead, k))
-    cell = j * count + k
-    below = shares[n, m, cell - 1] if cell > 0 else 0.0
-    return (shares[n, m, cell] - below) / area  # type: ignore[no-any-return]
-
-
-@kernel()
-def cell_density(
-    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
-    """Density in 1/sr of `cell_direction`: linear between the lists of the neighbouring sigma and psi."""
-    sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
-    n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
-    phi = phi_in_list(ph, sign * phi)
-    m, a = find_interval(sig, sigma)
-    m1 = min(m + 1, sig.size - 1)
-    result = (1.0 - share) * (1.0 - a) * _cell_density(ph, th, shares, n, m, theta, phi)
+    cell, m1 = j * count + k, min(m + 1, shares.shape[1] - 1)
+    result = (1.0 - share) * (1.0 - a) * (_share(shares, n, m, cell) / area)
     if a > 0.0:
-        result += (1.0 - share) * a * _cell_density(ph, th, shares, n, m1, theta, phi)
+        result += (1.0 - share) * a * (_share(shares, n, m1, cell) / area)
     if share > 0.0:
-        result += share * (1.0 - a) * _cell_density(ph, th, shares, n1, m, theta, phi)
-        result += share * a * _cell_density(ph, th, shares, n1, m1, theta, phi)
+        result += share * (1.0 - a) * (_share(shares, n1, m, cell) / area)
+        result += share * a * (_share(shares, n1, m1, cell) / area)
     return result
 
 
-@kernel()
+@kernel(forceinline=True)
 def cell_direction(
-    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, shares: Floats,
+    ph: Floats, th: Floats, shares: Floats, n: int, n1: int, share: float, sign: float, m: int, a: float,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Direction from three uniform numbers in [0, 1): `choice` selects the list, u the cell and theta in it, v phi."""
-    n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
-    m, a = find_interval(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
+    """Direction for light at its place, from three uniform numbers in [0, 1).
+
+    `choice` selects the list, u the cell and theta in it, v phi.
+    """
     if choice < share:
         n, choice = n1, choice / share
     else:
         choice = (choice - share) / (1.0 - share)
     if choice < a:
-        m = min(m + 1, sig.size - 1)
-    low, high = -1, shares.shape[2] - 1
-    while high - low > 1:
-        middle = (low + high) // 2
+        m = min(m + 1, shares.shape[1] - 1)
+    low, cell = -1, shares.shape[2] - 1
+    while cell - low > 1:
+        middle = (low + cell) // 2
         if shares[n, m, middle] <= u:
             low = middle
         else:
-            high = middle
-    below = shares[n, m, low] if low >= 0 else 0.0
-    rest = (u - below) / (shares[n, m, high] - below)
+            cell = middle
+    below = shares[n, m, cell - 1] if cell > 0 else 0.0
+    rest = (u - below) / (shares[n, m, cell] - below)
     count, lead = theta_cells(th)
-    j, k = high // count, high % count
+    j, k = cell // count, cell % count
     bottom = _height(th, lead, k)
     theta = 2.0 * math.asin(math.sqrt(min(1.0, bottom + rest * (_height(th, lead, k + 1) - bottom))))
     start, end = _phi_edges(ph, j)

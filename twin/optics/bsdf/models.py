@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.tables import anisotropic_value, find_interval, hermite_weights, table_value
+from goniotwin.twin.optics.bsdf.tables import find_interval, hermite_weights, table_value
 from goniotwin.twin.optics.kernel import kernel
 
 LAMBERTIAN = 0
@@ -109,10 +109,8 @@ def bsdf(
     """Value in 1/sr of a lobe for canonical light l and observer d; 0 for a REGULAR one."""
     if kind == REGULAR:
         return 0.0
-    if kind == TABLE:
-        return table_value(sig, ph, th, table, lx, ly, lz, dx, dy, dz)
-    if kind == ANISOTROPIC:
-        return anisotropic_value(sig, ph, th, psi, params[0], params[1], table, lx, ly, lz, dx, dy, dz)
+    if kind in (TABLE, ANISOTROPIC):
+        return table_value(params, sig, ph, th, psi, table, lx, ly, lz, dx, dy, dz)
     if kind == GAUSSIAN:
         lx, ly, lz = refract(params[4], lx, ly, lz)
     return analytic_value(kind, params[0], params[1], params[2], lx, ly, lz, dx, dy, dz)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from goniotwin.arrays import Floats, Ints
-from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe
+from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, freeze
 from goniotwin.twin.optics.bsdf.models import from_canonical, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.kernel import kernel
@@ -20,7 +20,8 @@ class Lobes(NamedTuple):
     """Packed lobes: `heads` (lobes, 12), see above; ABOVE is 1 for lobes that take light from z > 0 of the scene's frame.
 
     `params` (lobes, 8), `weights` (lobes,), `albedos` (lobes, 6) at `sines` of incidence (6,), and all arrays of all lobes,
-    `flat`; these start at `starts` (lobes, 6).
+    `flat`; these start at `starts` (lobes, 6). `params` and `flat` are read-only as a lobe's own arrays are, so that
+    the kernels of one lobe are compiled once for both.
     """
 
     heads: Ints
@@ -46,11 +47,11 @@ def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes
         flat += [each.ravel() for each in arrays]
     return Lobes(
         np.array(heads, dtype=np.int64),
-        np.array([lobe.params for lobe in lobes]),
+        freeze([lobe.params for lobe in lobes]),
         np.array(weights, dtype=np.float64),
         np.array([lobe.albedos for lobe in lobes]),
         np.sin(np.radians(ALBEDO_SIGMA_DEG)),
-        np.concatenate(flat),
+        freeze(np.concatenate(flat)),
         np.array(starts, dtype=np.int64),
     )
 

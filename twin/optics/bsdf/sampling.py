@@ -16,12 +16,12 @@ from goniotwin.twin.optics.bsdf.models import (
     GAUSSIAN,
     REGULAR,
     TABLE,
-    bsdf,
+    analytic_value,
     from_canonical,
     refract,
     regular_share,
 )
-from goniotwin.twin.optics.bsdf.tables import specular_vector
+from goniotwin.twin.optics.bsdf.tables import light_place, observer_place, specular_vector, value_at
 from goniotwin.twin.optics.kernel import kernel
 
 # Share of the draws of a Gaussian or a table that follow its shape.
@@ -50,7 +50,7 @@ def analytic_density(
 def analytic_sample(
     kind: int, exponent: float, cut: float, lx: float, ly: float, lz: float, u: float, v: float, choice: float
 ) -> tuple[float, float, float]:
-    """`sample` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one.
+    """Direction of `scatter` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one.
 
     l is from `refract`, as in `analytic_value`.
     """
@@ -67,33 +67,38 @@ def density(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
     lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """Density of the canonical directions that `sample` draws, in 1/sr; 0 for a REGULAR lobe, which has one direction only."""
+    """Density of the canonical directions that `scatter` draws, in 1/sr; 0 for a REGULAR lobe, which has one direction only."""
     if kind == REGULAR:
         return 0.0
     if kind in (TABLE, ANISOTROPIC):
-        own = cell_density(params, sig, ph, th, psi, cells, lx, ly, lz, dx, dy, dz)
+        n, n1, share, sign, m, a = light_place(sig, psi, params, lx, ly, lz)
+        j, _, k, _, theta = observer_place(ph, th, sign, lx, ly, lz, dx, dy, dz)
+        own = cell_density(ph, th, cells, n, n1, share, m, a, j, k, theta)
         return LOBE_SHARE * own + (1.0 - LOBE_SHARE) * max(dz, 0.0) / math.pi
     if kind == GAUSSIAN:
         lx, ly, lz = refract(params[4], lx, ly, lz)
     return analytic_density(kind, params[1], params[3], lx, ly, lz, dx, dy, dz)
 
 
-@kernel()
-def sample(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
+@kernel(forceinline=True)
+def scatter_by_table(
+    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Canonical direction from three uniform numbers in [0, 1).
-
-    It may point below the surface, where nothing is scattered. For a REGULAR lobe it is the specular direction.
-    """
-    if kind == REGULAR:
-        return -lx, -ly, lz
-    if kind in (TABLE, ANISOTROPIC) and choice < LOBE_SHARE and lz > 0.0:
-        return cell_direction(params, sig, ph, th, psi, cells, lx, ly, lz, u, v, choice / LOBE_SHARE)
-    if kind == GAUSSIAN:
-        lx, ly, lz = refract(params[4], lx, ly, lz)
-    return analytic_sample(kind, params[1], params[3], lx, ly, lz, u, v, choice)
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """`scatter` of a table: the places of light and observer in it are found once for draw, value and density."""
+    n, n1, share, sign, m, a = light_place(sig, psi, params, lx, ly, lz)
+    if choice < LOBE_SHARE and lz > 0.0:
+        dx, dy, dz = cell_direction(ph, th, cells, n, n1, share, sign, m, a, lx, ly, lz, u, v, choice / LOBE_SHARE)
+    else:
+        dx, dy, dz = analytic_sample(TABLE, 0.0, 0.0, lx, ly, lz, u, v, choice)
+    if lz <= 0.0 or dz <= 0.0:
+        return dx, dy, dz, 0.0
+    j, b, k, c, theta = observer_place(ph, th, sign, lx, ly, lz, dx, dy, dz)
+    value = value_at(sig, table, n, n1, share, m, a, j, b, k, c)
+    if value == 0.0:
+        return dx, dy, dz, 0.0
+    own = cell_density(ph, th, cells, n, n1, share, m, a, j, k, theta)
+    return dx, dy, dz, value * dz / (LOBE_SHARE * own + (1.0 - LOBE_SHARE) * max(dz, 0.0) / math.pi)
 
 
 @kernel()
@@ -101,18 +106,21 @@ def scatter(
     kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
     lx: float, ly: float, lz: float, u: float, v: float, choice: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Drawn direction and its weight: value times cosine over density; for a REGULAR lobe its share of the light.
+    """Canonical direction from three uniform numbers in [0, 1), and its weight: value times cosine over density.
 
-    The mean of the weight is the lobe's albedo. It is 0 where the direction points below the surface.
+    The mean of the weight is the lobe's albedo. It is 0 where the direction points below the surface. The direction of a
+    REGULAR lobe is the specular one, and its weight the lobe's share of the light.
     """
-    dx, dy, dz = sample(kind, params, sig, ph, th, psi, cells, lx, ly, lz, u, v, choice)
     if kind == REGULAR:
-        return dx, dy, dz, regular_share(params, sig, table, lx, ly, lz)
-    value = bsdf(kind, params, sig, ph, th, psi, table, lx, ly, lz, dx, dy, dz)
+        return -lx, -ly, lz, regular_share(params, sig, table, lx, ly, lz)
+    if kind in (TABLE, ANISOTROPIC):
+        return scatter_by_table(params, sig, ph, th, psi, table, cells, lx, ly, lz, u, v, choice)
+    ax, ay, az = refract(params[4], lx, ly, lz) if kind == GAUSSIAN else (lx, ly, lz)
+    dx, dy, dz = analytic_sample(kind, params[1], params[3], ax, ay, az, u, v, choice)
+    value = analytic_value(kind, params[0], params[1], params[2], ax, ay, az, dx, dy, dz)
     if value == 0.0:
         return dx, dy, dz, 0.0
-    weight = value * dz / density(kind, params, sig, ph, th, psi, cells, lx, ly, lz, dx, dy, dz)
-    return dx, dy, dz, weight
+    return dx, dy, dz, value * dz / analytic_density(kind, params[1], params[3], ax, ay, az, dx, dy, dz)
 
 
 @kernel()

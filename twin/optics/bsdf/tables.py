@@ -42,13 +42,13 @@ def plane_of_incidence(lx: float, ly: float) -> tuple[float, float, float]:
 
 
 @kernel(forceinline=True)
-def specular_angles(lx: float, ly: float, lz: float, dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """sigma, theta and phi of a pair of directions, in degrees; phi within -180 and 180."""
+def specular_angles(lx: float, ly: float, lz: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
+    """theta and phi of a pair of directions, in degrees; phi within -180 and 180."""
     sine, ux, uy = plane_of_incidence(lx, ly)
     radial = ux * dx + uy * dy
     inward, across, along = lz * radial + sine * dz, ux * dy - uy * dx, lz * dz - sine * radial
     theta = math.degrees(math.atan2(math.sqrt(inward * inward + across * across), along))
-    return math.degrees(math.atan2(sine, lz)), theta, math.degrees(math.atan2(across, inward))
+    return theta, math.degrees(math.atan2(across, inward))
 
 
 @kernel(forceinline=True)
@@ -93,46 +93,62 @@ def hermite_weights(a: float, step: float) -> tuple[float, float, float, float]:
     return rest * rest * (1.0 + 2.0 * a), a * a * (3.0 - 2.0 * a), step * a * rest * rest, -step * a * a * rest
 
 
-@kernel()
-def look_up(sig: Floats, ph: Floats, th: Floats, table: Floats, block: int, sigma: float, theta: float, phi: float) -> float:
-    """Value of one block of psi: cubic in sigma, linear in phi and theta; end values hold beyond each list."""
-    i, a = find_interval(sig, sigma)
-    j, b = find_interval(ph, phi_in_list(ph, phi))
+@kernel(forceinline=True)
+def light_place(
+    sig: Floats, psi: Floats, params: Floats, lx: float, ly: float, lz: float
+) -> tuple[int, int, float, float, int, float]:
+    """The light's place: `azimuth_place`, then the interval of sigma and the relative position in it."""
+    n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
+    m, a = find_interval(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
+    return n, n1, share, sign, m, a
+
+
+@kernel(forceinline=True)
+def observer_place(
+    ph: Floats, th: Floats, sign: float, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
+) -> tuple[int, float, int, float, float]:  # fmt: skip
+    """The observer's place: the intervals of phi and theta, each with the relative position in it, and theta in deg."""
+    theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
+    j, b = find_interval(ph, phi_in_list(ph, sign * phi))
     k, c = find_interval(th, theta)
-    i1, j1, k1 = min(i + 1, sig.size - 1), min(j + 1, ph.size - 1), min(k + 1, th.size - 1)
-    weights = hermite_weights(a, sig[i1] - sig[i])
+    return j, b, k, c, theta
+
+
+@kernel(forceinline=True)
+def _block_value(
+    sig: Floats, table: Floats, block: int, m: int, a: float, j: int, b: float, k: int, c: float
+) -> float:  # fmt: skip
+    """Value of one block of psi: cubic in sigma, linear in phi and theta; end values hold beyond each list."""
+    m1, j1, k1 = min(m + 1, table.shape[1] - 1), min(j + 1, table.shape[2] - 1), min(k + 1, table.shape[3] - 1)
+    weights = hermite_weights(a, sig[m1] - sig[m])
     total = 0.0
     for term in range(4):
-        part, m = 2 * block + term // 2, i if term % 2 == 0 else i1
-        near = (1.0 - c) * table[part, m, j, k] + c * table[part, m, j, k1]
-        far = (1.0 - c) * table[part, m, j1, k] + c * table[part, m, j1, k1]
+        part, i = 2 * block + term // 2, m if term % 2 == 0 else m1
+        near = (1.0 - c) * table[part, i, j, k] + c * table[part, i, j, k1]
+        far = (1.0 - c) * table[part, i, j1, k] + c * table[part, i, j1, k1]
         total += weights[term] * ((1.0 - b) * near + b * far)
     return total
 
 
-@kernel()
-def table_value(
-    sig: Floats, ph: Floats, th: Floats, table: Floats,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
+@kernel(forceinline=True)
+def value_at(
+    sig: Floats, table: Floats, n: int, n1: int, share: float, m: int, a: float, j: int, b: float, k: int, c: float
 ) -> float:  # fmt: skip
-    """Value of an isotropic table in 1/sr; zero where light or observer is not in front."""
-    if lz <= 0.0 or dz <= 0.0:
-        return 0.0
-    sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
-    return look_up(sig, ph, th, table, 0, sigma, theta, phi)
-
-
-@kernel()
-def anisotropic_value(
-    sig: Floats, ph: Floats, th: Floats, psi: Floats, period: float, mirrored: float, table: Floats,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
-    """Value of an anisotropic table in 1/sr, linear in psi, for directions in the sample's own frame."""
-    if lz <= 0.0 or dz <= 0.0:
-        return 0.0
-    sigma, theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
-    n, n1, share, sign = azimuth_place(psi, period, mirrored, lx, ly)
-    value = look_up(sig, ph, th, table, n, sigma, theta, sign * phi)
+    """Value in 1/sr at the places of light and observer, linear in psi."""
+    value = _block_value(sig, table, n, m, a, j, b, k, c)
     if share == 0.0:
         return value
-    return (1.0 - share) * value + share * look_up(sig, ph, th, table, n1, sigma, theta, sign * phi)
+    return (1.0 - share) * value + share * _block_value(sig, table, n1, m, a, j, b, k, c)
+
+
+@kernel()
+def table_value(
+    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
+    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """Value of a table in 1/sr, for directions in the sample's own frame; zero where light or observer is not in front."""
+    if lz <= 0.0 or dz <= 0.0:
+        return 0.0
+    n, n1, share, sign, m, a = light_place(sig, psi, params, lx, ly, lz)
+    j, b, k, c, _ = observer_place(ph, th, sign, lx, ly, lz, dx, dy, dz)
+    return value_at(sig, table, n, n1, share, m, a, j, b, k, c)

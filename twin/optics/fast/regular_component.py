@@ -55,7 +55,8 @@ def image_measures(
     radius, half, tangent = sizes[0], sizes[1], sizes[2] / math.sqrt(1.0 - sizes[2] * sizes[2])
     image = pupil.copy()
     if not transmits:
-        image[:, 2] *= -1.0
+        for row in range(4):
+            image[row, 2] *= -1.0
     square_radius = image[1, 0] ** 2 + image[1, 1] ** 2 + image[1, 2] ** 2
     e1, e2 = np.zeros(3), np.zeros(3)
     for n in range(axes.shape[0]):

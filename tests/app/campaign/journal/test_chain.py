@@ -16,7 +16,7 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.cli.main import app as command
+from goniotwin.app.cli.main import command
 from goniotwin.app.rig import parse_rig
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import RIG, SMALL, changed
@@ -136,7 +136,7 @@ def export(journal: Path, out: Path, *options: str) -> int:
     """Export a journal as the command does; return its status."""
     try:
         return int(
-            command(["export", str(journal), "--format", "csv", "--out", str(out), *options], standalone_mode=False) or 0
+            command()(["export", str(journal), "--format", "csv", "--out", str(out), *options], standalone_mode=False) or 0
         )
     except DamagedJournal as error:
         return error.status

@@ -34,17 +34,23 @@ FIXED = {
 }
 
 
+def variants(texts: dict[str, str], *quick: str) -> pytest.MarkDecorator:
+    """Schedules by name: those of `make test`, and all of them in the long run."""
+    marks = {name: [] if name in quick else [pytest.mark.long] for name in texts}
+    return pytest.mark.parametrize("text", [pytest.param(texts[name], id=name, marks=marks[name]) for name in texts])
+
+
 def planned(text: str, rig: RigDescription = VIRTUAL) -> NewPlan:
     return make_plan(parse_schedule(HEAD + text, "x.toml"), rig)
 
 
-@pytest.mark.parametrize("text", FIXED.values(), ids=FIXED)
+@variants(FIXED, "drift checks and uneven steps")
 def test_the_duration_of_fixed_readings_is_within_one_percent(text: str, tmp_path: Path) -> None:
     plan = planned(text)
     assert run_campaign(plan, tmp_path / "run.journal").seconds == pytest.approx(plan.seconds, rel=0.01)
 
 
-@pytest.mark.parametrize("text", LIGHT_DEPENDENT.values(), ids=LIGHT_DEPENDENT)
+@variants(LIGHT_DEPENDENT, "auto-range", "both, at two gains, dark readings in between")
 def test_the_duration_of_light_dependent_readings_is_within_five_percent(text: str, tmp_path: Path) -> None:
     plan = planned(text)
     assert run_campaign(plan, tmp_path / "run.journal").seconds == pytest.approx(plan.seconds, rel=TOLERANCE)

@@ -101,7 +101,8 @@ def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tu
     assert whole.overlaps["glass"].pairs > 0
 
 
-@pytest.mark.parametrize("steps", [(20.0, 5.0), pytest.param((4.0, 1.0), marks=pytest.mark.long)], ids=["few", "many"])
+@pytest.mark.long
+@pytest.mark.parametrize("steps", [(20.0, 5.0), (4.0, 1.0)], ids=["few", "many"])
 def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
 ) -> None:

@@ -125,6 +125,7 @@ dark_every_s = 45
 """
 
 
+@pytest.mark.long
 def test_a_black_paint_from_measured_data_is_reproduced(write_rig: Writer, write_schedule: Writer, measure: Measure) -> None:
     """Values of 0.003 1/sr have to be right within their uncertainty, and that has to be at most 2 %."""
     if not AEROGLAZE.is_file():

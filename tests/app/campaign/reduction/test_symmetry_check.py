@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.journal.writing import Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.points import steepness
@@ -18,14 +18,14 @@ from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journ
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.rehearsal.report import report_text
-from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.cli.main import app
 from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.twin.optics import Scatterer, table_sample
 from tests.app.campaign.campaign_bench import remove_checksums
 from tests.app.campaign.reduction.test_export import points_of
-from tests.conftest import SMALL, Change, Writer
+from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 WIDE = ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 30 }")
 GAINS = ("[1e8, 1e10]", "[1e8, 1e10, 1e11]")
@@ -42,6 +42,14 @@ def measure(write_rig: Writer, write_schedule: Writer, tmp_path: Path, *changes:
 def reduced(path: Path) -> BsdfDataset:
     with Journal.open(path) as journal:
         return reduce_journal(journal)
+
+
+@pytest.fixture(scope="session")
+def checked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, BsdfDataset]:
+    """The journal of the schedule with a check, and its reduction. Tests only read it."""
+    path = tmp_path_factory.mktemp("symmetry") / "a.journal"
+    run_campaign(make_plan(parse_schedule(changed(SMALL + CHECK, (WIDE, GAINS)), "schedule.toml"), read_rig(RIG)), path)
+    return path, reduced(path)
 
 
 def brushed(share: float) -> Scatterer:
@@ -64,8 +72,8 @@ def anisotropic(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RigDescription, "model", model)
 
 
-def test_an_isotropic_sample_passes(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    found = reduced(measure(write_rig, write_schedule, tmp_path))
+def test_an_isotropic_sample_passes(checked: tuple[Path, BsdfDataset]) -> None:
+    found = checked[1]
     result = found.symmetry["gaussian-5"]
     assert result.holds
     assert result.pairs > 60  # 4 poses of 18 photodiodes, some blocked
@@ -77,10 +85,15 @@ def test_an_isotropic_sample_passes(write_rig: Writer, write_schedule: Writer, t
 @pytest.mark.parametrize(
     ("repeats", "changes"),
     [
-        ("repeats = 2\n", (("[20, 40, 60]", "[20, 60]"),)),
-        ("", (("[1e8, 1e10, 1e11]", "[1e11]"), ("readings = 2", "readings = 10"), ("points = 4", "points = 16"))),
+        pytest.param(
+            "repeats = 2\n", (("[20, 40, 60]", "[20, 60]"),), id="repeats that share an etalon", marks=pytest.mark.long
+        ),
+        pytest.param(
+            "",
+            (("[1e8, 1e10, 1e11]", "[1e11]"), ("readings = 2", "readings = 10"), ("points = 4", "points = 16")),
+            id="so many readings that the lamp's flicker dominates",
+        ),
     ],
-    ids=["repeats that share an etalon", "so many readings that the lamp's flicker dominates"],
 )
 def test_a_grey_sample_passes_with_repeats_and_with_many_readings(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, repeats: str, changes: tuple[Change, ...]
@@ -121,8 +134,9 @@ def test_an_anisotropic_sample_fails(
     assert any("does NOT hold" in note for note in found.notes)
 
 
-def test_mirrored_rows_with_half_their_counts_fail(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    path = measure(write_rig, write_schedule, tmp_path)
+def test_mirrored_rows_with_half_their_counts_fail(checked: tuple[Path, BsdfDataset], tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    copy_journal(checked[0], path)
     with Journal.open(path) as journal:
         first = next(each for each in journal.rows() if each.row.kind == "dark")
         dark = {reading.gain_v_per_a: reading.counts.mean(axis=0) for reading in first.data.readings}
@@ -142,9 +156,9 @@ def test_mirrored_rows_with_half_their_counts_fail(write_rig: Writer, write_sche
 
 
 def test_the_exported_table_has_no_mirrored_rows_and_the_csv_marks_them(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+    checked: tuple[Path, BsdfDataset], tmp_path: Path
 ) -> None:
-    found = reduced(measure(write_rig, write_schedule, tmp_path))
+    found = checked[1]
     export(found, None, tmp_path / "a.ddr", export_format("ddr"))  # a .ddr file has one gamma
     assert any("symmetry: the stated symmetry (isotropic) holds" in each for each in read_ddr(tmp_path / "a.ddr").comments)
     export(found, None, tmp_path / "a.csv", export_format("csv"))

@@ -74,6 +74,7 @@ def test_directions_blocked_at_the_etalon_are_flagged_and_all_others_are_right(
     assert checked["shadowed_only_for_etalon"] == len(expected) > 50 * len(sigmas)
 
 
+@pytest.mark.long
 def test_the_example_has_values_in_nearly_all_directions(tmp_path: Path) -> None:
     """The example, shortened to one wavelength, two sigmas and three betas, and without the open beam."""
     text = re.sub("wavelength_nm = .*", "wavelength_nm = [550]", EXAMPLE.read_text()).replace("open_beam = true", "")

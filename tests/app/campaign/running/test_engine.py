@@ -132,7 +132,7 @@ def test_a_device_that_does_not_respond_ends_the_run_and_gives_no_row(bench: Mak
         if isinstance(event, RowCommitted) and event.row.number == 3:
             rig = holder[0].opened.virtual
             assert rig is not None
-            rig.modbus["adc-2"].unit = 9  # the module does not respond from now on
+            rig.modbus["adc-2"].units = (9,)  # the module does not respond from now on
 
     holder.append(bench(VirtualClock(), [disconnect]))
     made = holder[0]

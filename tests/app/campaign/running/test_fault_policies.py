@@ -62,13 +62,13 @@ class Silence:
         assert self.opened.virtual is not None
         module = self.opened.virtual.modbus["adc-2"]
         if isinstance(event, RowStarted) and event.row.number == self._row and self._times:
-            module.unit = 9
+            module.units = (9,)
         if isinstance(event, StateChanged) and event.state is State.RECOVERING:
             self._times -= 1
             if self._times <= 0:
-                module.unit = 1
+                module.units = (1,)
         if isinstance(event, RowCommitted):
-            module.unit = 1
+            module.units = (1,)
 
     @property
     def states(self) -> list[State]:

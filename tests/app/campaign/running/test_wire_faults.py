@@ -115,16 +115,20 @@ def test_with_skip_a_dead_wire_gives_flagged_rows_without_values(undisturbed: Un
     check_rows(run, expected, "monitor", homed=False)
 
 
-def test_a_mount_is_never_skipped_because_the_next_rows_would_have_the_wrong_sample(
-    undisturbed: Undisturbed, tmp_path: Path
-) -> None:
+def test_a_mount_is_never_skipped_because_the_next_rows_would_have_the_wrong_sample(tmp_path: Path) -> None:
     """The shutter cannot be closed for the mount, so that the operator is not asked to mount."""
-    _, exchanges = undisturbed[False]
     plan = plan_of(False, POLICIES.replace("attempts = 6", 'attempts = 2\nthen = "skip"'))
-    script = ScriptedFaults([Fault.NONE] * (exchanges["mono"] // 2) + [Fault.HANG] * 100_000)
-    run, _ = run_with_faults(plan, tmp_path / "a.journal", {"mono": script})
+    dead = ScriptedFaults([Fault.HANG] * 100_000)
+    wires: list[Wires] = []
+
+    def hang_after_a_reading(event: Event) -> None:
+        if isinstance(event, RowCommitted) and event.row.kind == "measure" and not dead.exchanges:
+            wires[0].set_fault_plan("mono", dead)
+
+    run, _ = run_with_faults(plan, tmp_path / "a.journal", {}, [hang_after_a_reading], use_wires=wires.append)
     assert run.state is State.FAILED
-    assert not [each for each in run.rows if each.row.kind == "mount" and each.row.sample != "etalon"]
+    assert {each.row.sample for each in run.rows} == {"etalon"}
+    assert len([each for each in run.rows if each.row.kind == "mount"]) == 1
 
 
 def test_a_stop_during_a_recovery_stops_all_axes(undisturbed: Undisturbed, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import math
 
+import numba
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ from goniotwin.twin.optics import (
     table_sample,
     to_specular,
 )
+from goniotwin.twin.optics.bsdf.packed_lobes import pack_lobes
 from goniotwin.twin.optics.bsdf.sampling import density_all, scatter_all
 from tests.twin.optics.models import (
     ANISOTROPIC,
@@ -76,6 +78,13 @@ def too_large(chi2: float, freedom: int) -> bool:
 def in_part(always: list[float], long: list[float]) -> pytest.MarkDecorator:
     """Incidences of `make test`, and those that only the long run has besides."""
     return pytest.mark.parametrize("sigma_deg", [*always, *(pytest.param(each, marks=pytest.mark.long) for each in long)])
+
+
+def test_packed_lobes_have_the_types_of_one() -> None:
+    """Else numba compiles all kernels of a lobe twice."""
+    (lobe,) = gaussian(5.0).lobes
+    packed = pack_lobes((lobe,), np.ones(1), 1)
+    assert numba.typeof(packed.flat) == numba.typeof(packed.params[0]) == numba.typeof(lobe.params)
 
 
 @pytest.mark.parametrize("model", SINGLE, ids=model_name)

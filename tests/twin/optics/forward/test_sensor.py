@@ -112,8 +112,14 @@ def test_simple_sensors_agree_with_the_simplified_detectors(
 
 
 @parted(2)
-@pytest.mark.parametrize("scatterer", [lambertian(), gaussian(8.0)], ids=model_name)
-@pytest.mark.parametrize("sensor", NOT_SIMPLE.values(), ids=NOT_SIMPLE)
+@pytest.mark.parametrize(
+    ("sensor", "scatterer"),
+    [
+        pytest.param(sensor, scatterer, id=f"{name}-{model_name(scatterer)}", marks=[] if quick else pytest.mark.long)
+        for name, sensor in NOT_SIMPLE.items()
+        for scatterer, quick in ((lambertian(), sensor is not NARROW), (gaussian(8.0), sensor is NARROW))
+    ],
+)
 def test_other_sensors_agree_with_plain_monte_carlo(sensor: RealSensor, scatterer: Scatterer, part: int) -> None:
     instrument = Instrument(sensor=sensor, obstruction=False)
     seen = directions(scatterer, 30.0)

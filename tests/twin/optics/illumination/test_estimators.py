@@ -55,6 +55,7 @@ def test_both_agree_over_the_whole_image_of_the_slit_and_its_edges(part: int) ->
     check_agreement(forward, adjoint)
 
 
+@pytest.mark.long
 def test_both_agree_with_a_small_reflector_and_condenser() -> None:
     small = replace(UNIT, reflector_half_angle_deg=15.0, input_condenser_radius_mm=15.0)
     adjoint = adjoint_illumination(small, rays=100_000, seed=16)

@@ -1,0 +1,367 @@
+"""Devices are left as they were found: after a session, and by the next connection after one that was killed.
+
+Another program sets and reads the settings: bytes on the same wires, without the drivers.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from goniotwin.app.rig import OpenRig
+from goniotwin.drivers import DeviceError, Monitor, Monochromator, PhotodiodeArray, TmclController, wait
+from goniotwin.drivers.found import FoundSettings
+from goniotwin.drivers.motion.tmcl import TmclSettings
+from goniotwin.drivers.photodiodes.modbus import ModbusUnit
+from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode, WavelengthUnit
+from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
+from goniotwin.protocols.tmcl_parameters import AxisParameter, GlobalParameter
+from tests.conftest import RigOpener
+from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
+from tests.drivers.photodiode_bench import NARROW
+
+State = dict[str, Any]
+
+
+@dataclass
+class Notes:
+    """Notes of one device, which outlive its driver."""
+
+    text: str = ""
+    written: list[str] = field(default_factory=list)
+
+    def read(self) -> str:
+        return self.text
+
+    def write(self, text: str) -> None:
+        self.text = text
+        self.written.append(text)
+
+
+# ---- the rule ----
+
+
+def test_a_setting_is_restored_by_the_next_session_unless_another_program_has_changed_it() -> None:
+    notes = Notes()
+    killed = FoundSettings(notes)
+    killed.take_up("unit")
+    killed.note({"units": ("UM", "NM"), "handshake": ("0", "1"), "gain": ("2", "0")})
+    killed.note({"gain": ("0", "3")})
+    following = FoundSettings(notes)
+    following.take_up("unit")
+    assert [following.value_to_restore("gain", present) for present in ("0", "3", "2", "1")] == ["2", "2", None, None]
+    following.note({"units": ("NM", "NM"), "handshake": ("0", "1")})  # 0 again: another program, or a power-up
+    assert following.value_to_restore("units", "NM") == "UM"
+    assert following.value_to_restore("handshake", "1") == "0"
+    following.clear()
+    assert (notes.text, dict(following.changes)) == ("", {})
+
+
+def test_what_has_the_wanted_value_is_not_noted_and_nothing_is_restored_for_another_device() -> None:
+    notes = Notes()
+    found = FoundSettings(notes)
+    found.take_up("unit")
+    found.note({"units": ("NM", "NM")})
+    assert (notes.written, dict(found.changes)) == ([], {})
+    found.note({"units": ("UM", "NM")})
+    found.note({"units": ("NM", "NM")})
+    assert len(notes.written) == 1  # no file for what is noted already
+    other = FoundSettings(notes)
+    other.take_up("another unit")
+    assert not other.changes
+
+
+@given(st.text() | st.just('{"identity": "unit", "settings": {"units": {"found": 3, "written": ["NM"]}}}'))
+def test_a_damaged_note_is_no_note(text: str) -> None:
+    found = FoundSettings(Notes(text))
+    found.take_up("unit")
+    assert not found.changes
+
+
+# ---- the devices ----
+
+
+class Bench:
+    """A device that another program has set up; `driver` makes a new driver of it with these notes."""
+
+    notes: tuple[Notes, ...] = ()
+
+    def __init__(self, rig: OpenRig) -> None:
+        rig.rig.close()
+        assert rig.virtual is not None
+        self.rig, self.virtual, self.clock = rig.rig, rig.virtual, rig.rig.clock
+        self.set_up()
+
+    def driver(self) -> Any: ...
+
+    def set_up(self) -> None: ...
+
+    def change(self) -> None:
+        """Another program changes a setting."""
+
+    def state(self) -> State:
+        """What this program changes, as another one reads it."""
+        raise NotImplementedError
+
+
+class MonochromatorSetUp(Bench):
+    notes = (Notes(),)
+
+    def driver(self) -> Monochromator:
+        first = self.rig.monochromator
+        found = FoundSettings(self.notes[0])
+        return Monochromator(first._wire._open_port, first.settings, self.clock, found=found)
+
+    def ask(self, line: bytes) -> bytes:
+        port = self.rig.monochromator._wire._open_port(9600, 0.2)
+        port.write(line + b"\n")
+        answer = bytes(port.read(100))
+        port.close()
+        assert answer.startswith(line + b"\n")
+        return answer.removeprefix(line + b"\n").split()[0] if b"?" in line else answer
+
+    def set_up(self) -> None:
+        self.ask(b"UNITS UM")
+
+    def change(self) -> None:
+        self.ask(b"UNITS WN")
+
+    def state(self) -> State:
+        return {word: self.ask(f"{word}?".encode()) for word in ("HANDSHAKE", "UNITS")}
+
+
+class PhotodiodesSetUp(Bench):
+    notes = tuple(Notes() for _ in range(5))
+
+    def driver(self) -> PhotodiodeArray:
+        first = self.rig.photodiodes
+        units = [
+            ModbusUnit(module._bus, module._unit, found=FoundSettings(notes))
+            for module, notes in zip(first._modules, self.notes, strict=True)
+        ]
+        return PhotodiodeArray(units, first.settings, self.clock)
+
+    @property
+    def module(self) -> Any:
+        return next(iter(self.virtual.modbus.values()))
+
+    def set_up(self) -> None:
+        self.module.write_registers(200, [0x0147] * 8, 1.0)  # 0 to 5 V; the rig file has +-5 V
+        self.module.write_coils(16, [True, True], 1.0)
+
+    def change(self) -> None:
+        self.module.write_registers(200, [0x0148] * 8, self.clock.now())
+
+    def state(self) -> State:
+        return {
+            "ranges": self.module.registers(200, 8, self.clock.now()),
+            "outputs": self.module.coils(16, 2, self.clock.now()),
+        }
+
+
+class MonitorSetUp(Bench):
+    notes = (Notes(),)
+
+    def driver(self) -> Monitor:
+        first = self.rig.monitor
+        return Monitor(first._wire._opener, first.settings, self.clock, found=FoundSettings(self.notes[0]))
+
+    def ask(self, message: bytes) -> bytes:
+        instrument = self.virtual.usb["monitor"].instrument
+        return b"".join(text for _, text in instrument.execute(message, self.clock.now())).strip()
+
+    def set_up(self) -> None:
+        self.ask(b"SENS:AVER:COUN 7;:SENS:CURR:RANG 5E-3;:INP:PDI:FILT:LPAS:STAT 1;:SENS:CORR:WAV 900;:CONF:POW")
+
+    def change(self) -> None:
+        self.ask(b"SENS:CURR:RANG 5E-4")
+
+    def state(self) -> State:
+        queries = (b"CONF?", b"SENS:CURR:RANG?", b"SENS:CURR:RANG:AUTO?", b"SENS:AVER:COUN?", b"SENS:CORR:WAV?")
+        return {query.decode(): self.ask(query) for query in (*queries, b"INP:PDI:FILT:LPAS:STAT?")}
+
+
+class AxesSetUp(Bench):
+    notes = (Notes(),)
+
+    def driver(self) -> TmclController:
+        axes = {name: replace(axis.settings, switches=True) for name, axis in self.rig.axes.items()}  # type: ignore[type-var]
+        found = FoundSettings(self.notes[0])
+        opener = self.rig.controllers[0].module._open_port  # type: ignore[attr-defined]
+        return TmclController("axes", opener, self.clock, TmclSettings(), axes, found=found)  # type: ignore[arg-type]
+
+    def exchange(self, command: Command, number: int, motor: int, value: int = 0) -> int:
+        port = self.rig.controllers[0].module._open_port(115200, 0.1)  # type: ignore[attr-defined]
+        port.write(CommandFrame(1, command, number, motor, value).encode())
+        reply = ReplyFrame.decode(bytes(port.read(9)))
+        port.close()
+        return reply.value
+
+    def set_up(self) -> None:
+        self.exchange(Command.SAP, AxisParameter.MAX_VELOCITY, 4, 1234)
+        self.exchange(Command.SAP, AxisParameter.RUN_CURRENT, 4, 77)
+
+    def change(self) -> None:
+        self.exchange(Command.SAP, AxisParameter.MAX_VELOCITY, 4, 4321)
+
+    def state(self) -> State:
+        measured = (AxisParameter.ENCODER_POSITION, AxisParameter.LOAD_VALUE, AxisParameter.ERROR_FLAGS)
+        state = {each.name: self.exchange(Command.GAP, each, 4) for each in AxisParameter if each not in measured}
+        return {**state, "heartbeat": self.exchange(Command.GGP, GlobalParameter.HEARTBEAT, 0)}
+
+
+SET_UPS = [MonochromatorSetUp, PhotodiodesSetUp, MonitorSetUp, AxesSetUp]
+
+
+@pytest.fixture(params=SET_UPS, ids=lambda each: each.__name__)
+def bench(request: pytest.FixtureRequest, opened: RigOpener) -> Bench:
+    kind: Callable[[OpenRig], Bench] = request.param
+    for each in request.param.notes:
+        each.text = ""
+    return kind(opened(NARROW))
+
+
+def use(device: Any, bench: Bench) -> None:
+    """Change what a campaign changes."""
+    if isinstance(device, PhotodiodeArray):
+        wait(bench.clock, [device.start_gain(0)])
+        wait(bench.clock, [device.start_gain(1)])
+        wait(bench.clock, [device.start_readings(1)])
+    if isinstance(device, Monitor):
+        wait(bench.clock, [device.start_mean(0.1)])
+
+
+def test_a_session_leaves_everything_as_it_was(bench: Bench) -> None:
+    before = bench.state()
+    device = bench.driver()
+    device.connect()
+    use(device, bench)
+    assert bench.state() != before
+    device.connect()  # again, as after a fault
+    use(device, bench)
+    device.close()
+    assert bench.state() == before
+    assert not any(each.text for each in bench.notes)
+
+
+def test_identifying_changes_nothing(bench: Bench) -> None:
+    before = bench.state()
+    device = bench.driver()
+    assert device.identify()
+    assert bench.state() == before
+    device.close()
+    assert bench.state() == before
+
+
+def test_after_a_kill_the_next_connection_restores(bench: Bench) -> None:
+    before = bench.state()
+    killed = bench.driver()
+    killed.connect()
+    use(killed, bench)
+    assert any(each.text for each in bench.notes)
+    identified = bench.driver()  # the killed one sends nothing more
+    identified.identify()
+    assert bench.state() == before
+    identified.close()
+    killed_again = bench.driver()
+    killed_again.connect()
+    use(killed_again, bench)
+    following = bench.driver()
+    following.connect()
+    use(following, bench)
+    following.close()
+    assert bench.state() == before
+
+
+def test_what_another_program_sets_after_a_kill_stays(bench: Bench) -> None:
+    killed = bench.driver()
+    killed.connect()
+    bench.change()
+    changed = bench.state()
+    device = bench.driver()
+    device.identify()
+    after = bench.state()
+    own = {name for name in changed if after[name] != changed[name]}
+    before = {name: value for name, value in changed.items() if name not in own}
+    assert {name: after[name] for name in before} == before
+    bench.change()
+    assert bench.state() == after  # what it had set is as it had set it
+    device.close()
+
+
+# ---- the monochromator's wire ----
+
+
+@pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
+def test_identifying_sends_info_alone(opened: RigOpener, echo: bool, handshake: bool) -> None:
+    bench = MonochromatorBench(opened, echo, handshake)
+    bench.driver.close()
+    sent: list[tuple[str, bytes]] = []
+    opener = bench.driver._wire._open_port
+    device = Monochromator(opener, bench.driver.settings, bench.clock, lambda way, data: sent.append((way, data)))
+    assert device.identify() == "Cornerstone 260 virtual"
+    device.close()
+    assert b"".join(data for way, data in sent if way == ">") == b"INFO?\n"
+
+
+@pytest.mark.parametrize(("echo", "handshake"), DIALECTS)
+def test_every_unit_is_left_as_it_was(opened: RigOpener, echo: bool, handshake: bool) -> None:
+    bench = MonochromatorBench(opened, echo, handshake)
+    bench.driver.close()
+    bench.unit.receive(b"UNITS WN\n", bench.clock.now())
+    bench.unit.outbox.clear()
+    before = replace(bench.unit._state, status=NO_ERROR, error=ErrorCode.NONE)
+    bench.driver.connect()
+    bench.go(600.0)
+    slew = bench.driver.start_wavelength(700.0)
+    assert slew.poll() is False
+    bench.driver.close()  # in the middle of a motion
+    assert replace(bench.unit._state, status=NO_ERROR, error=ErrorCode.NONE) == before
+
+
+def test_units_in_small_letters_are_restored_too(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Case does not matter in statements (MCS260 p. 49); whether replies keep to capitals is stated nowhere."""
+    bench = MonochromatorBench(opened)
+    bench.driver.close()
+    reply = bench.unit._reply
+    monkeypatch.setattr(bench.unit, "_reply", lambda t, text: reply(t, text.lower()))
+    bench.unit.receive(b"UNITS UM\n", bench.clock.now())
+    bench.unit.outbox.clear()
+    bench.driver.connect()
+    assert bench.unit._state.unit is WavelengthUnit.NM
+    bench.driver.close()
+    assert bench.unit._state.unit is WavelengthUnit.UM
+
+
+def test_a_dead_unit_does_not_hold_up_the_end(opened: RigOpener) -> None:
+    bench = MonochromatorBench(opened)
+    bench.unit.receive = lambda data, t: None  # type: ignore[method-assign]
+    start = bench.clock.now()
+    bench.driver.close()
+    assert bench.clock.now() - start < 3.0
+
+
+def test_an_axis_that_turns_is_stopped_by_its_heartbeat_before_that_is_restored(opened: RigOpener) -> None:
+    bench = AxesSetUp(opened())
+    bench.notes[0].text = ""
+    driver = bench.driver()
+    driver.connect()
+    driver.axes["sigma"].start_relative(90.0)
+    driver.close()
+    assert bench.exchange(Command.GAP, AxisParameter.ACTUAL_VELOCITY, 4) == 0
+    assert 0 < bench.exchange(Command.GAP, AxisParameter.ACTUAL_POSITION, 4) < 90 * 5120
+    assert bench.exchange(Command.GGP, GlobalParameter.HEARTBEAT, 0) == 0
+    endless = bench.driver()
+    endless.module.heartbeat_s = 0.0
+    endless.connect()
+    endless.axes["sigma"].start_relative(90.0)
+    endless.close()
+    assert bench.notes[0].text  # nothing stops it: left to the next connection
+    bench.clock.sleep_until(bench.clock.now() + 60.0)
+    bench.driver().identify()
+    assert not bench.notes[0].text
+    with pytest.raises(DeviceError):
+        driver.axes["sigma"].position_deg()  # its port is closed
