@@ -7,7 +7,7 @@ READY := $(VENV)/ready
 export PYTHONDONTWRITEBYTECODE :=
 # numba tries many types for each call, and would colour the text of an error for each that does not fit.
 export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
-PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest -n 3 --dist worksteal
+PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest --dist worksteal
 
 .PHONY: demo test test-long desktop clean
 
@@ -18,16 +18,16 @@ test: $(READY)
 	@QT_QPA_PLATFORM=offscreen $(BIN)/python -c "import PySide6.QtWidgets" 2>/dev/null || { \
 	  echo "The tests of the window need Qt's system libraries. On Debian and Ubuntu:"; \
 	  echo "  sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"; exit 1; }
-	@echo "ruff, mypy and lint-imports on one core, numba's kernels compiled on the other"; \
+	@echo "ruff, mypy and lint-imports on one core, kernels and tests compiled on the other"; \
 	$(BIN)/python -m tests.kernels forward >$(VENV)/kernels.log 2>&1 & kernels=$$!; \
 	{ $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports && $(BIN)/python -m tests.kernels fast; } \
 	  || { kill $$kernels 2>/dev/null; exit 1; }; \
 	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }
-	$(PYTEST) -m "not long"
+	$(PYTEST) -n 4 -m "not long"
 
 # The slow proofs, in full; run before a change of what they prove is called done.
 test-long: $(READY)
-	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
+	$(PYTEST) -n 3 -m "long or hypothesis" --hypothesis-profile=long
 
 desktop: $(READY)
 	$(BIN)/goniotwin

@@ -1,9 +1,9 @@
 """What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers.
 
-Three workers share the tests (`make test`) on two cores: one of them mostly waits. Those marked `endpoint` open real
-pseudo-terminals and sockets and wait in real time, so that two of them at once would make each other late. They hold a lock
-from setup to teardown, and come first, so that one worker has them all while the others have everything else. A fixture that
-takes seconds has the scope of the session: the tests of one module can run in pieces on several workers.
+Four workers share the tests (`make test`) on two cores: one of them mostly waits, and others at times. Those marked
+`endpoint` open real pseudo-terminals and sockets and wait in real time, so that two of them at once would make each other late.
+They hold a lock from setup to teardown, and come first, so that one worker has them all while the others have everything else.
+A fixture that takes seconds has the scope of the session: the tests of one module can run in pieces on several workers.
 
 Hypothesis takes its number of examples from a profile: few in `make test`, many in `make test-long`.
 """
@@ -55,7 +55,7 @@ hypothesis.settings.load_profile("quick")  # `pytest --hypothesis-profile=long` 
 def pytest_configure() -> None:
     """Gives way to the first worker, and leaves out what collecting the tests does not need.
 
-    The first worker has the tests that wait in real time, and starts programs for them: three workers on two cores must not
+    The first worker has the tests that wait in real time, and starts programs for them: several workers on two cores must not
     make their answers late. The tests' modules stay, so that searching them for garbage is a third of the time for nothing.
     """
     if os.environ.get("PYTEST_XDIST_WORKER", "gw0") != "gw0" and sys.platform != "win32":

@@ -1,16 +1,17 @@
-"""Compiles the kernels once, into numba's cache, so that the workers of the tests do not compile each of them again.
+"""Compiles once what each worker of the tests would compile again: the kernels, and the modules of the tests.
 
     python -m tests.kernels [fast] [forward]
 
-What the product does with its optics and its planner, each once and as small as it can be. `forward` takes about as long as
-mypy and `fast` after it (see the Makefile). A kernel that is missing here is compiled by the first test that needs it: that
-costs time and nothing else.
+What the product does with its optics and its planner, each once and as small as it can be, fills numba's cache. `forward`
+takes about as long as mypy and `fast` after it (see the Makefile). What is missing here is compiled by the first test that
+needs it: that costs time and nothing else.
 """
 
 import gc
 import sys
 
 import numpy as np
+import pytest
 
 from goniotwin import examples
 from goniotwin.app.campaign.planning.plan import make_plan
@@ -91,7 +92,13 @@ def traced() -> None:
     record(IlluminationUnit(), rays=PATHS, seed=1)
 
 
-PARTS = {"fast": (seen, rig), "forward": (traced, samples, plan)}
+def modules() -> None:
+    """The modules of the tests, with their assertions as pytest rewrites them."""
+    if status := pytest.main(["--collect-only", "-qq"]):
+        sys.exit(status)
+
+
+PARTS = {"fast": (seen, rig), "forward": (traced, samples, plan, modules)}
 
 
 def main() -> None:

@@ -47,6 +47,7 @@ def test_the_signature_without_a_sample_is_stray_light_of_the_frames(model: Twin
     assert not View(model).throughputs_m2sr(bare)[:UPPER].any()
 
 
+@pytest.mark.long
 def test_added_stray_light_of_a_sample_agrees_with_the_forward_estimator(model: TwinModel) -> None:
     wide = replace(model.instrument, detector_diameter_mm=10.0, field_deg=2.0)  # more paths per detector
     model = replace(model, instrument=wide, frames=SampleFrames(reflectance=0.9))
