@@ -227,6 +227,8 @@ class CornerstoneLine:
         handshake, status = self._query_until_quiet(Statement("HANDSHAKE", query=True))
         if acknowledged and handshake is not None and STATUS_TEXTS.get(handshake) == ERROR_SINCE_LAST_READ:
             handshake, status = b"1", ERROR_SINCE_LAST_READ  # a unit without this query refuses it in this mode
+        if acknowledged and handshake is None:  # in this mode each statement is acknowledged, also one that is refused
+            raise NoAnswer(NAME, "HANDSHAKE?", "not responding", CHECK_LINE)
         if (handshake == b"1" and status is None) or handshake not in (b"0", b"1", None):
             raise BadAnswer(NAME, "HANDSHAKE?", f"{handshake!r} with status {status}", CHECK_LINE)
         lost = had_handshake and handshake != b"1"

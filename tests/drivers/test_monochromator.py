@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from goniotwin.drivers import BadAnswer, DeviceError, Refused, wait
+from goniotwin.drivers import BadAnswer, DeviceError, NoAnswer, Refused, wait
 from goniotwin.protocols.cornerstone import ErrorCode, Grating, Statement
 from goniotwin.twin.devices.cornerstone_statements import StatementRefused, StatementResult, Statements, UnitState
 from tests.conftest import RigOpener
@@ -95,6 +95,16 @@ def test_a_unit_without_the_query_of_handshake_mode_is_left_as_it_was(
     assert bench.unit._state.handshake is (found == "1")
     bench.driver.connect()  # it is not locked out by what it has done
     bench.go(610.0)
+
+
+def test_a_query_without_acknowledgement_ends_a_resynchronisation(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In handshake mode every statement is acknowledged (MCS260 p. 51), so that this is no unit without `HANDSHAKE?`."""
+    bench = MonochromatorBench(opened, echo=False)
+    receive = bench.unit.receive
+    monkeypatch.setattr(bench.unit, "receive", lambda data, t: receive(data.replace(b"HANDSHAKE?\n", b""), t))
+    bench.driver._wire.in_step = False
+    with pytest.raises(NoAnswer, match=r"HANDSHAKE\?: not responding"):
+        bench.driver.wavelength_nm()
 
 
 def test_a_status_that_has_lost_a_digit_is_no_status(opened: RigOpener) -> None:
