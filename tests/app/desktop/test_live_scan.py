@@ -112,6 +112,7 @@ def everything(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Pla
     return make_plan(read_schedule(write_schedule(*changes, text=EVERYTHING)), read_rig(rig))
 
 
+@pytest.mark.long
 def test_after_the_last_row_every_scan_is_that_of_the_journal(everything: Plan, tmp_path: Path) -> None:
     """From the sample's second drift check on a photodiode gives 5 % less: rows of scans shown before are flagged."""
     live = LiveScan(everything)

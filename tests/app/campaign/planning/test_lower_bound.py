@@ -65,6 +65,7 @@ def schedules(draw: st.DrawFn) -> str:
     return text + "".join(table for table, chosen in tables.items() if chosen)
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(text=schedules(), rig=st.sampled_from([VIRTUAL, SLOW]))
 def test_no_plan_is_shorter_than_the_lower_bound(text: str, rig: RigDescription) -> None:

@@ -48,6 +48,7 @@ def test_a_signature_that_was_not_measured_stays_in_the_value(
     assert float(np.nanmedian(points.bsdf[points.good]) / (0.03 / np.pi)) > 1.1
 
 
+@pytest.mark.long
 def test_the_signature_is_subtracted_from_the_etalon_that_scales_transmitted_light(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:

@@ -170,6 +170,7 @@ def test_the_exported_table_has_no_mirrored_rows_and_the_csv_marks_them(
     assert any("symmetry of gaussian-5" in each for each in table.comments)
 
 
+@pytest.mark.long
 def test_run_and_rehearsal_report_a_failed_symmetry_check(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, anisotropic: None
 ) -> None:

@@ -44,7 +44,7 @@ def measure(plan: Plan, path: Path) -> BsdfDataset:
 @pytest.mark.parametrize(
     ("rig_changes", "sigmas"),
     [
-        pytest.param((), [20], id="one sigma, with noise"),
+        pytest.param((), [20], id="one sigma, with noise", marks=pytest.mark.long),
         pytest.param((), [20, 40], id="two, with noise", marks=pytest.mark.long),
         pytest.param(QUIET, [20, 40], id="two, without", marks=pytest.mark.long),
     ],
