@@ -132,7 +132,7 @@ class CornerstoneLine:
                     self.check_echo(statement, self.line(statement))
                 reply = self.line(statement) if statement.query else b""
                 status = self.status_of(statement, self.line(statement)) if self.handshake else NO_ERROR
-                if self._lines or self._pending not in (b"", LINE_ENDED):
+                if self._has_surplus:
                     raise BadAnswer(NAME, str(statement), f"more lines than its reply: {list(self._lines)}", CHECK_LINE)
             except BaseException:  # also of a signal: replies may be on their way
                 self.in_step = False
@@ -159,7 +159,7 @@ class CornerstoneLine:
             self.events.append("port reopened")
         if self.in_step:
             self.receive()
-            if self._lines or self._pending not in (b"", LINE_ENDED):
+            if self._has_surplus:
                 self.in_step = False
         if not self.in_step:
             self._resynchronise()
@@ -205,6 +205,11 @@ class CornerstoneLine:
             over = left <= 0.0
             self.receive()
         return self._lines.popleft()
+
+    @property
+    def _has_surplus(self) -> bool:
+        """Whether more was received than the replies so far."""
+        return bool(self._lines) or self._pending not in (b"", LINE_ENDED)
 
     def receive(self) -> deque[bytes]:
         """Lines received so far, without waiting: at most what a unit can send between two calls."""
