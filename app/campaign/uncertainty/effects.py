@@ -1,0 +1,154 @@
+"""The effects of all inputs on some values, and what follows from them: budgets, covariances, integrals (JCGM 102).
+
+    y_i = f_i (1 + sum_k J_ik e_k + sum_g s_ig e_g + e_i)
+
+The parts of a value's relative uncertainty: `independent`, by name; `groups`: many inputs of one kind, each common to a few
+values (the reading of the etalon, a row's lamp, a photodiode's angle); `dense`: few inputs, each common to nearly all values.
+All inputs are uncorrelated, and relative or in a unit of their own. Sensitivities are computed from pose and slopes when they
+are needed, for some values at a time, and not kept.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.arrays import Floats, Ints
+
+
+@dataclass(frozen=True)
+class Group:
+    """Inputs of one kind. `member` (n, m) has the numbers of the inputs that a value depends on, -1 for none.
+
+    `sensitivity` (n, m) is the relative change of the value for a change of the input by one unit, and `inputs` names them by
+    their numbers. Where a value has one input twice (the gain of sample and etalon), its sensitivities add.
+    """
+
+    name: str
+    inputs: Mapping[int, Input]
+    member: Ints
+    sensitivity: Floats
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Inputs of nearly all values: `sensitivity` (n, inputs), the relative change of a value for a change by one unit."""
+
+    inputs: Sequence[Input]
+    sensitivity: Floats
+
+
+@dataclass(frozen=True)
+class Component:
+    """One line of a budget: an input (or an independent part, without one), and its standard uncertainty in the value's unit.
+
+    `sensitivity` is in the value's unit over the input's; 1 of an independent part.
+    """
+
+    name: str
+    u: float
+    sensitivity: float
+    input: Input | None
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Values (n,) with the effects of all inputs; `independent` are relative variances (n,) by name."""
+
+    value: Floats
+    independent: Mapping[str, Floats]
+    groups: Sequence[Group]
+    dense: Sequence[Dense]
+
+    def variances(self) -> dict[str, Floats]:
+        """Variance (n,) in the value's unit squared, by the name of the independent part, of the group or of the input."""
+        found = {name: variance * self.value**2 for name, variance in self.independent.items()}
+        for group in self.groups:
+            found[group.name] = group_variance(group) * self.value**2
+        for part in self.dense:
+            for k, each in enumerate(part.inputs):
+                found[each.name] = (part.sensitivity[:, k] * each.u * self.value) ** 2
+        return found
+
+    def budget(self, index: int) -> list[Component]:
+        """The components of one value, the largest first; their squares sum to the square of its uncertainty."""
+        weight = np.zeros(self.value.size)
+        weight[index] = 1.0
+        return self.of_sum(weight)
+
+    def covariance(self, one: Ints, other: Ints) -> Floats:
+        """Covariance matrix of the values `one` with the values `other`, in the unit squared."""
+        relative = np.zeros((one.size, other.size))
+        same = one[:, None] == other[None, :]
+        for variance in self.independent.values():
+            relative += np.where(same, variance[one][:, None], 0.0)
+        for group in self.groups:
+            number = np.array([group.inputs[int(k)].u ** 2 if k >= 0 else 0.0 for k in group.member.ravel()])
+            u_squared = number.reshape(group.member.shape)
+            for a in range(group.member.shape[1]):
+                for b in range(group.member.shape[1]):
+                    together = group.member[one, a][:, None] == group.member[other, b][None, :]
+                    product = (group.sensitivity[one, a] * u_squared[one, a])[:, None] * group.sensitivity[other, b][None, :]
+                    relative += np.where(together, product, 0.0)
+        for part in self.dense:
+            weighted = part.sensitivity * np.array([each.u for each in part.inputs])
+            relative += weighted[one] @ weighted[other].T
+        return relative * self.value[one][:, None] * self.value[other][None, :]
+
+    def of_sum(self, weight: Floats) -> list[Component]:
+        """Components of sum(weight * value), the largest first: of a mean, of a reflectance, of one value.
+
+        The sensitivity of an input is d(sum) / d(input); of an independent part it is 1.
+        """
+        used = np.flatnonzero(weight != 0.0)
+        scale = weight[used] * self.value[used]
+        found = [
+            Component(name, float(np.sqrt(np.sum(scale**2 * variance[used]))), 1.0, None)
+            for name, variance in self.independent.items()
+        ]
+        for group in self.groups:
+            member, product = group.member[used], group.sensitivity[used] * scale[:, None]
+            numbers, place = np.unique(member, return_inverse=True)
+            total = np.bincount(place.ravel(), weights=product.ravel(), minlength=numbers.size)
+            found += [
+                _component(group.inputs[number], each)
+                for number, each in zip(numbers.tolist(), total.tolist(), strict=True)
+                if number >= 0
+            ]
+        for part in self.dense:
+            total = scale @ part.sensitivity[used]
+            found += [_component(each, at) for each, at in zip(part.inputs, total.tolist(), strict=True)]
+        return sorted(found, key=lambda each: -each.u)
+
+
+def _component(each: Input, sensitivity: float) -> Component:
+    return Component(each.name, abs(sensitivity) * each.u, sensitivity, each)
+
+
+def group_variance(group: Group) -> Floats:
+    """Relative variance (n,) of each value from a group: where it has one input twice, the sensitivities add first."""
+    n, m = group.member.shape
+    u = {number: each.u for number, each in group.inputs.items()}
+    total = np.zeros(n)
+    for a in range(m):
+        u_a = np.array([u.get(int(k), 0.0) for k in group.member[:, a]])
+        for b in range(m):
+            same = group.member[:, a] == group.member[:, b]
+            total += np.where(same, group.sensitivity[:, a] * group.sensitivity[:, b] * u_a**2, 0.0)
+    return total
+
+
+def merged(parts: Iterable[list[Component]]) -> list[Component]:
+    """Components of a sum over several parts of the values (blocks): what has one name in several is one input."""
+    shared: dict[str, Component] = {}
+    for part in parts:
+        for each in part:
+            before = shared.get(each.name)
+            if before is None:
+                shared[each.name] = each
+            elif each.input is None:
+                shared[each.name] = Component(each.name, float(np.hypot(before.u, each.u)), 1.0, None)
+            else:
+                shared[each.name] = _component(each.input, before.sensitivity + each.sensitivity)
+    return sorted(shared.values(), key=lambda each: -each.u)

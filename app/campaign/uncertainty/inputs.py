@@ -1,0 +1,24 @@
+"""Inputs of the measurement model: what a value depends on besides the sample, each with its uncertainty."""
+
+from dataclasses import dataclass
+from math import inf
+
+from goniotwin.app.rig.uncertainty import Distribution
+
+
+@dataclass(frozen=True)
+class Input:
+    """One input: `name` as in a budget, its `unit` ("deg", "mm", "nm", "1" for a relative one), and standard uncertainty `u`.
+
+    `shared_by` says which values have it in common, `source` where u is from, and `twin` the key of the rig file with which
+    the virtual rig has it as a disturbance; empty where it has none.
+    """
+
+    name: str
+    unit: str
+    u: float
+    distribution: Distribution
+    shared_by: str
+    source: str
+    twin: str
+    degrees_of_freedom: float = inf
