@@ -49,9 +49,19 @@ class Comparison:
 
 def theoretical_bsdf(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
     """BSDF (n,) in 1/sr of a virtual rig's sample at the points' directions. Raises UserError for a real rig."""
-    scatterer = _scatterer(rig, sample)
-    lights = np.array([light_direction(float(sigma)) for sigma in points.sigma_deg]).reshape(-1, 3)
-    return evaluate(scatterer, lights, arc_direction(points.zenith_deg, points.azimuth_deg))
+    return true_bsdf(_scatterer(rig, sample), points)
+
+
+def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
+    """BSDF (n,) in 1/sr of a model at the nominal wavelengths, incidences and directions of points."""
+    result = np.empty(points.size)
+    places, which = np.unique(np.stack([points.wavelength_nm, points.gamma_deg], axis=1), axis=0, return_inverse=True)
+    lights = np.array([light_direction(sigma) for sigma in points.sigma_deg.tolist()]).reshape(-1, 3)
+    directions = arc_direction(points.zenith_deg, points.azimuth_deg)
+    for k, (wavelength_nm, gamma_deg) in enumerate(places.tolist()):
+        at = which.ravel() == k
+        result[at] = evaluate(scatterer, lights[at], directions[at], wavelength_nm, gamma_deg)
+    return result
 
 
 def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:
