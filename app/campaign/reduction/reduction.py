@@ -12,7 +12,7 @@ from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
-from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
+from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, unchecked_note, unchecked_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
     ArcGeometry,
     PoseKey,
@@ -161,7 +161,7 @@ class Reduction:
         """Remarks on the reduction, for the reader of the values, from the tallies of all blocks, by sample."""
         without_etalon = {name: rows for name in self.schedule.samples if (rows := self._without_etalon(name))}
         notes = list(missing_notes(self.journal, without_etalon))
-        notes += [str(interval) for interval in self._measurements.drift_intervals]
+        notes += [str(interval) for interval in self.drift_intervals]
         transmitted = any(tally.transmitted for tally in tallies.values())
         subtracted = any(tally.signature_subtracted for tally in tallies.values())
         u_signature = self.rig.file.sample_unit.signature_uncertainty
@@ -178,6 +178,11 @@ class Reduction:
                 f"the light was traced by the forward estimator; median relative error {error:.2g}, included in the uncertainty"
             )
         return notes + [unchecked_note(name, photodiodes) for name, photodiodes in self.unchecked(tallies).items()]
+
+    @property
+    def drift_intervals(self) -> list[DriftInterval]:
+        """The times between drift checks of which one is beyond the limit."""
+        return self._measurements.drift_intervals
 
     def unchecked(self, tallies: Mapping[str, Tally]) -> dict[str, tuple[int, ...]]:
         """By the mounted sample, the photodiodes that its drift checks do not cover, from the tallies of all blocks."""
