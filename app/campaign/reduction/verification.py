@@ -5,19 +5,20 @@ symmetry, overlaps and drift are those of the reduction.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith, round_azimuth
-from goniotwin.app.campaign.reduction.budget import Budget, finished_blocks, reflectance
+from goniotwin.app.campaign.reduction.budget import Budget, reflectance
 from goniotwin.app.campaign.reduction.checks import ConsistencyChecks
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally, join_points, plausible
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.arrays import Flags, Floats, Ints
@@ -27,6 +28,8 @@ NOTHING = "nothing to judge"
 Outcome = Literal["holds", "fails", "nothing to judge"]
 MOST_U = 2.0
 """A reflectance above 1 by so many standard uncertainties is not possible."""
+MOST_TOGETHER = 500
+"""Pairs whose full covariance is used; of more, so many are taken evenly."""
 MOST_PAIRS_AT_ONCE = 5_000
 
 
@@ -69,7 +72,8 @@ class _Sample:
         self._energies: list[Budget] = []
         self._shares: list[Floats] = []
         self._obstructed: list[tuple[float, float, float]] = []
-        incidences = np.unique(round_deg(_incidences(reduction)))
+        sigmas = grid_values(reduction.schedule.sigma_deg)
+        incidences = round_deg([incidence_deg(sigma) for sigma in sigmas])
         overlaps = reduction.overlaps(name)
         for block in reduction.blocks(name):
             self._checks.add(block.points)
@@ -115,14 +119,17 @@ class _Sample:
             f"{points.wavelength_nm[one[k]]:g} nm, sigma {points.sigma_deg[one[k]]:g}, zenith {points.zenith_deg[one[k]]:g}, azimuth "
             f"{points.azimuth_deg[one[k]]:g} deg"
         )
-        chi_square, worst = float(np.sum(z**2)), float(np.abs(z[k]))
-        # Errors that the values share make the differences of one sign: the sum has fewer degrees of freedom than pairs.
-        holds = plausible(z.size, 0.0, worst) and float(np.mean(np.abs(z) > MOST_U)) <= 0.5
+        worst, beyond = float(np.abs(z[k])), float(np.mean(np.abs(z) > MOST_U))
+        # Errors that values share make differences of one sign: chi-square needs the covariance of the pairs.
+        some = np.unique(np.linspace(0, one.size - 1, min(one.size, MOST_TOGETHER)).astype(np.int64))
+        covariance = _covariance_of_differences(points, one[some], other[some], self._reduction)
+        chi_square = float(difference[some] @ np.linalg.solve(covariance, difference[some]))
+        holds = plausible(z.size, 0.0, worst) and plausible(some.size, chi_square, 0.0)
         text = (
-            f"{z.size} pairs, {np.mean(np.abs(z) > MOST_U):.1%} of them differ by more than 2 u (chi-square {chi_square:.1f}); "
-            f"worst {worst:.1f} u at {at}"
+            f"{z.size} pairs, {beyond:.1%} of them differ by more than 2 u, worst {worst:.1f} u at {at}; chi-square of {some.size} "
+            f"pairs with their covariance {chi_square:.1f}"
         )
-        figures = {"pairs": int(z.size), "chi_square": chi_square, "worst_u": worst, "beyond_2u": float(np.mean(np.abs(z) > MOST_U))}
+        figures = {"pairs": int(z.size), "judged": int(some.size), "chi_square": chi_square, "worst_u": worst, "beyond_2u": beyond}
         return Verdict(name, "holds" if holds else "fails", text, figures)
 
     def _energy(self) -> Verdict:
@@ -233,11 +240,13 @@ def _differences(points: BsdfPoints, one: Ints, other: Ints, reduction: Reductio
     return np.concatenate(differences), np.sqrt(np.maximum(np.concatenate(variances), np.finfo(float).tiny))
 
 
-def _incidences(reduction: Reduction) -> Sequence[float]:
-    """The angles of incidence that the schedule has."""
-    from goniotwin.app.campaign.schedule.grids import grid_values
-
-    return [incidence_deg(sigma) for sigma in grid_values(reduction.schedule.sigma_deg)]
+def _covariance_of_differences(points: BsdfPoints, one: Ints, other: Ints, reduction: Reduction) -> Floats:
+    """Covariance matrix (m, m) of the differences of pairs of values."""
+    used, place = np.unique(np.concatenate([one, other]), return_inverse=True)
+    a, b = place.ravel()[: one.size], place.ravel()[one.size :]
+    effects = effects_of(points.where(used), reduction.settings)
+    crossed = effects.covariance(a, b)
+    return effects.covariance(a, a) + effects.covariance(b, b) - crossed - crossed.T
 
 
 def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:
