@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.directions import polar_from_zenith, round_azimuth
+from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, round_azimuth
 from goniotwin.app.campaign.reduction.budget import Budget, reflectance
 from goniotwin.app.campaign.reduction.checks import ConsistencyChecks
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
@@ -22,7 +22,7 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.arrays import Flags, Floats, Ints
-from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, incidence_deg, is_lower, round_deg
+from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, incidence_deg, round_deg
 
 NOTHING = "nothing to judge"
 Outcome = Literal["holds", "fails", "nothing to judge"]
