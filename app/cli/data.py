@@ -106,7 +106,9 @@ def budget(
     with Journal.open(journal) as opened:
         simulated = opened.simulated
         found = (budget_of_reflectance if reflectance else budget_of_value)(Reduction(opened), place)
-    answer(as_json, {**found.as_dict(), "simulated": simulated}, lambda: _print_budget(Console(highlight=False), found, simulated))
+    answer(
+        as_json, {**found.as_dict(), "simulated": simulated}, lambda: _print_budget(Console(highlight=False), found, simulated)
+    )
 
 
 def _print_budget(console: Console, budget: "Budget", simulated: bool) -> None:

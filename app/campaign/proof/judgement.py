@@ -3,6 +3,7 @@
 The result is small, whatever the campaign: sums by cell. Nothing of the truth is used to make the values or their u.
 """
 
+import itertools
 import math
 import re
 from collections.abc import Iterator
@@ -68,8 +69,8 @@ class RigResult:
     """A rig by its `seed`: its cells; by kind of input the sums of (fitted / u)^2 and of their expectations.
 
     `angles` by sample: the error in deg of the angle between lobe and photodiode in the plane of incidence, as drawn and as
-    fitted. `reflectances` are by sample and setting: the relative deviation and u. `far` are the points beyond 5 u. `failed` is the
-    reason why the rig has no result, or empty.
+    fitted. `reflectances` are by sample and setting: the relative deviation and u. `far` are the points beyond 5 u. `failed` is
+    the reason why the rig has no result, or empty.
     """
 
     seed: int
@@ -158,7 +159,9 @@ def _parts(points: BsdfPoints) -> Iterator[Any]:
         parts = [
             split
             for part in parts
-            for split in ([part] if part.size <= MOST_FITTED else [part[column[part] == each] for each in np.unique(column[part])])
+            for split in (
+                [part] if part.size <= MOST_FITTED else [part[column[part] == each] for each in np.unique(column[part])]
+            )
         ]
     return iter(parts)
 
@@ -182,7 +185,7 @@ def cell_labels(name: str, points: BsdfPoints, truth: Floats) -> dict[str, Any]:
     names = np.array([f"1e{-k:+d} to 1e{-k - 1:+d}" for k in range(DECADES - 1)] + [f"below 1e{1 - DECADES}"])
     edges = np.array([0.0, *ZENITHS_DEG])
     ring = np.clip(np.searchsorted(edges, polar_from_zenith(points.zenith_deg), side="right") - 1, 0, len(ZENITHS_DEG) - 1)
-    rings = np.array([f"{low:g} to {high:g} deg" for low, high in zip(edges[:-1], edges[1:], strict=True)])
+    rings = np.array([f"{low:g} to {high:g} deg" for low, high in itertools.pairwise(edges)])
     clear = np.isfinite(points.slope_along)
     steep = points.flag("steep")
     in_decade = np.array([f"{name}, {each}" for each in names])
@@ -204,7 +207,12 @@ def _add_cells(cells: Cells, tables: dict[str, Any], steep: Flags, z: Floats, ch
             at = labels == label if table == "slope" else (labels == label) & ~steep
             if at.any():
                 inside = int(np.sum(np.abs(z[at]) <= K95))
-                sums = (float(z[at].sum()), int(np.sum(np.abs(z[at]) > FAR_U)), float(chi_square[at].sum()), float(freedom[at].sum()))
+                sums = (
+                    float(z[at].sum()),
+                    int(np.sum(np.abs(z[at]) > FAR_U)),
+                    float(chi_square[at].sum()),
+                    float(freedom[at].sum()),
+                )
                 cells.setdefault(table, {}).setdefault(label, Cell()).add(Cell(int(at.sum()), inside, *sums))
 
 

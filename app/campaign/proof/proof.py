@@ -11,21 +11,20 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.judgement import RigResult, judge
 from goniotwin.app.campaign.proof.totals import Totals
 from goniotwin.app.campaign.proof.virtual_rigs import drawn_rig, run_with_wires, run_without_wires, seeds_of, with_rig
-from goniotwin.app.campaign.schedule.file import ScheduleDescription
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.app.formats import FormatError
 from goniotwin.app.formats.file import write_file
-from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.app.rig.described_twin import described_twin
 
 ABOUT = "proof.json"
@@ -115,7 +114,9 @@ class Proof:
             spare.write_text(json.dumps(result.as_dict()), encoding="utf-8")
             spare.replace(path)
         except OSError as error:
-            raise UserError(f"{path}: cannot be written: {error.strerror}; {room_on_disk(error) or 'check the folder'}") from None
+            raise UserError(
+                f"{path}: cannot be written: {error.strerror}; {room_on_disk(error) or 'check the folder'}"
+            ) from None
 
 
 def prove(proof: Proof, processes: int | None = None, report: Callable[[int], None] = lambda _: None) -> Totals:
@@ -129,7 +130,7 @@ def prove(proof: Proof, processes: int | None = None, report: Callable[[int], No
     results = {seed: result for seed in proof.seeds if (result := proof.read(seed)) is not None}
     left = [seed for seed in proof.seeds if seed not in results]
     report(len(results))
-    count = min(processes or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, len(left))
+    count = min(processes or os.cpu_count() or 1, len(left))
     found = _here(proof, plan, left) if count <= 1 else _in_processes(proof, left, count)
     with contextlib.closing(found):
         for result in found:
@@ -147,7 +148,10 @@ def _here(proof: Proof, plan: NewPlan, seeds: list[int]) -> Iterator[RigResult]:
 def _in_processes(proof: Proof, seeds: list[int], count: int) -> Iterator[RigResult]:
     """The results as they are done. At the end, and at a Ctrl-C, the processes are ended: a rig takes some seconds."""
     context = multiprocessing.get_context("spawn")  # a fork would copy the locks of other threads
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(proof,))
+    schedule, rig = proof.schedule, proof.rig
+    texts = (schedule.text, schedule.name, schedule.certificate), (rig.text, rig.folder, rig.name)
+    arguments = (*texts, proof.rigs, proof.folder, proof.wires)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=arguments)
     waiting, running = iter(seeds), set[Future[RigResult]]()
     try:
         while True:
@@ -166,26 +170,39 @@ def _in_processes(proof: Proof, seeds: list[int], count: int) -> Iterator[RigRes
         pool.shutdown(wait=False, cancel_futures=True)
         if running:
             for process in multiprocessing.active_children():
-                process.terminate()  # an interrupt there: see `_begin`
+                process.terminate()  # an interrupt there: see `_Worker`
         pool.shutdown(wait=True)
 
 
-_worker: tuple[Proof, NewPlan] | None = None
+class _Worker:
+    """The proof of a process. An end signal stops the campaign that runs, in order, and all that would follow."""
+
+    proof: Proof
+    plan: NewPlan
+    stopped = False
+    busy = False
+
+    @classmethod
+    def stop(cls, _signal: int, _frame: FrameType | None) -> None:
+        """Handle the end signal: no exception in the midst of the pool's own work."""
+        cls.stopped = True
+        if cls.busy:
+            raise KeyboardInterrupt
 
 
-def _begin(proof: Proof) -> None:
-    """Prepare a process. A Ctrl-C is the parent's business; its end signal stops a campaign in order, its death at once."""
-    global _worker  # noqa: PLW0603  (the process has one proof)
+def _begin(schedule: tuple[str, str, str | None], rig: tuple[str, Path, str], rigs: int, folder: Path, wires: bool) -> None:
+    """Prepare a process: texts, because the classes of a rig's tables are made while the program runs.
 
-    def interrupt(_signal: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
+    A Ctrl-C is the parent's business; after its death the process ends at once.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGTERM, _Worker.stop)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-    _worker = proof, proof.plan()
+    parsed = replace(parse_schedule(*schedule[:2]), certificate=schedule[2])
+    _Worker.proof = Proof(parsed, parse_rig(*rig), rigs, folder, wires)
+    _Worker.plan = _Worker.proof.plan()
 
 
 def _end_with(sentinel: int) -> None:
@@ -193,7 +210,11 @@ def _end_with(sentinel: int) -> None:
     os._exit(1)
 
 
-def _result(seed: int) -> Any:
-    assert _worker is not None
-    proof, plan = _worker
-    return proof.result(plan, seed)
+def _result(seed: int) -> RigResult:
+    _Worker.busy = True
+    try:
+        if _Worker.stopped:
+            raise KeyboardInterrupt
+        return _Worker.proof.result(_Worker.plan, seed)
+    finally:
+        _Worker.busy = False

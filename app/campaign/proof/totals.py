@@ -87,7 +87,10 @@ class Totals:
             for table, cells in each.cells.items():
                 labels.setdefault(table, {}).update(dict.fromkeys(cells))
         self.tables = {
-            table: [_cell_total(label, [each.cells.get(table, {}).get(label, Cell()) for each in done]) for label in _in_order(found)]
+            table: [
+                _cell_total(label, [each.cells.get(table, {}).get(label, Cell()) for each in done])
+                for label in _in_order(found)
+            ]
             for table, found in labels.items()
         }
         self.inputs = _input_totals(done)
@@ -210,7 +213,9 @@ def _reflectance_totals(results: Sequence[RigResult]) -> list[ReflectanceTotal]:
         scatter = float(np.std(deviation, ddof=1)) if rigs > 1 else math.nan
         limits = (chi_square_quantile(rigs, -LIMIT_99) / rigs, chi_square_quantile(rigs, LIMIT_99) / rigs)
         chi_square = float(np.mean((deviation / np.maximum(u, np.finfo(float).tiny)) ** 2))
-        totals.append(ReflectanceTotal(label, rigs, chi_square, limits, float(np.sqrt(np.mean(u**2))) / scatter if scatter else math.nan))
+        totals.append(
+            ReflectanceTotal(label, rigs, chi_square, limits, float(np.sqrt(np.mean(u**2))) / scatter if scatter else math.nan)
+        )
     return totals
 
 

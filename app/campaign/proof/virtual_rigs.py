@@ -137,7 +137,9 @@ class _Readout:
         arrived = self.now
         for name, target in zip(AXES, row.pose, strict=True):
             if self._pose.get(name) != target:
-                legs = self._axes[name].legs(self._pose.get(name, 0.0), target)
+                overshoot = self._axes[name].overshoot_deg
+                turns_round = (target - self._pose.get(name, 0.0)) * overshoot > 0.0
+                legs = [target + overshoot, target] if turns_round else [target]
                 for k, at in enumerate(legs):
                     self._drive(name, self.now + k * MOVE_S, at)
                 arrived = max(arrived, self.now + len(legs) * MOVE_S)
@@ -178,7 +180,9 @@ class _Readout:
         """Counts (readings, photodiodes) from the next conversion on, after so many `before`."""
         plant, settings = self._plant, self._settings
         volts = [
-            np.concatenate([plant.volts(module, self.now + (before + k) * settings.period_s) for module in range(plant.modules)])
+            np.concatenate(
+                [plant.volts(module, self.now + (before + k) * settings.period_s) for module in range(plant.modules)]
+            )
             for k in range(readings)
         ]
         return np.asarray(settings.range.raw(np.array(volts)[:, : settings.count])).astype(np.uint16)

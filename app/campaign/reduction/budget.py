@@ -106,7 +106,9 @@ def budget_of_value(reduction: Reduction, place: Mapping[str, str | float]) -> B
     distance = _distances_deg(points, float(place[pair[0]]), float(place[pair[1]]), pair[0] == "theta")
     order = np.argsort(distance, kind="stable")
     if not order.size or distance[order[0]] > NEAR_DEG:
-        raise UserError(f"--at: no direction within {NEAR_DEG:g} deg of it was measured; the nearest are {_listed(points, order)}")
+        raise UserError(
+            f"--at: no direction within {NEAR_DEG:g} deg of it was measured; the nearest are {_listed(points, order)}"
+        )
     near = points.where(order[distance[order] <= NEAR_DEG])
     chosen = int(np.argmax(near.good))
     point = near.where(np.array([chosen]))
@@ -134,7 +136,9 @@ def budget_of_reflectance(reduction: Reduction, place: Mapping[str, str | float]
     name, points = _points_at(reduction, place)
     settings = list(integration_settings(points))
     if len(settings) > 1:
-        raise UserError(f"--at: {'; '.join(map(str, settings[:NEIGHBOURS]))}: choose one of them by sigma, wavelength, gamma, light")
+        raise UserError(
+            f"--at: {'; '.join(map(str, settings[:NEIGHBOURS]))}: choose one of them by sigma, wavelength, gamma, light"
+        )
     if not settings:
         raise UserError("--at: no direction has a trusted value there")
     return reflectance(reduction, name, points, settings[0])
@@ -156,7 +160,9 @@ def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Se
     ]
     components.sort(key=lambda each: -each.u)
     total = float(np.sum(rule.weight[used] * value))
-    about = [] if rule.hemisphere else ["the measured directions do not cover the half sphere: this is an integral, no reflectance"]
+    about = (
+        [] if rule.hemisphere else ["the measured directions do not cover the half sphere: this is an integral, no reflectance"]
+    )
     if total:
         parts = (("obstructed directions", rule.obstructed), ("beyond the outermost ring", rule.extrapolated))
         about += [f"{np.sum(part[used] * value) / total:.2%} of it is of {title}" for title, part in parts]

@@ -111,7 +111,9 @@ class _Sample:
         points = join_points(self._reciprocal)
         one, other = reciprocal_pairs(points, self._reduction.schedule.symmetry)
         if not one.size:
-            return Verdict(name, NOTHING, "no pair of values has light and view exchanged; measure at zenith angles that are sigmas")
+            return Verdict(
+                name, NOTHING, "no pair of values has light and view exchanged; measure at zenith angles that are sigmas"
+            )
         difference, u = _differences(points, one, other, self._reduction)
         z = difference / u
         k = int(np.argmax(np.abs(z)))
@@ -129,7 +131,13 @@ class _Sample:
             f"{z.size} pairs, {beyond:.1%} of them differ by more than 2 u, worst {worst:.1f} u at {at}; chi-square of {some.size} "
             f"pairs with their covariance {chi_square:.1f}"
         )
-        figures = {"pairs": int(z.size), "judged": int(some.size), "chi_square": chi_square, "worst_u": worst, "beyond_2u": beyond}
+        figures = {
+            "pairs": int(z.size),
+            "judged": int(some.size),
+            "chi_square": chi_square,
+            "worst_u": worst,
+            "beyond_2u": beyond,
+        }
         return Verdict(name, "holds" if holds else "fails", text, figures)
 
     def _energy(self) -> Verdict:

@@ -43,6 +43,6 @@ def drawn_errors(effects: Effects, seed: int) -> Floats:
     """Relative errors (n,) with the law that the effects state."""
     rng = np.random.default_rng(seed)
     shared = dense_sensitivities(effects)
-    own = np.sqrt(np.sum([each for each in effects.independent.values()], axis=0))
+    own = np.sqrt(np.sum(list(effects.independent.values()), axis=0))
     drawn: Floats = shared @ rng.normal(size=shared.shape[1]) + own * rng.normal(size=own.size)
     return drawn

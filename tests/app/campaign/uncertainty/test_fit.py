@@ -18,7 +18,7 @@ def test_fit_is_generalised_least_squares(seed: int, values: int, dense: int, me
     effects = made_effects(seed, values, dense, members)
     residual = drawn_errors(effects, seed + 1)
     fit = fit_inputs(effects, residual)
-    own = np.sum([each for each in effects.independent.values()], axis=0)
+    own = np.sum(list(effects.independent.values()), axis=0)
     shared = dense_sensitivities(effects)
     alone = (shared != 0.0).sum(axis=0) < 2
     alone[:dense] = False
@@ -29,7 +29,9 @@ def test_fit_is_generalised_least_squares(seed: int, values: int, dense: int, me
     for k, each in enumerate(effects.dense[0].inputs):
         at = [one.name for one in fit.inputs].index(each.name)
         assert fit.estimate[at] == pytest.approx(each.u * shared[:, k] @ inverse @ residual, rel=1e-6, abs=1e-12)
-        assert fit.expected_variance[at] == pytest.approx(each.u**2 * shared[:, k] @ inverse @ shared[:, k], rel=1e-6, abs=1e-15)
+        assert fit.expected_variance[at] == pytest.approx(
+            each.u**2 * shared[:, k] @ inverse @ shared[:, k], rel=1e-6, abs=1e-15
+        )
 
 
 @settings(max_examples=15, deadline=None)
