@@ -1,23 +1,24 @@
-"""What errors of angles and places do to a value: how far the lobe is displaced from where it is looked at, and the diffuse part.
+"""What errors of angles and places do to a value: the displacement of the lobe from where it is looked at, and a diffuse part.
 
-By geometry alone: small turns as vectors, from the rig's nominal dimensions. A value depends on the direction d that a photodiode
-looks along and on the middle of the lobe r: the specular direction or, of transmitted light, the direction straight through. An
-input moves d or r; what counts is p = d - r, with r carried along the great circle to d. In degrees for each unit of the input:
-`along` the arc, towards growing polar angle, and `across` it, towards growing azimuth. With the lobe's slopes it is a relative
-change of the value. A sample without slopes, and the etalon, which has none, change with the cosines of incidence and of
-observation alone: the `diffuse` part, relative for each unit. Sample and etalon have it in common where an input acts on both.
+By geometry alone: small turns as vectors, from the rig's nominal dimensions. A value depends on the direction d that a
+photodiode looks along and on the middle of the lobe r: the specular direction or, of transmitted light, the direction straight
+through. An input moves d or r; what counts is p = d - r, with r carried along the great circle to d. In degrees for each unit
+of the input: `along` the arc, towards growing polar angle, and `across` it, towards d x along: growing azimuth on the upper
+arc. With the lobe's slopes it is a relative change of the value. A sample without slopes, and the etalon, which has none,
+change with the cosines of incidence and of observation alone: the `diffuse` part, relative for each unit. Sample and etalon
+have it in common where an input acts on both.
 
 The light comes from the image of the exit pupil in the mirrors; a mirror's tilt moves that image by its lever arm.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
@@ -52,6 +53,8 @@ POSITIONS = ("gamma", "sigma", "beta", "shift")
 """Axes with an error of their own after each move."""
 NEAREST = 1e-3
 """Least sum 1 + cos of the angle between lobe and photodiode: opposite directions have no great circle of their own."""
+GRAZING = 1e-3
+"""Least cosine of incidence and observation: at the horizon no value is finite."""
 GRID_DEG = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 80.0, 82.5, 85.0, 87.5, 89.0])
 """Polar angles at which the acceptance is computed; between them it is interpolated."""
 NODES = 24
@@ -113,7 +116,8 @@ def pose_effects(instrument: Instrument, views: Views) -> PoseEffects:
     ahead = np.stack([level[:, 1], -level[:, 0], np.zeros_like(cos)], axis=1)
     d = _mix(sin, ahead, cos * up)
     along = _mix(cos, ahead, -sin * up)
-    frame = _Frame(d, along, level, up * cos, -up * sin, np.where(views.reverse, -1.0, 1.0))
+    cosine = up * np.where(np.abs(cos) < GRAZING, np.copysign(GRAZING, cos), cos)
+    frame = _Frame(d, along, up[:, None] * level, cosine, -up * sin, np.where(views.reverse, -1.0, 1.0))
     accepted = acceptance(instrument).at(views.polar)
     light, at_etalon = _lights(instrument, views)
     moved = _light_displacement(frame, light, views.transmitted)
@@ -144,7 +148,7 @@ def pose_effects(instrument: Instrument, views: Views) -> PoseEffects:
         etalon_position=etalon_position,
         photodiode=Displacement(
             np.concatenate([frame.sign[:, None], none], axis=1),
-            np.concatenate([none, frame.sign[:, None]], axis=1),
+            np.concatenate([none, (frame.sign * up)[:, None]], axis=1),
             np.concatenate([none, none], axis=1),
         ),
     )
@@ -215,15 +219,17 @@ def _distance_mm(instrument: Instrument) -> float:
 def _light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
     """Towards the light (3,), its change (inputs, 3) in deg a unit, and the irradiance's relative change (inputs,)."""
     sigma = math.radians(sigma_deg)
-    l, y = np.array([math.sin(sigma), 0.0, math.cos(sigma)]), np.array([0.0, 1.0, 0.0])
+    cosine = math.cos(sigma)
+    cosine = cosine if abs(cosine) > GRAZING else math.copysign(GRAZING, cosine)
+    light, y = np.array([math.sin(sigma), 0.0, cosine]), np.array([0.0, 1.0, 0.0])
     side, total = instrument.mirror_distance_mm, _distance_mm(instrument)
-    first = np.array([-l[2], 0.0, l[0]])
+    first = np.array([-light[2], 0.0, light[0]])
     # Directions of the beam before and after each mirror; the normal halves the angle. A mirror's sides are `first`, level in
     # all three, and `second`: a turn about one moves the normal along the other. The arm is that from the pupil's image.
-    legs, seconds = [(y, l), (l, y), (y, -l)], [y + l, -y - l, y - l]
+    legs, seconds = [(y, light), (light, y), (y, -light)], [y + light, -y - light, y - light]
     arms = [instrument.pupil_to_mirror_mm + k * side for k in range(len(MIRRORS))]
     normals = [(after - before) / math.sqrt(2.0) for before, after in legs]
-    images: list[Floats] = [total * np.array([l[2], 0.0, -l[0]])]  # the mirror unit turned about y by a radian
+    images: list[Floats] = [total * np.array([light[2], 0.0, -light[0]])]  # the mirror unit turned about y by a radian
     for k, normal in enumerate(normals):
         back = -arms[k] * legs[k][0]  # from the mirror to the image of the pupil that it sees
         for turned in (-seconds[k] / math.sqrt(2.0), first):
@@ -232,11 +238,11 @@ def _light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats,
     images += [_onward(np.eye(3)[axis], normals) for axis in (0, 2)]
     moved = np.stack(images)
     in_mm = np.array(["shift" in name for name in LIGHT])
-    ahead = moved @ l
+    ahead = moved @ light
     # Angles in deg a deg, or deg a mm; relative changes a deg, or a mm.
-    change = (moved - ahead[:, None] * l) / total * np.where(in_mm, 1.0 / RAD, 1.0)[:, None]
-    level = change[:, 2] * RAD / l[2] - 2.0 * ahead / total * np.where(in_mm, 1.0, RAD)
-    return l, change, level
+    change = (moved - ahead[:, None] * light) / total * np.where(in_mm, 1.0 / RAD, 1.0)[:, None]
+    level = change[:, 2] * RAD / light[2] - 2.0 * ahead / total * np.where(in_mm, 1.0, RAD)
+    return light, change, level
 
 
 def _onward(vector: Floats, normals: list[Floats]) -> Floats:
@@ -368,14 +374,14 @@ class _Seen:
 def _seen(
     instrument: Instrument, frame: _Frame, accepted: Acceptance, ahead: Floats, light: _Light, transmitted: Flags
 ) -> _Seen:
-    far, l = instrument.arc_radius_mm * RAD, light.towards
+    far, towards = instrument.arc_radius_mm * RAD, light.towards
     # The mean point of the spot, by whose place the light comes from another direction.
     points = accepted.spot_along[:, None] * ahead, accepted.spot_across[:, None] * frame.across
-    carried = _carried(frame, _middle(l, transmitted))
-    moved, level = np.zeros((l.shape[0], 2, 2)), np.zeros((l.shape[0], 2))
+    carried = _carried(frame, _middle(towards, transmitted))
+    moved, level = np.zeros((towards.shape[0], 2, 2)), np.zeros((towards.shape[0], 2))
     for k, point in enumerate(points):
-        lit, near = np.einsum("ni,ni->n", point, l), np.einsum("ni,ni->n", point, frame.d)
-        change = _middle((lit[:, None] * l - point) / light.distance_mm / RAD, transmitted)
+        lit, near = np.einsum("ni,ni->n", point, towards), np.einsum("ni,ni->n", point, frame.d)
+        change = _middle((lit[:, None] * towards - point) / light.distance_mm / RAD, transmitted)
         for j, each in enumerate(carried):
             moved[:, j, k] = -np.einsum("ni,ni->n", each, change)
         level[:, k] = 3.0 * lit / light.distance_mm + accepted.nearer * near / instrument.arc_radius_mm
@@ -389,16 +395,16 @@ def _view_displacement(instrument: Instrument, frame: _Frame, seen: _Seen, views
     """The inputs VIEW: what turns cone and disc together, and what moves the disc against the cone."""
     n, far = frame.sign.size, instrument.arc_radius_mm * RAD
     turned, disc = np.zeros((2, n, len(VIEW))), np.zeros((2, n, len(VIEW)))
-    turned[1, :, 0] = np.sin(views.polar)
+    up = np.where(views.lower, -1.0, 1.0)
+    turned[1, :, 0] = up * np.sin(views.polar)
     turned[0, :, 1] = frame.sign
     # w x d along the arc is w . (d x along).
     turned[:, :, 2:5] = np.cross(frame.d, frame.along), np.cross(frame.d, frame.across)
     disc[:, :, 5:8] = frame.along, frame.across
     # A sensor's own axes: away from the upper normal, and level; at the pole away is x.
     turn = np.where(views.polar == 0.0, views.azimuth, 0.0)
-    up = np.where(views.lower, -1.0, 1.0)
-    away = np.stack([up * np.cos(turn), -up * np.sin(turn)])  # along the arc and across it
-    beside = np.stack([np.sin(turn), np.cos(turn)])
+    away = np.stack([up * np.cos(turn), -np.sin(turn)])  # along the arc and across it
+    beside = np.stack([np.sin(turn), up * np.cos(turn)])
     turned[:, :, 8], turned[:, :, 9] = -beside, away
     disc[:, :, 8:10] = -far * turned[:, :, 8:10]  # the disc stays where it was
     disc[:, :, 10], disc[:, :, 11] = away, beside
@@ -408,18 +414,18 @@ def _view_displacement(instrument: Instrument, frame: _Frame, seen: _Seen, views
 
 def _mounted(instrument: Instrument, frame: _Frame, seen: _Seen, views: Views, light: _Light, *, lobe: bool) -> Displacement:
     """The inputs MOUNTED of a sample with a lobe, or of the etalon, by which a value is divided."""
-    n, l, accepted = frame.sign.size, light.towards, seen.accepted
+    n, towards, accepted = frame.sign.size, light.towards, seen.accepted
     gamma = np.radians(views.gamma_deg)
     c, s, none = np.cos(gamma), np.sin(gamma), np.zeros(n)
     # The normal's change for a turn about x' and about y'.
     tilted = np.stack([np.stack([s, -c, none], axis=1), np.stack([c, s, none], axis=1)], axis=1)
-    at_light, at_view = (np.einsum("ni,nki->nk", each, tilted) for each in (l, frame.d))
+    at_light, at_view = (np.einsum("ni,nki->nk", each, tilted) for each in (towards, frame.d))
     along, across, diffuse = (np.zeros((n, len(MOUNTED))) for _ in range(3))
-    diffuse[:, :2] = (at_light / l[:, 2:] + (accepted.share / frame.cos_n)[:, None] * at_view) * RAD
+    diffuse[:, :2] = (at_light / towards[:, 2:] + (accepted.share / frame.cos_n)[:, None] * at_view) * RAD
     # A lift brings the spot nearer to the light and to the photodiode; seen from the spot, the disc moves along the arc.
     aside = -frame.slope_n
     diffuse[:, 2] = (
-        (3.0 * l[:, 2] - 1.0 / l[:, 2]) / light.distance_mm
+        (3.0 * towards[:, 2] - 1.0 / towards[:, 2]) / light.distance_mm
         + accepted.nearer * frame.cos_n / instrument.arc_radius_mm
         + aside * seen.level[:, 0]
     )
@@ -427,13 +433,13 @@ def _mounted(instrument: Instrument, frame: _Frame, seen: _Seen, views: Views, l
         return Displacement(along, across, -diffuse)
     change = np.zeros((n, len(MOUNTED), 3))
     # Reflected: 2 (dn . l) n + 2 (n . l) dn. Transmitted: straight through is where it was.
-    change[:, :2] = 2.0 * l[:, None, 2:] * tilted
+    change[:, :2] = 2.0 * towards[:, None, 2:] * tilted
     change[:, :2, 2] += 2.0 * at_light
     change[views.transmitted, :2] = 0.0
-    lift = l * l[:, 2:]
+    lift = towards * towards[:, 2:]
     lift[:, 2] -= 1.0
     change[:, 2] = _middle(lift / light.distance_mm / RAD, views.transmitted)
-    for j, (part, each) in enumerate(zip((along, across), _carried(frame, _middle(l, views.transmitted)), strict=True)):
+    for j, (part, each) in enumerate(zip((along, across), _carried(frame, _middle(towards, views.transmitted)), strict=True)):
         part[:] = -np.einsum("ni,nki->nk", each, change)
         part[:, 2] += aside * seen.moved[:, j, 0]
     return Displacement(along, across, diffuse)
@@ -488,10 +494,6 @@ def standard_uncertainties(inputs: list[Input]) -> Floats:
     return np.array([each.u for each in inputs])
 
 
-Moments = Mapping[str, Floats]
-"""Sums over the inputs of a family at n directions, (n, 6): what a variance needs, whatever the slopes."""
-
-
 def moments(*parts: tuple[Displacement, Floats]) -> Floats:
     """Sums (n, 6) over inputs with standard uncertainties: products of along, across and diffuse; see `variance`."""
     total = np.zeros((parts[0][0].along.shape[0], 6))
@@ -508,3 +510,14 @@ def variance(sums: Floats, slope_along: Floats, slope_across: Floats) -> Floats:
     a, c = slope_along, slope_across
     aa, cc, ss, ac, as_, cs = sums.T
     return np.maximum(a * a * aa + c * c * cc + ss + 2.0 * (a * c * ac + a * as_ + c * cs), 0.0)
+
+
+def pose_moments(rig: RigFile, views: Views) -> Floats:
+    """What the variances need at `views`, (n, 2, 6): of the dense inputs of pose, and of the axes' positions."""
+    table, effects = rig.uncertainty, pose_effects(nominal_instrument(rig), views)
+    mounted = [standard_uncertainties(mounting_inputs(table, kind, "")) for kind in ("sample", "etalon")]
+    position = np.full(len(POSITIONS), position_u_deg(table))
+    dense = moments(
+        (effects.common, standard_uncertainties(rig_inputs(table))), (effects.sample, mounted[0]), (effects.etalon, mounted[1])
+    )
+    return np.stack([dense, moments((effects.position, position), (effects.etalon_position, position))], axis=1)
