@@ -161,12 +161,27 @@ class BsdfPoints(MeasuredDirections):
     `bsdf` is in 1/sr, NaN where there is no value; `components` are those of its uncertainty (see components.py) by name, and
     `marks` its flags in bits. `signature` is the instrument signature's share of the sample's signal, already subtracted; NaN
     where it was not measured.
+
+    `slope_along` and `slope_across` are the derivatives of ln bsdf per degree, without the field of view; NaN where unknown.
+    Along: towards growing polar angle, from the pole of the direction's own arc, in the half plane of its azimuth. Across:
+    towards direction x along, which on the upper arc is growing azimuth, on the lower arc falling azimuth. `field_correction`
+    is what the correction of the field of view has added to ln bsdf; 0 where nothing was corrected.
+
+    `row` is the number of the row in the journal, and `etalon_row` of that of the etalon's reading, of several the first one.
+    `gain` and `etalon_gain` are the indices of the gains of these readings, -1 where they are saturated.
     """
 
     bsdf: Floats
     components: Components
     marks: Marks
     signature: Floats
+    slope_along: Floats
+    slope_across: Floats
+    field_correction: Floats
+    row: Ints
+    etalon_row: Ints
+    gain: Ints
+    etalon_gain: Ints
 
     def where(self, chosen: Flags | Ints) -> "BsdfPoints":
         """A selection of the points, or all in another order."""

@@ -32,6 +32,7 @@ from goniotwin.app.campaign.reduction.readings import (
     order_by_setting,
     row_places,
 )
+from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
 from goniotwin.app.campaign.row import NO_SAMPLE
@@ -106,7 +107,8 @@ class Reduction:
         self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
         text = None if self.schedule.certificate is None else journal.value("certificate")
-        self.settings = reduction_settings(self.rig.file, self.schedule, text, f"{journal.path} (certificate)")
+        settings = reduction_settings(self.rig.file, self.schedule, text, f"{journal.path} (certificate)")
+        self.settings = replace(settings, history=RowHistory(journal))
         self._measurements = Measurements(journal, self.schedule, self.rig.file)
         self._etalon = ReferenceMeasurements(self._measurements, self.schedule.etalon)
         if not len(self._etalon):
