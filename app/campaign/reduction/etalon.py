@@ -334,6 +334,9 @@ def _points(data: ArcRows) -> BsdfPoints:
         components={name: each.ravel() for name, each in data.estimate.components.items()},
         marks=pack_flags({name: flag.ravel() for name, flag in data.flags.items()}, size),
         signature=data.share.ravel(),
+        slope_along=np.full(size, np.nan),
+        slope_across=np.full(size, np.nan),
+        field_correction=np.zeros(size),
     )
 
 

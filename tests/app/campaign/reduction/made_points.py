@@ -28,4 +28,7 @@ def made_points(
         components={"noise": zeros + u**2},
         marks=pack_flags(flags or {}, zenith.size),
         signature=zeros + np.nan,
+        slope_along=zeros + np.nan,
+        slope_across=zeros + np.nan,
+        field_correction=zeros,
     )
