@@ -11,16 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
+from goniotwin.app.campaign.reduction.components import INDEPENDENT
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.field_of_view import (
-    MAX_DISTANCE_RAD,
-    RADIAL,
-    WINDOW,
-    field_variance,
-    local_parabola,
-    merge_directions,
-)
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
 from goniotwin.app.campaign.uncertainty.inputs import Input
@@ -279,31 +271,3 @@ FAMILIES: Mapping[str, Callable[[_PointEffects, Floats], Iterator[Group | Dense]
     )
 }  # fmt: skip
 """The families of inputs by the names of their components."""
-
-
-# Until the slopes come with the correction of the field of view.
-
-
-def add_provisional_slopes(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
-    """Slopes along the arc by a local parabola; across it by symmetry about the lobe's middle. Not below the noise."""
-    along, across = (np.full(points.bsdf.size, np.nan) for _ in range(2))
-    chosen = np.flatnonzero(points.good)
-    if chosen.size:
-        here = points.where(chosen)
-        values, which = merge_directions(here)
-        light = values.bsdf > DETECTED * values.u_bsdf
-        logarithm = np.where(light, np.log(np.where(light, values.bsdf, 1.0)), np.nan)
-        window = WINDOW * float(np.sqrt(field_variance(nominal_instrument(settings.rig))))
-        first = local_parabola(values.plane, values.polar, logarithm, window, MAX_DISTANCE_RAD).first
-        theta = np.arccos(np.clip(values.middle, -1.0, 1.0))
-        sine = np.maximum(np.sin(theta), 1e-9)
-        turn = np.clip(-values.slope / sine, -1.0, 1.0)
-        radial = np.abs(turn) >= RADIAL
-        # d theta / d across: the middle of the lobe is at x = -sin(sigma).
-        beside = np.sin(np.radians(here.sigma_deg)) * -np.sin(np.radians(here.azimuth_deg)) / sine[which]
-        own = np.where(np.cos(np.radians(here.azimuth_deg) - values.azimuth[which]) < 0.0, -1.0, 1.0)
-        per_deg = np.pi / 180.0
-        along[chosen] = own * first[which] * per_deg
-        up = np.where(here.transmitted != here.back, -1.0, 1.0)
-        across[chosen] = np.where(radial, first / np.where(radial, turn, 1.0), np.nan)[which] * up * beside * per_deg
-    return replace(points, slope_along=along, slope_across=across)

@@ -62,7 +62,9 @@ FLAGS: dict[str, Flag] = {
     "drift": Flag("beyond its limit", True, "flagged for drift", "see the drift checks"),
     # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
     "under-range": Flag("lost in its noise", False),
-    "field": Flag("the effect of the field of view cannot be estimated, and is not in u_bsdf", False),
+    "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf", False),
+    # A good value with a warning: a slope is what turns an error of an angle into one of the value.
+    "steep": Flag("the directions nearby are too far apart for the slope here: u_bsdf may be too small", False),
 }  # fmt: skip
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
@@ -220,9 +222,10 @@ class BsdfPoints(MeasuredDirections):
 
     @property
     def u_field(self) -> Floats:
-        """The field's component of `u_bsdf`, 1/sr; NaN where it cannot be estimated."""
+        """The field's components of `u_bsdf`, 1/sr; NaN where they cannot be estimated."""
         known = self.good & ~self.flag("field")
-        return np.where(known, np.sqrt(self.components.get("field", np.full(self.bsdf.size, np.nan))), np.nan)
+        none = np.full(self.bsdf.size, np.nan)
+        return np.where(known, np.sqrt(self.components.get("field", none) + self.components.get("field_noise", 0.0)), np.nan)
 
     @property
     def flags(self) -> dict[str, Flags]:
