@@ -17,7 +17,7 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, true_bsdf
+from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, noisy, true_bsdf
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
@@ -167,11 +167,11 @@ def _parts(points: BsdfPoints) -> Iterator[Any]:
 
 
 def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:
-    """Relative deviations (n,) from the truth: of the logarithm, where a value is above the detection limit."""
-    value = np.where(points.bsdf == 0.0, np.finfo(float).tiny, points.bsdf)
-    clear = (value > 0.0) & (truth > 0.0) & ~points.flag("under-range")
+    """Relative deviations (n,) from the truth, of the logarithm where a value is not for the most part noise."""
+    value = np.where(points.bsdf == 0.0, 1.0, points.bsdf)  # as in effects_of
+    clear = (value > 0.0) & (truth > 0.0) & ~noisy(points)
     ratio = np.where(clear, value, 1.0) / np.where(clear, truth, 1.0)
-    return np.where(clear, np.log(ratio), (value - truth) / value)
+    return np.where(clear, np.log(ratio), (points.bsdf - truth) / value)
 
 
 def cell_labels(name: str, points: BsdfPoints, truth: Floats) -> dict[str, Any]:

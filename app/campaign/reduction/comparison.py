@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.geometry.directions import direction_keys
+from goniotwin.app.campaign.reduction.components import total_variance
 from goniotwin.app.campaign.reduction.export import heading
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
@@ -20,7 +21,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.samples import GaussianTable
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS, relative_rms_percent
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
 from goniotwin.twin.optics.geometry.coordinates import (
     SPECULAR_AZIMUTH_DEG,
@@ -36,6 +37,8 @@ K95 = 1.96
 """Half width of a 95 % interval in u."""
 LOGARITHMIC = 0.15
 """Relative u above which an interval is one of the logarithm."""
+ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark"})
+"""Components that do not grow with the value."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +75,20 @@ def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
     """Deviations (n,) of values from the truth in their u: a value is within its 95 % interval where they are within K95.
 
-    Above a relative u of LOGARITHMIC the interval of a value above the detection limit is one of its logarithm.
+    Above a relative u of LOGARITHMIC the interval is one of the logarithm, unless that u is for the most part noise, which is
+    added to a value whatever its size.
     """
     u = np.maximum(points.u_bsdf, np.finfo(float).tiny)
     plain = (points.bsdf - truth) / u
-    chosen = (points.bsdf > 0.0) & (truth > 0.0) & ~points.flag("under-range")
-    chosen &= u > LOGARITHMIC * np.abs(points.bsdf)
+    chosen = (points.bsdf > 0.0) & (truth > 0.0) & (u > LOGARITHMIC * np.abs(points.bsdf)) & ~noisy(points)
     ratio = np.where(chosen, points.bsdf, 1.0) / np.where(chosen, truth, 1.0)
     return np.where(chosen, np.log(ratio) * points.bsdf / u, plain)
+
+
+def noisy(points: BsdfPoints) -> Flags:
+    """The points (n,) of whose variance noise and dark readings are more than half."""
+    added = {name: each for name, each in points.components.items() if name in ADDED}
+    return np.asarray(total_variance(added) + np.zeros(points.size) > 0.5 * points.u_bsdf**2)
 
 
 def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:
