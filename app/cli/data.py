@@ -134,9 +134,9 @@ def verify(
     journal: JournalArgument,
     as_json: Json = False,
 ) -> None:
-    """Check the values of a data file (journal) against physics and against each other.
+    """Check the values of a data file against physics.
 
-    Reciprocity, energy, symmetry, overlaps of photodiodes, gains, drift, instrument signature, obstructed directions: one
+    And against each other: reciprocity, energy, symmetry, overlaps of photodiodes, gains, drift, instrument signature, obstructed directions: one
     verdict each, with figures. "Nothing to judge" where the schedule measures nothing for it.
 
     Exit status: 1 if a verdict is "fails".

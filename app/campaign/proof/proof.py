@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from functools import cached_property
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from types import FrameType
@@ -19,7 +20,7 @@ from types import FrameType
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.judgement import RigResult, judge
 from goniotwin.app.campaign.proof.totals import Totals
-from goniotwin.app.campaign.proof.virtual_rigs import drawn_rig, run_with_wires, run_without_wires, seeds_of, with_rig
+from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs, run_with_wires, run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.app.formats import FormatError
@@ -49,28 +50,32 @@ class Proof:
 
     @property
     def seeds(self) -> list[int]:
-        """The seeds of the rigs."""
-        return list(seeds_of(self.rig, self.rigs))
+        """The seeds of the rigs: that of the file, and those that follow."""
+        first = self.rig.seed or 0
+        return list(range(first, first + self.rigs))
 
+    @cached_property
+    def drawn(self) -> DrawnRigs:
+        """The virtual rigs. Raises UserError where the file describes no twin."""
+        file = self.schedule.file
+        described = described_twin(self.rig, file.etalon, file.samples, {}).rig
+        return DrawnRigs(described, file.etalon, certified=file.certificate is not None)
+
+    @cached_property
     def plan(self) -> NewPlan:
-        """The plan of all rigs. Raises UserError for what the rig cannot do, and for one without a twin."""
-        return make_plan(self.schedule, self._drawn(self.seeds[0]))
+        """The plan of all rigs. Raises UserError for what the rig cannot do."""
+        return make_plan(self.schedule, self.drawn.rig(self.seeds[0]))
 
-    def result(self, plan: NewPlan, seed: int) -> RigResult:
+    def result(self, seed: int) -> RigResult:
         """The result of one rig: a whole campaign, its reduction, and the comparison with the truth."""
         try:
-            own = with_rig(plan, self._drawn(seed))
+            own = replace(self.plan, rig=self.drawn.rig(seed))
             with tempfile.TemporaryDirectory(prefix="rig-", dir=self.folder) as folder:
                 path = Path(folder) / "rig.journal"
                 (run_with_wires if self.wires else run_without_wires)(own, path)
                 return judge(path, own)
         except UserError as error:
             return RigResult(seed, failed=str(error))
-
-    def _drawn(self, seed: int) -> RigDescription:
-        file = self.schedule.file
-        described = described_twin(self.rig, file.etalon, file.samples, {}).rig
-        return drawn_rig(described, file.etalon, seed, certified=file.certificate is not None)
 
     def prepare(self) -> None:
         """Make the folder, or check that it is of this proof. Raises UserError."""
@@ -125,13 +130,13 @@ def prove(proof: Proof, processes: int | None = None, report: Callable[[int], No
     `processes`: how many at once, all cores by default; 1 is this process itself. Raises UserError, and KeyboardInterrupt after
     a Ctrl-C, when no process is left and every finished rig is kept.
     """
-    plan = proof.plan()
+    _ = proof.plan  # refused before anything is written
     proof.prepare()
     results = {seed: result for seed in proof.seeds if (result := proof.read(seed)) is not None}
     left = [seed for seed in proof.seeds if seed not in results]
     report(len(results))
     count = min(processes or os.cpu_count() or 1, len(left))
-    found = _here(proof, plan, left) if count <= 1 else _in_processes(proof, left, count)
+    found = _here(proof, left) if count <= 1 else _in_processes(proof, left, count)
     with contextlib.closing(found):
         for result in found:
             proof.keep(result)
@@ -140,9 +145,9 @@ def prove(proof: Proof, processes: int | None = None, report: Callable[[int], No
     return Totals([results[seed] for seed in proof.seeds])
 
 
-def _here(proof: Proof, plan: NewPlan, seeds: list[int]) -> Iterator[RigResult]:
+def _here(proof: Proof, seeds: list[int]) -> Iterator[RigResult]:
     for seed in seeds:
-        yield proof.result(plan, seed)
+        yield proof.result(seed)
 
 
 def _in_processes(proof: Proof, seeds: list[int], count: int) -> Iterator[RigResult]:
@@ -178,7 +183,6 @@ class _Worker:
     """The proof of a process. An end signal stops the campaign that runs, in order, and all that would follow."""
 
     proof: Proof
-    plan: NewPlan
     stopped = False
     busy = False
 
@@ -202,7 +206,6 @@ def _begin(schedule: tuple[str, str, str | None], rig: tuple[str, Path, str], ri
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
     parsed = replace(parse_schedule(*schedule[:2]), certificate=schedule[2])
     _Worker.proof = Proof(parsed, parse_rig(*rig), rigs, folder, wires)
-    _Worker.plan = _Worker.proof.plan()
 
 
 def _end_with(sentinel: int) -> None:
@@ -215,6 +218,6 @@ def _result(seed: int) -> RigResult:
     try:
         if _Worker.stopped:
             raise KeyboardInterrupt
-        return _Worker.proof.result(_Worker.plan, seed)
+        return _Worker.proof.result(seed)
     finally:
         _Worker.busy = False

@@ -5,7 +5,6 @@ fast estimator with everything that is drawn, its noise, dark currents, gains an
 same, from the journal to the values. What only devices have is not in it: their statements, ramps and faults.
 """
 
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -33,22 +32,32 @@ MOVE_S = 0.5
 """Duration of a move without wires; the light is not read during it."""
 
 
-def drawn_rig(rig: RigDescription, etalon: str, seed: int, *, certified: bool) -> RigDescription:
-    """The virtual rig of a file, off by what the file states as uncertain, with everything drawn from the seed.
+class DrawnRigs:
+    """The virtual rigs of a file: each off by what the file states as uncertain, with everything drawn from its seed.
 
     Keys that `[twin.disturbances]` has already are kept: a fault of which the rest of the file knows nothing. `certified`: the
-    schedule has a certificate, so that the file's one does not count.
+    schedule has a certificate, so that the file's one does not count. Raises UserError where the file has no twin.
     """
-    document = tomlkit.parse(rig.text)
-    stated: dict[str, Any] = {key: getattr(rig.file.uncertainty, key) for key in _common_keys()}
-    stated["etalon"] = etalon
-    if not certified:
-        stated["certificate_level"] = rig.file.etalon.relative_uncertainty
-    _table(document, "simulated")["seed"] = seed
-    twin = _table(document, "twin")
-    _add(_table(twin, "disturbances"), stated)
-    _add(_table(twin, "electronics"), {"gain_spread": rig.file.photodiodes.gain_uncertainty})
-    return parse_rig(tomlkit.dumps(document), rig.folder, rig.name)
+
+    def __init__(self, rig: RigDescription, etalon: str, *, certified: bool) -> None:
+        self._document = tomlkit.parse(rig.text)
+        stated: dict[str, Any] = {key: getattr(rig.file.uncertainty, key) for key in _common_keys()}
+        stated["etalon"] = etalon
+        if not certified:
+            stated["certificate_level"] = rig.file.etalon.relative_uncertainty
+        twin = _table(self._document, "twin")
+        _add(_table(twin, "disturbances"), stated)
+        _add(_table(twin, "electronics"), {"gain_spread": rig.file.photodiodes.gain_uncertainty})
+        self._simulated = _table(self._document, "simulated")
+        self._first = parse_rig(tomlkit.dumps(self._document), rig.folder, rig.name)
+
+    def rig(self, seed: int) -> RigDescription:
+        """The rig of a seed: its file differs from that of the others in the seed alone."""
+        self._simulated["seed"] = seed
+        file = self._first.file
+        assert file.simulated is not None
+        own = replace(file, simulated=replace(file.simulated, seed=seed))
+        return replace(self._first, text=tomlkit.dumps(self._document), file=own)
 
 
 def _common_keys() -> list[str]:
@@ -186,14 +195,3 @@ class _Readout:
             for k in range(readings)
         ]
         return np.asarray(settings.range.raw(np.array(volts)[:, : settings.count])).astype(np.uint16)
-
-
-def with_rig(plan: NewPlan, rig: RigDescription) -> NewPlan:
-    """The same rows on a rig that differs in what is drawn alone."""
-    return replace(plan, rig=rig)
-
-
-def seeds_of(rig: RigDescription, rigs: int) -> Sequence[int]:
-    """The seeds of so many rigs: that of the file, and those that follow."""
-    first = rig.seed or 0
-    return range(first, first + rigs)

@@ -152,7 +152,7 @@ class _PointEffects:
         keys = np.stack([points.photodiode, points.gain, interval], axis=1)
         # Its volts are one share of a bright value and another of a dark one.
         yield _grouped(
-            "dark", keys, relative, lambda key: f"[{key[0]}, {self._gain(key[1])}]@dark {key[2]}",
+            "dark", keys, self._signed(relative), lambda key: f"[{key[0]}, {self._gain(key[1])}]@dark {key[2]}",
             "rows of this photodiode and gain until the next dark reading", sign=-1.0, scaled=True,
         )  # fmt: skip
 
@@ -199,7 +199,7 @@ class _PointEffects:
 
     def signature(self, relative: Floats) -> Iterator[Dense]:
         """The instrument signature, which was subtracted."""
-        yield _shared("signature", -relative)
+        yield _shared("signature", -self._signed(relative))
 
     def field(self, relative: Floats) -> Iterator[Dense]:
         """The variance of the directions in the field of view, by what its correction has added."""
@@ -224,6 +224,10 @@ class _PointEffects:
 
     def _relative(self, part: Displacement) -> Floats:
         return part.relative(self._along, self._across) * self._present[:, None]
+
+    def _signed(self, relative: Floats) -> Floats:
+        """What is added to a value whatever its sign, over the value."""
+        return np.where(self.points.bsdf < 0.0, -relative, relative)
 
     def _mountings(self, kind: str, rows: Ints) -> list[str]:
         history = self.settings.history
@@ -254,7 +258,7 @@ def _grouped(
     u = np.ones(len(distinct))
     if not scaled:
         u = np.zeros(len(distinct))
-        np.maximum.at(u, which, np.nan_to_num(relative))
+        np.maximum.at(u, which, np.abs(np.nan_to_num(relative)))
     inputs = {
         k: Input(f"{name}{label(key)}", "1", float(u[k]), "normal", shared_by, JOURNAL, "")
         for k, key in enumerate(distinct.tolist())

@@ -1,0 +1,124 @@
+"""Proofs on small schedules: what is drawn, both ways to run a rig, a proof that continues, and the law of all."""
+
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.proof.judgement import RigResult
+from goniotwin.app.campaign.proof.proof import Proof, prove
+from goniotwin.app.campaign.proof.report import proof_text
+from goniotwin.app.campaign.proof.virtual_rigs import run_with_wires, run_without_wires
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.uncertainty import UncertaintyTable
+from tests.conftest import Writer
+
+FAULT = ("[twin.samples.etalon]", "[twin.disturbances]\nsigma_zero_deg = 0.7\n\n[twin.samples.etalon]")
+
+
+def small_proof(write_rig: Writer, write_schedule: Writer, folder: Path, rigs: int = 2, *, wires: bool = False) -> Proof:
+    return Proof(read_schedule(write_schedule()), read_rig(write_rig()), rigs, folder, wires)
+
+
+def test_a_rig_is_drawn_from_what_its_file_states(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    rig = read_rig(write_rig(FAULT, ("gain_uncertainty = 0.001", "gain_uncertainty = 0.003")))
+    proof = Proof(read_schedule(write_schedule()), rig, 3, tmp_path / "proof", wires=False)
+    assert proof.seeds == [1, 2, 3]
+    drawn = proof.drawn.rig(3)
+    assert drawn.seed == 3
+    assert 'seed = 3' in drawn.text
+    model = drawn.model()
+    assert model is not None
+    assert model.seed == 3
+    assert model.electronics.gain_spread == 0.003
+    assert model.disturbances.sigma_zero_deg == 0.7  # a fault of which [uncertainty] knows nothing
+    assert model.disturbances.etalon == "etalon"
+    assert model.disturbances.certificate_level == rig.file.etalon.relative_uncertainty
+    for each in fields(UncertaintyTable):
+        if each.name != "sigma_zero_deg" and hasattr(model.disturbances, each.name):
+            assert getattr(model.disturbances, each.name) == getattr(rig.file.uncertainty, each.name), each.name
+
+
+def test_without_wires_the_values_are_those_of_the_wires(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    """The same drawn rig measured both ways: the values differ by their noise alone."""
+    proof = small_proof(write_rig, write_schedule, tmp_path / "proof")
+    values = []
+    for run in (run_with_wires, run_without_wires):
+        path = tmp_path / f"{run.__name__}.journal"
+        run(proof.plan, path)
+        with Journal.open(path) as journal:
+            values.append(reduce_journal(journal).samples["gaussian-5"])
+    wired, direct = values
+    assert np.array_equal(wired.zenith_deg, direct.zenith_deg)
+    both = wired.good & direct.good
+    noise = np.sqrt(sum(each.components[name] for each in values for name in ("noise", "dark", "etalon_reading", "monitor")))
+    bright = both & ~wired.flag("under-range")
+    assert bright.sum() >= 5
+    # Drawn at each move: the position of an axis, which has other numbers of moves with a search for the reference.
+    slack = 0.02 * np.abs(wired.bsdf)
+    assert np.all(np.abs(wired.bsdf - direct.bsdf)[bright] < (5.0 * noise + slack)[bright])
+
+
+def test_a_proof_continues_and_its_results_are_those_of_one_run(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "proof"
+    prove(small_proof(write_rig, write_schedule, folder, rigs=1), 1)
+    first = (folder / "rig-000001.json").read_bytes()
+    run: list[int] = []
+    result = Proof.result
+    monkeypatch.setattr(Proof, "result", lambda self, seed: (run.append(seed), result(self, seed))[1])
+    done: list[int] = []
+    proof = small_proof(write_rig, write_schedule, folder)
+    totals = prove(proof, 1, done.append)
+    assert run == [2]
+    assert done == [1, 2]
+    assert (folder / "rig-000001.json").read_bytes() == first
+    assert totals.rigs == 2
+    (folder / "rig-000002.json").write_text('{"seed": 2, "cells": ', encoding="utf-8")  # not whole
+    again = prove(proof, 1)
+    assert run == [2, 2]
+    assert json.dumps(again.as_dict()) == json.dumps(totals.as_dict())
+    assert {"rigs", "points", "coverage_percent", "standard_error_percent", "chi2_independent", "variance_shared", "mean_z",
+            "worst_cell_percent", "beyond_5u", "expected_beyond_5u"} <= again.as_dict().keys()  # fmt: skip
+    assert proof_text(proof, totals).startswith("SIMULATED: small on 2 virtual rigs")
+    with pytest.raises(UserError, match="has results of another schedule, rig file or kind of proof"):
+        prove(small_proof(write_rig, write_schedule, folder, wires=True), 1)
+
+
+def test_a_folder_of_other_files_and_a_wrong_number_are_refused(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    with pytest.raises(UserError, match="--rigs: 0 is not possible; give 1 to"):
+        small_proof(write_rig, write_schedule, tmp_path / "proof", rigs=0)
+    with pytest.raises(UserError, match="is not empty, and no folder of a proof; choose another one with --out"):
+        prove(small_proof(write_rig, write_schedule, tmp_path), 1)
+
+
+def test_a_rig_without_a_result_does_not_end_the_others(
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(plan: object, path: Path) -> None:
+        raise UserError("the arc is in the beam")
+
+    monkeypatch.setattr("goniotwin.app.campaign.proof.proof.run_without_wires", fail)
+    totals = prove(small_proof(write_rig, write_schedule, tmp_path / "proof"), 1)
+    assert totals.failed == {1: "the arc is in the beam", 2: "the arc is in the beam"}
+    assert totals.as_dict()["points"] == 0
+
+
+def test_a_result_is_read_as_it_was_written(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    proof = small_proof(write_rig, write_schedule, tmp_path / "proof")
+    proof.prepare()
+    result = proof.result(1)
+    proof.keep(result)
+    assert proof.read(1) == result
+    assert isinstance(result, RigResult)
+    assert result.cells["all"]["all"].values > 0
+    assert not list((tmp_path / "proof").glob("rig-*/"))

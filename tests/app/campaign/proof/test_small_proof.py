@@ -1,0 +1,31 @@
+"""A small proof: eight rigs, each a whole campaign; the independent part, and the shared inputs fitted to each rig."""
+
+from pathlib import Path
+
+import pytest
+
+from goniotwin.app.campaign.proof.proof import Proof, prove
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.rig import read_rig
+from tests.conftest import Writer
+
+ROWS = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]")
+RIGS = 8
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("wires", [False, True], ids=["without wires", "through the wires"])
+def test_eight_rigs_have_the_law_that_they_state(
+    wires: bool, write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:  # fmt: skip
+    schedule = read_schedule(write_schedule(ROWS, ("beta_deg = [180]", "beta_deg = [0, 180]"), ("readings = 2", "readings = 4")))
+    totals = prove(Proof(schedule, read_rig(write_rig()), RIGS, tmp_path / "proof", wires), 1)
+    whole = totals.whole
+    assert whole is not None
+    assert not totals.failed
+    assert whole.chi_square == pytest.approx(1.0, abs=0.15)
+    assert 0.3 < totals.variance_shared < 2.2
+    correlation, difference = totals.angles["gaussian-5"]
+    assert correlation > 0.98
+    assert difference < 0.02
+    assert whole.coverage > 0.9

@@ -1,0 +1,83 @@
+"""Totals of a proof on results of a known law: exact coverage, its standard error over rigs, and what is wrong is seen."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from goniotwin.app.campaign.proof.judgement import Cell, RigResult
+from goniotwin.app.campaign.proof.totals import Totals, chi_square_quantile
+
+
+def made_results(seed: int, rigs: int, values: int, common: float, wrong: float = 1.0) -> list[RigResult]:
+    """Rigs with values of a normal law, of whose variance a rig has the share `common` in all of its values."""
+    rng = np.random.default_rng(seed)
+    results = []
+    for rig in range(rigs):
+        z = wrong * (math.sqrt(common) * rng.normal() + math.sqrt(1.0 - common) * rng.normal(size=values))
+        left = z - z.mean()
+        cell = Cell(
+            values, int(np.sum(np.abs(z) <= 1.96)), float(z.sum()), int(np.sum(np.abs(z) > 5.0)), float(np.sum(left**2)),
+            (1.0 - common) * (values - 1.0),
+        )  # fmt: skip
+        u = 0.01
+        results.append(
+            RigResult(
+                rig,
+                {"all": {"all": cell}, "decade": {"1e+0 to 1e-1": cell}},
+                {"pose": (float(wrong * rng.normal()) ** 2, 1.0)},
+                {"paint": (float(d := rng.normal()), float(d + 0.01 * rng.normal()))},
+                {"paint, 550 nm": (float(wrong * u * rng.normal()), u)},
+            )
+        )
+    return results
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.0, 0.9))
+def test_the_law_that_is_stated_is_found_within_the_standard_errors(seed: int, common: float) -> None:
+    totals = Totals(made_results(seed, 300, 30, common))
+    whole = totals.whole
+    assert whole is not None
+    assert abs(whole.coverage - 0.95) < 5.0 * whole.u_coverage
+    assert abs(whole.mean) < 5.0 * whole.u_mean
+    assert whole.chi_square == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / (300 * 29)))
+    assert totals.variance_shared == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / 300))
+    # Values of one rig that share their error are worth few values: the standard error is larger than the binomial one.
+    binomial = math.sqrt(0.95 * 0.05 / whole.values)
+    assert 0.7 * binomial < whole.u_coverage < 1.4 * binomial * math.sqrt(1.0 + common**2 * 30)
+    (reflectance,) = totals.reflectances
+    assert reflectance.u_over_scatter == pytest.approx(1.0, abs=0.25)
+
+
+def test_what_is_wrong_is_seen() -> None:
+    totals = Totals(made_results(1, 100, 30, 0.5, wrong=2.0))
+    whole, (reflectance,) = totals.whole, totals.reflectances
+    assert whole is not None
+    assert whole.coverage < 0.95 - 5.0 * whole.u_coverage
+    assert whole.chi_square > 3.0
+    assert totals.variance_shared > 2.0
+    assert reflectance.chi_square > reflectance.limits[1]
+    assert reflectance.u_over_scatter < 0.7
+    assert totals.worst is not None
+    assert totals.worst.label == "1e+0 to 1e-1"
+    correlation, difference = totals.angles["paint"]
+    assert correlation > 0.999
+    assert difference == pytest.approx(0.01, rel=0.3)
+
+
+def test_no_rig_and_one_rig_have_no_standard_error() -> None:
+    assert Totals([]).as_dict()["coverage_percent"] is None
+    one = Totals(made_results(1, 1, 30, 0.5)).as_dict()
+    assert one["standard_error_percent"] is None
+    failed = Totals([RigResult(7, failed="the lamp")])
+    assert (failed.rigs, failed.failed) == (0, {7: "the lamp"})
+
+
+@pytest.mark.parametrize(("freedom", "low", "high"), [(20, 7.434, 39.997), (200, 152.241, 255.264)])
+def test_limits_of_chi_square(freedom: int, low: float, high: float) -> None:
+    """Quantiles of 0.5 and 99.5 % from the tables of chi-square."""
+    assert chi_square_quantile(freedom, -2.5758) == pytest.approx(low, rel=1e-2)
+    assert chi_square_quantile(freedom, 2.5758) == pytest.approx(high, rel=1e-2)
