@@ -61,8 +61,8 @@ def in_plane(name: str, effects: PoseEffects) -> float:
     return float(effects.common.along[0, COMMON.index(name)])
 
 
-# Closed forms (deg for a deg, deg for a mm), in the plane of incidence. A mirror at 45 deg turns the beam by the root of 2 times
-# its tilt about a side that is at 45 deg to the beam, and the light by the share of the path before the mirror: 1/4, 2/4, 3/4.
+# Closed forms (deg for a deg, deg for a mm), in the plane of incidence. A mirror turns the beam by the root of 2 times its tilt
+# about a side that is at 45 deg to the beam, and the light by the share of the path before the mirror: 1/4, 2/4, 3/4.
 
 
 @pytest.mark.parametrize("sigma", [0.0, 30.0, 65.0])
