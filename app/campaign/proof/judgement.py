@@ -21,7 +21,7 @@ from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, no
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.campaign.uncertainty.effects import Effects
 from goniotwin.app.campaign.uncertainty.fit import Fit, fit_inputs
 from goniotwin.arrays import Flags, Floats
@@ -144,7 +144,7 @@ def _add_sample(
         weight = quadrature(here, reduction.schedule.symmetry).weight
         used = np.flatnonzero(weight != 0.0)
         total = float(np.sum(weight[used] * truth[setting.index][used]))
-        components = effects_of(here.where(used), reduction.settings).of_sum(weight[used])
+        components = components_of_sum(here, weight, reduction.settings)
         u = math.sqrt(math.fsum(each.u**2 for each in components))
         if total > 0.0:
             deviation = float(np.sum(weight[used] * here.bsdf[used])) - total

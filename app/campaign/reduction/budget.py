@@ -10,7 +10,7 @@ import numpy as np
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.reflectance import Setting, integration_settings, quadrature
+from goniotwin.app.campaign.reduction.reflectance import Setting, components_of_sum, integration_settings, quadrature
 from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Floats
@@ -148,24 +148,22 @@ def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Se
     """The reflectance (or transmittance) of one setting of a sample's points, with its budget."""
     here = points.where(setting.index)
     rule = quadrature(here, reduction.schedule.symmetry)
-    used = np.flatnonzero(rule.weight != 0.0)
-    value = here.bsdf[used]
-    effects = effects_of(here.where(used), reduction.settings)
-    of_filled = float(np.sum((rule.obstructed + rule.extrapolated)[used] * np.abs(value)))
+    value = np.where(rule.weight != 0.0, here.bsdf, 0.0)
+    of_filled = float(np.sum((rule.obstructed + rule.extrapolated) * np.abs(value)))
     components = [
-        *effects.of_sum(rule.weight[used]),
+        *components_of_sum(here, rule.weight, reduction.settings),
         Component(INTERPOLATION, rule.interpolation_error(here.bsdf), 1.0, None),
         # What stands for a direction without a value is between nothing and twice as much: rectangular.
         Component(FILLED, of_filled / math.sqrt(3.0), 1.0, None),
     ]
     components.sort(key=lambda each: -each.u)
-    total = float(np.sum(rule.weight[used] * value))
+    total = float(np.sum(rule.weight * value))
     about = (
         [] if rule.hemisphere else ["the measured directions do not cover the half sphere: this is an integral, no reflectance"]
     )
     if total:
         parts = (("obstructed directions", rule.obstructed), ("beyond the outermost ring", rule.extrapolated))
-        about += [f"{np.sum(part[used] * value) / total:.2%} of it is of {title}" for title, part in parts]
+        about += [f"{np.sum(part * value) / total:.2%} of it is of {title}" for title, part in parts]
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(
         f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1", tuple(components), tuple(about)

@@ -12,13 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith, round_azimuth
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
+from goniotwin.app.campaign.uncertainty.effects import Component, merged
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, round_deg
 
 WIDEST_AZIMUTH_DEG, WIDEST_POLAR_DEG, LEAST_POLAR_DEG = 60.0, 15.0, 60.0
 """Measured directions further apart than these, or none beyond the last, are no half sphere."""
+CHUNK_POINTS = 20_000
+"""Points whose effects are in memory together."""
 RICHARDSON = 3.0
 """A rule of second order with half of the nodes is off by four times as much: their difference is three errors."""
 
@@ -98,6 +103,16 @@ def quadrature(points: BsdfPoints, symmetry: StatedSymmetry) -> Quadrature:
         weight, obstructed, extrapolated, _coarse(rings, ring, azimuth, good & with_value[ring], folded),
         bool(covered and widest <= WIDEST_AZIMUTH_DEG),
     )  # fmt: skip
+
+
+def components_of_sum(points: BsdfPoints, weight: Floats, settings: ReductionSettings) -> list[Component]:
+    """The components of sum(weight * bsdf), the largest first, by the covariance of the points with a weight."""
+    used = np.flatnonzero(weight != 0.0)
+    parts = []
+    for begin in range(0, used.size, CHUNK_POINTS):
+        chosen = used[begin : begin + CHUNK_POINTS]
+        parts.append(effects_of(points.where(chosen), settings).of_sum(weight[chosen]))
+    return merged(parts)
 
 
 def _coarse(rings: Floats, ring: Ints, azimuth: Floats, good: Flags, folded: bool) -> Floats:

@@ -32,7 +32,7 @@ def test_a_rig_is_drawn_from_what_its_file_states(write_rig: Writer, write_sched
     assert proof.seeds == [1, 2, 3]
     drawn = proof.drawn.rig(3)
     assert drawn.seed == 3
-    assert 'seed = 3' in drawn.text
+    assert "seed = 3" in drawn.text
     model = drawn.model()
     assert model is not None
     assert model.seed == 3

@@ -18,7 +18,9 @@ RIGS = 8
 def test_eight_rigs_have_the_law_that_they_state(
     wires: bool, write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:  # fmt: skip
-    schedule = read_schedule(write_schedule(ROWS, ("beta_deg = [180]", "beta_deg = [0, 180]"), ("readings = 2", "readings = 4")))
+    schedule = read_schedule(
+        write_schedule(ROWS, ("beta_deg = [180]", "beta_deg = [0, 180]"), ("readings = 2", "readings = 4"))
+    )
     totals = prove(Proof(schedule, read_rig(write_rig()), RIGS, tmp_path / "proof", wires), 1)
     whole = totals.whole
     assert whole is not None

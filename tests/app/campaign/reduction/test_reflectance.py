@@ -53,6 +53,16 @@ def test_a_lobe_has_the_reflectance_of_its_model(azimuths: Floats) -> None:
     assert str(setting) == "550 nm, sigma 30 deg"
 
 
+def test_a_cosine_is_integrated_and_a_direction_measured_twice_counts_once() -> None:
+    polar, beta = _grid(np.arange(0.0, 86.0, 5.0), np.arange(0.0, 180.1, 15.0))
+    weight = quadrature(_points(polar, beta, np.ones(polar.size)), "isotropic").weight
+    assert weight @ np.cos(np.radians(polar)) == pytest.approx(2.0 * np.pi / 3.0, rel=1e-3)
+    twice = _points(np.append(polar, polar[40]), np.append(beta, beta[40]), np.ones(polar.size + 1))
+    again = quadrature(twice, "isotropic").weight
+    assert again.sum() == pytest.approx(np.pi, rel=1e-12)
+    assert again[40] == again[-1] == pytest.approx(weight[40] / 2.0, rel=1e-12)
+
+
 def test_blocked_directions_and_those_beyond_the_last_ring_are_stated() -> None:
     zenith, azimuth = _grid(np.arange(0.0, 81.0, 5.0), np.arange(0.0, 360.0, 15.0))
     blocked = (azimuth == 30.0) & (zenith > 20.0)

@@ -1,0 +1,297 @@
+"""All components of points as effects of named inputs: they sum to u, and have the covariances of an independent program.
+
+The program is GTC, the GUM Tree Calculator of the Measurement Standards Laboratory of New Zealand: it differentiates the
+formula of a value by itself.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import GTC
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from goniotwin.app.campaign.journal.reading import ExecutedRow
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.components import INDEPENDENT
+from goniotwin.app.campaign.reduction.effects_of_points import FAMILIES, add_pose, effects_of
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal, reduction_settings
+from goniotwin.app.campaign.reduction.reflectance import components_of_sum, quadrature
+from goniotwin.app.campaign.reduction.row_history import history_of
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.uncertainty.effects import Effects
+from goniotwin.app.campaign.uncertainty.pose import POSITIONS, Views, pose_effects, position_u_deg, rig_inputs
+from goniotwin.app.rig import nominal_instrument, read_rig
+from goniotwin.arrays import Floats
+from tests.app.campaign.reduction.made_points import made_points
+from tests.conftest import RIG, SMALL
+
+FILE = read_rig(RIG).file
+SETTINGS = reduction_settings(FILE, parse_schedule(SMALL, "small.toml").file, None, "")
+POLAR = np.array(FILE.photodiodes.upper_deg)
+LINES = (180.0, 150.0, 20.0)
+COUNT = POLAR.size * len(LINES)
+U_MONITOR, U_GAIN = FILE.monitor.relative_uncertainty, FILE.photodiodes.gain_uncertainty
+CERTIFICATE = float(SETTINGS.certificate.relative_uncertainty.min())
+POSE = ("pose", "position", "photodiode_angle")
+
+
+def measured(bsdf: Floats, slope: Floats, relative: dict[str, Floats] | None = None) -> BsdfPoints:
+    """Points (COUNT,) of three rows, with slopes (COUNT, 2); two of them divide by one reading of the etalon."""
+    parts = []
+    for k, azimuth in enumerate(LINES):
+        here = slice(k * POLAR.size, (k + 1) * POLAR.size)
+        made = made_points(30.0, POLAR, np.full(POLAR.size, azimuth), bsdf[here], 0.0)
+        rows = np.full(POLAR.size, 10 + k), np.full(POLAR.size, 5 if k < 2 else 7)
+        parts.append(replace(made, row=rows[0], etalon_row=rows[1]))
+    points = join_points(parts)
+    gain = np.arange(COUNT) % 2
+    components = {name: (each * bsdf) ** 2 for name, each in (relative or {}).items()}
+    given = replace(
+        points, components=components, slope_along=slope[:, 0], slope_across=slope[:, 1], gain=gain,
+        etalon_gain=np.zeros(COUNT, dtype=np.int64),
+    )  # fmt: skip
+    return add_pose(given, SETTINGS)
+
+
+def relative_of(noise: Floats) -> dict[str, Floats]:
+    """Relative standard uncertainties (COUNT,) as the steps of the reduction make them."""
+    one = np.ones(COUNT)
+    photodiode = np.tile(np.arange(POLAR.size), len(LINES))
+    etalon = np.repeat([0.0, 0.0, 1.0], POLAR.size)
+    return {
+        "noise": noise,
+        "resolution": 0.1 * noise,
+        "dark": 0.5 * noise,
+        "monitor": np.sqrt(2.0) * U_MONITOR * one,
+        "gain": np.sqrt(2.0) * U_GAIN * (np.arange(COUNT) % 2),
+        "certificate": CERTIFICATE * one,
+        "etalon_reading": 1e-4 * (1.0 + photodiode + 20.0 * etalon),
+        "calibration": 1e-4 * (1.0 + photodiode),
+        "field": 0.3 * noise,
+        "signature": 0.2 * noise,
+        "something_new": 0.1 * noise,
+    }
+
+
+def total(effects: Effects) -> Floats:
+    """The sum of all variances (n,)."""
+    return np.sum(list(effects.variances().values()), axis=0)
+
+
+def values(least: float, most: float) -> st.SearchStrategy[Floats]:
+    return arrays(np.float64, COUNT, elements=st.floats(least, most))
+
+
+SLOPES = arrays(np.float64, (COUNT, 2), elements=st.one_of(st.floats(-5.0, 5.0), st.just(np.nan)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(values(-3.0, 3.0), SLOPES, values(0.0, 1.0))
+def test_the_parts_of_any_points_sum_to_their_uncertainty(bsdf: Floats, slope: Floats, noise: Floats) -> None:
+    bsdf = np.where(np.abs(bsdf) < 1e-6, 0.0, bsdf)
+    points = measured(bsdf, slope, relative_of(noise))
+    effects = effects_of(points, SETTINGS)
+    expected = points.u_bsdf**2
+    assert np.abs(total(effects) - expected).max() <= 1e-12 * expected.max()
+    assert np.all(np.abs(total(effects) - expected) <= 1e-12 * expected)
+    k = int(np.argmax(expected))
+    assert sum(each.u**2 for each in effects.budget(k)) == pytest.approx(expected[k], rel=1e-12)
+    every = np.arange(COUNT)
+    covariance = effects.covariance(every, every)
+    assert np.array_equal(covariance, covariance.T) or np.abs(covariance - covariance.T).max() <= 1e-15 * expected.max()
+    assert np.diag(covariance) == pytest.approx(expected, rel=1e-12, abs=1e-300)
+    assert np.linalg.eigvalsh(covariance).min() >= -1e-12 * max(expected.sum(), 1e-300)
+
+
+def test_a_point_without_a_slope_has_the_diffuse_part_alone() -> None:
+    none = measured(np.ones(COUNT), np.full((COUNT, 2), np.nan))
+    assert np.all(none.components["photodiode_angle"] == 0.0)
+    # Sample and etalon are tilted by angles of their own: the root of 2 times tan(theta_i) and tan(theta_r) together.
+    u_tilt = np.radians(FILE.uncertainty.standard("sample_tilt_deg"))
+    at_80 = np.flatnonzero(none.zenith_deg == 80.0)[0]
+    tilts = np.hypot(np.tan(np.radians(30.0)) - np.tan(np.radians(80.0)), 0.0) * u_tilt * np.sqrt(2.0)
+    assert np.sqrt(none.components["pose"][at_80]) == pytest.approx(tilts, rel=0.05)
+    steep = measured(np.ones(COUNT), np.full((COUNT, 2), 1.0))
+    assert np.all(steep.components["pose"] > none.components["pose"])
+
+
+def test_the_pipeline_and_the_effects_agree_on_what_is_a_family() -> None:
+    points = measured(np.ones(COUNT), np.ones((COUNT, 2)), relative_of(np.full(COUNT, 0.01)))
+    effects = effects_of(points, SETTINGS)
+    assert set(effects.independent) == {"noise", "resolution"} == INDEPENDENT & set(points.components) - set(FAMILIES)
+    assert [group.name for group in effects.groups] == [
+        "dark", "monitor", "gain", "etalon_reading", "calibration", "position", "photodiode_angle",
+    ]  # fmt: skip
+    names = [each.name for part in effects.dense for each in part.inputs]
+    assert {"certificate[level]", "field", "signature", "something_new", "sigma_zero", "sample_tilt_x@sample#1"} <= set(names)
+    assert len(names) == len(set(names))
+
+
+def test_one_gain_at_sample_and_etalon_cancels() -> None:
+    points = measured(np.ones(COUNT), np.full((COUNT, 2), np.nan), relative_of(np.full(COUNT, 0.01)))
+    effects = effects_of(points, SETTINGS)
+    gains = {k: sum(each.u for each in effects.budget(k) if each.name.startswith("gain_ratio")) for k in (0, 1)}
+    assert gains[0] == 0.0
+    assert gains[1] == pytest.approx(2.0 * U_GAIN, rel=1e-12)
+
+
+# Covariances against GTC.
+
+
+def test_covariances_are_those_that_gtc_finds_from_the_formula_of_a_value() -> None:
+    rng = np.random.default_rng(3)
+    bsdf, slope = rng.uniform(0.1, 9.0, COUNT), rng.normal(0.0, 0.5, (COUNT, 2))
+    relative = relative_of(rng.uniform(0.002, 0.02, COUNT))
+    points = measured(bsdf, slope, {name: relative[name] for name in GTC_NAMES})
+    effects = effects_of(points, SETTINGS)
+    chosen = rng.choice(COUNT, 20, replace=False)
+    formula = Formula(points, relative)
+    found = [formula.value(int(k)) for k in chosen]
+    covariance = effects.covariance(chosen, chosen)
+    scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    expected = np.array([[GTC.get_covariance(one, other) for other in found] for one in found])
+    assert [each.u for each in found] == pytest.approx(points.u_bsdf[chosen].tolist(), rel=1e-9)
+    assert np.abs((covariance - expected) / scale).max() < 1e-9
+    assert np.abs(expected / scale)[~np.eye(20, dtype=bool)].max() > 0.5  # some do have much in common
+    # Their mean, and a budget of it by the same names.
+    weight = np.zeros(COUNT)
+    weight[chosen] = 1.0 / 20.0
+    mean = sum(found) / 20.0
+    components = effects.of_sum(weight)
+    assert np.sqrt(sum(each.u**2 for each in components)) == pytest.approx(mean.u, rel=1e-9)
+    for each in components:
+        if each.input is not None and each.u > 1e-6:
+            assert each.u == pytest.approx(abs(GTC.component(mean, formula.inputs[each.name])), rel=1e-6), each.name
+
+
+GTC_NAMES = ("noise", "monitor", "gain", "certificate", "etalon_reading", "calibration", "dark")
+
+
+class Formula:
+    """The value of a point as a formula of its inputs, each an uncertain number of GTC under its name."""
+
+    def __init__(self, points: BsdfPoints, relative: dict[str, Floats]) -> None:
+        self._points, self._relative = points, relative
+        self.inputs: dict[str, GTC.lib.UncertainReal] = {}
+        views = Views(
+            points.sigma_deg, points.gamma_deg, np.radians(points.zenith_deg), np.radians(points.azimuth_deg),
+            points.back, points.transmitted, points.back,
+        )  # fmt: skip
+        self._effects = pose_effects(nominal_instrument(FILE), views)
+
+    def value(self, k: int) -> GTC.lib.UncertainReal:
+        """exp(g . p) S / E: each signal with its gain, its lamp and its reading."""
+        points, c = self._points, int(self._points.photodiode[k])
+        row, etalon_row, gain = int(points.row[k]), int(points.etalon_row[k]), int(points.gain[k])
+        volts = FILE.photodiodes.gains_v_per_a
+        signal = (1.0 + self._input(f"noise of {k}", self._relative["noise"][k])) * (
+            1.0 - self._relative["dark"][k] * self._input(f"dark[{c}, {volts[gain]:g} V/A]@dark {row}", 1.0)
+        )
+        signal = signal / self._gain(c, gain) / self._monitor(row)
+        reading = 1.0 + self._input(f"etalon_reading[{c}]@row {etalon_row}", self._relative["etalon_reading"][k])
+        etalon = reading / self._gain(c, 0) / self._monitor(etalon_row)
+        factor = 1.0 + self._input(f"calibration[{c}]", self._relative["calibration"][k])
+        certified = 1.0 + CERTIFICATE * self._input("certificate[level]", 1.0)
+        return float(points.bsdf[k]) * signal / etalon * factor * certified * GTC.exp(self._angles(k, c, row, etalon_row))
+
+    def _angles(self, k: int, c: int, row: int, etalon_row: int) -> GTC.lib.UncertainReal:
+        table, effects = FILE.uncertainty, self._effects
+        terms = [(each.name, each.u, effects.common, i) for i, each in enumerate(rig_inputs(table))]
+        for kind, part in (("sample", effects.sample), ("etalon", effects.etalon)):
+            for i, (each, unit) in enumerate((("tilt_x", "deg"), ("tilt_y", "deg"), ("height", "mm"))):
+                terms.append((f"{kind}_{each}@{kind}#1", table.standard(f"{kind}_{each.split('_')[0]}_{unit}"), part, i))
+        for i, each in enumerate(("angle", "across")):
+            terms.append((f"photodiode_{each}[{c}]", table.standard(f"photodiode_{each}_deg"), effects.photodiode, i))
+        for i, axis in enumerate(POSITIONS):
+            for number, part in ((row, effects.position), (etalon_row, effects.etalon_position)):
+                terms.append((f"position@{axis}#{number}", position_u_deg(table), part, i))
+        result = 0.0
+        for name, u, part, i in terms:
+            moved = self._points.slope_along[k] * part.along[k, i] + self._points.slope_across[k] * part.across[k, i]
+            result = result + float(moved + part.diffuse[k, i]) * self._input(name, u)
+        return result
+
+    def _monitor(self, row: int) -> GTC.lib.UncertainReal:
+        return 1.0 + self._input(f"monitor@row {row}", U_MONITOR)
+
+    def _gain(self, c: int, gain: int) -> GTC.lib.UncertainReal:
+        return 1.0 + self._input(f"gain_ratio[{c}, {FILE.photodiodes.gains_v_per_a[gain]:g} V/A]", U_GAIN)
+
+    def _input(self, name: str, u: float) -> GTC.lib.UncertainReal:
+        if name not in self.inputs:
+            self.inputs[name] = GTC.ureal(0.0, float(u), label=name)
+        return self.inputs[name]
+
+
+# Which rows share what.
+
+
+def executed(
+    number: int, kind: str, sample: str, pose: tuple[float, float, float, float] | None = None, session: int = 1
+) -> ExecutedRow:
+    return ExecutedRow(number, kind, sample, session, pose)
+
+
+def test_the_history_counts_mountings_darks_and_moves() -> None:
+    one, two = (0.0, 30.0, 0.0, 0.0), (0.0, 30.0, 45.0, 0.0)
+    rows = [
+        executed(0, "mount", "etalon"), executed(1, "dark", "etalon"), executed(2, "measure", "etalon", one),
+        executed(3, "measure", "etalon", two), executed(4, "mount", "paint"), executed(5, "dark", "paint"),
+        executed(6, "measure", "paint", two), executed(7, "measure", "paint", (0.0, 30.0, 45.0 + 1e-9, 0.0)),
+        executed(9, "mount", "paint", session=2), executed(8, "measure", "paint", two, session=2),
+    ]  # fmt: skip
+    names, table = history_of(rows)
+    assert names[1:] == ["etalon#1", "paint#1", "paint#2"]
+    by_row = {each[0]: each[1:] for each in table.tolist()}
+    assert by_row[2] == [1, 1, 1, 1, 1, 1]
+    assert by_row[3] == [1, 1, 1, 1, 2, 1]
+    assert by_row[6] == by_row[7] == [2, 2, 2, 2, 3, 2]
+    assert by_row[8] == [3, 2, 3, 3, 4, 3]
+    assert [each[0] for each in table.tolist()] == sorted(by_row)
+
+
+def test_a_campaigns_points_sum_and_share_what_its_journal_says(tmp_path: Path) -> None:
+    path = tmp_path / "finished.journal"
+    path.write_bytes((Path(__file__).parents[3] / "golden" / "data" / "finished.journal").read_bytes())
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal)
+        (name, points), *_ = reduce_journal(journal).samples.items()
+        good = points.where(points.good)
+        effects = effects_of(good, reduction.settings)
+        assert total(effects) == pytest.approx(good.u_bsdf**2, rel=1e-12)
+        assert {"pose", "position", "photodiode_angle"} <= set(good.components)
+        names = {each.name for each in effects.budget(0)}
+        assert {f"sample_tilt_x@{name}#1", "etalon_tilt_x@etalon#1", "sigma_zero", "certificate[level]"} <= names
+        assert any(each.startswith("position@beta#") for each in names)
+        rows = {row.number: row for row in journal.executed_rows()}
+        assert {rows[number].sample for number in good.row.tolist()} == {name}
+        assert {rows[number].sample for number in good.etalon_row.tolist()} == {"etalon"}
+        poses = np.array([rows[number].pose for number in good.row.tolist()])
+        assert np.array_equal(poses[:, 1], good.sigma_deg)
+
+
+# Integrals.
+
+
+def test_a_reflectance_has_the_covariance_of_its_points_in_whatever_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    points = measured(np.full(COUNT, 0.3), rng.normal(0.0, 0.1, (COUNT, 2)), relative_of(np.full(COUNT, 0.004)))
+    every = np.arange(COUNT)
+    rule = quadrature(points, "isotropic")
+    variance = rule.weight @ effects_of(points, SETTINGS).covariance(every, every) @ rule.weight
+
+    def u() -> float:
+        return float(np.sqrt(sum(each.u**2 for each in components_of_sum(points, rule.weight, SETTINGS))))
+
+    assert rule.weight @ points.bsdf == pytest.approx(0.3 * np.pi, rel=1e-9)
+    assert u() == pytest.approx(np.sqrt(variance), rel=1e-12)
+    assert u() > CERTIFICATE * 0.3 * np.pi
+    monkeypatch.setattr("goniotwin.app.campaign.reduction.reflectance.CHUNK_POINTS", 7)
+    assert u() == pytest.approx(np.sqrt(variance), rel=1e-12)
+    # Three lines, up to 130 deg apart, are no half sphere.
+    assert not rule.hemisphere
