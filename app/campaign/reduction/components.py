@@ -26,6 +26,24 @@ All others count as shared, also those that are shared in part (`dark`, `monitor
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
 
+COVERAGE = 1.96
+"""Standard uncertainties from a value to the ends of its interval of 95 %."""
+LOGARITHMIC = 0.15
+"""Relative standard uncertainty above which an interval is one of the logarithm."""
+
+
+def interval(value: Floats, u: Floats, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
+    """Lower and upper ends of the values' intervals, so many standard uncertainties `u` away.
+
+    Where u is above 15 % of a positive value, it is an interval of the logarithm: an error of an angle moves a value on a lobe's
+    flank by a factor.
+    """
+    positive = value > 0.0
+    relative = np.where(positive, u / np.where(positive, value, 1.0), 0.0)
+    factor = np.where(relative > LOGARITHMIC, np.exp(coverage * relative), np.nan)
+    known = np.isfinite(factor)
+    return np.where(known, value / factor, value - coverage * u), np.where(known, value * factor, value + coverage * u)
+
 
 def total_variance(components: Components) -> Floats:
     """The variance of values from all of their components."""

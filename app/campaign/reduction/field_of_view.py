@@ -178,10 +178,11 @@ def _evaluate(values: MergedDirections, instrument: Instrument) -> FieldOfView:
     light = values.bsdf > limit
     lit = directions if light.all() else directions.where(light)
     bsdf = values.bsdf[light]
-    slopes = slopes_of(lit, np.log(bsdf), values.variance[light] / bsdf**2, window)
+    relative = (np.sqrt(values.variance[light]) / bsdf) ** 2
+    slopes = slopes_of(lit, np.log(bsdf), relative, window)
     covariance = directions_covariance(instrument, lit, values.sigma[light], values.transmitted[light])
     correction = correct_logarithm(slopes, covariance)
-    noise = np.sqrt(slopes.noise(correction.sensitivity, values.variance[light] / bsdf**2))
+    noise = np.sqrt(slopes.noise(correction.sensitivity, relative))
     unresolved = np.stack([slopes.unresolved(across=each) for each in (False, True)], axis=1)
 
     def everywhere(column: Floats) -> Floats:
