@@ -35,8 +35,8 @@ LOGARITHMIC = 0.15
 def interval(value: Floats, u: Floats, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
     """Lower and upper ends of the values' intervals, so many standard uncertainties `u` away.
 
-    Where u is above 15 % of a positive value, it is an interval of the logarithm: an error of an angle moves a value on a lobe's
-    flank by a factor.
+    Where u is above 15 % of a positive value, it is an interval of the logarithm: on a lobe's flank an error of an angle
+    moves a value by a factor.
     """
     positive = value > 0.0
     relative = np.where(positive, u / np.where(positive, value, 1.0), 0.0)

@@ -1,10 +1,11 @@
 """The finite field of view: its correction, and what the slopes of the measured values add to the uncertainty.
 
 Illuminated spot, exit pupil and a photodiode's acceptance make each value a mean over directions. The correction is that of a
-lobe whose logarithm is locally a parabola (uncertainty/field.py), from the slopes of the measured values (uncertainty/slopes.py).
-What is left has three parts: `field`, by the variance of the directions, which all values share; `field_noise`, by the noise of
-the slopes; and `slope_unresolved`, by neighbours too far apart. `second_order` is what an unknown angle does where there is no
-slope. A value that is lost in its noise is not corrected: the field's whole effect on it is within its `field_noise`.
+lobe whose logarithm is locally a parabola (uncertainty/field.py), from the slopes of the measured values, which
+uncertainty/slopes.py has. What is left has three parts: `field`, by the variance of the directions, which all values share;
+`field_noise`, by the noise of the slopes; and `slope_unresolved`, by neighbours too far apart. `second_order` is what an
+unknown angle does where there is no slope. A value that is lost in its noise is not corrected: the field's whole effect on it
+is within its `field_noise`.
 
 See docs/decisions/0030-the-field-is-corrected.md.
 """
@@ -20,7 +21,7 @@ from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, t
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.uncertainty.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, Slopes, reach, slopes_of
+from goniotwin.app.campaign.uncertainty.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, reach, slopes_of
 from goniotwin.app.rig import nominal_instrument
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument
@@ -69,6 +70,11 @@ def pose_variance_deg2(points: BsdfPoints, settings: ReductionSettings) -> Float
     return np.stack([total, total], axis=1)
 
 
+def second_order(bent: Floats) -> Floats:
+    """Mean square (n,) of half the sum of c_k p_k^2 over both axes, of p_k of variances V_k; `bent` (n, 2) has V_k c_k."""
+    return np.asarray(0.5 * np.sum(bent**2, axis=1) + 0.25 * np.sum(bent, axis=1) ** 2)
+
+
 @dataclass(frozen=True)
 class FieldOfView:
     """What the field of view and the slopes do to values (n,). Relative; NaN where unknown.
@@ -76,7 +82,7 @@ class FieldOfView:
     `correction` is added to the logarithm; slopes and `bend` (n, 2), second derivatives, are those of the corrected logarithm,
     per degree, along the arc and across it, and `unresolved` (n, 2) is the standard uncertainty of the slopes. `noise` is the
     standard uncertainty that the slopes' noise adds. `estimate`, in the values' unit, is the whole effect on a value that
-    cannot be corrected. `unknown`: there is neither.
+    cannot be corrected. `steep`: the directions nearby are too far apart for the slope.
     """
 
     correction: Floats
@@ -234,7 +240,7 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
     relative = {
         "field": (settings.rig.uncertainty.standard("field_of_view") * correction) ** 2,
         "field_noise": np.where(corrected, found.noise, 0.0) ** 2,
-        "second_order": 0.75 * np.sum((variance * np.nan_to_num(found.bend)) ** 2, axis=1),
+        "second_order": second_order(variance * np.nan_to_num(found.bend)),
         "slope_unresolved": np.sum(variance * np.nan_to_num(found.unresolved) ** 2, axis=1),
     }
     for name, each in relative.items():

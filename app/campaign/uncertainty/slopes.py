@@ -153,7 +153,7 @@ def _compare_sides(
         others += to_near * to_near * variance[j] + to_far * to_far * variance[k]
         sides += 1
     found[11, i] = step
-    if sides < 2:  # noqa: PLR2004  (one of the sides has too few neighbours)
+    if sides < 2:  # one of them has too few neighbours
         found[7:11, i] = 0.0
         return
     found[7, i] = 0.5 * (after - before)
@@ -250,7 +250,7 @@ class Slopes:
         return np.nan_to_num(np.sqrt(half + third / 9.0))
 
     def undecided(self) -> Flags:
-        """Where the slopes of the two sides of an arc or a circle differ by more than the larger of them, and by more than noise."""
+        """Where the slopes of two sides differ by more than the larger of them, and by more than noise and UNDECIDED."""
         result = np.zeros(self.first_along.size, dtype=bool)
         for fit in (self.arc, self.circle):
             half = np.abs(fit.half_difference) - NOISE_MARGIN * np.sqrt(fit.variance_half)

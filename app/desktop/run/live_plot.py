@@ -149,7 +149,9 @@ class ScanPlot(QWidget):
         self._items["measured"].setSymbol(symbols)
         self._items["below limit"].setData(points.x_deg[below], np.full(int(below.sum()), floor))
         low, high = interval(points.values[above], points.u_values[above], coverage=1.0)
-        self._bars.setData(x=points.x_deg[above], y=logs[above], top=np.log10(high) - logs[above], bottom=logs[above] - np.log10(low))
+        self._bars.setData(
+            x=points.x_deg[above], y=logs[above], top=np.log10(high) - logs[above], bottom=logs[above] - np.log10(low)
+        )
         if is_new:
             self._show_blocked(scan.blocked_deg)
             self._plot.setXRange(*scan.range_deg, padding=0.02)

@@ -1,9 +1,8 @@
 """The reduction, compared with the BSDF of the virtual rig's samples within the stated uncertainty."""
 
 from collections.abc import Callable
-from pathlib import Path
-
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
