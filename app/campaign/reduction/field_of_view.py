@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, scan_plane_deg
-from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, total_variance
+from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, NOISE, total_variance
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
@@ -118,8 +118,8 @@ class FieldOfView:
 class MergedDirections:
     """Means of points of one direction and setting, in order along the arcs.
 
-    `u_noise` is what decides whether a value is lost in its noise: its whole uncertainty so far. `variance` is that of the part
-    of which neighbouring values have errors of their own. `sigma` is in rad. `which` is the index of each point's mean, and
+    `u_noise` is what decides whether a value is lost in its noise. `variance` is that of the part of which neighbouring values
+    have errors of their own. `sigma` is in rad. `which` is the index of each point's mean, and
     `opposite` whether a point's own half plane is the one opposite to that of its direction's azimuth.
     """
 
@@ -152,8 +152,10 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     sigma = np.radians(points.sigma_deg[start])
     # Specular direction or regular transmission: both have -sin sigma along x.
     x, z = -np.sin(sigma), np.where(points.transmitted[start], -1.0, 1.0) * np.cos(sigma)
-    own = {name: each for name, each in points.components.items() if name in INDEPENDENT}
-    independent = np.zeros(points.size) + total_variance(own)
+    noise, independent = (
+        np.zeros(points.size) + total_variance({name: each for name, each in points.components.items() if name in names})
+        for names in (NOISE, INDEPENDENT)
+    )
     return MergedDirections(
         directions=Directions(
             setting=np.cumsum(np.any(changes[2:], axis=0))[first],
@@ -168,7 +170,7 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
         sigma=sigma,
         transmitted=points.transmitted[start],
         bsdf=np.bincount(which, weights=points.bsdf) / counts,
-        u_noise=np.sqrt(np.bincount(which, weights=points.u_bsdf**2) / counts),
+        u_noise=np.sqrt(np.bincount(which, weights=noise) / counts),
         variance=np.bincount(which, weights=independent) / counts**2,
         which=which,
         opposite=np.cos(np.radians(points.azimuth_deg - plane)) < 0.0,
