@@ -25,6 +25,25 @@ INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading",
 All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
+NOISE = INDEPENDENT | {"dark", "signature"}
+"""Components that are there without light: what a value is lost in. All others are shares of the value."""
+COVERAGE = 1.96
+"""Standard uncertainties from a value to the ends of its interval of 95 %."""
+LOGARITHMIC = 0.15
+"""Relative standard uncertainty above which an interval is one of the logarithm."""
+
+
+def interval(value: Floats, u: Floats, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
+    """Lower and upper ends of the values' intervals, so many standard uncertainties `u` away.
+
+    Where u is above 15 % of a positive value, it is an interval of the logarithm: on a lobe's flank an error of an angle
+    moves a value by a factor.
+    """
+    positive = value > 0.0
+    relative = np.where(positive, u / np.where(positive, value, 1.0), 0.0)
+    factor = np.where(relative > LOGARITHMIC, np.exp(coverage * relative), np.nan)
+    known = np.isfinite(factor)
+    return np.where(known, value / factor, value - coverage * u), np.where(known, value * factor, value + coverage * u)
 
 
 def total_variance(components: Components) -> Floats:

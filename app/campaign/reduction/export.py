@@ -99,7 +99,9 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         "side: the lit side, front or back; light: reflected or transmitted",
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
-        "u_field_per_sr: the component of u_bsdf from the finite field of view; empty where it cannot be estimated",
+        "where u_bsdf is above 15 % of bsdf, an interval of k u is bsdf exp(-k u_bsdf / bsdf) to bsdf exp(k u_bsdf / bsdf)",
+        "field_correction: what the correction of the finite field of view has added to the logarithm of bsdf",
+        "u_field_per_sr: what is left of the field of view in u_bsdf; empty where it cannot be estimated",
         f"flags: {', '.join(f'{name} ({flag.meaning})' for name, flag in FLAGS.items())}",
         *reduced.notes,
         *(f"overlaps of {name}: {each}" for name, each in reduced.overlaps.items() if name in chosen and each.pairs),
@@ -259,6 +261,7 @@ def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
     columns["light"] = np.where(points.transmitted, "transmitted", "reflected")
     columns["check"] = np.where(points.mirrored, "mirrored", "")
     columns["signature_share"] = points.signature
+    columns["field_correction"] = points.field_correction
     columns["u_field_per_sr"] = points.u_field
     columns["flags"] = _flags(points)
     return columns

@@ -1,10 +1,11 @@
 """The finite field of view: its correction, and what the slopes of the measured values add to the uncertainty.
 
 Illuminated spot, exit pupil and a photodiode's acceptance make each value a mean over directions. The correction is that of a
-lobe whose logarithm is locally a parabola (uncertainty/field.py), from the slopes of the measured values (uncertainty/slopes.py).
-What is left has three parts: `field`, by the variance of the directions, which all values share; `field_noise`, by the noise of
-the slopes; and `slope_unresolved`, by neighbours too far apart. `second_order` is what an unknown angle does where there is no
-slope. A value that is lost in its noise is not corrected: the field's whole effect on it is within its `field_noise`.
+lobe whose logarithm is locally a parabola (uncertainty/field.py), from the slopes of the measured values, which
+uncertainty/slopes.py has. What is left has three parts: `field`, by the variance of the directions, which all values share;
+`field_noise`, by the noise of the slopes; and `slope_unresolved`, by neighbours too far apart. `second_order` is what an
+unknown angle does where there is no slope. A value that is lost in its noise is not corrected: the field's whole effect on it
+is within its `field_noise`.
 
 See docs/decisions/0030-the-field-is-corrected.md.
 """
@@ -16,11 +17,11 @@ from typing import Self
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, scan_plane_deg
-from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, total_variance
+from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, NOISE, total_variance
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.uncertainty.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, Slopes, reach, slopes_of
+from goniotwin.app.campaign.uncertainty.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, reach, slopes_of
 from goniotwin.app.rig import nominal_instrument
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument
@@ -69,6 +70,11 @@ def pose_variance_deg2(points: BsdfPoints, settings: ReductionSettings) -> Float
     return np.stack([total, total], axis=1)
 
 
+def second_order(bent: Floats) -> Floats:
+    """Mean square (n,) of half the sum of c_k p_k^2 over both axes, of p_k of variances V_k; `bent` (n, 2) has V_k c_k."""
+    return np.asarray(0.5 * np.sum(bent**2, axis=1) + 0.25 * np.sum(bent, axis=1) ** 2)
+
+
 @dataclass(frozen=True)
 class FieldOfView:
     """What the field of view and the slopes do to values (n,). Relative; NaN where unknown.
@@ -76,7 +82,7 @@ class FieldOfView:
     `correction` is added to the logarithm; slopes and `bend` (n, 2), second derivatives, are those of the corrected logarithm,
     per degree, along the arc and across it, and `unresolved` (n, 2) is the standard uncertainty of the slopes. `noise` is the
     standard uncertainty that the slopes' noise adds. `estimate`, in the values' unit, is the whole effect on a value that
-    cannot be corrected. `unknown`: there is neither.
+    cannot be corrected. `steep`: the directions nearby are too far apart for the slope.
     """
 
     correction: Floats
@@ -112,8 +118,8 @@ class FieldOfView:
 class MergedDirections:
     """Means of points of one direction and setting, in order along the arcs.
 
-    `u_noise` is what decides whether a value is lost in its noise: its whole uncertainty so far. `variance` is that of the part
-    of which neighbouring values have errors of their own. `sigma` is in rad. `which` is the index of each point's mean, and
+    `u_noise` is what decides whether a value is lost in its noise. `variance` is that of the part of which neighbouring values
+    have errors of their own. `sigma` is in rad. `which` is the index of each point's mean, and
     `opposite` whether a point's own half plane is the one opposite to that of its direction's azimuth.
     """
 
@@ -146,8 +152,10 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     sigma = np.radians(points.sigma_deg[start])
     # Specular direction or regular transmission: both have -sin sigma along x.
     x, z = -np.sin(sigma), np.where(points.transmitted[start], -1.0, 1.0) * np.cos(sigma)
-    own = {name: each for name, each in points.components.items() if name in INDEPENDENT}
-    independent = np.zeros(points.size) + total_variance(own)
+    noise, independent = (
+        np.zeros(points.size) + total_variance({name: each for name, each in points.components.items() if name in names})
+        for names in (NOISE, INDEPENDENT)
+    )
     return MergedDirections(
         directions=Directions(
             setting=np.cumsum(np.any(changes[2:], axis=0))[first],
@@ -162,7 +170,7 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
         sigma=sigma,
         transmitted=points.transmitted[start],
         bsdf=np.bincount(which, weights=points.bsdf) / counts,
-        u_noise=np.sqrt(np.bincount(which, weights=points.u_bsdf**2) / counts),
+        u_noise=np.sqrt(np.bincount(which, weights=noise) / counts),
         variance=np.bincount(which, weights=independent) / counts**2,
         which=which,
         opposite=np.cos(np.radians(points.azimuth_deg - plane)) < 0.0,
@@ -178,10 +186,11 @@ def _evaluate(values: MergedDirections, instrument: Instrument) -> FieldOfView:
     light = values.bsdf > limit
     lit = directions if light.all() else directions.where(light)
     bsdf = values.bsdf[light]
-    slopes = slopes_of(lit, np.log(bsdf), values.variance[light] / bsdf**2, window)
+    relative = (np.sqrt(values.variance[light]) / bsdf) ** 2
+    slopes = slopes_of(lit, np.log(bsdf), relative, window)
     covariance = directions_covariance(instrument, lit, values.sigma[light], values.transmitted[light])
     correction = correct_logarithm(slopes, covariance)
-    noise = np.sqrt(slopes.noise(correction.sensitivity, values.variance[light] / bsdf**2))
+    noise = np.sqrt(slopes.noise(correction.sensitivity, relative))
     unresolved = np.stack([slopes.unresolved(across=each) for each in (False, True)], axis=1)
 
     def everywhere(column: Floats) -> Floats:
@@ -233,7 +242,7 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
     relative = {
         "field": (settings.rig.uncertainty.standard("field_of_view") * correction) ** 2,
         "field_noise": np.where(corrected, found.noise, 0.0) ** 2,
-        "second_order": 0.75 * np.sum((variance * np.nan_to_num(found.bend)) ** 2, axis=1),
+        "second_order": second_order(variance * np.nan_to_num(found.bend)),
         "slope_unresolved": np.sum(variance * np.nan_to_num(found.unresolved) ** 2, axis=1),
     }
     for name, each in relative.items():

@@ -65,8 +65,8 @@ def field_warnings(plan: Plan) -> Iterator[str]:
         if abs(change) >= NOTICEABLE:
             yield (
                 f"the field of view (photodiodes {instrument.field_deg:g} deg, beam {instrument.divergence_deg:.2g} deg, "
-                f"illuminated spot) changes the values of {name} by up to {100.0 * change:+.1f} % ({where}); the uncertainty "
-                "has a component for it where neighbouring values are close enough; a smaller field or spot reduces it"
+                f"illuminated spot) changes the values of {name} by up to {100.0 * change:+.1f} % ({where}); the reduction "
+                "corrects it where neighbouring values are close enough; a smaller field or spot reduces what is left"
             )
 
 

@@ -32,8 +32,8 @@ class FieldCorrection:
     """What the field of view does (n,), and what is left without it.
 
     `logarithm` is to be added to ln y. `gradient` (n, 2) and `bend` (n, 2) are first and second derivatives of the corrected
-    ln f, along and across, and `sensitivity` (n, 5) is the derivative of `logarithm` by those of ln y, in the order of `Slopes`,
-    with the other sign. All are NaN where there is no correction.
+    ln f, along and across. `sensitivity` (n, 5), with the other sign, is the derivative of `logarithm` by those of ln y, in the
+    order of `Slopes`. All are NaN where there is no correction.
     """
 
     logarithm: Floats

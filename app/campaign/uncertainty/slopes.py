@@ -27,6 +27,8 @@ MAX_DISTANCE_RAD = math.radians(6.0)
 """Neighbours further away have no information on the curvature; photodiodes are 5 deg apart."""
 RADIAL = 0.7
 """An arc passes close enough to the lobe's centre where theta changes by this share of the way along it."""
+BESIDE = math.radians(60.0)
+"""Largest theta of which an arc beside the lobe's centre takes the cotangent."""
 MIDDLE = 0.25
 """A direction is at the lobe's centre within this share of the window; beyond the whole window it is not."""
 MIN_SINE = 0.1
@@ -128,10 +130,9 @@ def _compare_sides(
     i: int, line: Ints, x: Floats, y: Floats, variance: Floats, window: float, furthest: float, found: Floats
 ) -> None:
     """Slopes at a value from two neighbours on one side each: the nearest beyond half a window, and one twice as far."""
-    n, step = x.size, 0.0
-    slopes, own, others, sides = np.zeros(2), np.zeros(2), 0.0, 0
-    for side in range(2):
-        sign = 1 - 2 * side
+    n, step, sides, others = x.size, 0.0, 0, 0.0
+    after, own_after, before, own_before = 0.0, 0.0, 0.0, 0.0
+    for sign in (1, -1):
         j = i + sign
         if 0 <= j < n and line[j] == line[i]:
             step = max(step, abs(y[j] - y[i]))
@@ -146,18 +147,19 @@ def _compare_sides(
             continue
         far = x[k] - x[i]
         to_near, to_far = far / (near * (far - near)), -near / (far * (far - near))
-        own[side] = -(to_near + to_far)
-        slopes[side] = to_near * y[j] + to_far * y[k] + own[side] * y[i]
+        before, own_before = after, own_after
+        own_after = -(to_near + to_far)
+        after = to_near * y[j] + to_far * y[k] + own_after * y[i]
         others += to_near * to_near * variance[j] + to_far * to_far * variance[k]
         sides += 1
     found[11, i] = step
-    if sides < 2:  # noqa: PLR2004  (one of the sides has too few neighbours)
+    if sides < 2:  # one of them has too few neighbours
         found[7:11, i] = 0.0
         return
-    found[7, i] = 0.5 * (slopes[0] - slopes[1])
-    found[8, i] = 0.25 * (others + (own[0] - own[1]) ** 2 * variance[i])
-    found[9, i] = 0.5 * (slopes[0] + slopes[1]) - found[0, i]
-    found[10, i] = 0.25 * (others + (own[0] + own[1]) ** 2 * variance[i])
+    found[7, i] = 0.5 * (after - before)
+    found[8, i] = 0.25 * (others + (own_after - own_before) ** 2 * variance[i])
+    found[9, i] = 0.5 * (after + before) - found[0, i]
+    found[10, i] = 0.25 * (others + (own_after + own_before) ** 2 * variance[i])
 
 
 def reach(line: Ints, x: Floats, window: float, longest: float) -> Floats:
@@ -248,7 +250,7 @@ class Slopes:
         return np.nan_to_num(np.sqrt(half + third / 9.0))
 
     def undecided(self) -> Flags:
-        """Where the slopes of the two sides of an arc or a circle differ by more than the larger of them, and by more than noise."""
+        """Where the slopes of two sides differ by more than the larger of them, and by more than noise and UNDECIDED."""
         result = np.zeros(self.first_along.size, dtype=bool)
         for fit in (self.arc, self.circle):
             half = np.abs(fit.half_difference) - NOISE_MARGIN * np.sqrt(fit.variance_half)
@@ -267,15 +269,11 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     """Slopes of `y`, with the `variance` of its noise, over all directions; the parabolas' smallest half width is `window`."""
     arc = local_parabola(directions.plane, directions.polar, y, variance, window, MAX_DISTANCE_RAD)
     circle = _circles(directions, y, variance, window)
-    mixing = _by_symmetry(directions, arc, window)
-    measured = np.isfinite(circle.second)
-    if measured.any():
-        # Along a circle about the normal, whose curvature against a great circle is corrected for.
-        across = np.zeros((int(measured.sum()), 5, 4))
-        across[:, 0, 0] = across[:, 2, 1] = across[:, 3, 3] = 1.0
-        across[:, 1, 2] = directions.up[measured]
-        across[:, 3, 0] = 1.0 / np.tan(directions.polar[measured])
-        mixing[measured] = across
+    mixing = np.zeros((y.size, 5, 4))
+    _mix(
+        directions.polar, directions.up, directions.middle, directions.along, directions.across, arc.second,
+        arc.variance_second, circle.second, window, mixing,
+    )  # fmt: skip
     base = np.stack([arc.first, arc.second, np.nan_to_num(circle.first), np.nan_to_num(circle.second)], axis=1)
     return Slopes(*np.einsum("nkl,nl->kn", mixing, base), arc, circle, mixing)
 
@@ -296,41 +294,43 @@ def _circles(directions: Directions, y: Floats, variance: Floats, window: float)
     return Parabola(*columns)
 
 
-def _by_symmetry(directions: Directions, arc: Parabola, window: float) -> Floats:
-    """How the derivatives follow from those along the arc for a lobe that depends on theta alone: `mixing` of `Slopes`.
+@kernel()
+def _mix(
+    polar: Floats, up: Floats, middle: Floats, along: Floats, across: Floats, bend: Floats, variance: Floats, circle: Floats,
+    window: float, mixing: Floats,
+) -> None:  # fmt: skip
+    """`mixing` of `Slopes`. `bend`, with its `variance`, is the second derivative along the arc, `circle` that on the circle.
 
-    With y' and y'' the derivatives along theta, t and w the change of theta along the arc and across it: first = y' t and y' w,
-    second = y'' t^2 + y' cot(theta) (1 - t^2), the sum of both second derivatives is y'' + y' cot(theta), and the mixed one is
-    (y'' - y' cot(theta)) t w.
+    Where there is a circle, the derivative along it is that across, but for its curvature against a great circle. Where there
+    is none, y depends on theta alone. With y' and y'' its derivatives along theta, t and w the change of theta along the arc
+    and across it: first = y' t and y' w, second = y'' t^2 + y' cot(theta) (1 - t^2), the sum of both second derivatives is
+    y'' + y' cot(theta), and the mixed one is (y'' - y' cot(theta)) t w.
     """
-    theta = np.arccos(np.clip(directions.middle, -1.0, 1.0))
-    sine = np.maximum(np.sin(theta), 1e-9)
-    cot = np.cos(theta) / sine
-    t = np.clip(-directions.along / sine, -1.0, 1.0)
-    w = np.copysign(np.sqrt(1.0 - t**2), -directions.across)
-    radial = np.abs(t) >= RADIAL
-    turned = np.where(radial, t, 1.0)
-    # y' and y'' as linear functions (n, 2) of the derivatives along the arc.
-    first = np.stack([1.0 / turned, np.zeros_like(t)], axis=1)
-    second = np.stack([np.zeros_like(t), np.ones_like(t)], axis=1)
-    second = (second - first * (cot * (1.0 - t**2))[:, None]) / (turned**2)[:, None]
-    # For an arc that passes beside the centre y' follows from the second derivative, if y is a parabola in theta. A second
-    # derivative within its noise is not used.
-    beside = np.clip(theta, 1e-9, math.radians(60.0))
-    noise = NOISE_MARGIN * np.sqrt(arc.variance_second)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        certain = np.nan_to_num(np.maximum(1.0 - noise / np.abs(arc.second), 0.0))
-    level = certain * theta / (t**2 + (1.0 - t**2) * np.maximum(theta, 1e-9) / np.tan(beside))
-    aside = np.stack([np.zeros_like(t), level], axis=1)
-    first = np.where(radial[:, None], first, aside)
-    second = np.where(radial[:, None], second, aside / np.maximum(theta, 1e-9)[:, None])
-    bend = first * cot[:, None]
-    across = second + bend - np.array([0.0, 1.0])
-    # At the lobe's centre all directions are equal: close to it the first derivative over theta is not reliable.
-    centre = np.clip((window - theta) / ((1.0 - MIDDLE) * window), 0.0, 1.0)[:, None]
-    mixing = np.zeros((t.size, 5, 4))
-    mixing[:, 0, 0] = mixing[:, 2, 1] = 1.0
-    mixing[:, 1, :2] = first * w[:, None]
-    mixing[:, 3, :2] = centre * np.array([0.0, 1.0]) + (1.0 - centre) * across
-    mixing[:, 4, :2] = (1.0 - centre) * (second - bend) * (t * w)[:, None]
-    return mixing
+    for i in range(polar.size):
+        mixing[i, 0, 0] = mixing[i, 2, 1] = 1.0
+        if math.isfinite(circle[i]):
+            mixing[i, 1, 2] = math.copysign(up[i], up[i] * polar[i])  # growing azimuth, seen from the other half plane
+            mixing[i, 3, 3], mixing[i, 3, 0] = 1.0, 1.0 / math.tan(polar[i])
+            continue
+        theta = max(math.acos(min(max(middle[i], -1.0), 1.0)), 1e-9)
+        sine, cot = math.sin(theta), 1.0 / math.tan(theta)
+        t = min(max(-along[i] / sine, -1.0), 1.0)
+        w = math.copysign(math.sqrt(1.0 - t * t), -across[i])
+        # y' and y'' as linear functions of both derivatives along the arc.
+        if abs(t) >= RADIAL:
+            first_1, first_2 = 1.0 / t, 0.0
+            second_1, second_2 = -cot * (1.0 - t * t) / (t * t * t), 1.0 / (t * t)
+        else:
+            # An arc that passes beside the centre: y' follows from the second derivative, if y is a parabola in theta. A
+            # second derivative within its noise is not used.
+            noise = NOISE_MARGIN * math.sqrt(variance[i])
+            certain = 1.0 - noise / abs(bend[i]) if abs(bend[i]) > noise else 0.0
+            level = t * t + (1.0 - t * t) * theta / math.tan(min(theta, BESIDE))
+            first_1, first_2, second_1, second_2 = 0.0, certain * theta / level, 0.0, certain / level
+        # At the lobe's centre all directions are equal: close to it the first derivative over theta is not reliable.
+        centre = min(max((window - theta) / ((1.0 - MIDDLE) * window), 0.0), 1.0)
+        mixing[i, 1, 0], mixing[i, 1, 1] = first_1 * w, first_2 * w
+        mixing[i, 3, 0] = (1.0 - centre) * (second_1 + first_1 * cot)
+        mixing[i, 3, 1] = (1.0 - centre) * (second_2 + first_2 * cot - 1.0) + centre
+        mixing[i, 4, 0] = (1.0 - centre) * (second_1 - first_1 * cot) * t * w
+        mixing[i, 4, 1] = (1.0 - centre) * (second_2 - first_2 * cot) * t * w

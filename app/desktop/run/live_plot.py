@@ -11,7 +11,7 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.components import DETECTED
+from goniotwin.app.campaign.reduction.components import DETECTED, interval
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.theme import Colours
@@ -19,8 +19,6 @@ from goniotwin.arrays import Flags, Floats
 
 REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
-LONGEST_BAR = 0.9
-"""Share of a value to which its error bar is cut: a bar to 0 has no end on a logarithmic axis."""
 POINT_SIZE = 7
 PIXELS_OF_ALL, PIXELS_OF_SOME = 350.0, 60.0
 """Heights of a decade above which the texts of all its ticks, and those of 2 and 5, have room."""
@@ -150,12 +148,9 @@ class ScanPlot(QWidget):
         symbols = ["s" if each else "o" for each in points.transmitted[kinds["measured"]].tolist()]
         self._items["measured"].setSymbol(symbols)
         self._items["below limit"].setData(points.x_deg[below], np.full(int(below.sum()), floor))
-        share = points.u_values[above] / points.values[above]
+        low, high = interval(points.values[above], points.u_values[above], coverage=1.0)
         self._bars.setData(
-            x=points.x_deg[above],
-            y=logs[above],
-            top=np.log10(1.0 + share),
-            bottom=-np.log10(1.0 - np.minimum(share, LONGEST_BAR)),
+            x=points.x_deg[above], y=logs[above], top=np.log10(high) - logs[above], bottom=logs[above] - np.log10(low)
         )
         if is_new:
             self._show_blocked(scan.blocked_deg)

@@ -168,7 +168,7 @@ def run_case(case: Case, grid: tuple[str, str], folder: Path) -> CaseResult:
     usable = points.good & np.isfinite(expected) & ~points.flags["field"]
     z = np.abs(points.bsdf - expected)[usable] / points.u_bsdf[usable]
     flags = [
-        flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range", "field")
+        flag for name, flag in points.flags.items() if name not in ("shadowed", "under-range", "field", "steep")
     ]  # flags that any run has
     flagged = np.any(flags, axis=0) & ~points.flag("shadowed")
     within = float(np.mean(z <= 2.0)) if z.size else 1.0
