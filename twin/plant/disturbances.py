@@ -95,7 +95,7 @@ _KEYS = {
     "wavelength": "wavelength_nm",
     "linearity": "linearity_per_decade",
     "crosstalk": "crosstalk",
-    "certificate_level": "certificate_level",
+    "certificate[level]": "certificate_level",
     "etalon_age": "etalon_age_per_year",
     "etalon_edge": "etalon_edge",
     "monochromator_stray": "monochromator_stray",
@@ -185,7 +185,7 @@ class Drawn(Mapping[str, float]):
             result *= 1.0 + self[f"{each}@{at}"]
         if kind == "etalon":
             aged = self["etalon_age"] * self.table.etalon_years
-            result *= (1.0 + self["certificate_level"]) * (1.0 + aged) * (1.0 + self["etalon_edge"])
+            result *= (1.0 + self["certificate[level]"]) * (1.0 + aged) * (1.0 + self["etalon_edge"])
         return result
 
     def _mounting(self, sample: str | None, mounting: int) -> tuple[str, str]:
