@@ -40,6 +40,7 @@ from goniotwin.twin.optics import (
 )
 from goniotwin.twin.optics.bsdf.analytic_samples import Form, Side
 from goniotwin.twin.optics.bsdf.lobes import GaussianQuantity
+from goniotwin.twin.optics.bsdf.table_samples import Symmetry
 
 
 def default_of(sample: Callable[..., Scatterer], key: str) -> Any:
@@ -169,12 +170,15 @@ class RegularTable(FormulaTable):
 class MeasuredTable(TomlTable):
     """A table on specular coordinates, of a `file` in any format of the registry; its path is relative to the rig file.
 
-    It acts on light from the `side`. A BTDF transmits. "zemax" is an older name of the `model`.
+    It acts on light from the `side`. A BTDF transmits. "zemax" is an older name of the `model`. A table with several azimuths
+    of the light is anisotropic, and goes on beyond them by its `symmetry`: "none" repeats it after 360 deg, "half_turn" after
+    180. With "mirror" it has 0 to 180 deg and with "orthotropic" 0 to 90, and the rest is its mirror image.
     """
 
     model: Literal["table", "zemax"]
     file: str
-    side: Side = "front"
+    side: Side = default_of(table_sample, "side")
+    symmetry: Symmetry = default_of(table_sample, "symmetry")
 
 
 LobeTable = Annotated[
@@ -232,7 +236,7 @@ def sample_scatterer(sample: SampleTable, folder: Path, place: str) -> Scatterer
         table: BsdfTable = registry.read(path, Holds.GRID)
         if (described := registry.described_table(table)) is not None:
             raise FormatError(path, f"it has the uncertainties of {described}, not values", "give the table itself")
-        return _measured_sample(table, path.name, sample.side)
+        return _measured_sample(table, path.name, sample)
     except FormatError as error:
         raise UserError(f"{place}: {error}") from None
     except ValueError as error:
@@ -321,17 +325,17 @@ def _value(text: str) -> bool | float | str:
         return text
 
 
-def _measured_sample(table: BsdfTable, name: str, side: Side) -> Scatterer:
+def _measured_sample(table: BsdfTable, name: str, sample: MeasuredTable) -> Scatterer:
     """The sample of a table, with 0 in place of noise below zero. Raises ValueError for values that no sample has."""
     noise = (table.values < 0.0) & (table.values >= -NOISE * np.max(table.values))
     values = np.where(noise, 0.0, table.values)
     psi = table.psi_deg if table.psi_deg.size > 1 else None
     if psi is None:
         values = values[:, 0]
-    axes = (table.sigma_deg, table.phi_deg, table.theta_deg)
+    axes, acts = (table.sigma_deg, table.phi_deg, table.theta_deg), (sample.symmetry, sample.side, table.transmitted)
     if table.wavelengths_nm is None:
-        return table_sample(*axes, values[0], name, psi, side=side, transmits=table.transmitted)
-    return spectral_table(table.wavelengths_nm, *axes, values, name, psi, side=side, transmits=table.transmitted)
+        return table_sample(*axes, values[0], name, psi, *acts)
+    return spectral_table(table.wavelengths_nm, *axes, values, name, psi, *acts)
 
 
 def _check_albedo(sample: Scatterer, limit: float) -> None:

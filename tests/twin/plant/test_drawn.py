@@ -120,15 +120,16 @@ def test_the_rig_file_has_the_table_and_names_the_etalon(write_rig: Writer) -> N
 
 
 def test_the_hash_of_a_model_covers_its_disturbances(write_rig: Writer) -> None:
-    def hash_with(text: str) -> str | None:
+    def hash_with(disturbances: str = "", light: str = "") -> str | None:
         head = "[twin.samples.gaussian-5]"
-        return read_rig(write_rig((head, f"{text}\n{head}"))).model_hash()
+        changes = ((head, f"{disturbances}\n{head}"), ("[twin.light]\n", f"[twin.light]\n{light}\n"))
+        return read_rig(write_rig(*changes)).model_hash()
 
-    plain = hash_with("")
-    same = "[twin.disturbances]\nsample_tilt_deg = 0.0\n[twin.monitor]\nsaturation_a = 0.0\n[twin.light]\nband = 'line'"
-    assert hash_with(same) == plain
-    tables = ("disturbances]\nsample_tilt_deg = 0.1", "monitor]\nsaturation_a = 1e-5", "light]\nband = 'triangle'")
-    assert len({hash_with(f"[twin.{each}") for each in tables} | {plain}) == 4
+    plain = hash_with()
+    same = "[twin.disturbances]\nsample_tilt_deg = 0.0\n[twin.monitor]\nsaturation_a = 0.0"
+    assert hash_with(same, "band = 'line'") == plain
+    tables = [f"[twin.{each}" for each in ("disturbances]\nsample_tilt_deg = 0.1", "monitor]\nsaturation_a = 1e-5")]
+    assert len({plain, *map(hash_with, tables), hash_with(light="band = 'triangle'")}) == 4
 
 
 # ---- pose ----

@@ -84,6 +84,13 @@ class Lobe:
         """Albedos at ALBEDO_SIGMA_DEG, with the plane of incidence along x."""
         return freeze([self.albedo(sigma) for sigma in ALBEDO_SIGMA_DEG])
 
+    @property
+    def mirrored(self) -> bool:
+        """Whether the lobe is symmetric about every plane of incidence."""
+        if self.kind in (ELLIPTIC, WARD):
+            return bool(self.params[5] == (0.0 if self.kind == ELLIPTIC else self.params[1]))
+        return bool(self.psi_deg.size <= 1 and self.phi_deg[-1] <= 180.0)
+
     def albedo(self, sigma_deg: float, azimuth_deg: float = 0.0) -> float:
         """Share of the light at canonical sigma (0 to < 90) and azimuth that the lobe scatters, by quadrature.
 
