@@ -325,6 +325,30 @@ def test_white_light_strays_through_the_monochromator(changed: Changed) -> None:
     assert not currents(replace(model, disturbances=Disturbances()), green).any()
 
 
+def test_polarised_light_counts_for_a_sample_with_diattenuation(changed: Changed) -> None:
+    """Against Jones vectors that follow the light over the three mirrors, with what each turns s and p into."""
+    light = LightSource(polarisation=0.4, azimuth_deg=25.0, mirror_s=0.95, mirror_p=0.85)
+    model, plain = changed({"light": light, "diattenuation": {"paint": 0.3}}), changed({"light": light})
+    for sigma in (0.0, 30.0, 70.0, 150.0):
+        turn, azimuth = math.radians(sigma), math.radians(25.0)
+        towards = np.array([math.sin(turn), 0.0, math.cos(turn)])  # the light at the sample comes from here, and y is s
+        total = np.zeros(2)
+        for share, plane in ((0.7, azimuth), (0.3, azimuth + 0.5 * math.pi)):
+            way, vector = np.array([0.0, 1.0, 0.0]), np.array([math.sin(plane), 0.0, math.cos(plane)])
+            for after in (towards, np.array([0.0, 1.0, 0.0]), -towards):
+                across = np.cross(way, after)
+                s_part = vector @ across
+                p_part = vector @ np.cross(across, way)
+                way, vector = after, math.sqrt(0.95) * s_part * across + math.sqrt(0.85) * p_part * np.cross(across, after)
+            s_sample = vector @ np.array([0.0, 1.0, 0.0])
+            total += share * np.array([s_sample**2, vector @ vector - s_sample**2])
+        q = (total[0] - total[1]) / total.sum()
+        assert light.polarised(sigma) == pytest.approx(q, abs=1e-12)
+        aspect = replace(LOBE, sigma_deg=sigma)
+        np.testing.assert_allclose(currents(model, aspect), currents(plain, aspect) * (1.0 + 0.3 * q), rtol=1e-12)
+    assert LightSource().polarised(30.0) == 0.0
+
+
 def test_photodiodes_that_are_not_linear(changed: Changed) -> None:
     model = changed(linearity_per_decade=0.01)
     per_decade = Plant(model).drawn["linearity"]
