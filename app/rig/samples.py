@@ -222,7 +222,7 @@ NOISE = 0.01
 """Values of a measured table may be below zero by so much of the largest one: noise."""
 
 
-def sample_scatterer(sample: SampleTable, folder: Path, place: str) -> Scatterer:
+def sample_scatterer(sample: FormulaTable | MeasuredTable | SumTable, folder: Path, place: str) -> Scatterer:
     """The scattering model of a table; paths of files are relative to `folder`.
 
     Raises UserError for a file that cannot be read; it begins with `place`, the key of the sample.
@@ -290,8 +290,8 @@ def _model_entries(part: str) -> dict[str, Any]:
     if name not in MODELS:
         tables = ", ".join(registry.suffixes(registry.readers(Holds.GRID)))
         known = (
-            "gaussian:width_deg=5, anisotropic-gaussian:along_deg=3,across_deg=12, wide-tailed:width_deg=2, "
-            "ward:alpha_x=0.1,alpha_y=0.3, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE"
+            "gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, wide-tailed:width_deg=2, "
+            "anisotropic-gaussian:along_deg=3,across_deg=12, ward:alpha_x=0.1,alpha_y=0.3, table:FILE"
         )
         raise UserError(f"--sample: there is no model {name!r}; give {known} ({tables}), and sums of them with +")
     if name == "table":

@@ -15,11 +15,11 @@ from goniotwin.drivers.monochromator.settings import refuse_repeated_positions
 from goniotwin.keys import values_of
 from goniotwin.twin.devices import MODULE_KINDS
 from goniotwin.twin.optics import Deviation, Instrument, RealSensor
+from goniotwin.twin.optics.geometry.field import scale_field
 from goniotwin.twin.plant import (
     AxisController,
     ControllerModel,
     DeviceModel,
-    Drawn,
     Estimator,
     Mechanics,
     MonochromatorDrive,
@@ -87,7 +87,7 @@ class TwinTable(Parts):
                 f"sensor: {self.sensor.departure}, so it is not a disc with an acceptance cone, and the fast estimator "
                 'computes only such discs; set optics.estimator = "forward", or correct the sensor'
             )
-        Drawn(self.disturbances, 0, 0).instrument(self.instrument())
+        scale_field(self.instrument(), self.disturbances.field_of_view)
         self._check_samples()
         refuse_repeated_positions([each.position for each in self.filters])
         for each in self.filters:

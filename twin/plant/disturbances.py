@@ -80,7 +80,7 @@ class Disturbances:
 
 
 NORMAL_KEYS = frozenset(each.name for each in fields(Disturbances) if each.metadata == NORMAL)
-_ELEMENTS = {
+_ELEMENTS: dict[str, tuple[str, str | None, str, str]] = {
     **{f"mirror_{m}": (f"mirror_{m}", "mirror_tilt_deg", "xy", "mirror_shift_mm") for m in (1, 2, 3)},
     "illumination": ("pupil", None, "", "illumination_shift_mm"),
     "arc": ("arc", "arc_tilt_deg", "xyz", "arc_shift_mm"),
@@ -129,6 +129,7 @@ class Drawn(Mapping[str, float]):
         for stem, key in _PHOTODIODE_KEYS.items():
             self._keys |= {f"{stem}[{c}]": key for c in range(photodiodes)}
         self._photodiodes = photodiodes
+        self._values: dict[str, float] = {}
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._keys)
@@ -138,7 +139,13 @@ class Drawn(Mapping[str, float]):
 
     def __getitem__(self, name: str) -> float:
         stem, again, _ = name.partition("@")
-        key = _REPEATED_KEYS[stem] if again else self._keys[name]
+        if again:
+            return self._draw(name, _REPEATED_KEYS[stem])
+        if name not in self._values:
+            self._values[name] = self._draw(name, self._keys[name])
+        return self._values[name]
+
+    def _draw(self, name: str, key: str) -> float:
         width: float = getattr(self.table, key)
         if width == 0.0:
             return 0.0

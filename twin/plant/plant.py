@@ -282,7 +282,8 @@ class Plant:
 
     def _passing(self, set_nm: float, position: int) -> list[tuple[float, float]]:
         """`_light` for a set wavelength and a position of the filter wheel."""
-        sorting, true_nm, result = self.model.order_sorting, self._true_nm(set_nm), []
+        sorting, true_nm = self.model.order_sorting, self._true_nm(set_nm)
+        result: list[tuple[float, float]] = []
         for offset_nm, part in self.model.light.nodes:
             for nm, share in sorting.passing(true_nm + offset_nm, position):
                 result.append((nm, part * share * float(np.interp(nm, *self._lamp_spectrum))))

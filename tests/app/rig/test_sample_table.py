@@ -78,9 +78,8 @@ def ddr(path: Path, psi_deg: list[float], wavelengths_nm: tuple[float, ...] | No
     """A table whose value is psi / 1000, times the number of the wavelength."""
     psi, count = np.array(psi_deg), 1 if wavelengths_nm is None else len(wavelengths_nm)
     values = 1e-3 * psi[:, None, None, None] * np.arange(1.0, count + 1.0)[:, None, None, None, None]
-    angles = {"sigma_deg": np.array([0.0, 80.0]), "phi_deg": np.array([0.0, 360.0]), "theta_deg": np.array([0.0, 170.0])}
-    table = BsdfTable(**angles, values=values * np.ones((1, 1, 2, 2, 2)), psi_deg=psi, wavelengths_nm=wavelengths_nm)
-    write_ddr(path, table)
+    sigma, phi, theta = np.array([0.0, 80.0]), np.array([0.0, 360.0]), np.array([0.0, 170.0])
+    write_ddr(path, BsdfTable(sigma, phi, theta, values * np.ones((1, 1, 2, 2, 2)), wavelengths_nm, psi))
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats
@@ -115,7 +116,7 @@ def test_the_rig_file_has_the_table_and_names_the_etalon(write_rig: Writer) -> N
     model = read_rig(write_rig(("[twin.samples.gaussian-5]", text))).model()
     assert model is not None
     assert model.disturbances == Disturbances(certificate_level=0.02, etalon_tilt_deg=0.05)
-    with pytest.raises(Exception, match=r"disturbances.etalon_tilt_deg: of the etalon, and there is no sample 'tile'"):
+    with pytest.raises(UserError, match=r"disturbances.etalon_tilt_deg: of the etalon, and there is no sample 'tile'"):
         read_rig(write_rig(("[twin.samples.gaussian-5]", text.replace("certificate_level = 0.02", 'etalon = "tile"'))))
 
 

@@ -81,13 +81,13 @@ def shaped_density(kind: int, params: Floats, lx: float, ly: float, lz: float, d
             slope2 = (params[1] * (cx * cx + cy * cy) + (params[5] - params[1]) * along * along) / (hz * hz)
             # Slopes of h are Gaussian: their density over the cube of its cosine is that of h, over 4 (h d) that of d.
             lobe = math.sqrt(params[1] * params[5]) / math.pi * math.exp(-slope2) * square / (2.0 * hz**3)
-        return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine  # type: ignore[no-any-return]
+        return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine
     chord = math.sqrt(cx * cx + cy * cy + cz * cz)
     theta = 2.0 * math.asin(min(1.0, 0.5 * chord))
     stretch = theta / math.sin(theta) if 1e-9 < theta < math.pi else 1.0
     if kind == WIDE:
         lobe = params[1] / (math.pi * params[3] * (1.0 + params[1] * theta * theta) ** 2) * stretch
-        return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine  # type: ignore[no-any-return]
+        return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine
     ex, ey, ez, tilt2 = _axis_at_lobe(params, lx, ly, lz)
     sine = math.sin(theta)
     # The part of d across the specular direction, along the lobe's own axis there.
@@ -95,7 +95,7 @@ def shaped_density(kind: int, params: Floats, lx: float, ly: float, lz: float, d
     steep = params[1] + params[5] * tilt2
     exponent = params[1] * (theta * theta - along * along) + steep * along * along
     lobe = math.sqrt(params[1] * steep) / math.pi * math.exp(-exponent) * stretch
-    return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine  # type: ignore[no-any-return]
+    return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine
 
 
 @kernel(forceinline=True)
