@@ -72,7 +72,8 @@ def canonical_text(value: object) -> str:
 
 
 def _is_later_default(entry: Field[Any], owner: Any) -> bool:
-    return "later" in entry.metadata and bool(getattr(owner, entry.name) == entry.default)
+    default = entry.default if entry.default_factory is MISSING else entry.default_factory()
+    return "later" in entry.metadata and bool(getattr(owner, entry.name) == default)
 
 
 def _number(value: Real) -> str:

@@ -15,11 +15,11 @@ from goniotwin.drivers.monochromator.settings import refuse_repeated_positions
 from goniotwin.keys import values_of
 from goniotwin.twin.devices import MODULE_KINDS
 from goniotwin.twin.optics import Deviation, Instrument, RealSensor
+from goniotwin.twin.optics.geometry.field import scale_field
 from goniotwin.twin.plant import (
     AxisController,
     ControllerModel,
     DeviceModel,
-    Drawn,
     Estimator,
     Mechanics,
     MonochromatorDrive,
@@ -87,8 +87,8 @@ class TwinTable(Parts):
                 f"sensor: {self.sensor.departure}, so it is not a disc with an acceptance cone, and the fast estimator "
                 'computes only such discs; set optics.estimator = "forward", or correct the sensor'
             )
-        Drawn(self.disturbances, 0, 0).instrument(self.instrument())
-        self._check_etalon()
+        scale_field(self.instrument(), self.disturbances.field_of_view)
+        self._check_samples()
         refuse_repeated_positions([each.position for each in self.filters])
         for each in self.filters:
             if each.position > self.monochromator.filters:
@@ -103,8 +103,10 @@ class TwinTable(Parts):
         """The devices at addresses of their own, or in place of the usual ones, by address."""
         return {**self.controllers, **self.devices}
 
-    def _check_etalon(self) -> None:
-        """Raise ValueError where the etalon has disturbances and no sample is called as it is."""
+    def _check_samples(self) -> None:
+        """Raise ValueError for the properties of a sample that is not there, or of an etalon that is not."""
+        if unknown := sorted(set(self.diattenuation) - set(self.samples)):
+            raise ValueError(f"diattenuation.{unknown[0]}: there is no such sample; give one of [twin.samples], or remove it")
         table = self.disturbances
         of_etalon = [each for each in vars(table) if each.startswith(("etalon_", "certificate_")) and getattr(table, each)]
         if of_etalon and table.etalon not in self.samples:

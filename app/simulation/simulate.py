@@ -251,4 +251,4 @@ def _check(task: Task) -> None:
 
 def _is_mirrored(sample: Scatterer) -> bool:
     """Whether the sample is symmetric about the plane of incidence."""
-    return all(lobe.psi_deg.size <= 1 and lobe.phi_deg[-1] <= 180.0 for lobe in sample.lobes)
+    return all(lobe.mirrored for lobe in sample.lobes)

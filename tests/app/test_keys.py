@@ -159,7 +159,7 @@ def test_a_key_that_is_a_table_has_the_first_sentence_of_its_table() -> None:
 @pytest.mark.parametrize(
     ("kind", "change"),
     [
-        ("rig", {"twin": {"light": {"band_nm": 5.0}}}),
+        ("rig", {"twin": {"light": {"wander_period_s": 30.0}}}),
         ("rig", {"twin": {"optics": {"pupil_to_mirror_mm": 200.0}}}),
         ("rig", {"twin": {"optics": {"kind": "fast"}}}),
         ("rig", {"twin": {"electronics": {"temperature_k": 300.0}}}),
@@ -248,19 +248,20 @@ def test_no_key_of_the_rig_file_is_declared_twice() -> None:
         assert declared_twice(own, dataclasses_in(package)) == []
 
 
-@pytest.mark.parametrize("name", ["lambertian", "gaussian", "regular"])
+@pytest.mark.parametrize("name", ["lambertian", "gaussian", "anisotropic-gaussian", "ward", "wide-tailed", "regular"])
 def test_the_keys_of_a_sample_are_the_arguments_of_its_function_with_their_defaults(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With other defaults of the function the table, made again, has them too."""
-    function: Any = getattr(optics, name)
+    """With other defaults of the function the table, made again, has them too. Each sample has also the keys of a spectrum."""
+    function: Any = getattr(optics, name.replace("-", "_"))
     arguments = signature(function).parameters
     monkeypatch.setattr(function, "__defaults__", tuple(f"default {k}" for k in range(len(function.__defaults__))))
     source = (REPOSITORY / "app" / "rig" / "samples.py").read_text(encoding="utf-8")
     changed = ModuleType("changed")
     monkeypatch.setitem(sys.modules, "changed", changed)
     exec(compile(source, "samples.py", "exec", dont_inherit=True), vars(changed))
-    keys = {key: field.default for key, field in changed.MODELS[name].model_fields.items() if key != "model"}
+    further = {"model", *changed.FormulaTable.model_fields}
+    keys = {key: field.default for key, field in changed.MODELS[name].model_fields.items() if key not in further}
     assert keys.keys() == arguments.keys()
     expected = {key: each.default for key, each in signature(function).parameters.items() if each.default is not each.empty}
     assert {key: value for key, value in keys.items() if key in expected} == expected

@@ -6,7 +6,7 @@ its own: `forward_illumination` and `adjoint_illumination`. This package needs n
 module of names for bounds: files are read and written in app/formats.
 """
 
-from goniotwin.twin.optics.bsdf.analytic_samples import gaussian, lambertian, regular
+from goniotwin.twin.optics.bsdf.analytic_samples import anisotropic_gaussian, gaussian, lambertian, regular, ward, wide_tailed
 from goniotwin.twin.optics.bsdf.lobes import Lobe
 from goniotwin.twin.optics.bsdf.point_samples import scattered_points
 from goniotwin.twin.optics.bsdf.scatterer import (
@@ -64,6 +64,7 @@ __all__ = [
     "StrayMap",
     "adjoint_illumination",
     "albedo",
+    "anisotropic_gaussian",
     "apply_spectrum",
     "arc_direction",
     "combine_sides",
@@ -96,5 +97,7 @@ __all__ = [
     "throughput",
     "to_specular",
     "visible_fraction",
+    "ward",
+    "wide_tailed",
     "xenon_spectrum",
 ]

@@ -80,7 +80,7 @@ class Disturbances:
 
 
 NORMAL_KEYS = frozenset(each.name for each in fields(Disturbances) if each.metadata == NORMAL)
-_ELEMENTS = {
+_ELEMENTS: dict[str, tuple[str, str | None, str, str]] = {
     **{f"mirror_{m}": (f"mirror_{m}", "mirror_tilt_deg", "xy", "mirror_shift_mm") for m in (1, 2, 3)},
     "illumination": ("pupil", None, "", "illumination_shift_mm"),
     "arc": ("arc", "arc_tilt_deg", "xyz", "arc_shift_mm"),
@@ -95,7 +95,7 @@ _KEYS = {
     "wavelength": "wavelength_nm",
     "linearity": "linearity_per_decade",
     "crosstalk": "crosstalk",
-    "certificate_level": "certificate_level",
+    "certificate[level]": "certificate_level",
     "etalon_age": "etalon_age_per_year",
     "etalon_edge": "etalon_edge",
     "monochromator_stray": "monochromator_stray",
@@ -129,6 +129,7 @@ class Drawn(Mapping[str, float]):
         for stem, key in _PHOTODIODE_KEYS.items():
             self._keys |= {f"{stem}[{c}]": key for c in range(photodiodes)}
         self._photodiodes = photodiodes
+        self._values: dict[str, float] = {}
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._keys)
@@ -138,7 +139,13 @@ class Drawn(Mapping[str, float]):
 
     def __getitem__(self, name: str) -> float:
         stem, again, _ = name.partition("@")
-        key = _REPEATED_KEYS[stem] if again else self._keys[name]
+        if again:
+            return self._draw(name, _REPEATED_KEYS[stem])
+        if name not in self._values:
+            self._values[name] = self._draw(name, self._keys[name])
+        return self._values[name]
+
+    def _draw(self, name: str, key: str) -> float:
         width: float = getattr(self.table, key)
         if width == 0.0:
             return 0.0
@@ -185,7 +192,7 @@ class Drawn(Mapping[str, float]):
             result *= 1.0 + self[f"{each}@{at}"]
         if kind == "etalon":
             aged = self["etalon_age"] * self.table.etalon_years
-            result *= (1.0 + self["certificate_level"]) * (1.0 + aged) * (1.0 + self["etalon_edge"])
+            result *= (1.0 + self["certificate[level]"]) * (1.0 + aged) * (1.0 + self["etalon_edge"])
         return result
 
     def _mounting(self, sample: str | None, mounting: int) -> tuple[str, str]:

@@ -79,6 +79,10 @@ class LightSource:
     With the `band` "triangle" it has all wavelengths of a triangular band, which is `band_nm` wide at half its height; with
     "line" it has the one that is set. `spectrum` has pairs (wavelength in nm, relative radiance). `drift_per_hour`, `flicker`
     and `wander`, relative, belong to the lamp: all detectors and the monitor see the same.
+
+    `polarisation` is the degree of the monochromator's linear polarisation, and `azimuth_deg` its plane, from the vertical
+    towards the side of growing sigma. `mirror_s` and `mirror_p` are a mirror's reflectances across its plane of incidence and
+    in it; of these only the quotient counts, beside `mirror_reflectance`.
     """
 
     radiance: Positive = 2.0e3
@@ -93,6 +97,21 @@ class LightSource:
     flicker_period_s: float = field(default=0.01, metadata=NO_KEY)
     wander: Fraction = 2.0e-3
     wander_period_s: float = field(default=30.0, metadata=NO_KEY)
+
+    polarisation: Annotated[float, Ge(0.0), Le(1.0)] = field(default=0.0, metadata=LATER)
+    azimuth_deg: Annotated[float, Ge(-180.0), Lt(180.0)] = field(default=0.0, metadata=LATER)
+    mirror_s: Share = field(default=1.0, metadata=LATER)
+    mirror_p: Share = field(default=1.0, metadata=LATER)
+
+    def polarised(self, sigma_deg: float) -> float:
+        """Share of the light in the sample's s less that in its p, over all light, with the mirror unit at sigma.
+
+        The three mirrors turn with sigma, and all reflect in the plane of the sigma axis and the light at the sample. That is
+        across the sample's plane of incidence, so what is p for the mirrors is s for the sample.
+        """
+        in_plane = self.polarisation * math.cos(2.0 * math.radians(self.azimuth_deg - sigma_deg))
+        s, p = self.mirror_p**3 * (1.0 + in_plane), self.mirror_s**3 * (1.0 - in_plane)
+        return (s - p) / (s + p)
 
     @property
     def nodes(self) -> tuple[tuple[float, float], ...]:
@@ -333,7 +352,8 @@ class Parts:
     """Parts of a virtual rig that need no other part; with `noise` off there are no random processes, but quantisation.
 
     They are the `frames` of the samples, the `light`, the `photodiodes` and their `electronics`, the `monitor`, the motion
-    `controller`, and what all of it is off by, the `disturbances`.
+    `controller`, and what all of it is off by, the `disturbances`. `diattenuation` has, by the names of samples, the difference
+    of their values for light in s and in p over the sum: 0 for those that are not named.
     """
 
     frames: SampleFrames = field(default_factory=SampleFrames)
@@ -343,6 +363,7 @@ class Parts:
     controller: AxisController = field(default_factory=AxisController)
     monitor: MonitorPhotodiode = field(default_factory=MonitorPhotodiode)
     disturbances: Disturbances = field(default=Disturbances(), metadata=LATER)
+    diattenuation: dict[str, Annotated[float, Ge(-1.0), Le(1.0)]] = field(default_factory=dict, metadata=LATER)
     noise: bool = True
 
 

@@ -187,7 +187,8 @@ class Plant:
                 seen = self.throughputs_m2sr(t, wavelength)
                 currents[: self.model.photodiodes.count] += responsivity * (self._radiance * light) * seen
         moves = sum(shaft.drive(t).moves for shaft in self.shafts.values())
-        return self._disturbed(currents, self.sample.at(t), self.mounting.at(t), moves) * self._sensitivity
+        pose = self.sample.at(t), self.mounting.at(t), self.angle_deg("sigma", t)
+        return self._disturbed(currents, *pose, moves) * self._sensitivity
 
     def steady_photocurrents_a(self, aspect: Aspect, filter_position: int = 1, moves: int = 0) -> Floats:
         """Photocurrents of the photodiodes in an aspect, with the filter wheel at some position, at a set wavelength.
@@ -200,11 +201,13 @@ class Plant:
             if light != 0.0:
                 responsivity = float(np.interp(wavelength, *self._responsivity))
                 currents += responsivity * light * self.view.throughputs_m2sr(replace(aspect, wavelength_nm=wavelength))
-        return self._disturbed(currents, aspect.sample, aspect.mounting, moves)
+        return self._disturbed(currents, aspect.sample, aspect.mounting, aspect.sigma_deg, moves)
 
-    def _disturbed(self, currents: Floats, sample: str | None, mounting: int, moves: int) -> Floats:
-        """Photocurrents with what sample and photodiodes are off by."""
+    def _disturbed(self, currents: Floats, sample: str | None, mounting: int, sigma_deg: float, moves: int) -> Floats:
+        """Photocurrents with what sample and photodiodes are off by, and with the effect of the light's polarisation."""
         factor, per_decade = self.drawn.signal_factor(sample, mounting, moves), self.drawn["linearity"]
+        if sample is not None and (diattenuation := self.model.diattenuation.get(sample, 0.0)):
+            factor *= 1.0 + diattenuation * self.model.light.polarised(sigma_deg)
         if factor != 1.0:
             currents = factor * currents
         if per_decade != 0.0:
@@ -279,7 +282,8 @@ class Plant:
 
     def _passing(self, set_nm: float, position: int) -> list[tuple[float, float]]:
         """`_light` for a set wavelength and a position of the filter wheel."""
-        sorting, true_nm, result = self.model.order_sorting, self._true_nm(set_nm), []
+        sorting, true_nm = self.model.order_sorting, self._true_nm(set_nm)
+        result: list[tuple[float, float]] = []
         for offset_nm, part in self.model.light.nodes:
             for nm, share in sorting.passing(true_nm + offset_nm, position):
                 result.append((nm, part * share * float(np.interp(nm, *self._lamp_spectrum))))

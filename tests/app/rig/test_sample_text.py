@@ -74,7 +74,7 @@ def test_any_keys_and_numbers_make_a_sample_or_an_error_of_one_line(model: str, 
     [
         (
             "phong:n=3",
-            "no model 'phong'; give gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, table:FILE",
+            "no model 'phong'; give gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, wide-tailed:",
         ),
         ("gaussian:width_deg=5+phong:n=3", "no model 'phong'"),
         ("gaussian", "width_deg: is missing"),

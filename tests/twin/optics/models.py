@@ -19,6 +19,8 @@ from goniotwin.twin.optics import (
 from goniotwin.twin.optics.bsdf.lobes import freeze
 
 gaussian, lambertian = functools.cache(optics.gaussian), functools.cache(optics.lambertian)
+anisotropic_gaussian, wide_tailed = functools.cache(optics.anisotropic_gaussian), functools.cache(optics.wide_tailed)
+ward = functools.cache(optics.ward)
 """Tests share the samples of the same arguments: the albedos of one are a good part of the time of a small estimate."""
 
 SIGMA_AXIS, PHI_AXIS, THETA_AXIS = [0.0, 30.0, 60.0], [0.0, 90.0, 180.0], [0.0, 10.0, 30.0, 90.0]
@@ -65,6 +67,7 @@ POINTS = thinned(FINE, 5)
 SINGLE = [
     lambertian(0.8), gaussian(5.0), gaussian(25.0), gaussian(60.0),
     gaussian(8.0, "half_width", "intensity", peak=2.0), TABLE, ANISOTROPIC, BRUSHED, POINTS,
+    anisotropic_gaussian(5.0, 20.0, 30.0), wide_tailed(4.0), ward(0.15, 0.3, 70.0),
 ]  # fmt: skip
 COMBINED = [
     lambertian(0.5, 0.4, side="both"),
@@ -73,6 +76,12 @@ COMBINED = [
     gaussian(20.0, transmits=True, refraction=0.7),
     sum_samples(gaussian(3.0, reflectance=0.3), gaussian(30.0, reflectance=0.3), lambertian(0.2), name="three"),
     sum_samples(lambertian(0.5), regular(0.3), regular(0.1, transmits=True, side="both"), name="with regular"),
+    sum_samples(
+        anisotropic_gaussian(8.0, 25.0, 110.0, "half_width", reflectance=0.4, transmits=True, side="both"),
+        ward(0.4, 0.2, 20.0, 0.5, side="both"),
+        wide_tailed(6.0, reflectance=0.1, transmits=True, side="back"),
+        name="two widths",
+    ),
     combine_sides(gaussian(5.0), lambertian(0.1), ANISOTROPIC, gaussian(12.0), name="four ways"),
 ]
 MODELS = [*SINGLE, *COMBINED]

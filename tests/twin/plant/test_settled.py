@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.rig import read_rig
 from goniotwin.twin import TwinModel
-from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
+from goniotwin.twin.plant import Disturbances, OrderSorting, Plant, WheelFilter
 from goniotwin.twin.plant.history import History
 from goniotwin.twin.plant.motion import ramp_to_target
 from goniotwin.twin.plant.shaft import Heartbeat
@@ -21,10 +21,12 @@ STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
 
 @pytest.fixture(scope="module")
 def model() -> TwinModel:
-    """The example rig with second order and filters."""
+    """The example rig with second order and filters, and with disturbances that mountings and moves draw again."""
     result = read_rig(RIG).model()
     assert result is not None
-    return replace(result, order_sorting=OrderSorting(0.3, (WheelFilter(2, 520.0), WheelFilter(3, 350.0, 0.7))))
+    sorting = OrderSorting(0.3, (WheelFilter(2, 520.0), WheelFilter(3, 350.0, 0.7)))
+    off = Disturbances(sample_tilt_deg=0.2, position_deg=0.05, repeatability=0.01, mounting=0.01, linearity_per_decade=0.01)
+    return replace(result, order_sorting=sorting, disturbances=off)
 
 
 def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:

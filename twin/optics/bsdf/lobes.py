@@ -10,13 +10,25 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.cells import cell_shares
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, REGULAR, TABLE, evaluate_all, refract, regular_share
+from goniotwin.twin.optics.bsdf.models import (
+    ANISOTROPIC,
+    ELLIPTIC,
+    GAUSSIAN,
+    REGULAR,
+    TABLE,
+    WARD,
+    WIDE,
+    evaluate_all,
+    refract,
+    regular_share,
+)
 from goniotwin.twin.optics.geometry.coordinates import from_specular, light_direction
 
 GaussianQuantity = Literal["luminance", "intensity"]
 KernelArguments = tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]
 
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
+TAIL_WIDTHS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 16.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0])
 # Incidences of `Lobe.albedos`.
 ALBEDO_SIGMA_DEG = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
 
@@ -72,6 +84,13 @@ class Lobe:
         """Albedos at ALBEDO_SIGMA_DEG, with the plane of incidence along x."""
         return freeze([self.albedo(sigma) for sigma in ALBEDO_SIGMA_DEG])
 
+    @property
+    def mirrored(self) -> bool:
+        """Whether the lobe is symmetric about every plane of incidence."""
+        if self.kind in (ELLIPTIC, WARD):
+            return bool(self.params[5] == (0.0 if self.kind == ELLIPTIC else self.params[1]))
+        return bool(self.psi_deg.size <= 1 and self.phi_deg[-1] <= 180.0)
+
     def albedo(self, sigma_deg: float, azimuth_deg: float = 0.0) -> float:
         """Share of the light at canonical sigma (0 to < 90) and azimuth that the lobe scatters, by quadrature.
 
@@ -104,6 +123,12 @@ class Lobe:
         """Angles in rad; between two of them the lobe is smooth enough for one panel over theta."""
         if self.kind == GAUSSIAN:
             return lobe_breaks(self.params[1])
+        if self.kind == ELLIPTIC:
+            return np.union1d(lobe_breaks(self.params[1]), lobe_breaks(self.params[1] + self.params[5]))
+        if self.kind == WARD:  # a slope of the half vector turns the direction by about twice its angle
+            return np.union1d(lobe_breaks(0.25 * self.params[1]), lobe_breaks(0.25 * self.params[5]))
+        if self.kind == WIDE:
+            return np.append(np.minimum(TAIL_WIDTHS / math.sqrt(self.params[1]), math.pi), math.pi)
         if self.kind in (TABLE, ANISOTROPIC):
             return np.unique(np.concatenate([[0.0], np.radians(self.theta_deg), [math.pi]]))
         return np.array([0.0, 0.25 * math.pi, 0.5 * math.pi, 0.75 * math.pi, math.pi])

@@ -9,6 +9,7 @@ import pytest
 from goniotwin.twin.optics import (
     Scatterer,
     albedo,
+    anisotropic_gaussian,
     apply_spectrum,
     evaluate,
     gaussian,
@@ -17,6 +18,8 @@ from goniotwin.twin.optics import (
     regular,
     sum_samples,
     table_sample,
+    ward,
+    wide_tailed,
 )
 from tests.twin.optics.models import BRUSHED, TABLE, model_name
 
@@ -25,6 +28,8 @@ DEFAULTS = [
     lambertian(), regular(),
     *[gaussian(width, form, quantity) for width in (0.5, 2.0, 5.0, 15.0, 30.0, 90.0)
       for form in ("one_over_e", "half_width") for quantity in ("luminance", "intensity")],
+    anisotropic_gaussian(0.5, 20.0), anisotropic_gaussian(40.0, 10.0, 60.0), wide_tailed(0.5), wide_tailed(30.0),
+    ward(0.02, 0.3, reflectance=1.0), ward(0.8, 0.5, 45.0, reflectance=1.0),
 ]  # fmt: skip
 
 
@@ -49,7 +54,8 @@ def test_in_a_furnace_a_reciprocal_sample_has_the_radiance_of_its_albedo(sigma_d
     # Uniform over the squared sine of the zenith angle: the cosine law.
     sine = np.sqrt(height)
     lights = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.sqrt(1.0 - height)], axis=-1)
-    for model in (lambertian(0.8), gaussian(20.0), gaussian(40.0, "half_width")):
+    of_two_widths = anisotropic_gaussian(20.0, 40.0, 20.0), ward(0.3, 0.5, 110.0)
+    for model in (lambertian(0.8), gaussian(20.0), gaussian(40.0, "half_width"), wide_tailed(20.0), *of_two_widths):
         seen = math.pi * float(evaluate(model, lights, light_direction(sigma_deg)).mean())
         assert seen == pytest.approx(albedo(model, sigma_deg), rel=2e-5)
 

@@ -20,7 +20,16 @@ from goniotwin.twin.optics import (
 )
 from tests.sizes import parted
 from tests.twin.optics.agreement import agree
-from tests.twin.optics.models import ANISOTROPIC, TABLE, gaussian, lambertian, thinned
+from tests.twin.optics.models import (
+    ANISOTROPIC,
+    TABLE,
+    anisotropic_gaussian,
+    gaussian,
+    lambertian,
+    thinned,
+    ward,
+    wide_tailed,
+)
 
 MEASURED = Path(__file__).resolve().parents[5] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
 SIGMA = [0.0, 30.0, 60.0, 80.0, 150.0]
@@ -115,6 +124,25 @@ def test_both_agree_for_a_gaussian_lobe(sigma_deg: float, width_deg: float, part
     check_agreement(
         instrument, sigma_deg, rings(sigma_deg, step_deg, 6), sample, 20_000_000, sum_error=1e-3, seven=True, part=part
     )
+
+
+@parted(16)
+@pytest.mark.parametrize("sigma_deg", [30.0, *(pytest.param(each, marks=pytest.mark.long) for each in (0.0, 60.0, 150.0))])
+@pytest.mark.parametrize(
+    ("sample", "width_deg"),
+    [
+        (anisotropic_gaussian(5.0, 15.0, 40.0, side="both"), 5.0),
+        (wide_tailed(3.0, side="both"), 3.0),
+        (ward(0.08, 0.2, 40.0, side="both"), 9.0),
+    ],
+    ids=["two widths", "wide tails", "ward"],
+)
+def test_both_agree_for_lobes_of_two_widths_and_with_wide_tails(
+    sample: Scatterer, width_deg: float, sigma_deg: float, part: int
+) -> None:
+    instrument, step_deg = lobe_detectors(width_deg)
+    directions = rings(sigma_deg, step_deg, 6)
+    check_agreement(instrument, sigma_deg, directions, sample, 4_000_000, gamma_deg=25.0, sum_error=4e-3, seven=True, part=part)
 
 
 @parted(16)
