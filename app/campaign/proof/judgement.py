@@ -17,14 +17,16 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, noisy, true_bsdf
+from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, noisy, true_bsdf, with_true_slopes
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.campaign.uncertainty.effects import Effects
 from goniotwin.app.campaign.uncertainty.fit import Fit, fit_inputs
+from goniotwin.app.rig import AXES
 from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.optics import Scatterer
 from goniotwin.twin.plant import Drawn
 
 FAR_U = 5.0
@@ -104,20 +106,45 @@ def judge(journal: Path, plan: Plan) -> RigResult:
     assert model is not None
     assert plan.rig.seed is not None
     result = RigResult(plan.rig.seed)
-    drawn = Drawn(model.disturbances, model.seed, model.photodiodes.count)
     with Journal.open(journal) as opened:
         reduction = Reduction(opened)
+        drawn = _DrawnInputs(Drawn(model.disturbances, model.seed, model.photodiodes.count), plan, reduction)
         for name in reduction.schedule.samples:
             blocks = list(finished_blocks(reduction, name))
             if blocks:
                 points = join_points(blocks)
-                _add_sample(result, reduction, name, points, true_bsdf(model.samples[name], points), drawn)
+                _add_sample(result, reduction, name, points, model.samples[name], drawn)
     return result
 
 
+class _DrawnInputs:
+    """What is drawn by the names of a budget: the positions of an axis have other numbers there, from row to row the same."""
+
+    def __init__(self, drawn: Drawn, plan: Plan, reduction: Reduction) -> None:
+        self._drawn = drawn
+        self._positions: dict[str, str] = {}
+        moves, pose = [0] * len(AXES), [0.0] * len(AXES)
+        history = reduction.settings.history
+        for row in plan.rows if history is not None else ():
+            if row.pose is not None and history is not None:
+                moves = [count + (now != before) for count, now, before in zip(moves, row.pose, pose, strict=True)]
+                pose = list(row.pose)
+                counted = history.moves(np.array([row.number]))[0].tolist()
+                for axis, own, of_plant in zip(AXES, counted, moves, strict=True):
+                    self._positions[f"position@{axis}#{own}"] = f"position@{axis}#{of_plant}"
+
+    def of(self, name: str) -> float:
+        """The drawn value of an input; 0 for one that is not drawn."""
+        try:
+            return self._drawn[self._positions.get(name, name)]
+        except KeyError:
+            return 0.0
+
+
 def _add_sample(
-    result: RigResult, reduction: Reduction, name: str, points: BsdfPoints, truth: Floats, drawn: Drawn
+    result: RigResult, reduction: Reduction, name: str, points: BsdfPoints, scatterer: Scatterer, drawn: _DrawnInputs
 ) -> None:  # fmt: skip
+    truth = true_bsdf(scatterer, points)
     chosen = points.good & np.isfinite(truth)
     points_of, truth_of = points.where(chosen), truth[chosen]
     if not points_of.size:
@@ -129,11 +156,13 @@ def _add_sample(
     known = np.flatnonzero(~steep)
     for part in _parts(points_of.where(known)):
         at = known[part]
-        effects = effects_of(points_of.where(at), reduction.settings)
-        fit = fit_inputs(effects, relative_residuals(points_of.where(at), truth_of[at]))
+        # With the true slopes: what is left of the measured ones' errors, times an angle, is no independent error.
+        fitted = with_true_slopes(scatterer, points_of.where(at))
+        effects = effects_of(fitted, reduction.settings)
+        fit = fit_inputs(effects, relative_residuals(fitted, truth_of[at]))
         chi_square[at], freedom[at] = fit.chi_square, fit.expected
         _add_inputs(result, fit)
-        if name not in result.angles and (angles := _in_plane_angles(points_of.where(at), effects, fit, drawn)) is not None:
+        if name not in result.angles and (angles := _in_plane_angles(fitted, effects, fit, drawn)) is not None:
             result.angles[name] = angles
     _add_cells(result.cells, tables, steep, z, chi_square, freedom)
     for k in np.flatnonzero((np.abs(z) > FAR_U) & ~steep)[:MOST_LISTED].tolist():
@@ -223,7 +252,7 @@ def _add_inputs(result: RigResult, fit: Fit) -> None:
         result.inputs[kind] = (square + (estimate / each.u) ** 2, share + expected / each.u**2)
 
 
-def _in_plane_angles(points: BsdfPoints, effects: Effects, fit: Fit, drawn: Drawn) -> tuple[float, float] | None:
+def _in_plane_angles(points: BsdfPoints, effects: Effects, fit: Fit, drawn: _DrawnInputs) -> tuple[float, float] | None:
     """The error of the angle in the plane of incidence, deg, as drawn and as fitted; None without a slope there.
 
     Both from the inputs of pose at the steepest value of that plane: what they change there over its slope.
@@ -239,10 +268,6 @@ def _in_plane_angles(points: BsdfPoints, effects: Effects, fit: Fit, drawn: Draw
     errors = [0.0, 0.0]
     for each, sensitivity in pairs:
         if each.unit in ("deg", "mm"):
-            try:
-                value = drawn[each.name]
-            except KeyError:
-                continue
-            errors[0] += sensitivity * value
+            errors[0] += sensitivity * drawn.of(each.name)
             errors[1] += sensitivity * fit.of(each.name)
     return errors[0] / float(points.slope_along[k]), errors[1] / float(points.slope_along[k])

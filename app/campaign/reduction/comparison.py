@@ -4,7 +4,7 @@ Only this file uses the theory. Measurement and reduction do not.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from goniotwin.app.campaign.geometry.directions import direction_keys
+from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
 from goniotwin.app.campaign.reduction.components import total_variance
 from goniotwin.app.campaign.reduction.export import heading
 from goniotwin.app.campaign.reduction.points import BsdfPoints
@@ -29,6 +29,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
     polar_and_azimuth,
     round_deg,
     signed_polar,
+    zenith_and_azimuth,
 )
 
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
@@ -37,6 +38,7 @@ K95 = 1.96
 """Half width of a 95 % interval in u."""
 LOGARITHMIC = 0.15
 """Relative u above which an interval is one of the logarithm."""
+SLOPE_STEP_DEG = 0.01
 ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark"})
 """Components that do not grow with the value."""
 
@@ -70,6 +72,26 @@ def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
         at = which.ravel() == k
         result[at] = evaluate(scatterer, lights[at], directions[at], wavelength_nm, gamma_deg)
     return result
+
+
+def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
+    """The points with the slopes of a model at their nominal directions, where they are not for the most part noise."""
+    polar = points.zenith_deg * (np.pi / 180.0)
+    azimuth = np.radians(points.azimuth_deg)
+    level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(azimuth.size)], axis=1)
+    ahead = np.stack([np.cos(polar) * level[:, 1], -np.cos(polar) * level[:, 0], -np.sin(polar)], axis=1)
+    up = np.where(is_lower(points.zenith_deg), -1.0, 1.0)[:, None]
+    direction = arc_direction(points.zenith_deg, points.azimuth_deg)
+    slopes = []
+    for turn in (up * ahead, up * level):
+        logarithms = []
+        for sign in (-1.0, 1.0):
+            zenith, around = zenith_and_azimuth(direction + sign * np.radians(SLOPE_STEP_DEG) * turn)
+            moved = true_bsdf(scatterer, replace(points, zenith_deg=zenith, azimuth_deg=around))
+            logarithms.append(np.log(np.maximum(moved, np.finfo(float).tiny)))
+        slope = (logarithms[1] - logarithms[0]) / (2.0 * SLOPE_STEP_DEG)
+        slopes.append(np.where(noisy(points), np.nan, slope))
+    return replace(points, slope_along=slopes[0], slope_across=slopes[1])
 
 
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
