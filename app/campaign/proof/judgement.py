@@ -255,10 +255,12 @@ def _add_inputs(result: RigResult, fit: Fit) -> None:
 def _in_plane_angles(points: BsdfPoints, effects: Effects, fit: Fit, drawn: _DrawnInputs) -> tuple[float, float] | None:
     """The error of the angle in the plane of incidence, deg, as drawn and as fitted; None without a slope there.
 
-    Both from the inputs of pose at the steepest value of that plane: what they change there over its slope.
+    Both from the inputs of pose at the value of that plane that determines the angle best: what they change there over its
+    slope.
     """
+    own = np.sqrt(np.sum(list(effects.independent.values()), axis=0))
     slope = np.where(points.in_plane & np.isfinite(points.slope_along), np.abs(points.slope_along), 0.0)
-    k = int(np.argmax(slope))
+    k = int(np.argmax(slope / np.maximum(own, np.finfo(float).tiny)))
     if not slope[k] > 0.0:
         return None
     pairs = [(each, float(part.sensitivity[k, i])) for part in effects.dense for i, each in enumerate(part.inputs)]
