@@ -21,14 +21,17 @@ import numpy as np
 from goniotwin.twin import TwinModel
 
 VERSION = 2
+LATER_MAPPINGS = ("devices", "diattenuation")
+"""Later fields of a model, which keeps its hash where they are empty."""
 
 
 def model_hash(model: TwinModel) -> str:
     """The hash of a model, with the tables of its samples, but without the seed and the names of the samples."""
-    known = [each for each in fields(model) if each.name not in ("seed", "devices") and not _is_later_default(each, model)]
+    known = [
+        each for each in fields(model) if each.name not in ("seed", *LATER_MAPPINGS) and not _is_later_default(each, model)
+    ]
     parts = {entry.name: getattr(model, entry.name) for entry in known}
-    if model.devices:  # a later field: a model without further devices keeps its hash
-        parts["devices"] = model.devices
+    parts |= {name: getattr(model, name) for name in LATER_MAPPINGS if getattr(model, name)}
     parts["samples"] = {
         key: {entry.name: getattr(sample, entry.name) for entry in fields(sample) if entry.name != "name"}
         for key, sample in model.samples.items()
@@ -72,8 +75,13 @@ def canonical_text(value: object) -> str:
 
 
 def _is_later_default(entry: Field[Any], owner: Any) -> bool:
+    return "later" in entry.metadata and _is_default(entry, owner)
+
+
+def _is_default(entry: Field[Any], owner: Any) -> bool:
+    """Whether a field is at its default, whatever the classes are called."""
     default = entry.default if entry.default_factory is MISSING else entry.default_factory()
-    return "later" in entry.metadata and bool(getattr(owner, entry.name) == default)
+    return default is not MISSING and canonical_text(getattr(owner, entry.name)) == canonical_text(default)
 
 
 def _number(value: Real) -> str:
@@ -165,9 +173,9 @@ def old_model_hash(model: TwinModel) -> str | None:
 
 
 def _digest(model: TwinModel) -> str:
-    if model.devices:
+    if any(getattr(model, name) for name in LATER_MAPPINGS):
         raise _Unknown
-    _refuse_later_fields(model, (*_MODEL, "devices"))
+    _refuse_later_fields(model, (*_MODEL, *LATER_MAPPINGS))
     digest = hashlib.sha256()
     text = {name: _text(getattr(model, name), former) for name, former in _PARTS.items()}
     for name in ("axes", "instrument", "frames", "light", "photodiodes", "electronics", "monitor"):
@@ -218,7 +226,5 @@ def _refuse_later_fields(value: Any, known: tuple[str, ...]) -> None:
     if not is_dataclass(value):
         raise _Unknown
     for entry in fields(value):
-        if entry.name not in known:
-            default = entry.default_factory() if entry.default_factory is not MISSING else entry.default
-            if default is MISSING or getattr(value, entry.name) != default:
-                raise _Unknown
+        if entry.name not in known and not _is_default(entry, value):
+            raise _Unknown

@@ -74,7 +74,10 @@ class FormulaTable(TomlTable):
 
 
 class LambertianTable(FormulaTable):
-    """The `model` of an ideal diffuser, with its `reflectance` and `transmittance`, lit on the `side`."""
+    """The `model` of an ideal diffuser, with its `reflectance` and `transmittance`, lit on the `side`.
+
+    With `wavelengths_nm` and `factors` it has a spectrum.
+    """
 
     _sample = staticmethod(lambertian)
     model: Literal["lambertian"]
@@ -88,7 +91,7 @@ class GaussianTable(FormulaTable):
 
     It acts on light from `side`. `form` is the meaning of `width_deg`, `quantity` what is Gaussian. The height is the `peak`
     in 1/sr, or follows from the `reflectance`. With `transmits` the lobe is behind the sample; `refraction` is the index there
-    over that in front.
+    over that in front. With `wavelengths_nm` and `factors` it has a spectrum.
     """
 
     _sample = staticmethod(gaussian)
@@ -106,7 +109,9 @@ class GaussianTable(FormulaTable):
 class AnisotropicTable(FormulaTable):
     """The `model` of a Gaussian lobe of two widths, as of brushed metal: `along_deg` and `across_deg`.
 
-    The first is along the azimuth `direction_deg` in the sample's own frame. The other keys are those of a Gaussian.
+    The first is along the azimuth `direction_deg` in the sample's own frame. `form` is the meaning of both widths. The height
+    is the `peak` in 1/sr, or follows from the `reflectance`. It acts on light from `side`; with `transmits` the lobe is behind
+    the sample. With `wavelengths_nm` and `factors` it has a spectrum.
     """
 
     _sample = staticmethod(anisotropic_gaussian)
@@ -126,6 +131,7 @@ class WardTable(FormulaTable):
 
     `alpha_x` and `alpha_y` are the slopes of its facets along the azimuth `direction_deg` in the sample's own frame and across
     it, `reflectance` is the most that it reflects, `side` that of the light. With `transmits` the lobe is behind the sample.
+    With `wavelengths_nm` and `factors` it has a spectrum.
     """
 
     _sample = staticmethod(ward)
@@ -139,9 +145,10 @@ class WardTable(FormulaTable):
 
 
 class WideTable(FormulaTable):
-    """The `model` of a lobe with wide tails, (1 + (theta / width)^2)^-2 with `width_deg`; other keys as of a Gaussian.
+    """The `model` of a lobe with wide tails, (1 + (theta / width)^2)^-2 with `width_deg`.
 
-    Its height is the `peak` in 1/sr, or follows from the `reflectance`; `transmits` and `side` say where it acts.
+    Its height is the `peak` in 1/sr, or follows from the `reflectance`. It acts on light from `side`; with `transmits` the lobe
+    is behind the sample. With `wavelengths_nm` and `factors` it has a spectrum.
     """
 
     _sample = staticmethod(wide_tailed)
@@ -156,7 +163,8 @@ class WideTable(FormulaTable):
 class RegularTable(FormulaTable):
     """The `model` of a mirror, or of a clear sheet (`transmits`), lit on the `side`.
 
-    `reflectance` is its reflectance or transmittance, or a list of them over the incidences `sigma_deg`.
+    `reflectance` is its reflectance or transmittance, or a list of them over the incidences `sigma_deg`. With `wavelengths_nm`
+    and `factors` it has a spectrum.
     """
 
     _sample = staticmethod(regular)

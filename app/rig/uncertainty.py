@@ -24,10 +24,11 @@ class UncertaintyTable:
     """Uncertainties of the rig's inputs. A key in degrees or mm is the half width of a rectangular distribution.
 
     `sample_tilt_deg` and `sample_height_mm` are those of each mounting of a sample, `etalon_tilt_deg` and `etalon_height_mm` of
-    the etalon. Tilts count about each of two axes (of the arc: three), shifts along each of three. `illumination_shift_mm` is
-    that of the exit pupil. `photodiode_angle_deg` and `photodiode_across_deg` are each photodiode's own angle, along the arc
-    and across it. `position_deg` is that of an axis after each of its moves, and `backlash_deg` the play of an axis whose
-    backlash is not taken up.
+    the etalon. Tilts (`mirror_tilt_deg`, `arc_tilt_deg`, `sensor_tilt_deg`) count about each of two axes, of the arc three;
+    shifts (`mirror_shift_mm`, `arc_shift_mm`, `sensor_shift_mm`) along each of three. `illumination_shift_mm` is that of the
+    exit pupil, `sigma_zero_deg`, `beta_zero_deg` and `shift_zero_deg` are those of the axes' zeros. `photodiode_angle_deg` and
+    `photodiode_across_deg` are each photodiode's own angle, along the arc and across it. `position_deg` is that of an axis
+    after each of its moves, and `backlash_deg` the play of an axis whose backlash is not taken up.
 
     Standard uncertainties, relative where no unit is named: `field_of_view` of the variance of the directions in the field of
     view, `wavelength_nm`, `linearity_per_decade` of the photodiodes' current, `crosstalk` of a channel's volts in its module's

@@ -29,11 +29,12 @@ class Disturbances:
 
     A key in degrees or mm is the half width of a rectangular distribution. `sample_tilt_deg` (about x and y) and
     `sample_height_mm` are drawn at each mounting of a sample, `etalon_tilt_deg` and `etalon_height_mm` at each of the sample
-    called `etalon`. Tilts count about each of two axes (of the arc: three), shifts along each of three, all added to
-    `[twin.deviations]`. `illumination_shift_mm` is that of the exit pupil. A zero is added to an axis' true angle, unseen by
-    its switches and encoder. `photodiode_angle_deg` and `photodiode_across_deg` are drawn for each photodiode, along the arc
-    and across it. `position_deg` is drawn for an axis at each of its moves; `backlash_deg` is not drawn: each axis has so much
-    more play.
+    called `etalon`. Tilts (`mirror_tilt_deg`, `arc_tilt_deg`, `sensor_tilt_deg`) are about each of two axes, of the arc about
+    three; shifts (`mirror_shift_mm`, `arc_shift_mm`, `sensor_shift_mm`, and the exit pupil's `illumination_shift_mm`) along
+    each of three. All are added to `[twin.deviations]`. The zeros `sigma_zero_deg`, `beta_zero_deg` and `shift_zero_deg` are
+    added to the true angles, unseen by switches and encoders. `photodiode_angle_deg` and `photodiode_across_deg` are drawn for
+    each photodiode, along the arc and across it. `position_deg` is drawn for an axis at each of its moves; `backlash_deg` is
+    not drawn: each axis has so much more play.
 
     Standard deviations, relative where no unit is named: `field_of_view` of the logarithm of the variance of the directions
     in the field of view, `wavelength_nm` of the true wavelength, `linearity_per_decade` of the photodiodes' current,

@@ -363,7 +363,7 @@ class Parts:
     controller: AxisController = field(default_factory=AxisController)
     monitor: MonitorPhotodiode = field(default_factory=MonitorPhotodiode)
     disturbances: Disturbances = field(default=Disturbances(), metadata=LATER)
-    diattenuation: dict[str, Annotated[float, Ge(-1.0), Le(1.0)]] = field(default_factory=dict, metadata=LATER)
+    diattenuation: dict[str, Annotated[float, Ge(-1.0), Le(1.0)]] = field(default_factory=dict)
     noise: bool = True
 
 

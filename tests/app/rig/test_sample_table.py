@@ -47,7 +47,7 @@ def albedos(sample: Scatterer) -> list[float]:
         ('model = "gaussian"\nwidth_deg = 5.0\ntransmits = true\nrefraction = 1.5\nside = "back"', [0.0, 0.0, 0.0, 0.9]),
         ('model = "anisotropic-gaussian"\nalong_deg = 4.0\nacross_deg = 12.0\nreflectance = 0.5', [0.5, 0.0, 0.0, 0.0]),
         ('model = "wide-tailed"\nwidth_deg = 2.0\ntransmits = true\nside = "both"', [0.0, 0.9, 0.0, 0.9]),
-        ('model = "ward"\nalpha_x = 0.05\nalpha_y = 0.1\nreflectance = 0.7\nside = "back"', [0.0, 0.0, 0.7, 0.0]),
+        ('model = "ward"\nalpha_x = 0.002\nalpha_y = 0.003\nreflectance = 0.7\nside = "back"', [0.0, 0.0, 0.7, 0.0]),
         ('model = "regular"\nreflectance = 0.4', [0.4, 0.0, 0.0, 0.0]),
         ('model = "regular"\nreflectance = [0.04, 1.0]\nsigma_deg = [0.0, 90.0]\nside = "both"', [0.04, 0.0, 0.04, 0.0]),
     ],

@@ -73,7 +73,7 @@ def test_every_reading_equals_that_of_a_plant_without_a_cache(model: TwinModel, 
 
 
 def test_a_heartbeat_that_expires_after_a_reading_changes_the_next(model: TwinModel) -> None:
-    plant = Plant(replace(model, noise=False))
+    plant = Plant(replace(model, noise=False, disturbances=Disturbances()))  # back at the same position after another move
     plant.mount("gaussian-5", 0.0)
     plant.shutter_open.set(0.0, True)
     before = plant.volts(0, 10.0)
