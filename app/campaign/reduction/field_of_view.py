@@ -97,7 +97,9 @@ class FieldOfView:
     def of(cls, points: BsdfPoints, instrument: Instrument) -> Self:
         """Of points in any order; NaN for those without a trusted value."""
         n = points.bsdf.size
-        result = cls(*(np.full(shape, np.nan) for shape in (n, (n, 2), (n, 2), (n, 2), n, n)), np.zeros(n, dtype=bool))
+        correction, noise, estimate = (np.full(n, np.nan) for _ in range(3))
+        slope, bend, unresolved = (np.full((n, 2), np.nan) for _ in range(3))
+        result = cls(correction, slope, bend, unresolved, noise, estimate, np.zeros(n, dtype=bool))
         chosen = np.flatnonzero(points.good)
         # Process per wavelength and incidence, in chunks, to bound memory.
         lights = np.stack([points.wavelength_nm[chosen], points.sigma_deg[chosen]])

@@ -275,7 +275,8 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
         arc.variance_second, circle.second, window, mixing,
     )  # fmt: skip
     base = np.stack([arc.first, arc.second, np.nan_to_num(circle.first), np.nan_to_num(circle.second)], axis=1)
-    return Slopes(*np.einsum("nkl,nl->kn", mixing, base), arc, circle, mixing)
+    along, across, second_along, second_across, mixed = np.einsum("nkl,nl->kn", mixing, base)
+    return Slopes(along, across, second_along, second_across, mixed, arc, circle, mixing)
 
 
 def _circles(directions: Directions, y: Floats, variance: Floats, window: float) -> Parabola:

@@ -325,7 +325,7 @@ def wide_tails(step: float, offset: float = 0.0) -> tuple[BsdfPoints, Floats]:
 
 
 # Errors of the slopes over the steepest, 1 per degree, of a field that is much narrower than the lobe: rms within 8 deg.
-@pytest.mark.parametrize(("step", "error", "steep"), [(0.5, 0.02, 0.0), (1.0, 0.06, 0.0), (2.5, 0.25, 0.5), (5.0, 0.5, 1.0)])
+@pytest.mark.parametrize(("step", "error", "steep"), [(0.5, 0.015, 0.0), (1.0, 0.05, 0.0), (2.5, 0.2, 0.8), (5.0, 0.45, 1.0)])
 def test_slopes_of_wide_tails_are_off_by_what_is_stated_and_flagged(step: float, error: float, steep: float) -> None:
     narrow = Instrument(field_deg=0.05, spot_side_mm=0.5, pupil_radius_mm=0.5)
     off, stated, flagged = [], [], []
@@ -338,7 +338,7 @@ def test_slopes_of_wide_tails_are_off_by_what_is_stated_and_flagged(step: float,
         flagged.append(found.steep[near & (points.theta_deg < 2.0)])
     rms, stated_rms = (math.sqrt(float(np.mean(np.concatenate(each) ** 2))) for each in (off, stated))
     assert rms < error
-    assert 0.8 * rms < stated_rms < 3.0 * rms
+    assert rms < stated_rms < 2.0 * rms
     assert float(np.mean(np.concatenate(flagged))) >= steep
     assert step > 1.0 or float(np.mean(np.concatenate(flagged))) < 0.3
 
