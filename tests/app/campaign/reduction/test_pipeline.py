@@ -25,7 +25,8 @@ from tests.conftest import RIG, SMALL, Change, Writer, changed
 PER_DECADE = 0.02
 """Relative uncertainty of a photodiode's linearity for each decade between the signals of sample and etalon; made up."""
 SLOPES = {"field_noise", "second_order", "slope_unresolved"}
-NAMES = {"noise", "dark", "resolution", "etalon_reading", "monitor", "gain", "certificate", "field", *SLOPES}
+POSE = {"pose", "position", "photodiode_angle"}
+NAMES = {"noise", "dark", "resolution", "etalon_reading", "monitor", "gain", "certificate", "field", *SLOPES, *POSE}
 Measured = tuple[Plan, Path, list[Event]]
 
 
