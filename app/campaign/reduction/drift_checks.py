@@ -79,7 +79,8 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
         return DriftCheck(math.nan, math.nan, beyond=True, outliers=outliers)
     ratio = now.value[light] / first.value[light]
     variance = (now.variance[light] + ratio**2 * first.variance[light]) / first.value[light] ** 2
-    common = 0.0  # to all photodiodes of a row
+    common = _lamp(first, light) + _lamp(now, light)  # to all photodiodes of a row
+    variance -= common * ratio**2
     for each in (relative(now, first, rig) for relative in pipeline.QUOTIENT_VARIANCES.values()):
         if isinstance(each, float):
             common += each
@@ -91,6 +92,12 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
     change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
     u_change = math.sqrt(1.0 / float(np.sum(weight)) + common)
     return DriftCheck(change, u_change, abs(change) - LIKELY * u_change > limit, outliers)
+
+
+def _lamp(signal: Signal, light: Flags) -> float:
+    """The relative variance that the photodiodes of a row have in common, on those with light."""
+    lamp = signal.components.get("lamp")
+    return 0.0 if lamp is None else float(np.min(lamp[light] / signal.value[light] ** 2))
 
 
 class DriftReference:

@@ -302,7 +302,7 @@ class LiveScan:
                 if light in ("both", "transmitted" if view.transmitted else "reflected"):
                     x = _x_deg(view.zenith, view.azimuth, view.theta, view.phi, plane)
                     c, transmitted = view.channels, np.full(len(view.channels), view.transmitted)
-                    untrusted = blocked | each.drifted[c] | each.dead[c]
+                    untrusted = blocked | np.any([flags[c] for flags in each.flags.values()], axis=0)
                     parts.append(ScanPoints(x, each.signal.value[c], u[c], blocked, untrusted, transmitted, lost[c]))
         return _sort(*parts)
 
