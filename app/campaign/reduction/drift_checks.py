@@ -16,6 +16,7 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction import pipeline
 from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.signals import LIGHT, dark_readings_by_gain
 from goniotwin.app.campaign.row import CommittedRow, Row, RowData
 from goniotwin.app.campaign.schedule.file import DriftTable
@@ -145,17 +146,23 @@ class DriftWatch:
         self._rig = rig
         self._settings = rig.photodiodes
         self._dark_rows: list[CommittedRow] = []
+        self._evidence = RunningEvidence(rig)
 
     def add(self, row: Row, data: RowData) -> DriftCheck | None:
         """Take a committed row; give the comparison for a drift row that has a reference. Raises UserError."""
+        committed = CommittedRow(row, data)
         if row.kind == "dark":
-            self._dark_rows.append(CommittedRow(row, data))
+            self._dark_rows.append(committed)
+        self._evidence.add(committed)
+        if self._evidence.full:
+            self._evidence.renewed(dark_readings_by_gain(self._dark_rows, self._settings))
         if row.kind == "mount" or data.readings:
             return self._reference.check(row, lambda: self._signal(data))
         return None
 
     def _signal(self, data: RowData) -> Signal:
-        return pipeline.reduce_readings(data, dark_readings_by_gain(self._dark_rows, self._settings), self._settings, self._rig)
+        dark = dark_readings_by_gain(self._dark_rows, self._settings)
+        return pipeline.reduce_readings(data, dark, self._settings, self._rig, self._evidence.renewed(dark))
 
 
 @dataclass(frozen=True)

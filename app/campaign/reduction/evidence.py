@@ -1,7 +1,7 @@
 """What the lit readings of a campaign say about themselves: noise, lamp, gain ratios, and whether a module can be trusted.
 
-One pass over the rows in order of time adds to sums, so that the memory does not grow with the rows. Variances are relative: of a
-photocurrent, in its square.
+One pass over the rows in order of time adds to sums, so that the memory does not grow with the rows. Variances are relative: of
+a photocurrent, in its square.
 
 Scatter: a reading varies by s^2 = k e^2 + own V^2 + lamp V^2 in its volts V. e is what the dark readings and the shot noise
 explain, k >= 1. `lamp` is what all photodiodes of a row have in common (the mean product of two photodiodes' deviations), `own`
@@ -14,7 +14,7 @@ not fit is a verdict on the module, for all its channels and rows.
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +53,7 @@ FEW_DEGREES = 20.0
 LEAST_CERTIFIED = 1e-5
 """Least relative uncertainty of a gain."""
 FIT_ROUNDS = 10
+MOST_WAITING = 1024
 NO_CHANGE = -1
 SETTLE = "increase settling_s of [photodiodes] in the rig file, and measure again"
 Tested = tuple[Floats, Floats, Floats]
@@ -299,6 +300,10 @@ class EvidenceSums:
             self._of_interval[:] = 0.0
             self._interval = interval
 
+    def renew(self, dark: Mapping[float, DarkReadings]) -> None:
+        """Go on with more dark readings."""
+        self._dark = dark
+
     # What follows from the sums.
 
     def result(self) -> SignalEvidence:
@@ -312,8 +317,7 @@ class EvidenceSums:
             _Ratios(self._linked[:, p], self._row_weights[:, p], of_row, self._settings.module_channels)
             for p in range(len(self._pairs))
         ]
-        found = [*self._unsettled(), *self._inconsistent(ratios)]
-        verdicts = tuple(self._verdict(modules, text) for modules, text in found)
+        verdicts = tuple(self._verdict(modules, text) for modules, text in self._findings(ratios))
         plain = stated(self._rig)
         sound = ~replace(plain, verdicts=verdicts).unsound
         deviation, link, notes = self._adjusted(ratios, sound)
@@ -321,49 +325,46 @@ class EvidenceSums:
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
         return SignalEvidence(factor, deviation, link, own, lamp, slow, verdicts, notes)
 
-    def _unsettled(self) -> Iterator[tuple[Flags, str]]:
-        """The modules (m,) whose readings drift after a change of gain, or at the beginning of a row; and what was found."""
+    def _findings(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
+        """The modules (m,) that did not pass a test, and what was found. What follows from settling is not named again."""
+        unsettled = np.zeros(self._first_of_module.size, dtype=bool)
+        for modules, what in self._unsettled(ratios):
+            unsettled |= modules
+            yield modules, f"{what}: the amplifiers are not at rest; {SETTLE}"
+        for (low, high), each in zip(self._pairs, ratios, strict=True):
+            wrong, worst = self._tested(each.by_signal())
+            if (wrong & ~unsettled).any():
+                cause = "amplifier or converter is not linear; have the modules checked, and measure again"
+                yield wrong & ~unsettled, f"{self._named(low, high)} changes with the signal by up to {worst}: {cause}"
+            far = np.abs(np.nan_to_num(each.value)) - CERTAIN * np.sqrt(np.nan_to_num(each.variance)) > IMPLAUSIBLE
+            if (of_modules := self._of_modules(far) & ~unsettled).any():
+                cause = "no error of a gain; check gains_v_per_a in the rig file, and the wiring of the modules' outputs"
+                yield of_modules, f"{self._named(low, high)} is off by up to {_percent(each.value[far])}: {cause}"
+
+    def _unsettled(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
         w, wt, ww, wwt, wwtt = self._trend
         with np.errstate(invalid="ignore", divide="ignore"):
             step = wt / w
             variance = (wwtt - 2.0 * step * wwt + step**2 * ww) / w**2
-            beyond = self._beyond(step, variance, w**2 / ww)
-        if beyond.any():
-            yield (
-                beyond.any(axis=(0, 1)),
-                (
-                    f"the readings of a row change by up to {_percent(step[beyond])} from the first to the later ones: the "
-                    "amplifiers are not at rest; {SETTLE}"
-                ),
-            )
-
-    def _inconsistent(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
-        """The modules (m,) whose ratio of two gains is not one number, or no gain; and what was found."""
+            wrong, worst = self._tested([(step, variance, w**2 / ww)])
+        if wrong.any():
+            yield wrong, f"the readings of a row change by up to {worst} from the first to the later ones"
         for (low, high), each in zip(self._pairs, ratios, strict=True):
-            gains = f"the ratio of the gains {self._gains[low]:g} and {self._gains[high]:g} V/A"
-            for what, tests in (
-                (f"depends on which is read first, by up to {{}}: the amplifiers are not at rest; {SETTLE}", each.by_order()),
-                ("changes with the signal, by up to {}: amplifier or converter is not linear; have the module checked and its"
-                 " rows measured again", each.by_signal()),
-            ):  # fmt: skip
-                wrong = np.zeros(self._first_of_module.size, dtype=bool)
-                sizes = []
-                for size, variance, rows in tests:
-                    beyond = self._beyond(size, variance, rows)
-                    wrong |= self._of_modules(beyond)
-                    sizes.append(size[beyond])
-                if wrong.any():
-                    yield wrong, f"{gains} {what.format(_percent(np.concatenate(sizes)))}"
-            far = np.abs(np.nan_to_num(each.value)) - CERTAIN * np.sqrt(np.nan_to_num(each.variance)) > IMPLAUSIBLE
-            if far.any():
-                yield (
-                    self._of_modules(far),
-                    (
-                        f"{gains} is off by up to {_percent(each.value[far])}, which is no error of a gain; check gains_v_per_a "
-                        "in the "
-                        "rig file and the wiring of the modules' outputs"
-                    ),
-                )
+            wrong, worst = self._tested(each.by_order())
+            if wrong.any():
+                yield wrong, f"{self._named(low, high)} depends by up to {worst} on which is read first"
+
+    def _named(self, low: int, high: int) -> str:
+        return f"the ratio of the gains {self._gains[low]:g} and {self._gains[high]:g} V/A"
+
+    def _tested(self, tests: Iterable[Tested]) -> tuple[Flags, str]:
+        """The modules (m,) with a certain finding, and the largest one."""
+        wrong, sizes = np.zeros(self._first_of_module.size, dtype=bool), [np.zeros(1)]
+        for size, variance, rows in tests:
+            beyond = self._beyond(size, variance, rows)
+            wrong |= self._of_modules(beyond)
+            sizes.append(size[beyond])
+        return wrong, _percent(np.concatenate(sizes))
 
     def _beyond(self, size: Floats, variance: Floats, rows: Floats) -> Flags:
         """Which findings are certain, with `rows` independent values each, and larger than what the budget has."""
@@ -413,7 +414,7 @@ class EvidenceSums:
             off = np.flatnonzero(chi.max(axis=0) > CERTAIN**2)
             notes = (
                 f"the gains are not those of the rig file within its gain_uncertainty of {_percent(self._certified)}: their "
-                f"ratios are off by up to {_percent(value)} (most certainly those of photodiodes {number_list(off.tolist())}); the "
+                f"ratios are off by up to {_percent(value)} (most certainly of photodiodes {number_list(off.tolist())}); the "
                 "measured ratios are applied; correct gain_uncertainty of [photodiodes]",
             )  # fmt: skip
         step = np.zeros((len(self._pairs), gains))
@@ -427,6 +428,37 @@ class EvidenceSums:
         link = own[:, :, None] + own[:, None, :] - 2.0 * covariance + unseen
         link = np.where(np.eye(gains) > 0.0, 0.0, np.minimum(link, 2.0 * certified[:, None, None]))
         return deviation, link, notes
+
+
+class RunningEvidence:
+    """The evidence during a run, brought up to date where a dark reading or a drift check is new.
+
+    A row counts as the dark readings were then: at the end of a run the whole is computed anew from all rows.
+    """
+
+    def __init__(self, rig: RigFile) -> None:
+        self._rig = rig
+        self._sums: EvidenceSums | None = None
+        self._waiting: list[CommittedRow] = []
+
+    def add(self, row: CommittedRow) -> None:
+        """Add a row; the last rows wait for a dark reading after them."""
+        if row.row.kind in ("measure", "drift") and row.data.readings:
+            self._waiting.append(row)
+
+    def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
+        """What all rows so far say, with all dark readings so far."""
+        if self._sums is None:
+            self._sums = EvidenceSums(dark, self._rig)
+        self._sums.renew(dark)
+        self._sums.add(self._waiting)
+        self._waiting = []
+        return self._sums.result()
+
+    @property
+    def full(self) -> bool:
+        """Whether so many rows wait that they take memory."""
+        return len(self._waiting) >= MOST_WAITING
 
 
 class _Ratios:
@@ -538,7 +570,7 @@ def _noise_of(sums: Floats) -> tuple[Floats, float]:
 
 
 def _fit_noise(freedom: Floats, observed: Floats, signal: Floats) -> tuple[float, float]:
-    """Fit the ratio of observed to expected variance by k + relative * (the squared signal-to-noise ratio); k is at least 1."""
+    """Fit the ratio of observed to expected variance by k + relative * squared signal-to-noise ratio, with k at least 1."""
     some = freedom > 0.0
     if not some.any():
         return 1.0, 0.0

@@ -18,7 +18,7 @@ from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
-from goniotwin.app.campaign.reduction.evidence import EvidenceSums, SignalEvidence, stated
+from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvidence, SignalEvidence, stated
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.points import PLACE
 from goniotwin.app.campaign.reduction.signals import dark_current_loss_s, dark_readings_by_gain, middle_s
@@ -52,6 +52,10 @@ class DarkHistory:
     def sums(self) -> EvidenceSums:
         """Sums for the evidence of rows, none of which is added yet."""
         return EvidenceSums(self._dark, self._rig)
+
+    def up_to_date(self, evidence: RunningEvidence) -> "DarkHistory":
+        """The same with the evidence of a run so far."""
+        return self.with_evidence(evidence.renewed(self._dark))
 
     def with_evidence(self, evidence: SignalEvidence) -> "DarkHistory":
         """The same with other evidence."""
