@@ -1,4 +1,4 @@
-"""What the lit readings of a campaign say about themselves: noise, lamp, gain ratios, and whether a module can be trusted.
+"""What the lit readings of a campaign show about themselves: noise, lamp, gain ratios, and whether a module can be trusted.
 
 One pass over the rows in order of time adds to sums, so that the memory does not grow with the rows. Variances are relative: of
 a photocurrent, in its square.
@@ -62,7 +62,7 @@ Tested = tuple[Floats, Floats, Floats]
 
 @dataclass(frozen=True)
 class Verdict:
-    """A finding on a module: `photodiodes` are all of its channels, `text` says what was found and what to do."""
+    """A finding on a module: `photodiodes` are all of its channels, `text` states what was found and what to do."""
 
     photodiodes: tuple[int, ...]
     text: str
@@ -70,10 +70,10 @@ class Verdict:
 
 @dataclass(frozen=True)
 class SignalEvidence:
-    """What a campaign's rows say about its signals; without rows what the rig file states.
+    """What a campaign's rows show of its signals; without rows what the rig file states.
 
-    The noise of a reading is `factor` (photodiodes,) times (the foreseen + `own`), and what its row has in common is `lamp`;
-    `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by how
+    The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
+    `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by how
     much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two of
     them.
     """
@@ -97,7 +97,7 @@ class SignalEvidence:
 
 
 def add_scatter(current: Estimate, reading: Reading, evidence: SignalEvidence) -> Estimate:
-    """Photocurrents with the noise that the lit readings show, beyond what was foreseen: `noise`, and `lamp` of the row."""
+    """Photocurrents with the noise that the lit readings show, beyond what was expected: `noise`, and `lamp` of the row."""
     square, conversions = current.value**2, independent_conversions(reading)
     own = evidence.factor * (current.components["noise"] + evidence.own * square / conversions) + evidence.slow * square
     widened = replace(current, components={**current.components, "noise": own})
@@ -139,7 +139,7 @@ class _Block:
 
 
 class EvidenceSums:
-    """The sums over the rows so far. `dark` are the dark readings by gain; rows that cannot be reduced are left out."""
+    """The sums over the rows so far. `dark` are the dark readings by gain; rows that cannot be reduced do not count."""
 
     def __init__(self, dark: Mapping[float, DarkReadings], rig: RigFile) -> None:
         settings = rig.photodiodes
@@ -254,14 +254,14 @@ class EvidenceSums:
         one, other = block.volts[rows, low], block.volts[rows, high]
         with np.errstate(invalid="ignore", divide="ignore"):
             # What the lower gain should give is better known from the higher one: noise does not choose.
-            foreseen = other * (self._gains[low] / self._gains[high])
-            noise = block.noise[rows, low] / foreseen**2 + block.noise[rows, high] / other**2
-            dark = block.dark[rows, low] / foreseen**2 + block.dark[rows, high] / other**2
-            resolution = block.resolution[rows, low] / foreseen**2 + block.resolution[rows, high] / other**2
+            predicted = other * (self._gains[low] / self._gains[high])
+            noise = block.noise[rows, low] / predicted**2 + block.noise[rows, high] / other**2
+            dark = block.dark[rows, low] / predicted**2 + block.dark[rows, high] / other**2
+            resolution = block.resolution[rows, low] / predicted**2 + block.resolution[rows, high] / other**2
             variance = noise + dark + resolution
             known = np.isfinite(one) & (one > 0.0) & (other > 0.0) & (variance < PAIR_LIMIT**2)
-            ratio = np.log(foreseen / one) - np.log(block.monitor[rows, high] / block.monitor[rows, low])[:, None]
-            ratio = np.where(known, ratio, 0.0)
+            ratio = np.log(predicted / one) - np.log(block.monitor[rows, high] / block.monitor[rows, low])[:, None]
+            dark, resolution, variance, ratio = (np.where(known, each, 0.0) for each in (dark, resolution, variance, ratio))
         if not known.any():
             return
         full_scale = (self._settings.range.highest - self._settings.range.zero) * self._settings.range.lsb_v
@@ -284,7 +284,7 @@ class EvidenceSums:
         for interval in np.unique(block.interval[rows]).tolist():
             self._begin_interval(interval)
             here = known & (block.interval[rows] == interval)[:, None]
-            self._of_interval[p] += summed(weight * np.sqrt(2.0 * np.where(known, dark, 0.0)), here)
+            self._of_interval[p] += summed(weight * np.sqrt(2.0 * dark), here)
         modules = np.arange(n) // self._settings.module_channels
         of_row = np.zeros((len(rows), SIGNAL_BINS + 1, self._first_of_module.size))
         np.add.at(of_row, (np.arange(len(rows))[:, None], bins, modules), weight)
@@ -307,7 +307,7 @@ class EvidenceSums:
     # What follows from the sums.
 
     def result(self) -> SignalEvidence:
-        """What the rows so far say."""
+        """What the rows so far show."""
         self._begin_interval(NO_CHANGE)
         factor, total = _noise_of(self._scatter)
         together, weights = self._common.tolist()
@@ -447,7 +447,7 @@ class RunningEvidence:
             self._waiting.append(row)
 
     def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
-        """What all rows so far say, with all dark readings so far."""
+        """What all rows so far show, with all dark readings so far."""
         if self._sums is None:
             self._sums = EvidenceSums(dark, self._rig)
         self._sums.renew(dark)
@@ -474,7 +474,7 @@ class _Ratios:
             about = np.where(number > 1.0, second - first**2 / weight, 0.0)
         freedom = np.maximum(number - 1.0, 0.0)
         self._chi, self._freedom = float(about.sum()), float(freedom.sum())
-        # Ratios that scatter more than was foreseen are less certain: each photodiode's by its own scatter, if there is enough.
+        # Ratios that scatter more than was expected are less certain: each photodiode's by its own scatter, if there is enough.
         pooled = self._chi / self._freedom if self._freedom else 1.0
         of_each, degrees = about.sum(axis=(0, 1)), freedom.sum(axis=(0, 1))
         own = np.where(degrees >= FEW_DEGREES, of_each / np.maximum(degrees, 1.0), pooled)
@@ -523,9 +523,9 @@ class _Ratios:
             return mean, 1.0 / total
 
     def excess(self, of_scatter: float) -> float:
-        """Relative variance of a mean that its readings do not show: of what the ratios scatter more than was foreseen.
+        """Relative variance of a mean that its readings do not show: of what the ratios scatter more than was expected.
 
-        `of_scatter` is the variance of one reading that was not foreseen, but is known from its scatter.
+        `of_scatter` is the variance of one reading that was not expected, but is known from its scatter.
         """
         if self._chi - self._freedom <= CERTAIN * math.sqrt(2.0 * self._freedom):
             return 0.0
@@ -551,8 +551,8 @@ def _noise_of(sums: Floats) -> tuple[Floats, float]:
     """The factor (photodiodes,) and the relative variance that make the observed scatter of readings.
 
     `sums` (3, bins, photodiodes): degrees of freedom, and times these the ratio of observed to expected variance, and the
-    squared signal-to-noise ratio. A photodiode that is certainly noisier than the others has a factor of its own, and is left out of
-    theirs.
+    squared signal-to-noise ratio. A photodiode that is certainly noisier than the others has a factor of its own, and does not
+    count in theirs.
     """
     freedom = sums[0]
     usual = np.ones(freedom.shape[1], dtype=bool)

@@ -91,7 +91,7 @@ def reduce_readings(
 ) -> Signal:
     """The signal of a row: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
 
-    `dark` are the dark readings by gain, `evidence` is what the campaign's rows say; None before there are any.
+    `dark` are the dark readings by gain, `evidence` is what the campaign's rows show; None before there are any.
     Raises UserError for a gain without a dark reading, for a gain that the rig does not have, for counts of other photodiodes,
     and for a monitor without light.
     """

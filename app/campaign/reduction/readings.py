@@ -39,7 +39,7 @@ RowTable = npt.NDArray[np.void]
 class DarkHistory:
     """All dark readings of a campaign so far, and what they make of the readings of any row. Raises UserError if too few.
 
-    `evidence` is what the rows so far say of the signals.
+    `evidence` is what the rows so far show of the signals.
     """
 
     def __init__(self, dark_rows: list[CommittedRow], rig: RigFile) -> None:
@@ -97,7 +97,7 @@ class Measurements:
 
     @property
     def evidence(self) -> SignalEvidence:
-        """What the rows say of the signals."""
+        """What the rows show of the signals."""
         return self._dark.evidence
 
     def row_table(self, sample: str) -> RowTable:

@@ -5,7 +5,7 @@ journal's reduction, applied to the rows committed so far. These are kept here: 
 the run from closing it as a single file.
 
 The work for a row does not grow with the rows: the shown scan is reduced, from signals that are kept as long as they are
-shown. A new dark reading, and what the rows before it say of noise and gains, change every signal a little; they are computed
+shown. A new dark reading, and what the rows before it show of noise and gains, change every signal a little; they are computed
 again a few at a time. It grows with the drift checks, which are all compared again after a dark reading (a thousand: a quarter
 of a second). At the end of the run the values become those of the journal: the evidence of all rows, the field of view from all
 half planes, and the calibration by overlaps, which needs every scan of the sample.
