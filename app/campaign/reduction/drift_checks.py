@@ -7,6 +7,7 @@ A photodiode that gets too little light at the reference pose is not covered by 
 lists those.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from goniotwin.app.campaign.reduction.signals import LIGHT, dark_readings_by_gai
 from goniotwin.app.campaign.row import CommittedRow, Row, RowData
 from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags
 
@@ -155,7 +157,8 @@ class DriftWatch:
             self._dark_rows.append(committed)
         self._evidence.add(committed)
         if self._evidence.full:
-            self._evidence.renewed(dark_readings_by_gain(self._dark_rows, self._settings))
+            with contextlib.suppress(UserError):  # too few dark readings: a drift check would report it
+                self._evidence.renewed(dark_readings_by_gain(self._dark_rows, self._settings))
         if row.kind == "mount" or data.readings:
             return self._reference.check(row, lambda: self._signal(data))
         return None

@@ -21,7 +21,7 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.points import CHANCE, plausible
-from goniotwin.app.campaign.reduction.signals import DarkReadings, independent_conversions, middle_s
+from goniotwin.app.campaign.reduction.signals import LATEST_S, DarkReadings, independent_conversions, middle_s
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
@@ -44,6 +44,8 @@ TOLERATED = 0.5
 """A finding of a smaller size than this share of the certificate's uncertainty of a gain is none: the budget has it."""
 UNSEEN = TOLERATED / math.sqrt(3.0)
 """Standard uncertainty of what the tests tolerate, in the certificate's: a ratio is never better known."""
+CLEARED = 0.1
+"""A module is cleared of what others have where it certainly has less than this share of it."""
 IMPLAUSIBLE = 0.1
 """A ratio of gains that is off by more is no gain, but a fault."""
 FEWEST_ROWS = 8
@@ -54,6 +56,9 @@ LEAST_CERTIFIED = 1e-5
 """Least relative uncertainty of a gain."""
 FIT_ROUNDS = 10
 MOST_WAITING = 1024
+"""Rows that wait for a dark reading during a run."""
+MOST_VALUES = 1 << 20
+"""Counts that are in memory together, as numbers of eight bytes, several times."""
 NO_CHANGE = -1
 SETTLE = "increase settling_s of [photodiodes] in the rig file, and measure again"
 Tested = tuple[Floats, Floats, Floats]
@@ -73,9 +78,9 @@ class SignalEvidence:
     """What a campaign's rows show of its signals; without rows what the rig file states.
 
     The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
-    `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by how
-    much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two of
-    them.
+    `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by
+    how much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two
+    of them.
     """
 
     factor: Floats
@@ -171,9 +176,8 @@ class EvidenceSums:
         for k, each in enumerate(rows):
             before = NO_CHANGE
             for reading in sorted(each.data.readings, key=lambda one: one.first_s):
-                gain = reading.gain_v_per_a
-                if gain in self._dark and gain in self._settings.gains_v_per_a and reading.counts.shape[1] == n:
-                    index = self._settings.gains_v_per_a.index(gain)
+                if self._reducible(reading):
+                    index = self._settings.gains_v_per_a.index(reading.gain_v_per_a)
                     here[index, len(reading.counts)].append((k, before, reading))
                     before = index
         shape = (len(rows), gains)
@@ -181,13 +185,20 @@ class EvidenceSums:
             *(np.full((*shape, n), np.nan) for _ in range(4)), np.full(shape, np.nan), np.zeros(shape), np.ones(shape),
             np.zeros(len(rows), dtype=np.int64),
         )  # fmt: skip
-        for (gain, _), readings in here.items():
-            self._add_readings(gain, readings, block)
+        for (gain, count), readings in here.items():
+            at_once = max(1, MOST_VALUES // (count * n))
+            for begin in range(0, len(readings), at_once):
+                self._add_readings(gain, readings[begin : begin + at_once], block)
         for p, (low, high) in enumerate(self._pairs):
             between = np.isfinite(block.monitor[:, low + 1 : high]).any(axis=1)
             both = np.isfinite(block.monitor[:, low]) & np.isfinite(block.monitor[:, high]) & ~between
             if both.any():
                 self._add_pairs(p, np.flatnonzero(both), block)
+
+    def _reducible(self, reading: Reading) -> bool:
+        count, channels = reading.counts.shape
+        known = reading.gain_v_per_a in self._dark and reading.gain_v_per_a in self._settings.gains_v_per_a
+        return known and count > 0 and channels == self._settings.count and abs(middle_s(reading)) < LATEST_S
 
     def _add_readings(self, gain: int, readings: list[tuple[int, int, Reading]], block: _Block) -> None:
         """Add readings of one gain and one number, and fill in the block."""
@@ -309,7 +320,7 @@ class EvidenceSums:
     def result(self) -> SignalEvidence:
         """What the rows so far show."""
         self._begin_interval(NO_CHANGE)
-        factor, total = _noise_of(self._scatter)
+        factor, total = _noise_of(self._scatter, min((each.freedom for each in self._dark.values()), default=math.inf))
         together, weights = self._common.tolist()
         lamp = min(max(0.0, together / weights), total) if weights > 0.0 else 0.0
         of_row = 2.0 * (self._rig.monitor.relative_uncertainty**2 + lamp)
@@ -346,24 +357,32 @@ class EvidenceSums:
         with np.errstate(invalid="ignore", divide="ignore"):
             step = wt / w
             variance = (wwtt - 2.0 * step * wwt + step**2 * ww) / w**2
-            wrong, worst = self._tested([(step, variance, w**2 / ww)])
+            wrong, worst = self._tested([(step, variance, w**2 / ww)], also=True)
         if wrong.any():
             yield wrong, f"the readings of a row change by up to {worst} from the first to the later ones"
         for (low, high), each in zip(self._pairs, ratios, strict=True):
-            wrong, worst = self._tested(each.by_order())
+            wrong, worst = self._tested(each.by_order(), also=True)
             if wrong.any():
                 yield wrong, f"{self._named(low, high)} depends by up to {worst} on which is read first"
 
     def _named(self, low: int, high: int) -> str:
         return f"the ratio of the gains {self._gains[low]:g} and {self._gains[high]:g} V/A"
 
-    def _tested(self, tests: Iterable[Tested]) -> tuple[Flags, str]:
-        """The modules (m,) with a certain finding, and the largest one."""
+    def _tested(self, tests: Iterable[Tested], *, also: bool = False) -> tuple[Flags, str]:
+        """The modules (m,) with a certain finding, and the largest one.
+
+        With `also`, those too that have too little light for a test of their own: modules of one make share what one of them
+        has. A module with light is cleared by a test that finds nothing, or a tenth.
+        """
         wrong, sizes = np.zeros(self._first_of_module.size, dtype=bool), [np.zeros(1)]
         for size, variance, rows in tests:
             beyond = self._beyond(size, variance, rows)
             wrong |= self._of_modules(beyond)
             sizes.append(size[beyond])
+            if also and beyond.any() and size.shape[-1] == wrong.size:
+                with np.errstate(invalid="ignore"):
+                    cleared = np.abs(size) + CERTAIN * np.sqrt(variance) < CLEARED * np.max(np.abs(size[beyond]))
+                wrong |= ~cleared.reshape(-1, wrong.size)[beyond.reshape(-1, wrong.size).any(axis=1)].all(axis=0)
         return wrong, _percent(np.concatenate(sizes))
 
     def _beyond(self, size: Floats, variance: Floats, rows: Floats) -> Flags:
@@ -547,7 +566,7 @@ def _percent(relative: Floats | float) -> str:
     return f"{100.0 * float(np.max(np.abs(relative))):.2g} %"
 
 
-def _noise_of(sums: Floats) -> tuple[Floats, float]:
+def _noise_of(sums: Floats, dark_freedom: float) -> tuple[Floats, float]:
     """The factor (photodiodes,) and the relative variance that make the observed scatter of readings.
 
     `sums` (3, bins, photodiodes): degrees of freedom, and times these the ratio of observed to expected variance, and the
@@ -562,7 +581,9 @@ def _noise_of(sums: Floats) -> tuple[Floats, float]:
         model = constant + relative * sums[2] / np.where(freedom > 0.0, freedom, 1.0)
         degrees = freedom.sum(axis=0)
         ratio = (sums[1] / model).sum(axis=0) / np.where(degrees > 0.0, degrees, 1.0)
-        own = np.where(ratio > 1.0 + CERTAIN * np.sqrt(2.0 / np.maximum(degrees, 1.0)), ratio, 1.0)
+        # What is expected is from dark readings, and no better known than these allow.
+        limit = 1.0 + CERTAIN * np.sqrt(2.0 / np.maximum(degrees, 1.0) + 2.0 / dark_freedom)
+        own = np.where(ratio > limit, ratio, 1.0)
         if not (own > 1.0).any() or (own > 1.0).sum() > own.size // 2:
             break
         usual = own == 1.0

@@ -34,7 +34,8 @@ LIGHT = 5.0
 class DarkReadings:
     """All dark readings of a journal at one gain. Raises UserError if they are too few for the noise.
 
-    `variance_v2` is that of one reading's noise, `undithered_v2` that of the converter's step which no mean reduces.
+    `variance_v2` is that of one reading's noise, from `freedom` degrees of freedom, `undithered_v2` that of the converter's
+    step which no mean reduces.
     """
 
     def __init__(self, readings: list[Reading], settings: ConverterDescription) -> None:
@@ -43,7 +44,7 @@ class DarkReadings:
         self._means = np.array([each.counts.mean(axis=0) for each in readings])
         self._monitor_a = np.array([each.monitor_a for each in readings])
         self._readings = np.array([independent_conversions(each) for each in readings])
-        freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
+        self.freedom = freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
         if freedom < MIN_FREEDOM:
             raise UserError(
                 f"the dark readings have {freedom:.0f} degrees of freedom in all; the noise needs {MIN_FREEDOM:.0f}; "
