@@ -48,8 +48,8 @@ CLEARED = 0.1
 """A module is cleared of what others have where it certainly has less than this share of it."""
 IMPLAUSIBLE = 0.1
 """A ratio of gains that is off by more is no gain, but a fault."""
-FEWEST_ROWS = 8
-"""Rows from which something is concluded."""
+FEWEST_ROWS, FEW_ROWS = 4, 8
+"""Rows from which something is concluded, and of which it must be a few times as certain."""
 FEW_DEGREES = 20.0
 """Degrees of freedom from which a photodiode's own scatter is used."""
 LEAST_CERTIFIED = 1e-5
@@ -158,7 +158,7 @@ class EvidenceSums:
         self._scatter = np.zeros((3, NOISE_BINS, n))
         self._common = np.zeros(2)
         # Of the difference of a first reading from the later ones, by gain, the gain before it (the last: none) and module.
-        self._trend = np.zeros((5, gains, gains + 1, modules))
+        self._trend = np.zeros((6, gains, gains + 1, modules))
         self._pairs = [(low, high) for high in range(gains) for low in range(high)]
         shape = (len(self._pairs), 2, SIGNAL_BINS)
         # Of pairs, by pair, order (1: the higher gain was read last), volts and photodiode: number, weight, weighted ratio and
@@ -166,7 +166,7 @@ class EvidenceSums:
         # part, squared.
         self._linked = np.zeros((8, *shape, n))
         self._of_interval = np.zeros((*shape, n))
-        self._interval = NO_CHANGE
+        self._intervals = [NO_CHANGE] * len(self._pairs)
         self._row_weights = np.zeros((2, len(self._pairs), 2, SIGNAL_BINS + 1, modules))  # the last bin: all
 
     def add(self, rows: Sequence[CommittedRow]) -> None:
@@ -254,9 +254,13 @@ class EvidenceSums:
         step = (raw[:, 0] - raw[:, 1:].mean(axis=1)) * self._settings.range.lsb_v / np.where(lit, volts, 1.0)
         weights = np.add.reduceat(weight, self._first_of_module, axis=1)
         steps = np.add.reduceat(weight * step, self._first_of_module, axis=1) / np.where(weights > 0.0, weights, 1.0)
+        count = raw.shape[1]
+        of_noise = weight**2 * expected / np.where(lit, volts, 1.0) ** 2 * (count / (count - 1))
+        known = np.add.reduceat(of_noise, self._first_of_module, axis=1)
         for each in np.unique(before).tolist():
-            w, t = weights[before == each], steps[before == each]
-            self._trend[:, gain, each] += [part.sum(axis=0) for part in (w, w * t, w**2, w**2 * t, w**2 * t**2)]
+            here = before == each
+            w, t = weights[here], steps[here]
+            self._trend[:, gain, each] += [part.sum(axis=0) for part in (w, w * t, w**2, w**2 * t, w**2 * t**2, known[here])]
 
     def _add_pairs(self, p: int, rows: Ints, block: _Block) -> None:
         """Add the ratios of rows read at a pair of gains."""
@@ -293,7 +297,7 @@ class EvidenceSums:
             self._linked[k, p] += summed(each)
         # The error of a dark reading is one for all rows between two of them; of the next ones it is half the same.
         for interval in np.unique(block.interval[rows]).tolist():
-            self._begin_interval(interval)
+            self._begin_interval(p, interval)
             here = known & (block.interval[rows] == interval)[:, None]
             self._of_interval[p] += summed(weight * np.sqrt(2.0 * dark), here)
         modules = np.arange(n) // self._settings.module_channels
@@ -305,11 +309,11 @@ class EvidenceSums:
             self._row_weights[0, p, each] += chosen.sum(axis=0)
             self._row_weights[1, p, each] += (chosen**2).sum(axis=0)
 
-    def _begin_interval(self, interval: int) -> None:
-        if interval != self._interval:
-            self._linked[7] += self._of_interval**2
-            self._of_interval[:] = 0.0
-            self._interval = interval
+    def _begin_interval(self, p: int, interval: int) -> None:
+        if interval != self._intervals[p]:
+            self._linked[7, p] += self._of_interval[p] ** 2
+            self._of_interval[p] = 0.0
+            self._intervals[p] = interval
 
     def renew(self, dark: Mapping[float, DarkReadings]) -> None:
         """Go on with more dark readings."""
@@ -319,7 +323,8 @@ class EvidenceSums:
 
     def result(self) -> SignalEvidence:
         """What the rows so far show."""
-        self._begin_interval(NO_CHANGE)
+        for p in range(len(self._pairs)):
+            self._begin_interval(p, NO_CHANGE)
         factor, total = _noise_of(self._scatter, min((each.freedom for each in self._dark.values()), default=math.inf))
         together, weights = self._common.tolist()
         lamp = min(max(0.0, together / weights), total) if weights > 0.0 else 0.0
@@ -353,10 +358,10 @@ class EvidenceSums:
                 yield of_modules, f"{self._named(low, high)} is off by up to {_percent(each.value[far])}: {cause}"
 
     def _unsettled(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
-        w, wt, ww, wwt, wwtt = self._trend
+        w, wt, ww, wwt, wwtt, noise = self._trend
         with np.errstate(invalid="ignore", divide="ignore"):
             step = wt / w
-            variance = (wwtt - 2.0 * step * wwt + step**2 * ww) / w**2
+            variance = np.maximum(wwtt - 2.0 * step * wwt + step**2 * ww, noise) / w**2  # by the rows' scatter, or the noise
             wrong, worst = self._tested([(step, variance, w**2 / ww)], also=True)
         if wrong.any():
             yield wrong, f"the readings of a row change by up to {worst} from the first to the later ones"
@@ -391,7 +396,7 @@ class EvidenceSums:
         limit = max(CERTAIN, math.sqrt(2.0 * math.log(max(1, int(tested.sum())) / CHANCE)))
         with np.errstate(invalid="ignore", divide="ignore"):
             # A variance from few rows is itself uncertain: Student's distribution has wide tails.
-            u = np.sqrt(variance) * (1.0 + FEWEST_ROWS / rows)
+            u = np.sqrt(variance) * (1.0 + (FEW_ROWS / rows) ** 2)
             large = np.abs(size) > np.maximum(limit * u, TOLERATED * self._certified)
         return np.asarray(tested & large)
 
