@@ -28,6 +28,10 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import ConverterDescription
 
+WILD, WILD_NOISE = 25.0, 0.1
+"""A mean is wild whose variance is so many times the expected one and that of a relative noise, which no instrument has."""
+SELDOM = 0.02
+"""Wild means up to this share are accidents of single readings: they have an uncertainty of their own."""
 BRIGHT = 20.0
 """A mean of readings takes part in what is relative to it from so many of its standard uncertainties."""
 WEIGHT_LIMIT = 1e-3
@@ -101,10 +105,16 @@ class SignalEvidence:
         return flags
 
 
-def add_scatter(current: Estimate, reading: Reading, evidence: SignalEvidence) -> Estimate:
-    """Photocurrents with the noise that the lit readings show, beyond what was expected: `noise`, and `lamp` of the row."""
+def add_scatter(current: Estimate, reading: Reading, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+    """Photocurrents with the noise that the lit readings show, beyond what was expected: `noise`, and `lamp` of the row.
+
+    Readings that scatter as wildly as by a count that was changed on a wire have the uncertainty that follows from these alone.
+    """
     square, conversions = current.value**2, independent_conversions(reading)
     own = evidence.factor * (current.components["noise"] + evidence.own * square / conversions) + evidence.slow * square
+    if conversions > 1:
+        scatter = reading.counts.var(axis=0, ddof=1) * (settings.range.lsb_v / reading.gain_v_per_a) ** 2 / conversions
+        own = np.where(scatter > WILD * (own + evidence.lamp * square / conversions), scatter, own)
     widened = replace(current, components={**current.components, "noise": own})
     return widened.with_component("lamp", evidence.lamp * square / conversions)
 
@@ -154,8 +164,9 @@ class EvidenceSums:
         self._first_of_module = np.arange(0, n, settings.module_channels)
         modules = self._first_of_module.size
         # Of the scatter, by bin of the signal-to-noise ratio: degrees of freedom, and with these the ratio of the observed to
-        # the expected variance and the squared signal-to-noise ratio.
-        self._scatter = np.zeros((3, NOISE_BINS, n))
+        # the expected variance and the squared signal-to-noise ratio; the last one is of what is wild.
+        self._scatter = np.zeros((4, NOISE_BINS, n))
+        self._wild = np.zeros((2, n))  # numbers of means, and of wild ones
         self._common = np.zeros(2)
         # Of the difference of a first reading from the later ones, by gain, the gain before it (the last: none) and module.
         self._trend = np.zeros((6, gains, gains + 1, modules))
@@ -238,10 +249,14 @@ class EvidenceSums:
         place = (bins * volts.shape[1] + np.arange(volts.shape[1]))[usable]
         freedom = np.broadcast_to(degrees[:, None], volts.shape)
         observed = (deviations**2).sum(axis=1) / expected
-        for k, each in enumerate((freedom, observed, freedom * signal)):
+        # One count that was changed on a wire is no noise of the others.
+        wild = usable & (observed > WILD * freedom * (1.0 + WILD_NOISE**2 * signal))
+        self._wild += usable.sum(axis=0), wild.sum(axis=0)
+        tame = np.where(wild, freedom * 1.0, observed)
+        for k, each in enumerate((freedom, tame, freedom * signal, observed - tame)):
             sums = np.bincount(place, weights=each[usable], minlength=NOISE_BINS * volts.shape[1])
             self._scatter[k] += sums.reshape(NOISE_BINS, -1)
-        weight = _weights(volts, expected, usable & (signal * (degrees + 1)[:, None] > BRIGHT**2))
+        weight = _weights(volts, expected, usable & ~wild & (signal * (degrees + 1)[:, None] > BRIGHT**2))
         relative = deviations * (weight / np.where(weight > 0.0, volts, 1.0))[:, None]
         # The mean product of two photodiodes' deviations, in whatever way these are weighted.
         together = (relative.sum(axis=2) ** 2).sum() - (relative**2).sum()
@@ -325,7 +340,10 @@ class EvidenceSums:
         """What the rows so far show."""
         for p in range(len(self._pairs)):
             self._begin_interval(p, NO_CHANGE)
-        factor, total = _noise_of(self._scatter, min((each.freedom for each in self._dark.values()), default=math.inf))
+        # Many wild means are no accidents, but noise.
+        often = self._wild[1] > SELDOM * self._wild[0]
+        scatter = self._scatter[:3] + np.where(often, self._scatter[3], 0.0) * np.array([0.0, 1.0, 0.0])[:, None, None]
+        factor, total = _noise_of(scatter, min((each.freedom for each in self._dark.values()), default=math.inf))
         together, weights = self._common.tolist()
         lamp = min(max(0.0, together / weights), total) if weights > 0.0 else 0.0
         of_row = 2.0 * (self._rig.monitor.relative_uncertainty**2 + lamp)

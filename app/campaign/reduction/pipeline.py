@@ -107,7 +107,7 @@ def reduce_readings(
         volts = subtract_dark(reading, dark[gain], settings)
         volts = add_crosstalk(volts, reading, settings, rig.uncertainty.crosstalk)
         current = convert_to_photocurrent(volts, reading, settings)
-        current = correct_gain(add_scatter(current, reading, known), reading, settings, known)
+        current = correct_gain(add_scatter(current, reading, settings, known), reading, settings, known)
         at_gains.append((reading, divide_by_monitor(current, reading, dark[gain])))
     return link_gains(add_tracing_error(choose_gain(at_gains, settings), rig), known)
 

@@ -267,8 +267,9 @@ class LiveScan:
         assert self._dark is not None
         sums = self._dark.sums()
         for begin in range(0, len(self._lit_rows), EVIDENCE_ROWS):
+            if begin:
+                yield
             sums.add(self._lit_rows[begin : begin + EVIDENCE_ROWS])
-            yield
         self._dark = self._dark.with_evidence(sums.result())
         if self._settings.calibrates:
             yield from self._calibrate()

@@ -186,6 +186,19 @@ def test_a_photodiode_with_a_loose_contact_does_not_make_the_others_uncertain() 
     assert math.sqrt(evidence.own) < 2e-3
 
 
+def test_a_count_that_was_changed_on_a_wire_makes_one_value_uncertain_and_no_other() -> None:
+    """Modbus over TCP has no checksum of its own."""
+    drawn = Drawn(rows=50, currents_a=(1e-11, 8e-11))
+    before = drawn.signals(drawn.evidence)
+    drawn.lit[20].data.readings[1].counts[2, 5] += 4000
+    after = drawn.signals(drawn.evidence)
+    changed = np.zeros(before.value.shape, dtype=bool)
+    changed[20, 5] = True
+    assert abs(after.value - before.value)[20, 5] > 100.0 * math.sqrt(before.variance[20, 5])
+    assert abs(after.value - before.value)[20, 5] < 2.0 * math.sqrt(after.variance[20, 5])
+    assert np.sqrt(after.variance)[~changed] == pytest.approx(np.sqrt(before.variance)[~changed], rel=0.02)
+
+
 def test_what_all_photodiodes_of_a_row_share_is_in_its_mean_too() -> None:
     """Their mean is no better known than the lamp was: noise of its own would average out."""
     drawn = Drawn(lamp=0.02, currents_a=(2e-11, 8e-10))
