@@ -101,11 +101,14 @@ DIALECTS = {each.name: each for each in (PM100D, B2980)}
 class MonitorDescription(Protocol):
     """A monitor of any make as its driver knows it without a wire: the operator's table of it.
 
-    `relative_uncertainty` is the standard one of a reading. A mean is read and checked `fetching_seconds` after its end.
+    `relative_uncertainty` is the standard one of a reading, `largest_a` the end of its range in A, inf where it has none. A
+    mean is read and checked `fetching_seconds` after its end.
     """
 
     @property
     def relative_uncertainty(self) -> float: ...
+    @property
+    def largest_a(self) -> float: ...
     @property
     def fetching_seconds(self) -> float: ...
 
@@ -122,6 +125,11 @@ class MonitorSettings:
     relative_uncertainty: Fraction = 3.0e-4
     wavelength_nm: Positive = 550.0
     dialect: Literal["pm100d", "b2980"] = "pm100d"
+
+    @property
+    def largest_a(self) -> float:
+        """The end of its range, A."""
+        return self.range_a
 
     @property
     def fetching_seconds(self) -> float:

@@ -84,6 +84,11 @@ class PhotodiodeSettings:
         return len(self.upper_deg) + len(self.lower_deg)
 
     @property
+    def module_channels(self) -> int:
+        """Number of photodiodes behind one module."""
+        return adam.CHANNELS
+
+    @property
     def modules(self) -> int:
         """Number of modules of eight channels."""
         return -(-self.count // adam.CHANNELS)

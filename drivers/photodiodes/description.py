@@ -31,6 +31,7 @@ class ConverterDescription(Protocol):
     """Converters, amplifiers and photodiodes as their driver knows them without a wire: the operator's table of them.
 
     `upper_deg` and `lower_deg` are the polar angles at shift 0 of all `count` photodiodes, in this order.
+    A module has `module_channels` of them, in this order: the next one begins with the next photodiode.
     The gains `gains_v_per_a` ascend; `gain_uncertainty` is their relative standard uncertainty. Two readings are `period_s`
     apart, and the first follows `wait_s` after a change of gain or pose; setting the gain lasts `gain_seconds`.
     """
@@ -41,6 +42,8 @@ class ConverterDescription(Protocol):
     def lower_deg(self) -> tuple[float, ...]: ...
     @property
     def count(self) -> int: ...
+    @property
+    def module_channels(self) -> int: ...
     @property
     def gains_v_per_a(self) -> tuple[float, ...]: ...
     @property

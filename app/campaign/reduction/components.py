@@ -101,7 +101,9 @@ class Estimate:
 class Signal(Estimate):
     """Photocurrents over the monitor's current, one element for each photodiode, or (rows, photodiodes).
 
-    `gain` is the index of the gain that is used, -1 where all gains are saturated.
+    `gain` is the index of the gain that is used, -1 where all gains are saturated. `link` has one axis more: the relative
+    variance of the ratio of that gain to each of the rig's gains; None where only the certificate is known.
     """
 
     gain: Ints
+    link: Floats | None = None

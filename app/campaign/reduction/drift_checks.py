@@ -7,6 +7,7 @@ A photodiode that gets too little light at the reference pose is not covered by 
 lists those.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -16,10 +17,12 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction import pipeline
 from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.signals import LIGHT, dark_readings_by_gain
 from goniotwin.app.campaign.row import CommittedRow, Row, RowData
 from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags
 
@@ -79,7 +82,8 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
         return DriftCheck(math.nan, math.nan, beyond=True, outliers=outliers)
     ratio = now.value[light] / first.value[light]
     variance = (now.variance[light] + ratio**2 * first.variance[light]) / first.value[light] ** 2
-    common = 0.0  # to all photodiodes of a row
+    common = _lamp(first, light) + _lamp(now, light)  # to all photodiodes of a row
+    variance -= common * ratio**2
     for each in (relative(now, first, rig) for relative in pipeline.QUOTIENT_VARIANCES.values()):
         if isinstance(each, float):
             common += each
@@ -91,6 +95,12 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
     change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
     u_change = math.sqrt(1.0 / float(np.sum(weight)) + common)
     return DriftCheck(change, u_change, abs(change) - LIKELY * u_change > limit, outliers)
+
+
+def _lamp(signal: Signal, light: Flags) -> float:
+    """The relative variance that the photodiodes of a row have in common, on those with light."""
+    lamp = signal.components.get("lamp")
+    return 0.0 if lamp is None else float(np.min(lamp[light] / signal.value[light] ** 2))
 
 
 class DriftReference:
@@ -138,17 +148,24 @@ class DriftWatch:
         self._rig = rig
         self._settings = rig.photodiodes
         self._dark_rows: list[CommittedRow] = []
+        self._evidence = RunningEvidence(rig)
 
     def add(self, row: Row, data: RowData) -> DriftCheck | None:
         """Take a committed row; give the comparison for a drift row that has a reference. Raises UserError."""
+        committed = CommittedRow(row, data)
         if row.kind == "dark":
-            self._dark_rows.append(CommittedRow(row, data))
+            self._dark_rows.append(committed)
+        self._evidence.add(committed)
+        if self._evidence.full:
+            with contextlib.suppress(UserError):  # too few dark readings: a drift check would report it
+                self._evidence.renewed(dark_readings_by_gain(self._dark_rows, self._settings))
         if row.kind == "mount" or data.readings:
             return self._reference.check(row, lambda: self._signal(data))
         return None
 
     def _signal(self, data: RowData) -> Signal:
-        return pipeline.reduce_readings(data, dark_readings_by_gain(self._dark_rows, self._settings), self._settings, self._rig)
+        dark = dark_readings_by_gain(self._dark_rows, self._settings)
+        return pipeline.reduce_readings(data, dark, self._settings, self._rig, self._evidence.renewed(dark))
 
 
 @dataclass(frozen=True)

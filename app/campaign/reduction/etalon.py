@@ -119,13 +119,13 @@ class ReductionSettings:
 class RowSignal:
     """A measured row, or the mean of several rows of one pose: its signal, and the photodiodes (n,) that are flagged.
 
-    `drifted`: the row lies in a drift interval of the photodiode. `dead`: the photodiode has lost its dark current.
+    `flags` by their names in files. drift: the row lies in a drift interval of the photodiode. dead: the photodiode has lost
+    its dark current. module: its module has not passed the tests of the signals. monitor: this has no range left.
     """
 
     row: Row
     signal: Signal
-    drifted: Flags
-    dead: Flags
+    flags: Mapping[str, Flags]
 
 
 def mean_row(rows: Sequence[RowSignal]) -> RowSignal:
@@ -133,8 +133,7 @@ def mean_row(rows: Sequence[RowSignal]) -> RowSignal:
     return RowSignal(
         rows[0].row,
         mean_signal([each.signal for each in rows]),
-        np.any([each.drifted for each in rows], axis=0),
-        np.any([each.dead for each in rows], axis=0),
+        {name: np.any([each.flags[name] for each in rows], axis=0) for name in rows[0].flags},
     )
 
 
@@ -237,10 +236,10 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
     c = arc[0].view.channels
     sample = _stack([each.sample for each in arc], c)
     measured = np.array([[each.signature is not None] for each in arc])
-    drifted, dead = (
-        np.stack([getattr(each.sample, name)[c] | getattr(each.etalon, name)[c] for each in arc])
-        for name in ("drifted", "dead")
-    )
+    flags = {
+        name: np.stack([each.sample.flags[name][c] | each.etalon.flags[name][c] for each in arc])
+        for name in arc[0].sample.flags
+    }
     return ArcRows(
         rows=tuple(each.sample.row for each in arc),
         etalon_rows=tuple(each.etalon.row.number for each in arc),
@@ -255,7 +254,7 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
         signature_measured=measured,
         common_signature=measured & [[each.signature is each.signature_at_etalon] for each in arc],
         share=np.full(sample.value.shape, np.nan),
-        flags={"drift": drifted, "dead": dead},
+        flags=flags,
     )
 
 
@@ -271,7 +270,16 @@ def _stack(rows: Sequence[RowSignal | None], channels: Ints) -> Signal:
         np.stack([none if each is None else each.value[channels] for each in signals]),
         {name: np.stack([none if each is None else each.components[name][channels] for each in signals]) for name in names},
         np.stack([unsaturated if each is None else each.gain[channels] for each in signals]),
+        _stack_links(signals, channels),
     )
+
+
+def _stack_links(signals: Sequence[Signal | None], channels: Ints) -> Floats | None:
+    known = [each.link for each in signals if each is not None and each.link is not None]
+    if not known:
+        return None
+    none = np.zeros(known[0][channels].shape)
+    return np.stack([none if each is None or each.link is None else each.link[channels] for each in signals])
 
 
 # The steps.
@@ -297,7 +305,7 @@ def subtract_signature(data: ArcRows, settings: ReductionSettings) -> ArcRows:
 
 
 def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
-    """Divide by the signal of the etalon. Its components become `etalon_reading`, but for the signature."""
+    """Divide by the signal of the etalon. Its components become `etalon_reading`, but for the signature and the lamp."""
     del settings
     etalon = data.etalon
     too_low = np.isfinite(etalon.value) & ~(etalon.value > ETALON_SIGNAL * np.sqrt(etalon.variance))
@@ -308,6 +316,8 @@ def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         common = np.where(data.common_signature, data.signature.variance, 0.0)
         of_etalon = relative.pop("signature") - 2.0 * quotient.value * common / etalon.value**2
         quotient = quotient.with_component("signature", of_etalon)
+    if "lamp" in relative:
+        quotient = quotient.with_component("lamp", relative.pop("lamp"))  # one for all photodiodes of the etalon's row
     quotient = quotient.with_component("etalon_reading", total_variance(relative))
     return replace(data, estimate=quotient).flagged({"no-etalon": too_low})
 
@@ -345,7 +355,20 @@ def monitor_variance(rig: RigFile) -> float:
 
 def gain_variance(one: Signal, other: Signal, rig: RigFile) -> Floats:
     """Relative variance of a quotient of two signals by the ratio of their gains: 0 where both were read at the same gain."""
-    return np.where(one.gain != other.gain, 2.0 * rig.photodiodes.gain_uncertainty**2, 0.0)
+    if one.link is None:
+        return np.where(one.gain != other.gain, 2.0 * rig.photodiodes.gain_uncertainty**2, 0.0)
+    return np.take_along_axis(one.link, other.gain[..., None], axis=-1)[..., 0]
+
+
+def linearity_variance(one: Signal, other: Signal, rig: RigFile) -> Floats:
+    """Relative variance of a quotient of two signals by the photodiodes' linearity, in proportion to the decades between them.
+
+    A signal below its own uncertainty counts as that: its logarithm would be one of noise.
+    """
+    values = (np.maximum(np.abs(each.value), np.sqrt(each.variance)) for each in (one, other))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        decades = np.subtract(*(np.log10(np.where(each > 0.0, each, np.nan)) for each in values))
+    return np.asarray(np.nan_to_num((rig.uncertainty.linearity_per_decade * decades) ** 2))
 
 
 def make_points(arcs: Sequence[tuple[Ints, ArcRows]]) -> tuple[Ints, BsdfPoints]:

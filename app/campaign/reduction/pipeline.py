@@ -19,14 +19,17 @@ from goniotwin.app.campaign.reduction.etalon import (
     flag_values,
     gain_variance,
     join_references,
+    linearity_variance,
     make_points,
     monitor_variance,
     subtract_signature,
 )
+from goniotwin.app.campaign.reduction.evidence import SignalEvidence, add_scatter, correct_gain, link_gains, stated
 from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
+    add_crosstalk,
     add_tracing_error,
     check_reading,
     choose_gain,
@@ -43,6 +46,7 @@ from goniotwin.drivers import ConverterDescription
 QUOTIENT_VARIANCES: Mapping[str, Callable[[Signal, Signal, RigFile], Floats | float]] = {
     "monitor": lambda one, other, rig: monitor_variance(rig),  # noqa: ARG005
     "gain": gain_variance,
+    "linearity": linearity_variance,
 }
 """Relative variances of a quotient of two rows' signals, besides those of the signals, by component.
 
@@ -80,13 +84,21 @@ SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] =
 """Steps on all points of a set of wavelength, sigma and gamma, and of a sample's calibration: they need the points nearby."""
 
 
-def reduce_readings(data: RowData, dark: Mapping[float, DarkReadings], settings: ConverterDescription, rig: RigFile) -> Signal:
+def reduce_readings(
+    data: RowData,
+    dark: Mapping[float, DarkReadings],
+    settings: ConverterDescription,
+    rig: RigFile,
+    evidence: SignalEvidence | None = None,
+) -> Signal:
     """The signal of a row: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
 
-    `dark` are the dark readings by gain. Raises UserError for a gain without a dark reading, for a gain that the rig does not
-    have, for counts of other photodiodes, and for a monitor without light.
+    `dark` are the dark readings by gain, `evidence` is what the campaign's rows show; None before there are any.
+    Raises UserError for a gain without a dark reading, for a gain that the rig does not have, for counts of other photodiodes,
+    and for a monitor without light.
     """
     at_gains = []
+    known = stated(rig) if evidence is None else evidence
     for reading in data.readings:
         gain = reading.gain_v_per_a
         check_reading(reading, settings)
@@ -95,9 +107,11 @@ def reduce_readings(data: RowData, dark: Mapping[float, DarkReadings], settings:
         if gain not in dark:
             raise UserError(f"the journal has no dark reading at {gain:g} V/A, so readings at this gain cannot be reduced")
         volts = subtract_dark(reading, dark[gain], settings)
+        volts = add_crosstalk(volts, reading, settings, rig.uncertainty.crosstalk)
         current = convert_to_photocurrent(volts, reading, settings)
+        current = correct_gain(add_scatter(current, reading, settings, known), reading, settings, known)
         at_gains.append((reading, divide_by_monitor(current, reading, dark[gain])))
-    return add_tracing_error(choose_gain(at_gains, settings), rig)
+    return link_gains(add_tracing_error(choose_gain(at_gains, settings), rig), known)
 
 
 def reduce_rows(

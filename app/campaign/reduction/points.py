@@ -60,6 +60,13 @@ FLAGS: dict[str, Flag] = {
     ),
     # Between drift checks one of which was beyond its limit. The value is there, and may be wrong.
     "drift": Flag("beyond its limit", True, "flagged for drift", "see the drift checks"),
+    # In a test of all rows: a ratio of two gains, or the first reading against the later ones. Of all channels of a module.
+    "module": Flag(
+        "the module of the photodiode: settling or linearity, see the notes", True, "of modules that did not pass their tests",
+        "see the notes on the modules",
+    ),
+    "monitor": Flag("the monitor was at the end of its range", True, "measured with the monitor at the end of its range",
+                    "set a wider range of the monitor in the rig file"),
     # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
     "under-range": Flag("lost in its noise", False),
     "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf", False),
@@ -69,7 +76,7 @@ FLAGS: dict[str, Flag] = {
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
 UNTRUSTED = np.uint16(sum(int(BITS[name]) for name, flag in FLAGS.items() if flag.untrusted))
-REASON_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "drift")
+REASON_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "module", "monitor", "drift")
 """Flags by which a tally counts a point: the first one that it has."""
 
 

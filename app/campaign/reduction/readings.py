@@ -6,6 +6,8 @@ block that needs them.
 """
 
 import contextlib
+import copy
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
@@ -16,6 +18,7 @@ from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
+from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvidence, SignalEvidence, stated
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.points import PLACE
 from goniotwin.app.campaign.reduction.signals import dark_current_loss_s, dark_readings_by_gain, middle_s
@@ -26,27 +29,55 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
+EVIDENCE_ROWS = 256
+"""Rows whose readings are in memory together for the evidence."""
+END_OF_RANGE = 0.98
+"""From this share of its range on the monitor may not follow the light."""
 RowTable = npt.NDArray[np.void]
 
 
 class DarkHistory:
-    """All dark readings of a campaign so far, and what they make of the readings of any row. Raises UserError if too few."""
+    """All dark readings of a campaign so far, and what they make of the readings of any row. Raises UserError if too few.
+
+    `evidence` is what the rows so far show of the signals.
+    """
 
     def __init__(self, dark_rows: list[CommittedRow], rig: RigFile) -> None:
         self._rig = rig
         self._settings = rig.photodiodes
+        self.evidence = stated(rig)
         self._dark = dark_readings_by_gain(dark_rows, self._settings)
         self._loss_s = dark_current_loss_s(dark_rows, self._settings)
 
+    def sums(self) -> EvidenceSums:
+        """Sums for the evidence of rows, none of which is added yet."""
+        return EvidenceSums(self._dark, self._rig)
+
+    def up_to_date(self, evidence: RunningEvidence) -> "DarkHistory":
+        """The same with the evidence of a run so far."""
+        return self.with_evidence(evidence.renewed(self._dark))
+
+    def with_evidence(self, evidence: SignalEvidence) -> "DarkHistory":
+        """The same with other evidence."""
+        history = copy.copy(self)
+        history.evidence = evidence
+        return history
+
     def signal(self, row: CommittedRow) -> Signal:
         """The signal of a row with readings. Raises UserError where it cannot be reduced."""
-        return reduce_readings(row.data, self._dark, self._settings, self._rig)
+        return reduce_readings(row.data, self._dark, self._settings, self._rig, self.evidence)
 
     def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
-        """The signal of a row, with the photodiodes that drifted, and those that have lost their dark current."""
+        """The signal of a row, with its flags: see `RowSignal`."""
         none = np.zeros(self._settings.count, dtype=bool)
-        drifted = np.any([none, *(drift.flagged_at(row.data.started_s) for drift in intervals)], axis=0)
-        return RowSignal(row.row, signal, drifted, self._loss_s < middle_s(row.data.readings[0]))
+        largest = max(reading.monitor_a for reading in row.data.readings)
+        flags = {
+            "drift": np.any([none, *(drift.flagged_at(row.data.started_s) for drift in intervals)], axis=0),
+            "dead": self._loss_s < middle_s(row.data.readings[0]),
+            "module": self.evidence.unsound,
+            "monitor": none | (largest > END_OF_RANGE * self._rig.monitor.largest_a),
+        }
+        return RowSignal(row.row, signal, flags)
 
 
 class Measurements:
@@ -56,12 +87,18 @@ class Measurements:
         self._journal = journal
         with self._path_in_errors():
             self._dark = DarkHistory(list(journal.rows("dark")), rig)
+            self._dark = self._dark.with_evidence(collect(self._dark.sums(), journal.rows("measure", "drift")))
         self._table, self._names = journal.row_index()
         limit = None if schedule.drift is None else schedule.drift.limit
         self.insensitive = insensitive_photodiodes(journal.rows("drift"), self._signal)
         some = next(journal.rows("drift"), None) is not None
         rows = journal.rows("mount", "measure", "drift") if some else iter(())
         self.drift_intervals = drift_intervals(rows, self._signal, rig, limit)
+
+    @property
+    def evidence(self) -> SignalEvidence:
+        """What the rows show of the signals."""
+        return self._dark.evidence
 
     def row_table(self, sample: str) -> RowTable:
         """The measured rows of a sample, in order of time."""
@@ -130,6 +167,14 @@ class ReferenceMeasurements:
             known &= values[at] == column if values.size else False
             codes = codes * values.size + at
         return np.where(known, codes, -1)
+
+
+def collect(sums: EvidenceSums, rows: Iterable[CommittedRow]) -> SignalEvidence:
+    """The evidence of rows, in order of time."""
+    left = iter(rows)
+    while block := list(itertools.islice(left, EVIDENCE_ROWS)):
+        sums.add(block)
+    return sums.result()
 
 
 def row_places(table: RowTable) -> Floats:

@@ -163,6 +163,8 @@ class Reduction:
         """Remarks on the reduction, for the reader of the values, from the tallies of all blocks, by sample."""
         without_etalon = {name: rows for name in self.schedule.samples if (rows := self._without_etalon(name))}
         notes = list(missing_notes(self.journal, without_etalon))
+        notes += self._measurements.evidence.notes
+        notes += [verdict.text for verdict in self._measurements.evidence.verdicts]
         notes += [str(interval) for interval in self.drift_intervals]
         transmitted = any(tally.transmitted for tally in tallies.values())
         subtracted = any(tally.signature_subtracted for tally in tallies.values())

@@ -15,7 +15,7 @@ from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ConverterDescription
 
 MIN_FREEDOM = 3.0
@@ -25,6 +25,8 @@ DARK_CURRENT_NOISE = 10.0
 LATEST_S = 1e12
 """A time on a rig's clock is below: thirty thousand years."""
 COPY = "use a copy of the journal, if there is one"
+BEYOND_RANGE = 1.5
+"""An amplifier on supplies of 15 V gives up to so many times the range of a converter that it saturates."""
 LIGHT = 5.0
 """A photodiode has light where its signal is above so many standard uncertainties."""
 
@@ -32,7 +34,8 @@ LIGHT = 5.0
 class DarkReadings:
     """All dark readings of a journal at one gain. Raises UserError if they are too few for the noise.
 
-    `variance_v2` is that of one reading's noise, `undithered_v2` that of the converter's step which no mean reduces.
+    `variance_v2` is that of one reading's noise, from `freedom` degrees of freedom, `undithered_v2` that of the converter's
+    step which no mean reduces.
     """
 
     def __init__(self, readings: list[Reading], settings: ConverterDescription) -> None:
@@ -41,7 +44,7 @@ class DarkReadings:
         self._means = np.array([each.counts.mean(axis=0) for each in readings])
         self._monitor_a = np.array([each.monitor_a for each in readings])
         self._readings = np.array([independent_conversions(each) for each in readings])
-        freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
+        self.freedom = freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
         if freedom < MIN_FREEDOM:
             raise UserError(
                 f"the dark readings have {freedom:.0f} degrees of freedom in all; the noise needs {MIN_FREEDOM:.0f}; "
@@ -55,18 +58,21 @@ class DarkReadings:
         dither = np.maximum(pooled - QUANTISATION_VARIANCE, 0.0)
         self.undithered_v2: Floats = QUANTISATION_VARIANCE * np.exp(-4.0 * np.pi**2 * dither) * converter.lsb_v**2
 
-    def at(self, t: float) -> tuple[Floats, float, float]:
-        """At a time: mean counts (photodiodes,), the monitor's current in A, and the divisor of a reading's variance."""
-        later = int(np.searchsorted(self._times, t))
-        if later in (0, len(self._times)):
-            k = min(later, len(self._times) - 1)
-            return self._means[k], float(self._monitor_a[k]), float(self._readings[k])
-        k = later - 1
-        share = (t - self._times[k]) / (self._times[later] - self._times[k])
-        counts = (1.0 - share) * self._means[k] + share * self._means[later]
-        monitor = (1.0 - share) * self._monitor_a[k] + share * self._monitor_a[later]
-        divisor = 1.0 / ((1.0 - share) ** 2 / self._readings[k] + share**2 / self._readings[later])
-        return counts, float(monitor), float(divisor)
+    def interval(self, t: Floats) -> Ints:
+        """The number of the dark reading before a time, or of the one before the last; at least 0."""
+        return np.clip(np.searchsorted(self._times, t) - 1, 0, max(len(self._times) - 2, 0))
+
+    def at(self, t: Floats | float) -> tuple[Floats, Floats, Floats]:
+        """At times (...): mean counts (..., photodiodes), the monitor's current in A, the divisor of a reading's variance."""
+        before = self.interval(np.asarray(t))
+        after = np.minimum(before + 1, len(self._times) - 1)
+        between = self._times[after] - self._times[before]
+        share = np.clip((t - self._times[before]) / np.where(between > 0.0, between, np.inf), 0.0, 1.0)
+        of_counts = share[..., None]
+        counts = (1.0 - of_counts) * self._means[before] + of_counts * self._means[after]
+        monitor = (1.0 - share) * self._monitor_a[before] + share * self._monitor_a[after]
+        divisor = 1.0 / ((1.0 - share) ** 2 / self._readings[before] + share**2 / self._readings[after])
+        return counts, monitor, divisor
 
 
 def check_reading(reading: Reading, settings: ConverterDescription) -> None:
@@ -102,6 +108,16 @@ def subtract_dark(reading: Reading, dark: DarkReadings, settings: ConverterDescr
             "resolution": 2.0 * dark.undithered_v2,  # of the lit and of the dark reading
         },
     )
+
+
+def add_crosstalk(volts: Estimate, reading: Reading, settings: ConverterDescription, u_crosstalk: float) -> Estimate:
+    """The voltages with the component `crosstalk`: a share of what the module's other channels have, all with one sign."""
+    clipped = saturation(reading.counts, settings.range)
+    held = np.where(clipped, BEYOND_RANGE * volts.value, volts.value)
+    first = np.arange(0, settings.count, settings.module_channels)
+    sizes = np.diff(np.append(first, settings.count))
+    others = np.repeat(np.add.reduceat(held, first), sizes) - held
+    return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)
 
 
 def convert_to_photocurrent(volts: Estimate, reading: Reading, settings: ConverterDescription) -> Estimate:
@@ -147,6 +163,7 @@ def mean_signal(signals: list[Signal]) -> Signal:
         np.mean([each.value for each in signals], axis=0),
         {name: np.sum([each.components[name] for each in signals], axis=0) / n**2 for name in first.components},
         np.where(clipped_once, -1, first.gain),
+        first.link,
     )
 
 

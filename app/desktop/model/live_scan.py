@@ -5,10 +5,10 @@ journal's reduction, applied to the rows committed so far. These are kept here: 
 the run from closing it as a single file.
 
 The work for a row does not grow with the rows: the shown scan is reduced, from signals that are kept as long as they are
-shown. A new dark reading changes every signal a little; they are computed again a few at a time. It grows with the drift
-checks, which are all compared again after a dark reading (a thousand: a quarter of a second). At the end of the run the values
-become those of the journal: the field of view from all half planes, and the calibration by overlaps, which needs every scan of
-the sample.
+shown. A new dark reading, and what the rows before it show of noise and gains, change every signal a little; they are computed
+again a few at a time. It grows with the drift checks, which are all compared again after a dark reading (a thousand: a quarter
+of a second). At the end of the run the values become those of the journal: the evidence of all rows, the field of view from all
+half planes, and the calibration by overlaps, which needs every scan of the sample.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -24,10 +24,11 @@ from goniotwin.app.campaign.reduction.checks import overlap_check
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals
 from goniotwin.app.campaign.reduction.etalon import PoseKey, ReferenceSignals, RowSignal, mean_row, pose_key, reference_keys
+from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.readings import DarkHistory
+from goniotwin.app.campaign.reduction.readings import EVIDENCE_ROWS, DarkHistory
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
@@ -94,6 +95,8 @@ class LiveScan:
         self._references: dict[str, dict[PoseKey, list[CommittedRow]]] = {self._schedule.etalon: {}, NO_SAMPLE: {}}
         self._dark_rows: list[CommittedRow] = []
         self._dark: DarkHistory | None = None
+        self._lit_rows: list[CommittedRow] = []
+        self._evidence = RunningEvidence(plan.rig.file)
         self._drift_rows: list[CommittedRow] = []
         self._compared: list[object] = []
         self._intervals: list[DriftInterval] = []
@@ -126,7 +129,7 @@ class LiveScan:
         """Take the rows so far as the whole campaign: no more will come."""
         if not self._finished:
             self._finished = True
-            self._calibration = self._calibrate() if self._settings.calibrates else iter(())
+            self._calibration = self._complete()
 
     def data(self, key: ScanKey | None = None) -> ScanData | None:
         """A scan as it is now, the latest if none is named; None before its first row. Raises UserError."""
@@ -174,11 +177,14 @@ class LiveScan:
 
     def _keep(self, committed: CommittedRow) -> None:
         row, readings = committed.row, committed.data.readings
+        if row.kind in ("measure", "drift") and readings:
+            self._lit_rows.append(committed)
+            self._evidence.add(committed)
         match row.kind:
             case "dark":
                 self._dark_rows.append(committed)
                 try:
-                    self._dark = DarkHistory(self._dark_rows, self._plan.rig.file)
+                    self._dark = DarkHistory(self._dark_rows, self._plan.rig.file).up_to_date(self._evidence)
                 except UserError:  # too few yet for the noise
                     self._dark = None
             case "mount":
@@ -256,6 +262,18 @@ class LiveScan:
             return None
         return finish_points(points, replace(self._settings, calibration=self._factors.get(setting[0])))
 
+    def _complete(self) -> Generator[None, None, None]:
+        """Compute what needs the whole campaign: the evidence of its rows, then the calibration; a part at a time."""
+        assert self._dark is not None
+        sums = self._dark.sums()
+        for begin in range(0, len(self._lit_rows), EVIDENCE_ROWS):
+            if begin:
+                yield
+            sums.add(self._lit_rows[begin : begin + EVIDENCE_ROWS])
+        self._dark = self._dark.with_evidence(sums.result())
+        if self._settings.calibrates:
+            yield from self._calibrate()
+
     def _calibrate(self) -> Generator[None, None, None]:
         """Compute the calibration factors of all samples, a few signals at a time."""
         for sample in self._schedule.samples:
@@ -302,7 +320,7 @@ class LiveScan:
                 if light in ("both", "transmitted" if view.transmitted else "reflected"):
                     x = _x_deg(view.zenith, view.azimuth, view.theta, view.phi, plane)
                     c, transmitted = view.channels, np.full(len(view.channels), view.transmitted)
-                    untrusted = blocked | each.drifted[c] | each.dead[c]
+                    untrusted = blocked | np.any([flags[c] for flags in each.flags.values()], axis=0)
                     parts.append(ScanPoints(x, each.signal.value[c], u[c], blocked, untrusted, transmitted, lost[c]))
         return _sort(*parts)
 

@@ -65,6 +65,15 @@ STATED_BACKLASH = (
 )
 
 
+LAMP, GAINS = (
+    (("[twin.light]", "[twin.light]\nflicker = 0.02"),),
+    (("[twin.light]", "[twin.electronics]\ngain_spread = 0.02\n\n[twin.light]"),),
+)
+SLOW, VERY_SLOW = (
+    (("[twin.light]", f"[twin.electronics]\nsettling_s = {settling_s}\n\n[twin.light]"),) for settling_s in (0.06, 0.3)
+)
+
+
 @dataclass(frozen=True)
 class Case:
     """A disturbance: changes of rig and schedule, a `disturb` action on the virtual rig in the middle of the sample's rows, and
@@ -105,6 +114,14 @@ CASES = (
     Case("1 % loss of light behind the monitor", "flagged", fade_all),
     Case("1 % loss of light behind the monitor", "flagged", fade_all, sample="gaussian-5", gains=WIDE),
     Case("a photodiode that fails", "flagged", lambda plant, _: plant.fade(7, 0.0)),
+    Case("2 % noise of the lamp", "corrected", sample="gaussian-15", gains=WIDE, rig=LAMP),
+    Case("2 % noise of the lamp", "corrected", rig=LAMP),
+    Case("gains off by 2 %", "corrected", sample="gaussian-15", gains=WIDE, rig=GAINS),
+    Case("gains off by 2 %", "corrected", rig=GAINS),
+    Case("amplifiers of 0.06 s", "flagged", sample="gaussian-15", gains=WIDE, rig=SLOW),
+    Case("amplifiers of 0.06 s", "flagged", rig=SLOW),
+    Case("amplifiers of 0.3 s", "flagged", sample="gaussian-15", gains=WIDE, rig=VERY_SLOW),
+    Case("amplifiers of 0.3 s", "flagged", rig=VERY_SLOW),
     Case("saturation at the peak, one gain", "flagged", sample="gaussian-15", gains="[1e11]"),
     Case("saturation at the peak, auto-range", "corrected", sample="gaussian-15", gains='"automatic"'),
 )  # fmt: skip
@@ -196,14 +213,14 @@ def check_result(found: CaseResult) -> None:
 
 FIRST = [case for k, case in enumerate(CASES) if case.name not in [each.name for each in CASES[:k]]]
 """Each disturbance with one sample. The others, and more directions, are in the table."""
-STRAY_CASES = [case for case in FIRST if case.rig in (FRAMES, LIFTED)]
-"""Their stray light is traced, which takes longer than the run."""
+LONG_CASES = [case for case in FIRST if case.rig in (FRAMES, LIFTED, GAINS, VERY_SLOW)]
+"""Stray light is traced, which takes longer than the run; of the faults of amplifiers one is enough."""
 
 
 @pytest.mark.parametrize(
     "case",
     [
-        pytest.param(case, id=f"{case.name}-{case.sample}", marks=[pytest.mark.long] if case in STRAY_CASES else [])
+        pytest.param(case, id=f"{case.name}-{case.sample}", marks=[pytest.mark.long] if case in LONG_CASES else [])
         for case in FIRST
     ],
 )

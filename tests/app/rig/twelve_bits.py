@@ -45,6 +45,7 @@ class TwelveBitTable:
     gains_v_per_a: tuple[float, ...]
     gain_uncertainty: float = 1e-3
     range: ClassVar = TwelveBits()
+    module_channels: ClassVar = 16
     period_s: ClassVar = 0.1
     wait_s: ClassVar = CHANGE_S
     gain_seconds: ClassVar = ANSWER_S

@@ -23,18 +23,19 @@ from tests.app.campaign.reduction.grey_campaign import GLASS, reduced
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 PER_DECADE = 0.02
-"""Relative uncertainty of a photodiode's linearity for each decade between the signals of sample and etalon; made up."""
-SLOPES = {"field_noise", "second_order", "slope_unresolved"}
+"""Relative uncertainty for each decade between the signals of sample and etalon; made up."""
+SIGNALS = {"noise", "lamp", "dark", "resolution", "crosstalk", "etalon_reading", "monitor", "gain", "linearity"}
+SLOPES = {"field", "field_noise", "second_order", "slope_unresolved"}
 POSE = {"pose", "position", "photodiode_angle"}
-NAMES = {"noise", "dark", "resolution", "etalon_reading", "monitor", "gain", "certificate", "field", *SLOPES, *POSE}
+NAMES = {"certificate", *SIGNALS, *SLOPES, *POSE}
 Measured = tuple[Plan, Path, list[Event]]
 
 
-def add_linearity(data: ArcRows, settings: ReductionSettings) -> ArcRows:
+def add_made_up(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     """The whole contribution, apart from its line in the list of steps."""
     del settings
     decades = np.log10(np.maximum(np.abs(data.sample.value / data.etalon.value), 1e-12))
-    return data.with_component("linearity", (PER_DECADE * decades * data.estimate.value) ** 2)
+    return data.with_component("made-up", (PER_DECADE * decades * data.estimate.value) ** 2)
 
 
 @pytest.fixture(scope="module")
@@ -72,18 +73,18 @@ def test_a_contribution_of_one_function_and_one_line_is_in_everything_that_has_u
 ) -> None:
     plan, path, events = measured
     before, live_before, spread_before = reduced(path).samples["gaussian-5"], live_u(plan, events), forecast(path).spread
-    monkeypatch.setattr(pipeline, "ARC_STEPS", (*pipeline.ARC_STEPS, add_linearity))  # the line
+    monkeypatch.setattr(pipeline, "ARC_STEPS", (*pipeline.ARC_STEPS, add_made_up))  # the line
     dataset = reduced(path)
     points = dataset.samples["gaussian-5"]
     assert points.bsdf.tobytes() == before.bsdf.tobytes()
-    assert points.budget.keys() == NAMES | {"linearity"}
+    assert points.budget.keys() == NAMES | {"made-up"}
     good = points.good & (points.bsdf > 1e-9)
     decades = np.zeros(good.size)
     measured_bsdf = points.bsdf * np.exp(-points.field_correction)
     decades[good] = np.abs(np.log10(measured_bsdf[good] / (0.99 / np.pi)))  # over the BSDF of the rig file's etalon
     assert decades.max() > 2.0
-    assert points.budget["linearity"][good] == pytest.approx((PER_DECADE * decades * points.bsdf)[good], rel=1e-9)
-    expected = np.hypot(before.u_bsdf, points.budget["linearity"])
+    assert points.budget["made-up"][good] == pytest.approx((PER_DECADE * decades * points.bsdf)[good], rel=1e-9)
+    expected = np.hypot(before.u_bsdf, points.budget["made-up"])
     assert points.u_bsdf[good] == pytest.approx(expected[good], rel=1e-6)
     assert (points.u_bsdf > 1.5 * before.u_bsdf)[good].any()
 
