@@ -61,13 +61,20 @@ class ArcGeometry:
 
 @dataclass(frozen=True)
 class ReductionSettings:
-    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any."""
+    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
+
+    `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration; `repeatability` the relative
+    standard uncertainty that the repeats of the campaign show, None where there are too few of them.
+    """
 
     rig: RigFile
     geometry: ArcGeometry
     schedule: ScheduleFile
     certificate: Certificate
     calibration: CalibrationFactors | None = None
+    sample: str = ""
+    etalon_years: float = 1.0
+    repeatability: float | None = None
 
     @property
     def calibrates(self) -> bool:
@@ -272,11 +279,10 @@ def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
 def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     """Multiply by the etalon's certified radiance factor over pi: the BSDF in 1/sr. NaN where the certificate has no value."""
     wavelength_nm = np.array([[row.wavelength_nm] for row in data.rows], dtype=float)
-    factor, u_factor = settings.certificate.interpolate(
+    factor, _ = settings.certificate.interpolate(
         wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
     bsdf = data.estimate.scaled(factor / math.pi)
-    bsdf = bsdf.with_component("certificate", (u_factor * bsdf.value) ** 2)
     return replace(data, estimate=bsdf).flagged({"uncertified": np.isnan(factor)})
 
 

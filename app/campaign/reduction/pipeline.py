@@ -6,8 +6,9 @@ Journal, live plot and rehearsal have no other reduction.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
-from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.components import Signal, total_variance
 from goniotwin.app.campaign.reduction.etalon import (
     ArcRows,
     ReductionSettings,
@@ -24,6 +25,16 @@ from goniotwin.app.campaign.reduction.etalon import (
 )
 from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.scale import (
+    EffectsOf,
+    certificate_effects,
+    etalon_age,
+    etalon_edge,
+    mounting,
+    polarisation,
+    repeatability,
+    uniformity,
+)
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_tracing_error,
@@ -71,6 +82,17 @@ ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (
 )
 """From the signals of rows, at the sample, at the etalon and without a sample, to the BSDF: on the rows of one arc."""
 
+FAMILIES: Mapping[str, EffectsOf] = {
+    "certificate": certificate_effects,
+    "etalon_age": etalon_age,
+    "etalon_edge": etalon_edge,
+    "mounting": mounting,
+    "uniformity": uniformity,
+    "repeatability": repeatability,
+    "polarisation": polarisation,
+}
+"""Families of inputs that points share, each a component. None of them needs the points nearby."""
+
 SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] = (
     calibrate_photodiodes,
     correct_field_of_view,  # after the calibration: the field has the same effect on all photodiodes that look in a direction
@@ -105,7 +127,17 @@ def reduce_rows(
     arcs = join_references(rows, references, settings)
     for step in ARC_STEPS:
         arcs = [(index, step(data, settings)) for index, data in arcs]
-    return make_points(arcs) if arcs else None
+    if not arcs:
+        return None
+    index, points = make_points(arcs)
+    return index, add_families(points, replace(settings, sample=rows[0].row.sample))
+
+
+def add_families(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """Add a component for each of FAMILIES."""
+    found = {name: effects_of(points, settings) for name, effects_of in FAMILIES.items()}
+    components = {name: total_variance(each.variances()) for name, each in found.items() if each is not None}
+    return replace(points, components={**points.components, **components})
 
 
 def finish_points(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
