@@ -26,6 +26,11 @@ All others count as shared, also those that are shared in part (`dark`, `monitor
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
 
+COMMON = frozenset(
+    {"etalon_age", "etalon_edge", "mounting", "uniformity", "wavelength", "bandwidth", "monochromator_stray", "polarisation"}
+)
+"""Components whose errors are the same for two values of one direction, or of a direction and its mirror image."""
+
 
 def total_variance(components: Components) -> Floats:
     """The variance of values from all of their components."""

@@ -137,7 +137,8 @@ class ArcRows:
     `estimate` is the value so far: the signal of the sample, its quotient by that of the etalon, the BSDF in 1/sr. `flags` are
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
     was not measured. `common_signature`: both signatures are one measurement, and their error is common to sample and etalon.
-    `share` is the signature's share of the sample's signal, NaN where it was not measured.
+    `share` is the signature's share of the sample's signal, NaN where it was not measured. `wavelength_slope`,
+    `band_correction` and `stray_contrast` are those of BsdfPoints, NaN where they are unknown.
     """
 
     rows: tuple[Row, ...]
@@ -152,6 +153,9 @@ class ArcRows:
     signature_measured: Flags
     common_signature: Flags
     share: Floats
+    wavelength_slope: Floats
+    band_correction: Floats
+    stray_contrast: Floats
     flags: Mapping[str, Flags]
 
     def column(self, name: str) -> Floats:
@@ -201,6 +205,7 @@ class _Joined:
 def _arc_rows(arc: list[_Joined]) -> ArcRows:
     c = arc[0].view.channels
     sample = _stack([each.sample for each in arc], c)
+    unknown = np.broadcast_to(np.nan, sample.value.shape)
     measured = np.array([[each.signature is not None] for each in arc])
     drifted, dead = (
         np.stack([getattr(each.sample, name)[c] | getattr(each.etalon, name)[c] for each in arc])
@@ -218,7 +223,10 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
         signature_at_etalon=_stack([each.signature_at_etalon for each in arc], c),
         signature_measured=measured,
         common_signature=measured & [[each.signature is each.signature_at_etalon] for each in arc],
-        share=np.full(sample.value.shape, np.nan),
+        share=unknown,
+        wavelength_slope=unknown,
+        band_correction=unknown,
+        stray_contrast=unknown,
         flags={"drift": drifted, "dead": dead},
     )
 
@@ -340,6 +348,9 @@ def _points(data: ArcRows) -> BsdfPoints:
         components={name: each.ravel() for name, each in data.estimate.components.items()},
         marks=pack_flags({name: flag.ravel() for name, flag in data.flags.items()}, size),
         signature=data.share.ravel(),
+        wavelength_slope=data.wavelength_slope.ravel(),
+        band_correction=data.band_correction.ravel(),
+        stray_contrast=data.stray_contrast.ravel(),
     )
 
 

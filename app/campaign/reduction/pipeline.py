@@ -44,6 +44,7 @@ from goniotwin.app.campaign.reduction.signals import (
     divide_by_monitor,
     subtract_dark,
 )
+from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, correct_band, stray_effects, wavelength_effects
 from goniotwin.app.campaign.row import RowData
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
@@ -77,6 +78,7 @@ ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (
     subtract_signature,
     divide_by_etalon,
     add_quotient_uncertainty,
+    correct_band,
     apply_certificate,
     flag_values,
 )
@@ -89,6 +91,9 @@ FAMILIES: Mapping[str, EffectsOf] = {
     "mounting": mounting,
     "uniformity": uniformity,
     "repeatability": repeatability,
+    "wavelength": wavelength_effects,
+    "bandwidth": bandwidth_effects,
+    "monochromator_stray": stray_effects,
     "polarisation": polarisation,
 }
 """Families of inputs that points share, each a component. None of them needs the points nearby."""

@@ -137,13 +137,24 @@ def row_places(table: RowTable) -> Floats:
     return np.stack([table[name] for name in PLACE], axis=1)
 
 
-def order_by_setting(table: RowTable) -> tuple[Ints, Ints]:
-    """Indices of the rows in the order of wavelength, sigma, gamma and half planes, each in order of time; and the edges.
+def order_by_setting(table: RowTable) -> tuple[Ints, Ints, Ints]:
+    """Indices of the rows in the order of sigma, gamma, wavelength and half planes, each in order of time; and edges in it.
 
-    The edges are the places in that order where wavelength, sigma or gamma changes, with 0 first and the number of rows last.
-    All neighbours of a value, and all overlaps of photodiodes, lie between two edges.
+    The first edges are the places in that order where wavelength, sigma or gamma changes, with 0 first and the number of rows
+    last. All neighbours of a value, and all overlaps of photodiodes, lie between two of them. The second edges are those of
+    them where sigma or gamma changes: between two lie all wavelengths of a pose.
     """
-    keys = [table[name] for name in ("gamma_deg", "sigma_deg", "wavelength_nm")]
+    keys = [table[name] for name in ("wavelength_nm", "gamma_deg", "sigma_deg")]
     order = np.lexsort([scan_plane_deg(table["beta_deg"]), *keys])
-    changes = np.any([key[order][1:] != key[order][:-1] for key in keys], axis=0) if len(order) else np.zeros(0, dtype=bool)
+    none = np.zeros(0, dtype=bool)
+    changes = [key[order][1:] != key[order][:-1] if len(order) else none for key in keys]
+    edges = [np.concatenate([[0], 1 + np.flatnonzero(np.any(each, axis=0)), [len(order)]]) for each in (changes, changes[1:])]
+    return order, edges[0], edges[1]
+
+
+def order_by_pose(table: RowTable) -> tuple[Ints, Ints]:
+    """Indices of the rows with all wavelengths of a pose together; and the places in that order where the pose changes."""
+    keys = round_deg(row_places(table)).T
+    order = np.lexsort(keys)
+    changes = np.any(keys[1:, order[1:]] != keys[1:, order[:-1]], axis=0)
     return order, np.concatenate([[0], 1 + np.flatnonzero(changes), [len(order)]])

@@ -7,8 +7,8 @@ the run from closing it as a single file.
 The work for a row does not grow with the rows: the shown scan is reduced, from signals that are kept as long as they are
 shown. A new dark reading changes every signal a little; they are computed again a few at a time. It grows with the drift
 checks, which are all compared again after a dark reading (a thousand: a quarter of a second). At the end of the run the values
-become those of the journal: the field of view from all half planes, and the calibration by overlaps, which needs every scan of
-the sample.
+become those of the journal: the field of view from all half planes, the correction for the band from other wavelengths, and
+the calibration by overlaps, which needs every scan of the sample.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -29,6 +29,7 @@ from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import DarkHistory
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.reduction.spectrum import needed_wavelengths
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.errors import UserError
@@ -251,10 +252,21 @@ class LiveScan:
         """The BSDF of rows of a setting; None for what is no sample, and before the etalon has been measured."""
         if setting[0] in self._references:
             return None
-        points = self._reduce(rows, self._signal)
+        points = self._reduce([*rows, *self._other_wavelengths(setting, rows)], self._signal)
         if points is None:
             return None
+        points = points.where(points.wavelength_nm == setting[1])
         return finish_points(points, replace(self._settings, calibration=self._factors.get(setting[0])))
+
+    def _other_wavelengths(self, setting: Setting, rows: list[CommittedRow]) -> list[CommittedRow]:
+        """At the end, the rows at the poses of a setting's rows with whose wavelengths these are corrected."""
+        if not self._finished:
+            return []
+        sample, wavelength, *angles = setting
+        known = sorted(each[1] for each in self._rows if (each[0], *each[2:]) == (sample, *angles))
+        needed = needed_wavelengths(known, wavelength, self._settings.rig) - {wavelength}
+        poses = {each.row.pose for each in rows}
+        return [row for other in sorted(needed) for row in self._rows[(sample, other, *angles)] if row.row.pose in poses]
 
     def _calibrate(self) -> Generator[None, None, None]:
         """Compute the calibration factors of all samples, a few signals at a time."""

@@ -28,4 +28,7 @@ def made_points(
         components={"noise": zeros + u**2},
         marks=pack_flags(flags or {}, zenith.size),
         signature=zeros + np.nan,
+        wavelength_slope=zeros + np.nan,
+        band_correction=zeros + np.nan,
+        stray_contrast=zeros + np.nan,
     )
