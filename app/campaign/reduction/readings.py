@@ -6,7 +6,9 @@ block that needs them.
 """
 
 import contextlib
+import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +28,13 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
+MOST_REPEATED = 200
+"""Repeated poses of a sample that are read for the repeatability; up to twice as many."""
+FEWEST_REPEATS, FEWEST_CLEAR = 10, 3
+"""Degrees of freedom, and photodiodes with light in a row, from which repeats say something."""
+CLEAR = 20.0
+"""Such a photodiode's signal is above so many of its standard uncertainties."""
+SIGNIFICANT = 3.0
 RowTable = npt.NDArray[np.void]
 
 
@@ -135,6 +144,62 @@ class ReferenceMeasurements:
 def row_places(table: RowTable) -> Floats:
     """Wavelengths and poses (n, 5) of rows, in the order of PLACE. Not rounded."""
     return np.stack([table[name] for name in PLACE], axis=1)
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """What rows at one wavelength and pose say of the repeatability, pooled over `rows` of them at several poses.
+
+    `scatter` is the relative standard deviation between such rows, of the median photodiode; `expected` what noise and
+    monitor make of it. `freedom` are the degrees of freedom.
+    """
+
+    rows: int
+    freedom: int
+    scatter: float
+    expected: float
+
+    @property
+    def excess(self) -> float:
+        """What the scatter has beyond the expected, as a relative standard uncertainty; 0 where it is not significant."""
+        limit = 1.0 + SIGNIFICANT * math.sqrt(2.0 / self.freedom)
+        beyond = self.scatter**2 - self.expected**2
+        return math.sqrt(beyond) if self.scatter**2 > limit * self.expected**2 else 0.0
+
+    def sentence(self, stated: float) -> str:
+        """What the repeats say, beside the repeatability that is stated."""
+        found = (
+            f"repeats: {self.rows} rows at poses that were measured again scatter by {self.scatter:.2%}, where noise and "
+            f"monitor make {self.expected:.2%}"
+        )
+        if self.excess > stated:
+            return f"{found}; the rest, {self.excess:.2%}, is in u as repeatability, in place of the stated {stated:.2%}"
+        return f"{found}; this agrees with the stated repeatability of {stated:.2%}"
+
+
+def repeats(measurements: Measurements, samples: Iterable[str], relative_variance: float) -> Repeats | None:
+    """The repeats of samples, at some of the poses; None with too few. `relative_variance` is that of a row's monitor."""
+    squares = expected = 0.0
+    freedom = count = 0
+    for sample in samples:
+        table = measurements.row_table(sample)
+        _, pose, counts = np.unique(round_deg(row_places(table)), axis=0, return_inverse=True, return_counts=True)
+        again = np.flatnonzero(counts > 1)
+        for each in again[:: max(1, again.size // MOST_REPEATED)].tolist():
+            signals = list(measurements.row_signals(table["number"][pose.ravel() == each].tolist()))
+            values = np.stack([signal.signal.value for signal in signals])
+            variances = np.stack([signal.signal.variance for signal in signals])
+            clear = np.all(values > CLEAR * np.sqrt(variances), axis=0)
+            if clear.sum() < FEWEST_CLEAR:
+                continue
+            ratio = np.median(values[:, clear] / values[:, clear].mean(axis=0), axis=1)
+            of_median = 0.5 * np.pi * np.mean(variances[:, clear] / values[:, clear] ** 2) / clear.sum()
+            squares += float(np.sum((ratio - ratio.mean()) ** 2))
+            expected += (len(signals) - 1) * (float(of_median) + relative_variance)
+            freedom, count = freedom + len(signals) - 1, count + len(signals)
+    if freedom < FEWEST_REPEATS:
+        return None
+    return Repeats(count, freedom, math.sqrt(squares / freedom), math.sqrt(expected / freedom))
 
 
 def order_by_setting(table: RowTable) -> tuple[Ints, Ints, Ints]:

@@ -21,6 +21,7 @@ from goniotwin.app.campaign.reduction.etalon import (
     ReductionSettings,
     ReferenceSignals,
     RowSignal,
+    monitor_variance,
     reference_keys,
 )
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
@@ -34,6 +35,7 @@ from goniotwin.app.campaign.reduction.readings import (
     RowTable,
     order_by_pose,
     order_by_setting,
+    repeats,
     row_places,
 )
 from goniotwin.app.campaign.reduction.signals import tracing_error
@@ -123,6 +125,10 @@ class Reduction:
         if not len(self._etalon):
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = ReferenceMeasurements(self._measurements, NO_SAMPLE)
+        self._repeats = repeats(self._measurements, self.schedule.samples, 0.5 * monitor_variance(self.rig.file))
+        stated = self.rig.file.uncertainty.repeatability
+        if self._repeats is not None and self._repeats.excess > stated:
+            self.settings = replace(self.settings, repeatability=self._repeats.excess)
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of sigma, gamma, wavelength, half planes and time; not finished yet.
@@ -218,6 +224,8 @@ class Reduction:
             for name in self.schedule.samples
             for sigma in np.unique(self._measurements.row_table(name)["sigma_deg"]).tolist()
         }
+        if self._repeats is not None:
+            yield self._repeats.sentence(self.rig.file.uncertainty.repeatability)
         yield light_words(self.rig.file.light, np.array(sorted(sigmas)))
         stated = self.schedule.diattenuation
         if unstated := [name for name in tallies if name not in stated]:

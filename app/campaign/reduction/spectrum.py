@@ -109,13 +109,6 @@ def _thinned(within: Ints, k: int) -> Ints:
     return np.unique(kept)
 
 
-def needed_wavelengths(wavelengths_nm: Sequence[float], wavelength_nm: float, rig: RigFile) -> set[float]:
-    """Those of ascending wavelengths with which the values of one of them are reduced, itself included."""
-    known = stencil(tuple(wavelengths_nm), band_nm(rig))
-    k = wavelengths_nm.index(wavelength_nm)
-    return {wavelengths_nm[i] for i in [k, *known.index[k].tolist(), *known.others.tolist()]}
-
-
 def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     """Correct the quotients for the band, where it is stated, and note what they change with the wavelength."""
     band = band_nm(settings.rig)
@@ -232,4 +225,6 @@ def stray_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | 
 
 
 def _known_effects(points: BsdfPoints, source: Input, sensitivity: Floats) -> Effects | None:
-    return Effects(points.bsdf, {}, (), [Dense([source], np.nan_to_num(sensitivity)[:, None])]) if source.u else None
+    if not source.u or np.isnan(sensitivity).all():
+        return None
+    return Effects(points.bsdf, {}, (), [Dense([source], np.nan_to_num(sensitivity)[:, None])])

@@ -29,7 +29,6 @@ from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import DarkHistory
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
-from goniotwin.app.campaign.reduction.spectrum import needed_wavelengths
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.errors import UserError
@@ -44,6 +43,7 @@ ScanKey = tuple[Setting, float]
 SignalOf = Callable[[CommittedRow], Signal | None]
 SIGNALS_AT_ONCE = 64
 """Signals computed for one repaint: some 20 ms."""
+MOST_OTHER_ROWS = 1000
 GRID_DEG = 0.5
 ENDED = object()
 
@@ -259,14 +259,17 @@ class LiveScan:
         return finish_points(points, replace(self._settings, calibration=self._factors.get(setting[0])))
 
     def _other_wavelengths(self, setting: Setting, rows: list[CommittedRow]) -> list[CommittedRow]:
-        """At the end, the rows at the poses of a setting's rows with whose wavelengths these are corrected."""
+        """At the end, the rows of other wavelengths at the poses of a setting's rows, by which these are corrected.
+
+        None if they are too many for a plot: the values of the journal then differ from those shown by what they correct.
+        """
         if not self._finished:
             return []
-        sample, wavelength, *angles = setting
-        known = sorted(each[1] for each in self._rows if (each[0], *each[2:]) == (sample, *angles))
-        needed = needed_wavelengths(known, wavelength, self._settings.rig) - {wavelength}
+        sample, wavelength, sigma, gamma = setting
+        others = [each for each in sorted(self._rows) if each == (sample, each[1], sigma, gamma) and each[1] != wavelength]
         poses = {each.row.pose for each in rows}
-        return [row for other in sorted(needed) for row in self._rows[(sample, other, *angles)] if row.row.pose in poses]
+        found = [row for each in others for row in self._rows[each] if row.row.pose in poses]
+        return found if len(found) <= MOST_OTHER_ROWS else []
 
     def _calibrate(self) -> Generator[None, None, None]:
         """Compute the calibration factors of all samples, a few signals at a time."""

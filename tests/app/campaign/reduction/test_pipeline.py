@@ -24,7 +24,10 @@ from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 PER_DECADE = 0.02
 """Relative uncertainty of a photodiode's linearity for each decade between the signals of sample and etalon; made up."""
-NAMES = {"noise", "dark", "resolution", "etalon_reading", "monitor", "gain", "certificate", "field"}
+NAMES = {
+    "noise", "dark", "resolution", "etalon_reading", "monitor", "gain", "certificate", "etalon_age", "etalon_edge",
+    "monochromator_stray", "field",
+}  # fmt: skip
 Measured = tuple[Plan, Path, list[Event]]
 
 
