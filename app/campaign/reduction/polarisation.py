@@ -3,7 +3,7 @@
 The monochromator's light is fixed in the rig, and has its azimuth about the axis of sigma. All three mirrors have one plane of
 incidence, through that axis and the light's direction at the sample, at right angles to the sample's. So their s is the
 sample's p, and their p the sample's s, at every sigma; they turn against the monochromator with sigma. The phase between both
-that metal adds is left out: it takes from the linear polarisation at 45 deg, U, and leaves Q.
+that metal adds is neglected: it takes from the linear polarisation at 45 deg, U, and leaves Q.
 """
 
 import numpy as np

@@ -31,7 +31,7 @@ from goniotwin.twin.optics.geometry.coordinates import round_deg
 MOST_REPEATED = 200
 """Repeated poses of a sample that are read for the repeatability; up to twice as many."""
 FEWEST_REPEATS, FEWEST_CLEAR = 10, 3
-"""Degrees of freedom, and photodiodes with light in a row, from which repeats say something."""
+"""Degrees of freedom, and photodiodes with light in a row, from which repeats are evidence."""
 CLEAR = 20.0
 """Such a photodiode's signal is above so many of its standard uncertainties."""
 SIGNIFICANT = 3.0
@@ -148,7 +148,7 @@ def row_places(table: RowTable) -> Floats:
 
 @dataclass(frozen=True)
 class Repeats:
-    """What rows at one wavelength and pose say of the repeatability, pooled over `rows` of them at several poses.
+    """The evidence of rows at one wavelength and pose for the repeatability, pooled over `rows` of them at several poses.
 
     `scatter` is the relative standard deviation between such rows, of the median photodiode; `expected` what noise and
     monitor make of it. `freedom` are the degrees of freedom.
@@ -167,7 +167,7 @@ class Repeats:
         return math.sqrt(beyond) if self.scatter**2 > limit * self.expected**2 else 0.0
 
     def sentence(self, stated: float) -> str:
-        """What the repeats say, beside the repeatability that is stated."""
+        """What the repeats show, beside the repeatability that is stated."""
         found = (
             f"repeats: {self.rows} rows at poses that were measured again scatter by {self.scatter:.2%}, where noise and "
             f"monitor make {self.expected:.2%}"

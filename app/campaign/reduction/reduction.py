@@ -218,7 +218,7 @@ class Reduction:
     def _light_notes(self, tallies: Mapping[str, Tally]) -> Iterator[str]:
         """Notes on the etalon's age, the light's polarisation, and on what of the light is not in the uncertainty."""
         if self.settings.certificate.calibrated is None and self.rig.file.uncertainty.etalon_age_per_year:
-            yield f"the etalon's certificate does not say when it was calibrated: {ASSUMED_YEARS:g} year is taken as its age"
+            yield f"the etalon's certificate has no date of calibration: {ASSUMED_YEARS:g} year is taken as its age"
         sigmas = {
             sigma
             for name in self.schedule.samples
@@ -291,7 +291,7 @@ def reduction_settings(
     """The settings of a reduction; `certificate` is the text of the schedule's certificate, `name` its name in an error.
 
     Without a certificate it is the rig file's. `measured` is the day of the measurement, today if it is missing; where a
-    certificate does not say when the etalon was calibrated, this was a year before. Raises UserError.
+    certificate has no date of calibration, this was a year before. Raises UserError.
     """
     etalon = rig.etalon
     parsed = (
@@ -385,7 +385,7 @@ def check_journal(path: Path, chain: Chain | None = None) -> CheckResults | None
 
 
 def _first_day(journal: JournalReader) -> date | None:
-    """The day on which a campaign began; None where the journal does not say it."""
+    """The day on which a campaign began; None where the journal does not have it."""
     for session in journal.sessions():
         with contextlib.suppress(ValueError):
             return date.fromisoformat(session.wall_started[:10])

@@ -25,7 +25,7 @@ ALL, FILE, RIG = "all values", "the certificate's file", "the rig file"
 
 
 def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """The certificate's modes, what it says nothing of by its geometry, and what is left, by entry."""
+    """The certificate's modes, what its geometry leaves unknown, and what they leave, by entry."""
     certificate = settings.certificate
     incidence, polar = _incidence_deg(points), polar_from_zenith(points.zenith_deg)
     shared = {

@@ -3,7 +3,7 @@
 A value is the mean of the quotient of sample and etalon over the band, weighted by the etalon's signal S. For a band with the
 variance s^2 (of a triangle: its width squared over 6) that is, to second order, q + s^2 (q'' / 2 + q' S' / S). Derivatives are
 those of a parabola through the same photodiode's values of the same pose at the wavelengths nearby. The steps need all rows of
-a pose together. Where too few wavelengths were measured, wavelength or band are not in u, and the notes say it.
+a pose together. Where too few wavelengths were measured, wavelength or band are not in u, and the notes name them.
 """
 
 from collections import defaultdict
@@ -27,9 +27,9 @@ ASSUMED_BAND_NM = 5.0
 BANDS = 4.0
 """Three wavelengths within so many bands give the second derivative: further apart they do not resolve what a band sees."""
 FARTHEST_NM = 50.0
-"""Neighbours further away tell nothing of the slope over wavelength."""
+"""Neighbours further away have no information on the slope over wavelength."""
 MOST_FITTED = 9
-"""Largest number of wavelengths in a parabola: of finer ones some are left out, evenly."""
+"""Largest number of wavelengths in a parabola: of finer ones some are omitted, evenly."""
 MOST_OTHERS = 8
 """Wavelengths that stand for all others of a pose, for the monochromator's stray light."""
 FEWEST_OTHERS = 3

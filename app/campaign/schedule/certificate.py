@@ -7,7 +7,7 @@ azimuth is from the half plane of the incident light; both sides of the plane of
 are interpolated linearly; outside the table there is no value. A certificate without one of the optional columns is valid at
 all values of this quantity. Lines that begin with # are comments.
 
-Before the heading there may be lines KEY = VALUE (TOML) that say what the errors of the table have in common: see
+Before the heading there may be lines KEY = VALUE (TOML) on what the errors of the table have in common: see
 `CertificateKeys`. Without them the smallest uncertainty of the table is common to all values, and the rest is by entry.
 """
 
@@ -61,7 +61,7 @@ class CertificateTable(TomlTable):
 
 
 class CertificateKeys(TomlTable):
-    """What a certificate says besides its table; relative standard uncertainties of errors that are common to its values.
+    """What a certificate states besides its table; relative standard uncertainties of errors that are common to its values.
 
     `level` is that of all values alike. `wavelength` and `angle` are slopes, over the wavelengths and the zenith angles of the
     table: the errors at its first and last value, of opposite sign. What these three leave of `relative_uncertainty` is by
@@ -147,7 +147,7 @@ class Certificate:
         return ", ".join(words) or "all"
 
     def years(self, measured: date) -> float | None:
-        """Years between the calibration and a measurement; None where the certificate does not say when it was."""
+        """Years between the calibration and a measurement; None where the certificate has no such date."""
         return None if self.calibrated is None else abs((measured - self.calibrated).days) / DAYS_OF_A_YEAR
 
     def interpolate(

@@ -72,7 +72,7 @@ def test_two_wavelengths_of_a_certificate_share_its_level_and_have_opposite_slop
     found = covariance(points_at([400.0, 600.0, 500.0], [40.0, 40.0, 40.0]), settings()) / 4.0
     assert found[0, 1] == pytest.approx(0.002**2 - 0.003**2)  # the angle is in the middle of the table: no slope
     assert found[0, 2] == pytest.approx(0.002**2)
-    # With itself it has what the table says, interpolated.
+    # With itself it has what the table states, interpolated.
     assert np.diag(found)[:2] == pytest.approx([0.0055**2, 0.006**2])
     found = covariance(points_at([400.0, 400.0, 400.0], [0.0, 80.0, 1.0]), settings()) / 4.0
     assert found[0, 1] == pytest.approx(0.002**2 + 0.003**2 - 0.001**2)
@@ -132,7 +132,7 @@ def test_the_etalons_age_goes_from_its_calibration_to_the_measurement() -> None:
     assert aged.budget["etalon_age"] == pytest.approx([2.0 * 0.01])
 
 
-def test_a_hemispherical_certificate_says_nothing_of_angles_but_keeps_the_reflectance() -> None:
+def test_a_hemispherical_certificate_leaves_the_angles_unknown_and_keeps_the_reflectance() -> None:
     theta = np.degrees(np.linspace(0.0, 0.5 * np.pi, 2001))
     weight = np.sin(2.0 * np.radians(theta)) * np.radians(theta[1])  # cos dOmega / pi
     assert np.sum(weight * shape_of("8:d", np.full(theta.size, 8.0), theta)) == pytest.approx(0.0, abs=1e-5)
@@ -260,7 +260,7 @@ def test_repeats_show_what_noise_and_monitor_do_not_explain() -> None:
     assert repeats(drawn_measurements(0.01, 0.002, 9), ["paint"], 0.0) is None
 
 
-def test_a_sentence_says_whether_the_stated_repeatability_is_replaced() -> None:
+def test_a_sentence_has_whether_the_stated_repeatability_is_replaced() -> None:
     found = Repeats(300, 150, 0.01, 0.002)
     assert "in u as repeatability, in place of the stated 0.10%" in found.sentence(0.001)
     assert "agrees with the stated repeatability of 2.00%" in found.sentence(0.02)

@@ -150,7 +150,7 @@ def test_too_few_wavelengths_leave_slope_and_band_unknown(at: list[float], slope
     assert corrected.wavelength_slope[known] == pytest.approx((1e-3 / (1.0 + 1e-3 * here[:, None]))[known], rel=1e-6)
 
 
-def test_poses_are_apart_repeats_are_averaged_and_what_is_lost_in_noise_tells_nothing() -> None:
+def test_poses_are_apart_repeats_are_averaged_and_what_is_lost_in_noise_is_no_evidence() -> None:
     at = np.tile([540.0, 545.0, 550.0, 555.0], 3)
     shift = np.repeat([0.0, 1.0, 0.0], 4)  # the last four repeat the first
     values = np.stack([1.0 + 1e-3 * (at - 540.0), np.full(at.size, 1.0)], axis=1)
