@@ -1,7 +1,8 @@
 """The reduction on one page: the steps from a row's readings to the BSDF dataset, in order.
 
 Each step takes a dataset and gives the next one, with the components of the uncertainty that come in with it (components.py has
-their convention, and u). A further correction or contribution is a function in a file of its own, and one line in a list here.
+their convention, and u). A further correction or contribution is a function in a file of its own, and one line in a list here
+or, if its inputs are shared by many values, in SHARED of scale.py.
 Journal, live plot and rehearsal have no other reduction.
 """
 
@@ -25,16 +26,7 @@ from goniotwin.app.campaign.reduction.etalon import (
 )
 from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.scale import (
-    EffectsOf,
-    certificate_effects,
-    etalon_age,
-    etalon_edge,
-    mounting,
-    polarisation,
-    repeatability,
-    uniformity,
-)
+from goniotwin.app.campaign.reduction.scale import SHARED
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_tracing_error,
@@ -44,7 +36,7 @@ from goniotwin.app.campaign.reduction.signals import (
     divide_by_monitor,
     subtract_dark,
 )
-from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, correct_band, stray_effects, wavelength_effects
+from goniotwin.app.campaign.reduction.spectrum import correct_band
 from goniotwin.app.campaign.row import RowData
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
@@ -84,20 +76,6 @@ ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (
 )
 """From the signals of rows, at the sample, at the etalon and without a sample, to the BSDF: on the rows of one arc."""
 
-FAMILIES: Mapping[str, EffectsOf] = {
-    "certificate": certificate_effects,
-    "etalon_age": etalon_age,
-    "etalon_edge": etalon_edge,
-    "mounting": mounting,
-    "uniformity": uniformity,
-    "repeatability": repeatability,
-    "wavelength": wavelength_effects,
-    "bandwidth": bandwidth_effects,
-    "monochromator_stray": stray_effects,
-    "polarisation": polarisation,
-}
-"""Families of inputs that points share, each a component. None of them needs the points nearby."""
-
 SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] = (
     calibrate_photodiodes,
     correct_field_of_view,  # after the calibration: the field has the same effect on all photodiodes that look in a direction
@@ -135,12 +113,12 @@ def reduce_rows(
     if not arcs:
         return None
     index, points = make_points(arcs)
-    return index, add_families(points, replace(settings, sample=rows[0].row.sample))
+    return index, add_shared(points, replace(settings, sample=rows[0].row.sample))
 
 
-def add_families(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
-    """Add a component for each of FAMILIES."""
-    found = {name: effects_of(points, settings) for name, effects_of in FAMILIES.items()}
+def add_shared(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """Add a component for each family of inputs in SHARED."""
+    found = {name: effects_of(points, settings) for name, effects_of in SHARED.items()}
     components = {name: total_variance(each.variances()) for name, each in found.items() if each is not None}
     return replace(points, components={**points.components, **components})
 

@@ -6,7 +6,7 @@ modes: a level, a slope over wavelength, one over the angle of observation, and 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
+from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
 from goniotwin.app.campaign.schedule.certificate import Certificate, known_angles
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
 from goniotwin.app.campaign.uncertainty.inputs import Input
@@ -166,3 +167,18 @@ def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> 
 def _incidence_deg(points: BsdfPoints) -> Floats:
     """Incidence at the etalon that scales each point, from the normal of its lit side."""
     return np.minimum(points.sigma_deg, HALF_TURN_DEG - points.sigma_deg)
+
+
+SHARED: Mapping[str, EffectsOf] = {
+    "certificate": certificate_effects,
+    "etalon_age": etalon_age,
+    "etalon_edge": etalon_edge,
+    "mounting": mounting,
+    "uniformity": uniformity,
+    "repeatability": repeatability,
+    "wavelength": wavelength_effects,
+    "bandwidth": bandwidth_effects,
+    "monochromator_stray": stray_effects,
+    "polarisation": polarisation,
+}
+"""Families of inputs that points share, each a component. None of them needs the points nearby."""

@@ -191,15 +191,15 @@ def _amplified_noise(known: Stencil, relative: Floats, variance: float) -> Float
 
 
 def _contrast(f: Floats, s: Floats, known: Stencil) -> Floats:
-    """What light of all wavelengths in the mean adds to values, over what it adds to the etalon's: 0 for grey samples."""
+    """What a share of light of all wavelengths adds to values, less what it adds to the etalon's: 0 for grey samples."""
     if known.others.size < FEWEST_OTHERS:
         return np.full(f.shape, np.nan)
     some_f, some_s = f[:, known.others], s[:, known.others]
     both = np.isfinite(some_f) & np.isfinite(some_s)
-    count = np.maximum(both.sum(axis=1, keepdims=True), 1)
-    mean_s = np.where(both, some_s, 0.0).sum(axis=1, keepdims=True) / count
-    mean_sf = np.where(both, some_s * some_f, 0.0).sum(axis=1, keepdims=True) / count
-    return np.asarray((mean_sf / f - mean_s) / s)
+    weight = np.where(both, some_s, 0.0)
+    total = weight.sum(axis=1, keepdims=True)
+    mean = (weight * np.where(both, some_f, 0.0)).sum(axis=1, keepdims=True) / np.where(total > 0.0, total, np.nan)
+    return np.asarray(mean / f - 1.0)
 
 
 def wavelength_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
