@@ -36,4 +36,5 @@ def light_words(light: LightTable, sigma_deg: Floats) -> str:
         f"{100.0 * each:.1f} % at {angle:.0f} deg for sigma {sigma:g}"
         for sigma, each, angle in zip(sigma_deg.tolist(), degree.tolist(), azimuth.tolist(), strict=True)
     ]
-    return f"the light at the sample is linearly polarised by (azimuth from the sample's s): {', '.join(states)}"
+    before = "" if light.polarisation else ", with unpolarised light before the mirrors"
+    return f"the light at the sample is linearly polarised{before} (azimuth from the sample's s): {', '.join(states)}"

@@ -64,7 +64,8 @@ class ReducedJournal:
 
     By sample: `overlaps` is the agreement of photodiodes that measured the same direction, `symmetry` the test of the stated
     symmetry, for schedules that ask for it. `notes` are remarks on the reduction, for the reader of the values. `unchecked`
-    are, by the mounted sample, the photodiodes that its drift checks do not cover. `chain` states the journal's checksums.
+    are, by the mounted sample, the photodiodes that its drift checks do not cover. `chain` states the journal's
+    checksums, `light` the polarisation of the light: these notes belong to every file of values.
     """
 
     name: str
@@ -76,6 +77,7 @@ class ReducedJournal:
     symmetry: dict[str, SymmetryResult] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
     chain: str = ""
+    light: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,7 @@ class Reduction:
         if certificate is not None and certificate.accept_expired_by is not None:
             person = certificate.accept_expired_by
             notes.append(f"the etalon's certificate is valid until {certificate.expires}; {person} accepted its use after that")
-        notes += self._light_notes(tallies)
+        notes += [*self._light_notes(tallies), *self.light(tallies)]
         if (error := tracing_error(self.rig.file)) is not None:
             notes.append(
                 f"the light was traced by the forward estimator; median relative error {error:.2g}, included in the uncertainty"
@@ -216,20 +218,16 @@ class Reduction:
         return notes + [unchecked_note(name, photodiodes) for name, photodiodes in self.unchecked(tallies).items()]
 
     def _light_notes(self, tallies: Mapping[str, Tally]) -> Iterator[str]:
-        """Notes on the etalon's age, the light's polarisation, and on what of the light is not in the uncertainty."""
+        """Notes on the etalon's age, on repeats, and on what of the light is not in the uncertainty."""
         if self.settings.certificate.calibrated is None and self.rig.file.uncertainty.etalon_age_per_year:
             yield f"the etalon's certificate has no date of calibration: {ASSUMED_YEARS:g} year is taken as its age"
-        sigmas = {
-            sigma
-            for name in self.schedule.samples
-            for sigma in np.unique(self._measurements.row_table(name)["sigma_deg"]).tolist()
-        }
         if self._repeats is not None:
             yield self._repeats.sentence(self.rig.file.uncertainty.repeatability)
-        yield light_words(self.rig.file.light, np.array(sorted(sigmas)))
-        stated = self.schedule.diattenuation
-        if unstated := [name for name in tallies if name not in stated]:
-            yield f"polarisation: not in u of {', '.join(unstated)} (the schedule states no diattenuation)"
+        if any(each.data.flags for each in self.journal.rows("warm-up")):
+            yield "the lamp's warm-up: not in u beyond its power (the lamp was not steady after longest_s of [warm_up])"
+        elif self.schedule.warm_up is None:
+            yield "the lamp's warm-up: not in u beyond its power (the schedule has no [warm_up])"
+        yield "slow_sigma: not in u (what a lobe changes with sigma at fixed angles about the specular direction)"
         above = sum(tally.good - tally.under_range for tally in tallies.values())
         for name, missing, reason in (
             ("wavelength", sum(tally.without_slope for tally in tallies.values()), NO_SLOPE),
@@ -237,6 +235,18 @@ class Reduction:
         ):
             if missing:
                 yield f"{name}: not in u of {'all' if missing == above else missing} values ({reason})"
+
+    def light(self, samples: Iterable[str]) -> list[str]:
+        """The polarisation of the light at each sigma, and the samples for which it is not in the uncertainty."""
+        sigmas = {
+            sigma
+            for name in self.schedule.samples
+            for sigma in np.unique(self._measurements.row_table(name)["sigma_deg"]).tolist()
+        }
+        lines = [light_words(self.rig.file.light, np.array(sorted(sigmas)))]
+        if unstated := [name for name in samples if name not in self.schedule.diattenuation]:
+            lines.append(f"polarisation: not in u of {', '.join(unstated)} (the schedule states no diattenuation)")
+        return lines
 
     def unchecked(self, tallies: Mapping[str, Tally]) -> dict[str, tuple[int, ...]]:
         """By the mounted sample, the photodiodes that its drift checks do not cover, from the tallies of all blocks."""
@@ -354,7 +364,7 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
     notes += [f"overlaps of {name}: {note}" for name, each in overlaps.items() for note in reduction.calibration_notes(each)]
     return ReducedJournal(
         journal.value("name"), reduction.rig, journal.simulated, {}, overlaps, tuple(notes), symmetry,
-        reduction.unchecked(tallies), journal.chain.statement,
+        reduction.unchecked(tallies), journal.chain.statement, tuple(reduction.light(tallies)),
     )  # fmt: skip
 
 
