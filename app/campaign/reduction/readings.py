@@ -28,8 +28,8 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-MOST_REPEATED = 200
-"""Repeated poses of a sample that are read for the repeatability; up to twice as many."""
+MOST_REPEATED = 20
+"""Repeated poses of a sample that are read for the repeatability, before all others."""
 FEWEST_REPEATS, FEWEST_CLEAR = 10, 3
 """Degrees of freedom, and photodiodes with light in a row, from which repeats are evidence."""
 CLEAR = 20.0
@@ -63,6 +63,7 @@ class Measurements:
 
     def __init__(self, journal: JournalReader, schedule: ScheduleFile, rig: RigFile) -> None:
         self._journal = journal
+        self._kept: dict[int, RowSignal] = {}
         with self._path_in_errors():
             self._dark = DarkHistory(list(journal.rows("dark")), rig)
         self._table, self._names = journal.row_index()
@@ -80,8 +81,18 @@ class Measurements:
 
     def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
         """The signals of rows, by the rows' numbers."""
-        for each in self._journal.rows_of(numbers):
-            yield self._dark.row_signal(each, self._signal(each), self.drift_intervals)
+        for number in numbers:
+            if (kept := self._kept.pop(number, None)) is not None:
+                yield kept
+                continue
+            for each in self._journal.rows_of((number,)):
+                yield self._dark.row_signal(each, self._signal(each), self.drift_intervals)
+
+    def keep_signals(self, numbers: Iterable[int]) -> list[RowSignal]:
+        """The signals of a few rows, which are then known when they are next asked for: no row is reduced twice for it."""
+        found = list(self.row_signals(numbers))
+        self._kept.update({each.row.number: each for each in found})
+        return found
 
     @contextlib.contextmanager
     def _path_in_errors(self) -> Iterator[None]:
@@ -185,8 +196,8 @@ def repeats(measurements: Measurements, samples: Iterable[str], relative_varianc
         table = measurements.row_table(sample)
         _, pose, counts = np.unique(round_deg(row_places(table)), axis=0, return_inverse=True, return_counts=True)
         again = np.flatnonzero(counts > 1)
-        for each in again[:: max(1, again.size // MOST_REPEATED)].tolist():
-            signals = list(measurements.row_signals(table["number"][pose.ravel() == each].tolist()))
+        for each in again[:: max(1, -(-again.size // MOST_REPEATED))].tolist():
+            signals = measurements.keep_signals(table["number"][pose.ravel() == each].tolist())
             values = np.stack([signal.signal.value for signal in signals])
             variances = np.stack([signal.signal.variance for signal in signals])
             clear = np.all(values > CLEAR * np.sqrt(variances), axis=0)
