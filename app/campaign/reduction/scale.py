@@ -65,7 +65,7 @@ def _deviation(angle_deg: Floats) -> Floats:
 
 def _entries(points: BsdfPoints, certificate: Certificate, incidence: Floats, polar: Floats) -> Group | None:
     """What the modes leave of the uncertainty at each value, shared by all values that are nearest to one entry."""
-    if certificate.relative_uncertainty.size == 1:
+    if np.all(certificate.relative_uncertainty <= certificate.level):
         return None
     place = points.wavelength_nm, incidence, polar, points.azimuth_deg
     _, relative = certificate.interpolate(*place)

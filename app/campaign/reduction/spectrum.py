@@ -14,13 +14,14 @@ from functools import lru_cache
 import numpy as np
 
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
-from goniotwin.app.campaign.reduction.etalon import ArcRows, ReductionSettings, pose_key
+from goniotwin.app.campaign.reduction.etalon import ArcRows, ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 ASSUMED_BAND_NM = 5.0
 """Band of a rig file that states none: its effect is then in the uncertainty, and nothing is corrected."""
@@ -142,9 +143,11 @@ def _poses(rows: Sequence[Row]) -> Iterator[tuple[tuple[float, ...], Ints, Ints]
 
     Cells are numbered by pose, and within it by wavelength; repeats are in one cell.
     """
-    keys = [pose_key(row, row.pose) for row in rows if row.pose is not None]
-    light, poses = np.array([wavelength for wavelength, _ in keys]), np.array([pose for _, pose in keys])
-    _, pose = np.unique(poses, axis=0, return_inverse=True)
+    places = round_deg(np.array([(row.wavelength_nm, *row.pose) for row in rows if row.pose is not None], dtype=float))
+    light = places[:, 0]
+    if (light == light[0]).all():
+        return
+    _, pose = np.unique(places[:, 1:], axis=0, return_inverse=True)
     order = np.lexsort([light, pose.ravel()])
     new_pose = np.diff(pose.ravel()[order], prepend=-1) != 0
     cell = np.cumsum(new_pose | (np.diff(light[order], prepend=-1.0) != 0.0)) - 1

@@ -42,6 +42,7 @@ wavelength_nm, zenith_deg, radiance_factor, relative_uncertainty
 600, 0, 1.0, 0.004
 600, 80, 0.9, 0.008
 """
+ONE_ENTRY = "level = 0.003\nradiance_factor, relative_uncertainty\n1.0, 0.005\n"
 OLD = "wavelength_nm, radiance_factor, relative_uncertainty\n400, 1.0, 0.005\n500, 1.0, 0.003\n600, 1.0, 0.004\n"
 
 
@@ -83,7 +84,7 @@ def test_two_wavelengths_of_a_certificate_share_its_level_and_have_opposite_slop
 @given(st.floats(400.0, 600.0), st.floats(0.0, 80.0))
 def test_the_modes_make_the_uncertainty_of_the_table(wavelength: float, zenith: float) -> None:
     points = points_at([wavelength], [zenith])
-    for text in (MODES, OLD):
+    for text in (MODES, OLD, ONE_ENTRY):
         of = settings(text)
         _, relative = of.certificate.interpolate(wavelength, 30.0, np.array([zenith]), np.zeros(1))
         effects = certificate_effects(points, of)
