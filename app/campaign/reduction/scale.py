@@ -2,7 +2,8 @@
 
 Each function gives the effects of one family of inputs on points, or None where its uncertainty is 0. The pipeline makes the
 component of each family from them, and a budget its named inputs. The errors of the etalon's certificate are uncorrelated
-modes: a level, a slope over wavelength, one over the angle of observation, and what these leave, by entry of the table.
+modes: a level, a slope over wavelength, one over the angle of observation, and what these leave, by entry of the table. An
+error of the etalon is how much more light it gives than the certificate states: the values are lower by as much.
 """
 
 import math
@@ -36,7 +37,7 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
         "geometry": (certificate.shape, shape_of(certificate.geometry, incidence, polar)),
     }
     dense = [
-        _shared(f"certificate[{mode}]", u, sensitivity, ALL, FILE, "certificate_level" if mode == "level" else "")
+        _shared(f"certificate[{mode}]", u, -sensitivity, ALL, FILE, "certificate_level" if mode == "level" else "")
         for mode, (u, sensitivity) in shared.items()
         if u
     ]
@@ -76,7 +77,7 @@ def _entries(points: BsdfPoints, certificate: Certificate, incidence: Floats, po
         number: _input(f"certificate[{certificate.entry(number)}]", largest, "the values nearest to an entry", FILE)
         for number in np.unique(member).tolist()
     }
-    return Group("certificate", inputs, member[:, None], (left / largest if largest else left)[:, None])
+    return Group("certificate", inputs, member[:, None], -(left / largest if largest else left)[:, None])
 
 
 def etalon_age(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -145,7 +146,7 @@ def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | N
 def _of_all(name: str, u: float, points: BsdfPoints, twin: str) -> Effects | None:
     if not u:
         return None
-    return Effects(points.bsdf, {}, (), [_shared(name, u, np.ones(points.size), ALL, RIG, twin)])
+    return Effects(points.bsdf, {}, (), [_shared(name, u, np.full(points.size, -1.0), ALL, RIG, twin)])
 
 
 def _of_mountings(name: str, u: float, points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
