@@ -28,6 +28,7 @@ from goniotwin.app.rig.kinds import (
     motion_kind,
     unknown_kind,
 )
+from goniotwin.app.rig.light import LightTable
 from goniotwin.app.rig.twin_file import TwinTable, one_kind_of_detectors
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.app.toml_file import FILE
@@ -199,8 +200,8 @@ class RigFile:
     """All tables of the rig `name`. The fields of devices are tables of their kinds: see `rig_file_table`.
 
     The operator's part has the devices (`axes`, `monochromator`, `photodiodes`, `monitor`), the nominal `geometry`, the
-    `sample_unit` and the `etalon`, and the `uncertainty` of all this. `simulated` marks a simulated rig, and `twin`
-    describes the virtual one.
+    `sample_unit`, the `etalon` and the `light`, and the `uncertainty` of all this. `simulated` marks a simulated rig, and
+    `twin` describes the virtual one.
     """
 
     name: str
@@ -212,6 +213,7 @@ class RigFile:
     geometry: GeometryTable = field(default_factory=GeometryTable)
     sample_unit: SampleUnitTable = field(default_factory=SampleUnitTable)
     etalon: EtalonTable = field(default_factory=EtalonTable)
+    light: LightTable = field(default_factory=LightTable)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     twin: TwinTable | None = None
 

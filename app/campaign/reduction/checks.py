@@ -23,7 +23,7 @@ def overlap_check(settings: ReductionSettings) -> OverlapCheck:
 
 def _common(settings: ReductionSettings) -> float:
     """The relative uncertainty that all points of a sample share."""
-    return float(np.min(settings.certificate.relative_uncertainty))
+    return settings.certificate.level
 
 
 class ConsistencyChecks:

@@ -46,6 +46,12 @@ def interval(value: Floats, u: Floats, coverage: float = COVERAGE) -> tuple[Floa
     return np.where(known, value / factor, value - coverage * u), np.where(known, value * factor, value + coverage * u)
 
 
+COMMON = frozenset(
+    {"etalon_age", "etalon_edge", "mounting", "uniformity", "wavelength", "bandwidth", "monochromator_stray", "polarisation"}
+)
+"""Components whose errors are the same for two values of one direction, or of a direction and its mirror image."""
+
+
 def total_variance(components: Components) -> Floats:
     """The variance of values from all of their components."""
     return np.asarray(sum(components.values()), dtype=float)

@@ -100,6 +100,8 @@ class ReductionSettings:
     """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
 
     `history`, of a journal, has the mountings, moves and dark readings before each row.
+    `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration; `repeatability` the relative
+    standard uncertainty that the repeats of the campaign show, None where there are too few of them.
     """
 
     rig: RigFile
@@ -108,6 +110,9 @@ class ReductionSettings:
     certificate: Certificate
     calibration: CalibrationFactors | None = None
     history: RowHistory | None = None
+    sample: str = ""
+    etalon_years: float = 1.0
+    repeatability: float | None = None
 
     @property
     def calibrates(self) -> bool:
@@ -169,8 +174,9 @@ class ArcRows:
     `estimate` is the value so far: the signal of the sample, its quotient by that of the etalon, the BSDF in 1/sr. `flags` are
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
     was not measured. `common_signature`: both signatures are one measurement, and their error is common to sample and etalon.
-    `etalon_rows` are the numbers of the etalon's rows, of several of one pose the first one.
-    `share` is the signature's share of the sample's signal, NaN where it was not measured.
+    `etalon_rows` are the numbers of the etalon's rows, of several of one pose the first one. `share` is the signature's share of
+    the sample's signal, NaN where it was not measured. `wavelength_slope`, `band_correction` and `stray_contrast` are those of
+    BsdfPoints, NaN where they are unknown.
     """
 
     rows: tuple[Row, ...]
@@ -186,6 +192,9 @@ class ArcRows:
     signature_measured: Flags
     common_signature: Flags
     share: Floats
+    wavelength_slope: Floats
+    band_correction: Floats
+    stray_contrast: Floats
     flags: Mapping[str, Flags]
 
     def column(self, name: str) -> Floats:
@@ -235,6 +244,7 @@ class _Joined:
 def _arc_rows(arc: list[_Joined]) -> ArcRows:
     c = arc[0].view.channels
     sample = _stack([each.sample for each in arc], c)
+    unknown = np.broadcast_to(np.nan, sample.value.shape)
     measured = np.array([[each.signature is not None] for each in arc])
     flags = {
         name: np.stack([each.sample.flags[name][c] | each.etalon.flags[name][c] for each in arc])
@@ -253,7 +263,10 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
         signature_at_etalon=_stack([each.signature_at_etalon for each in arc], c),
         signature_measured=measured,
         common_signature=measured & [[each.signature is each.signature_at_etalon] for each in arc],
-        share=np.full(sample.value.shape, np.nan),
+        share=unknown,
+        wavelength_slope=unknown,
+        band_correction=unknown,
+        stray_contrast=unknown,
         flags=flags,
     )
 
@@ -325,11 +338,10 @@ def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
 def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     """Multiply by the etalon's certified radiance factor over pi: the BSDF in 1/sr. NaN where the certificate has no value."""
     wavelength_nm = np.array([[row.wavelength_nm] for row in data.rows], dtype=float)
-    factor, u_factor = settings.certificate.interpolate(
+    factor, _ = settings.certificate.interpolate(
         wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
     bsdf = data.estimate.scaled(factor / math.pi)
-    bsdf = bsdf.with_component("certificate", (u_factor * bsdf.value) ** 2)
     return replace(data, estimate=bsdf).flagged({"uncertified": np.isnan(factor)})
 
 
@@ -407,6 +419,9 @@ def _points(data: ArcRows) -> BsdfPoints:
         etalon_row=np.repeat(data.etalon_rows, n),
         gain=data.sample.gain.ravel(),
         etalon_gain=data.etalon.gain.ravel(),
+        wavelength_slope=data.wavelength_slope.ravel(),
+        band_correction=data.band_correction.ravel(),
+        stray_contrast=data.stray_contrast.ravel(),
     )
 
 

@@ -1,13 +1,15 @@
 """The reduction on one page: the steps from a row's readings to the BSDF dataset, in order.
 
 Each step takes a dataset and gives the next one, with the components of the uncertainty that come in with it (components.py has
-their convention, and u). A further correction or contribution is a function in a file of its own, and one line in a list here.
+their convention, and u). A further correction or contribution is a function in a file of its own, and one line in a list here
+or, if its inputs are shared by many values, in SHARED of scale.py.
 Journal, live plot and rehearsal have no other reduction.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
-from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.components import Signal, total_variance
 from goniotwin.app.campaign.reduction.effects_of_points import add_pose
 from goniotwin.app.campaign.reduction.etalon import (
     ArcRows,
@@ -27,6 +29,7 @@ from goniotwin.app.campaign.reduction.etalon import (
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence, add_scatter, correct_gain, link_gains, stated
 from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.scale import SHARED
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_crosstalk,
@@ -37,6 +40,7 @@ from goniotwin.app.campaign.reduction.signals import (
     divide_by_monitor,
     subtract_dark,
 )
+from goniotwin.app.campaign.reduction.spectrum import correct_band
 from goniotwin.app.campaign.row import RowData
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
@@ -71,6 +75,7 @@ ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (
     subtract_signature,
     divide_by_etalon,
     add_quotient_uncertainty,
+    correct_band,
     apply_certificate,
     flag_values,
 )
@@ -121,7 +126,17 @@ def reduce_rows(
     arcs = join_references(rows, references, settings)
     for step in ARC_STEPS:
         arcs = [(index, step(data, settings)) for index, data in arcs]
-    return make_points(arcs) if arcs else None
+    if not arcs:
+        return None
+    index, points = make_points(arcs)
+    return index, add_shared(points, replace(settings, sample=rows[0].row.sample))
+
+
+def add_shared(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """Add a component for each family of inputs in SHARED."""
+    found = {name: effects_of(points, settings) for name, effects_of in SHARED.items()}
+    components = {name: total_variance(each.variances()) for name, each in found.items() if each is not None}
+    return replace(points, components={**points.components, **components})
 
 
 def finish_points(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:

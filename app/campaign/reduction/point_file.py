@@ -91,6 +91,15 @@ class PointFile:
         order, edges = order_by_light(wavelength, sigma, wavelength_nm)
         return (self._read(self._rows[order[begin:end]]) for begin, end in itertools.pairwise(edges.tolist()))
 
+    def between(self, first: int, last: int) -> tuple[Ints, BsdfPoints] | None:
+        """The points of the rows from the place `first` to before `last`, in this order, with the place (n,) of each.
+
+        None where there are none.
+        """
+        begin, end = np.searchsorted(self._rows["rank"], [first, last]).tolist()
+        rows = self._rows[begin:end]
+        return (np.repeat(rows["rank"], rows["count"]), self._read(rows)) if len(rows) else None
+
     @property
     def _rows(self) -> Table:
         """All rows in order of time."""

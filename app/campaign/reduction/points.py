@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence, polar_from_zenith, scan_plane_deg
-from goniotwin.app.campaign.reduction.components import Components, standard_uncertainty, total_variance
+from goniotwin.app.campaign.reduction.components import COMMON, Components, standard_uncertainty, total_variance
 from goniotwin.arrays import Flags, Floats, Indices, Ints
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
 
@@ -178,6 +178,9 @@ class BsdfPoints(MeasuredDirections):
 
     `row` is the number of the row in the journal, and `etalon_row` of that of the etalon's reading, of several the first one.
     `gain` and `etalon_gain` are the indices of the gains of these readings, -1 where they are saturated.
+
+    NaN where they are unknown: `wavelength_slope`, d ln f / d wavelength in 1/nm; `band_correction`, the effect of the band on
+    ln f, added to it where the band is stated; `stray_contrast`, the relative change for a share of light of other wavelengths.
     """
 
     bsdf: Floats
@@ -191,6 +194,9 @@ class BsdfPoints(MeasuredDirections):
     etalon_row: Ints
     gain: Ints
     etalon_gain: Ints
+    wavelength_slope: Floats
+    band_correction: Floats
+    stray_contrast: Floats
 
     def where(self, chosen: Flags | Ints) -> "BsdfPoints":
         """A selection of the points, or all in another order."""
@@ -222,8 +228,10 @@ class BsdfPoints(MeasuredDirections):
         return {name: np.sqrt(np.maximum(variance, 0.0)) for name, variance in self.components.items()}
 
     def own_variance(self, common: float) -> Floats:
-        """The variance of the BSDF without what all points share: a relative uncertainty, part of the certificate's."""
-        others = {name: variance for name, variance in self.components.items() if name != "certificate"}
+        """The variance of the BSDF without what points of one direction share: COMMON, and a relative uncertainty of the
+        certificate's.
+        """
+        others = {name: each for name, each in self.components.items() if name != "certificate" and name not in COMMON}
         certificate = self.components.get("certificate", np.zeros(self.bsdf.size)) - (common * self.bsdf) ** 2
         return np.maximum(total_variance({**others, "certificate": certificate}), 0.0)
 
@@ -295,7 +303,8 @@ def join_points(blocks: list[BsdfPoints]) -> BsdfPoints:
 class Tally:
     """Streaming counts of a sample's points by flag.
 
-    `under_range` counts good points that are lost in their noise; `flagged` all points by their first flag. `trusted` are the
+    `under_range` counts good points that are lost in their noise, `without_slope` and `without_band` those above it whose
+    slope over wavelength, or effect of the band, is unknown; `flagged` all points by their first flag. `trusted` are the
     photodiodes of good values above their noise; `signature_subtracted` is true if the signature was subtracted anywhere.
     """
 
@@ -306,6 +315,8 @@ class Tally:
     trusted: set[int] = field(default_factory=set)
     transmitted: bool = False
     signature_subtracted: bool = False
+    without_slope: int = 0
+    without_band: int = 0
 
     def add(self, points: BsdfPoints) -> None:
         """Count more points."""
@@ -314,6 +325,8 @@ class Tally:
         self.good += int(good.sum())
         self.under_range += int((good & ~above_noise).sum())
         self.trusted.update(np.unique(points.photodiode[good & above_noise]).tolist())
+        self.without_slope += int((good & above_noise & np.isnan(points.wavelength_slope)).sum())
+        self.without_band += int((good & above_noise & np.isnan(points.band_correction)).sum())
         self.transmitted |= bool(points.transmitted.any())
         self.signature_subtracted |= bool(np.isfinite(points.signature).any())
         left = np.ones(points.bsdf.size, dtype=bool)

@@ -8,7 +8,9 @@ block that needs them.
 import contextlib
 import copy
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +35,13 @@ EVIDENCE_ROWS = 256
 """Rows whose readings are in memory together for the evidence."""
 END_OF_RANGE = 0.98
 """From this share of its range on the monitor may not follow the light."""
+MOST_REPEATED = 20
+"""Repeated poses of a sample that are read for the repeatability, before all others."""
+FEWEST_REPEATS, FEWEST_CLEAR = 10, 3
+"""Degrees of freedom, and photodiodes with light in a row, from which repeats are evidence."""
+CLEAR = 20.0
+"""Such a photodiode's signal is above so many of its standard uncertainties."""
+SIGNIFICANT = 3.0
 RowTable = npt.NDArray[np.void]
 
 
@@ -85,6 +94,7 @@ class Measurements:
 
     def __init__(self, journal: JournalReader, schedule: ScheduleFile, rig: RigFile) -> None:
         self._journal = journal
+        self._kept: dict[int, RowSignal] = {}
         with self._path_in_errors():
             self._dark = DarkHistory(list(journal.rows("dark")), rig)
             self._dark = self._dark.with_evidence(collect(self._dark.sums(), journal.rows("measure", "drift")))
@@ -108,8 +118,18 @@ class Measurements:
 
     def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
         """The signals of rows, by the rows' numbers."""
-        for each in self._journal.rows_of(numbers):
-            yield self._dark.row_signal(each, self._signal(each), self.drift_intervals)
+        for number in numbers:
+            if (kept := self._kept.pop(number, None)) is not None:
+                yield kept
+                continue
+            for each in self._journal.rows_of((number,)):
+                yield self._dark.row_signal(each, self._signal(each), self.drift_intervals)
+
+    def keep_signals(self, numbers: Iterable[int]) -> list[RowSignal]:
+        """The signals of a few rows, which are then known when they are next asked for: no row is reduced twice for it."""
+        found = list(self.row_signals(numbers))
+        self._kept.update({each.row.number: each for each in found})
+        return found
 
     @contextlib.contextmanager
     def _path_in_errors(self) -> Iterator[None]:
@@ -182,13 +202,80 @@ def row_places(table: RowTable) -> Floats:
     return np.stack([table[name] for name in PLACE], axis=1)
 
 
-def order_by_setting(table: RowTable) -> tuple[Ints, Ints]:
-    """Indices of the rows in the order of wavelength, sigma, gamma and half planes, each in order of time; and the edges.
+@dataclass(frozen=True)
+class Repeats:
+    """The evidence of rows at one wavelength and pose for the repeatability, pooled over `rows` of them at several poses.
 
-    The edges are the places in that order where wavelength, sigma or gamma changes, with 0 first and the number of rows last.
-    All neighbours of a value, and all overlaps of photodiodes, lie between two edges.
+    `scatter` is the relative standard deviation between such rows, of the median photodiode; `expected` what noise and
+    monitor make of it. `freedom` are the degrees of freedom.
     """
-    keys = [table[name] for name in ("gamma_deg", "sigma_deg", "wavelength_nm")]
+
+    rows: int
+    freedom: int
+    scatter: float
+    expected: float
+
+    @property
+    def excess(self) -> float:
+        """What the scatter has beyond the expected, as a relative standard uncertainty; 0 where it is not significant."""
+        limit = 1.0 + SIGNIFICANT * math.sqrt(2.0 / self.freedom)
+        beyond = self.scatter**2 - self.expected**2
+        return math.sqrt(beyond) if self.scatter**2 > limit * self.expected**2 else 0.0
+
+    def sentence(self, stated: float) -> str:
+        """What the repeats show, beside the repeatability that is stated."""
+        found = (
+            f"repeats: {self.rows} rows at poses that were measured again scatter by {self.scatter:.2%}, where noise and "
+            f"monitor make {self.expected:.2%}"
+        )
+        if self.excess > stated:
+            return f"{found}; the rest, {self.excess:.2%}, is in u as repeatability, in place of the stated {stated:.2%}"
+        return f"{found}; this agrees with the stated repeatability of {stated:.2%}"
+
+
+def repeats(measurements: Measurements, samples: Iterable[str], relative_variance: float) -> Repeats | None:
+    """The repeats of samples, at some of the poses; None with too few. `relative_variance` is that of a row's monitor."""
+    squares = expected = 0.0
+    freedom = count = 0
+    for sample in samples:
+        table = measurements.row_table(sample)
+        _, pose, counts = np.unique(round_deg(row_places(table)), axis=0, return_inverse=True, return_counts=True)
+        again = np.flatnonzero(counts > 1)
+        for each in again[:: max(1, -(-again.size // MOST_REPEATED))].tolist():
+            signals = measurements.keep_signals(table["number"][pose.ravel() == each].tolist())
+            values = np.stack([signal.signal.value for signal in signals])
+            variances = np.stack([signal.signal.variance for signal in signals])
+            clear = np.all(values > CLEAR * np.sqrt(variances), axis=0)
+            if clear.sum() < FEWEST_CLEAR:
+                continue
+            ratio = np.median(values[:, clear] / values[:, clear].mean(axis=0), axis=1)
+            of_median = 0.5 * np.pi * np.mean(variances[:, clear] / values[:, clear] ** 2) / clear.sum()
+            squares += float(np.sum((ratio - ratio.mean()) ** 2))
+            expected += (len(signals) - 1) * (float(of_median) + relative_variance)
+            freedom, count = freedom + len(signals) - 1, count + len(signals)
+    if freedom < FEWEST_REPEATS:
+        return None
+    return Repeats(count, freedom, math.sqrt(squares / freedom), math.sqrt(expected / freedom))
+
+
+def order_by_setting(table: RowTable) -> tuple[Ints, Ints, Ints]:
+    """Indices of the rows in the order of sigma, gamma, wavelength and half planes, each in order of time; and edges in it.
+
+    The first edges are the places in that order where wavelength, sigma or gamma changes, with 0 first and the number of rows
+    last. All neighbours of a value, and all overlaps of photodiodes, lie between two of them. The second edges are those of
+    them where sigma or gamma changes: between two lie all wavelengths of a pose.
+    """
+    keys = [table[name] for name in ("wavelength_nm", "gamma_deg", "sigma_deg")]
     order = np.lexsort([scan_plane_deg(table["beta_deg"]), *keys])
-    changes = np.any([key[order][1:] != key[order][:-1] for key in keys], axis=0) if len(order) else np.zeros(0, dtype=bool)
+    none = np.zeros(0, dtype=bool)
+    changes = [key[order][1:] != key[order][:-1] if len(order) else none for key in keys]
+    edges = [np.concatenate([[0], 1 + np.flatnonzero(np.any(each, axis=0)), [len(order)]]) for each in (changes, changes[1:])]
+    return order, edges[0], edges[1]
+
+
+def order_by_pose(table: RowTable) -> tuple[Ints, Ints]:
+    """Indices of the rows with all wavelengths of a pose together; and the places in that order where the pose changes."""
+    keys = round_deg(row_places(table)).T
+    order = np.lexsort(keys)
+    changes = np.any(keys[1:, order[1:]] != keys[1:, order[:-1]], axis=0)
     return order, np.concatenate([[0], 1 + np.flatnonzero(changes), [len(order)]])

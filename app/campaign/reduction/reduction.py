@@ -1,8 +1,10 @@
 """The reduction of a journal: its rows, in blocks, through the steps of pipeline.py; and notes for the reader of the values."""
 
 import contextlib
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -19,21 +21,26 @@ from goniotwin.app.campaign.reduction.etalon import (
     ReductionSettings,
     ReferenceSignals,
     RowSignal,
+    monitor_variance,
     reference_keys,
 )
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.point_file import PointFile
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, PointSource, Tally, join_points
+from goniotwin.app.campaign.reduction.polarisation import light_words
 from goniotwin.app.campaign.reduction.readings import (
     Measurements,
     ReferenceMeasurements,
     RowTable,
+    order_by_pose,
     order_by_setting,
+    repeats,
     row_places,
 )
 from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.signals import tracing_error
+from goniotwin.app.campaign.reduction.spectrum import NO_BAND, NO_SLOPE
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import constant_certificate, parse_certificate
@@ -41,9 +48,14 @@ from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, RigFile, parse_rig
 from goniotwin.arrays import Ints
+from goniotwin.protocols.clock import calendar_stamp
 
 BLOCK_ROWS = 256
 """Rows in a block, and rows whose signals are in memory together: they take some megabytes."""
+MOST_ROWS = 4096
+"""Rows of one pose that are reduced together, each at another wavelength."""
+ASSUMED_YEARS = 1.0
+"""Age of an etalon whose calibration has no date."""
 RESUME = "goniotwin run --resume measures them"
 
 
@@ -53,7 +65,8 @@ class ReducedJournal:
 
     By sample: `overlaps` is the agreement of photodiodes that measured the same direction, `symmetry` the test of the stated
     symmetry, for schedules that ask for it. `notes` are remarks on the reduction, for the reader of the values. `unchecked`
-    are, by the mounted sample, the photodiodes that its drift checks do not cover. `chain` states the journal's checksums.
+    are, by the mounted sample, the photodiodes that its drift checks do not cover. `chain` states the journal's
+    checksums, `light` the polarisation of the light: these notes belong to every file of values.
     """
 
     name: str
@@ -65,6 +78,7 @@ class ReducedJournal:
     symmetry: dict[str, SymmetryResult] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
     chain: str = ""
+    light: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -107,27 +121,50 @@ class Reduction:
         self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
         text = None if self.schedule.certificate is None else journal.value("certificate")
-        settings = reduction_settings(self.rig.file, self.schedule, text, f"{journal.path} (certificate)")
+        name = f"{journal.path} (certificate)"
+        settings = reduction_settings(self.rig.file, self.schedule, text, name, _first_day(journal))
         self.settings = replace(settings, history=RowHistory(journal))
         self._measurements = Measurements(journal, self.schedule, self.rig.file)
         self._etalon = ReferenceMeasurements(self._measurements, self.schedule.etalon)
         if not len(self._etalon):
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = ReferenceMeasurements(self._measurements, NO_SAMPLE)
+        self._repeats = repeats(self._measurements, self.schedule.samples, 0.5 * monitor_variance(self.rig.file))
+        stated = self.rig.file.uncertainty.repeatability
+        if self._repeats is not None and self._repeats.excess > stated:
+            self.settings = replace(self.settings, repeatability=self._repeats.excess)
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
-        """The points of a sample in the order of wavelength, sigma, gamma, half planes and time; not finished yet.
+        """The points of a sample in the order of sigma, gamma, wavelength, half planes and time; not finished yet.
 
         A block has about `rows` rows; their number changes no value. Raises UserError.
         """
         table = self._measurements.row_table(sample)
-        order, edges = order_by_setting(table)
-        begin = 0
-        for end in edges[1:].tolist():
-            if end > begin and (end - begin >= rows or end == len(order)):
-                if (block := self._block(table, order[begin:end])) is not None:
-                    yield block
-                begin = end
+        order, settings, lights = order_by_setting(table)
+        for begin, end in _together(lights, BLOCK_ROWS):
+            edges = settings[(settings >= begin) & (settings <= end)] - begin
+            places = order[begin:end]
+            if np.unique(table["wavelength_nm"][places]).size > 1:
+                yield from self._spectral_blocks(table, places, edges, rows)
+            else:
+                for first, last in _together(edges, rows):
+                    cut = np.split(np.arange(first, last), range(BLOCK_ROWS, last - first, BLOCK_ROWS))
+                    if found := list(self._reduced(table, places, cut)):
+                        at, points = zip(*found, strict=True)
+                        yield PointBlock(places[np.concatenate(at)], join_points(list(points)))
+
+    def _spectral_blocks(self, table: RowTable, places: Ints, edges: Ints, rows: int) -> Iterator[PointBlock]:
+        """The blocks of rows at several wavelengths: reduced pose by pose, and put in a file until all of them are known."""
+        by_pose, poses = order_by_pose(table[places])
+        parts = (
+            by_pose[k : k + MOST_ROWS] for begin, end in _together(poses, BLOCK_ROWS) for k in range(begin, end, MOST_ROWS)
+        )
+        with PointFile(Path(tempfile.gettempdir())) as file:
+            for at, points in self._reduced(table, places, parts):
+                file.add(at, points)
+            for first, last in _together(edges, rows):
+                if (found := file.between(first, last)) is not None:
+                    yield PointBlock(places[found[0]], found[1])
 
     def checks(self, sample: str) -> ConsistencyChecks:
         """The consistency checks of a sample, before any of its points is added."""
@@ -177,6 +214,7 @@ class Reduction:
         if certificate is not None and certificate.accept_expired_by is not None:
             person = certificate.accept_expired_by
             notes.append(f"the etalon's certificate is valid until {certificate.expires}; {person} accepted its use after that")
+        notes += [*self._light_notes(tallies), *self.light(tallies)]
         if (error := tracing_error(self.rig.file)) is not None:
             notes.append(
                 f"the light was traced by the forward estimator; median relative error {error:.2g}, included in the uncertainty"
@@ -188,26 +226,56 @@ class Reduction:
         """The times between drift checks of which one is beyond the limit."""
         return self._measurements.drift_intervals
 
+    def _light_notes(self, tallies: Mapping[str, Tally]) -> Iterator[str]:
+        """Notes on the etalon's age, on repeats, and on what of the light is not in the uncertainty."""
+        if self.settings.certificate.calibrated is None and self.rig.file.uncertainty.etalon_age_per_year:
+            yield f"the etalon's certificate has no date of calibration: {ASSUMED_YEARS:g} year is taken as its age"
+        if self._repeats is not None:
+            yield self._repeats.sentence(self.rig.file.uncertainty.repeatability)
+        if any(each.data.flags for each in self.journal.rows("warm-up")):
+            yield "the lamp's warm-up: not in u beyond its power (the lamp was not steady after longest_s of [warm_up])"
+        elif self.schedule.warm_up is None:
+            yield "the lamp's warm-up: not in u beyond its power (the schedule has no [warm_up])"
+        yield "slow_sigma: not in u (what a lobe changes with sigma at fixed angles about the specular direction)"
+        above = sum(tally.good - tally.under_range for tally in tallies.values())
+        for name, missing, reason in (
+            ("wavelength", sum(tally.without_slope for tally in tallies.values()), NO_SLOPE),
+            ("bandwidth", sum(tally.without_band for tally in tallies.values()), NO_BAND),
+        ):
+            if missing:
+                yield f"{name}: not in u of {'all' if missing == above else missing} values ({reason})"
+
+    def light(self, samples: Iterable[str]) -> list[str]:
+        """The polarisation of the light at each sigma, and the samples for which it is not in the uncertainty."""
+        sigmas = {
+            sigma
+            for name in self.schedule.samples
+            for sigma in np.unique(self._measurements.row_table(name)["sigma_deg"]).tolist()
+        }
+        lines = [light_words(self.rig.file.light, np.array(sorted(sigmas)))]
+        if unstated := [name for name in samples if name not in self.schedule.diattenuation]:
+            lines.append(f"polarisation: not in u of {', '.join(unstated)} (the schedule states no diattenuation)")
+        return lines
+
     def unchecked(self, tallies: Mapping[str, Tally]) -> dict[str, tuple[int, ...]]:
         """By the mounted sample, the photodiodes that its drift checks do not cover, from the tallies of all blocks."""
         trusted = {name: tally.trusted for name, tally in tallies.items()}
         return unchecked_photodiodes(self._measurements.insensitive, trusted, self.schedule.etalon)
 
-    def _block(self, table: RowTable, places: Ints) -> PointBlock | None:
+    def _reduced(self, table: RowTable, places: Ints, parts: Iterable[Ints]) -> Iterator[tuple[Ints, BsdfPoints]]:
+        """The points of some rows at a time, each part a list of indices of `places`, and the index of each point's row."""
         etalon: dict[PoseKey, RowSignal] = {}
         signature: dict[PoseKey, RowSignal] = {}
-        ranks, parts = [], []
-        for begin in range(0, len(places), BLOCK_ROWS):
-            here = places[begin : begin + BLOCK_ROWS]
-            rows = list(self._measurements.row_signals(table["number"][here].tolist()))
+        for here in parts:
+            if len(etalon) >= 2 * BLOCK_ROWS:  # repeats of a pose are near each other
+                etalon, signature = {}, {}
+            rows = list(self._measurements.row_signals(table["number"][places[here]].tolist()))
             at_sample, at_etalon = reference_keys([each.row for each in rows], self.settings.geometry)
             _add_references(etalon, self._etalon, at_etalon)
             _add_references(signature, self._signature, at_sample + at_etalon)
             reduced = reduce_rows(rows, ReferenceSignals(etalon, signature), self.settings)
             if reduced is not None:
-                ranks.append(here[reduced[0]])
-                parts.append(reduced[1])
-        return PointBlock(np.concatenate(ranks), parts[0] if len(parts) == 1 else join_points(parts)) if parts else None
+                yield here[reduced[0]], reduced[1]
 
     def _without_etalon(self, sample: str) -> int:
         """The number of a sample's rows that have no values on some arc, because the etalon was not measured at their pose."""
@@ -222,15 +290,27 @@ class Reduction:
         return missing
 
 
+def _together(edges: Ints, rows: int) -> Iterator[tuple[int, int]]:
+    """Begin and end of ranges between edges, each of so many rows or, the last one, fewer."""
+    begin = 0
+    for end in edges[1:].tolist():
+        if end > begin and (end - begin >= rows or end == edges[-1]):
+            yield begin, end
+            begin = end
+
+
 def _add_references(known: dict[PoseKey, RowSignal], measured: ReferenceMeasurements, keys: Iterable[PoseKey]) -> None:
     """Add the signals at keys that are not known yet: repeats of one pose are read once for all rows of a block."""
     known.update(measured.at(key for key in keys if key not in known))
 
 
-def reduction_settings(rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str) -> ReductionSettings:
+def reduction_settings(
+    rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str, measured: date | None = None
+) -> ReductionSettings:
     """The settings of a reduction; `certificate` is the text of the schedule's certificate, `name` its name in an error.
 
-    Without a certificate it is the rig file's. Raises UserError.
+    Without a certificate it is the rig file's. `measured` is the day of the measurement, today if it is missing; where a
+    certificate has no date of calibration, this was a year before. Raises UserError.
     """
     etalon = rig.etalon
     parsed = (
@@ -238,7 +318,8 @@ def reduction_settings(rig: RigFile, schedule: ScheduleFile, certificate: str | 
         if certificate is None
         else parse_certificate(certificate, name)
     )
-    return ReductionSettings(rig, ArcGeometry(rig), schedule, parsed)
+    years = parsed.years(measured or date.fromisoformat(calendar_stamp()[:10]))
+    return ReductionSettings(rig, ArcGeometry(rig), schedule, parsed, etalon_years=ASSUMED_YEARS if years is None else years)
 
 
 def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> BsdfDataset:
@@ -292,7 +373,7 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
     notes += [f"overlaps of {name}: {note}" for name, each in overlaps.items() for note in reduction.calibration_notes(each)]
     return ReducedJournal(
         journal.value("name"), reduction.rig, journal.simulated, {}, overlaps, tuple(notes), symmetry,
-        reduction.unchecked(tallies), journal.chain.statement,
+        reduction.unchecked(tallies), journal.chain.statement, tuple(reduction.light(tallies)),
     )  # fmt: skip
 
 
@@ -320,6 +401,14 @@ def check_journal(path: Path, chain: Chain | None = None) -> CheckResults | None
             return results
         except UserError as error:
             return CheckResults({}, {}, str(error).removeprefix(f"{path}: "))
+
+
+def _first_day(journal: JournalReader) -> date | None:
+    """The day on which a campaign began; None where the journal does not have it."""
+    for session in journal.sessions():
+        with contextlib.suppress(ValueError):
+            return date.fromisoformat(session.wall_started[:10])
+    return None
 
 
 def missing_notes(journal: JournalReader, without_etalon: Mapping[str, int]) -> Iterator[str]:

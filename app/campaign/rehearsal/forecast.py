@@ -30,7 +30,7 @@ POINT_COLUMNS = (
     "phi_deg",
 )  # fmt: skip
 COMMENTS = (
-    "in the order of wavelength, sigma, gamma and half planes",
+    "in the order of sigma, gamma, wavelength and half planes",
     "relative_uncertainty: the predicted standard uncertainty over the value; empty where there is no value",
     "trusted: 0 where a direction is blocked by the mirror unit, or its value is flagged for another reason",
 )

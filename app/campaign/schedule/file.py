@@ -129,7 +129,8 @@ class ScheduleFile(TomlTable):
     of each row, or "automatic". `readings` is their number at each gain, `dark_readings` that of a dark reading, which is no
     older than `dark_every_s`. `averaging` takes more readings in faint light. `warm_up` waits for the lamp. `drift` measures
     one pose again and again. `stop` ends a run before its last row. `faults` is what happens to a row where a device fails.
-    `certificate` is the etalon's.
+    `certificate` is the etalon's. `diattenuation` is, by sample, how far the values for light of the sample's s and of its p
+    are apart, over their sum: with it the polarisation of the light is in the uncertainty.
     """
 
     name: Name
@@ -161,6 +162,7 @@ class ScheduleFile(TomlTable):
     stop: StopTable | None = None
     faults: FaultsTable | None = None
     certificate: CertificateTable | None = None
+    diattenuation: dict[Name, Annotated[float, Field(ge=0.0, le=1.0)]] = {}
 
     @field_validator("sigma_deg")
     @classmethod
@@ -179,6 +181,8 @@ class ScheduleFile(TomlTable):
             raise ValueError(
                 f"samples: the etalon {self.etalon!r} is among the samples; it is always measured, so remove it there"
             )
+        if unknown := sorted(set(self.diattenuation) - set(self.samples)):
+            raise ValueError(f"diattenuation: {unknown[0]!r} is not among the samples; name one of them, or remove it")
         if NO_SAMPLE in (self.etalon, *self.samples):
             raise ValueError(f"{NO_SAMPLE!r} is the name of the empty sample unit; give the sample another name")
         return self

@@ -65,7 +65,7 @@ class Effects:
         """Variance (n,) in the value's unit squared, by the name of the independent part, of the group or of the input."""
         found = {name: variance * self.value**2 for name, variance in self.independent.items()}
         for group in self.groups:
-            found[group.name] = group_variance(group) * self.value**2
+            found[group.name] = found.get(group.name, 0.0) + group_variance(group) * self.value**2
         for part in self.dense:
             for k, each in enumerate(part.inputs):
                 found[each.name] = (part.sensitivity[:, k] * each.u * self.value) ** 2
@@ -150,13 +150,13 @@ def _component(each: Input, sensitivity: float) -> Component:
 def group_variance(group: Group) -> Floats:
     """Relative variance (n,) of each value from a group: where it has one input twice, the sensitivities add first."""
     n, m = group.member.shape
-    u = {number: each.u for number, each in group.inputs.items()}
+    numbers, place = np.unique(group.member, return_inverse=True)
+    u = np.array([group.inputs[k].u if k in group.inputs else 0.0 for k in numbers.tolist()])[place].reshape(n, m)
     total = np.zeros(n)
     for a in range(m):
-        u_a = np.array([u.get(int(k), 0.0) for k in group.member[:, a]])
         for b in range(m):
             same = group.member[:, a] == group.member[:, b]
-            total += np.where(same, group.sensitivity[:, a] * group.sensitivity[:, b] * u_a**2, 0.0)
+            total += np.where(same, group.sensitivity[:, a] * group.sensitivity[:, b] * u[:, a] ** 2, 0.0)
     return total
 
 

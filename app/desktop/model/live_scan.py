@@ -8,7 +8,8 @@ The work for a row does not grow with the rows: the shown scan is reduced, from 
 shown. A new dark reading, and what the rows before it show of noise and gains, change every signal a little; they are computed
 again a few at a time. It grows with the drift checks, which are all compared again after a dark reading (a thousand: a quarter
 of a second). At the end of the run the values become those of the journal: the evidence of all rows, the field of view from all
-half planes, and the calibration by overlaps, which needs every scan of the sample.
+half planes, the correction for the band from other wavelengths, and the calibration by overlaps, which needs every scan of the
+sample.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -44,6 +45,7 @@ ScanKey = tuple[Setting, float]
 SignalOf = Callable[[CommittedRow], Signal | None]
 SIGNALS_AT_ONCE = 64
 """Signals computed for one repaint: some 20 ms."""
+MOST_OTHER_ROWS = 1000
 GRID_DEG = 0.5
 ENDED = object()
 
@@ -257,9 +259,10 @@ class LiveScan:
         """The BSDF of rows of a setting; None for what is no sample, and before the etalon has been measured."""
         if setting[0] in self._references:
             return None
-        points = self._reduce(rows, self._signal)
+        points = self._reduce([*rows, *self._other_wavelengths(setting, rows)], self._signal)
         if points is None:
             return None
+        points = points.where(points.wavelength_nm == setting[1])
         return finish_points(points, replace(self._settings, calibration=self._factors.get(setting[0])))
 
     def _complete(self) -> Generator[None, None, None]:
@@ -273,6 +276,19 @@ class LiveScan:
         self._dark = self._dark.with_evidence(sums.result())
         if self._settings.calibrates:
             yield from self._calibrate()
+
+    def _other_wavelengths(self, setting: Setting, rows: list[CommittedRow]) -> list[CommittedRow]:
+        """At the end, the rows of other wavelengths at the poses of a setting's rows, by which these are corrected.
+
+        None if they are too many for a plot: the values of the journal then differ from those shown by what they correct.
+        """
+        if not self._finished:
+            return []
+        sample, wavelength, sigma, gamma = setting
+        others = [each for each in sorted(self._rows) if each == (sample, each[1], sigma, gamma) and each[1] != wavelength]
+        poses = {each.row.pose for each in rows}
+        found = [row for each in others for row in self._rows[each] if row.row.pose in poses]
+        return found if len(found) <= MOST_OTHER_ROWS else []
 
     def _calibrate(self) -> Generator[None, None, None]:
         """Compute the calibration factors of all samples, a few signals at a time."""

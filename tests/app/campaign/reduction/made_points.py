@@ -35,4 +35,7 @@ def made_points(
         etalon_row=np.arange(zenith.size),
         gain=np.zeros(zenith.size, dtype=np.int64),
         etalon_gain=np.zeros(zenith.size, dtype=np.int64),
+        wavelength_slope=zeros + np.nan,
+        band_correction=zeros + np.nan,
+        stray_contrast=zeros + np.nan,
     )

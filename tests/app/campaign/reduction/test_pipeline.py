@@ -27,7 +27,8 @@ PER_DECADE = 0.02
 SIGNALS = {"noise", "lamp", "dark", "resolution", "crosstalk", "etalon_reading", "monitor", "gain", "linearity"}
 SLOPES = {"field", "field_noise", "second_order", "slope_unresolved"}
 POSE = {"pose", "position", "photodiode_angle"}
-NAMES = {"certificate", *SIGNALS, *SLOPES, *POSE}
+SCALE = {"certificate", "etalon_age", "etalon_edge", "monochromator_stray"}
+NAMES = {*SIGNALS, *SLOPES, *POSE, *SCALE}
 Measured = tuple[Plan, Path, list[Event]]
 
 

@@ -1,0 +1,233 @@
+"""Wavelength and band: what a value changes with the wavelength, and its correction for the monochromator's band.
+
+A value is the mean of the quotient of sample and etalon over the band, weighted by the etalon's signal S. For a band with the
+variance s^2 (of a triangle: its width squared over 6) that is, to second order, q + s^2 (q'' / 2 + q' S' / S). Derivatives are
+those of a parabola through the same photodiode's values of the same pose at the wavelengths nearby. The steps need all rows of
+a pose together. Where too few wavelengths were measured, wavelength or band are not in u, and the notes name them.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
+from goniotwin.app.campaign.reduction.etalon import ArcRows, ReductionSettings
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.uncertainty.effects import Dense, Effects
+from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import round_deg
+
+ASSUMED_BAND_NM = 5.0
+"""Band of a rig file that states none: its effect is then in the uncertainty, and nothing is corrected."""
+BANDS = 4.0
+"""Three wavelengths within so many bands give the second derivative: further apart they do not resolve what a band sees."""
+FARTHEST_NM = 50.0
+"""Neighbours further away have no information on the slope over wavelength."""
+MOST_FITTED = 9
+"""Largest number of wavelengths in a parabola: of finer ones some are omitted, evenly."""
+MOST_OTHERS = 8
+"""Wavelengths that stand for all others of a pose, for the monochromator's stray light."""
+FEWEST_OTHERS = 3
+LARGEST_EFFECT = 0.5
+"""An effect of the band beyond this is not corrected: the second order does not describe it."""
+KNOWN_HALF = 0.5
+"""Relative standard uncertainty of the effect of a stated band: its shape, its width, and the third order."""
+
+
+NO_SLOPE = f"they have no other wavelength within {FARTHEST_NM:g} nm, or not enough light"
+NO_BAND = f"they need three wavelengths within {BANDS:g} bands, and light"
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """Derivatives at wavelengths (w,) as sums over neighbours: their indices (w, m), and weights (w, m) of both derivatives.
+
+    Weights are NaN where a derivative is unknown. `others` are the wavelengths that stand for all.
+    """
+
+    index: Ints
+    first: Floats
+    second: Floats
+    others: Ints
+
+    @property
+    def own(self) -> tuple[Floats, Floats]:
+        """The weights (w,) of the value itself in both derivatives."""
+        here = self.index == np.arange(len(self.index))[:, None]
+        return np.sum(np.where(here, self.first, 0.0), axis=1), np.sum(np.where(here, self.second, 0.0), axis=1)
+
+
+def band_nm(rig: RigFile) -> float:
+    """Full width at half maximum of the band, as stated or as assumed."""
+    return ASSUMED_BAND_NM if rig.light.bandwidth_nm is None else rig.light.bandwidth_nm
+
+
+@lru_cache(maxsize=16)
+def stencil(wavelengths_nm: tuple[float, ...], band: float) -> Stencil:
+    """The stencil of ascending wavelengths for a band."""
+    at = np.array(wavelengths_nm)
+    index = np.repeat(np.arange(at.size)[:, None], MOST_FITTED, axis=1)
+    first, second = np.zeros(index.shape), np.zeros(index.shape)
+    for k in range(at.size):
+        near, order = _neighbours(at, k, band)
+        if order == 0:
+            first[k] = second[k] = np.nan
+            continue
+        index[k, : near.size] = near
+        scale = float(np.abs(at[near] - at[k]).max())
+        powers = np.vander((at[near] - at[k]) / scale, order + 1, increasing=True)
+        inverse = np.linalg.pinv(powers)
+        first[k, : near.size] = inverse[1] / scale
+        second[k, : near.size] = 2.0 * inverse[2] / scale**2 if order == 2 else np.nan
+    others = np.unique(np.round(np.linspace(0, at.size - 1, MOST_OTHERS)).astype(np.int64))
+    return Stencil(index, first, second, others)
+
+
+def _neighbours(at: Floats, k: int, band: float) -> tuple[Ints, int]:
+    """The wavelengths that are fitted at the one with index k, and the order of the fit: 2, 1, or 0 for none."""
+    apart = np.abs(at - at[k])
+    for width in (0.5 * BANDS, BANDS):
+        within = np.flatnonzero(apart <= width * band * (1.0 + 1e-9))
+        spread = at[within[-1]] - at[within[0]]
+        if within.size >= 3 and spread <= BANDS * band * (1.0 + 1e-9):
+            return _thinned(within, k), 2
+    near = [each for each in (k - 1, k, k + 1) if 0 <= each < at.size and apart[each] <= FARTHEST_NM]
+    return np.array(near), min(len(near) - 1, 1)
+
+
+def _thinned(within: Ints, k: int) -> Ints:
+    """At most MOST_FITTED of some indices, evenly, with k among them."""
+    if within.size <= MOST_FITTED:
+        return within
+    kept = within[np.round(np.linspace(0, within.size - 1, MOST_FITTED)).astype(np.int64)]
+    kept[np.argmin(np.abs(kept - k))] = k
+    return np.unique(kept)
+
+
+def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
+    """Correct the quotients for the band, where it is stated, and note what they change with the wavelength."""
+    band = band_nm(settings.rig)
+    variance = band**2 / 6.0
+    value = data.estimate.value
+    detected = value > DETECTED * np.sqrt(data.estimate.variance)
+    slope, effect, contrast = (np.full(value.shape, np.nan) for _ in range(3))
+    noise = np.ones(value.shape)
+    for wavelengths, rows, cells in _poses(data.rows):
+        known = stencil(wavelengths, band)
+        f = _means(np.where(detected, value, np.nan)[rows], cells, len(wavelengths))
+        s = _means(np.where(data.etalon.value > 0.0, data.etalon.value, np.nan)[rows], cells, len(wavelengths))
+        f1, f2 = _derivatives(f, known)
+        relative = _derivatives(s, known)[0] / s
+        here = -variance * (0.5 * f2 + f1 * relative) / f
+        here = np.where(np.abs(here) <= LARGEST_EFFECT, here, np.nan)
+        slope[rows], effect[rows] = _of_rows(f1 / f, cells), _of_rows(np.log1p(here), cells)
+        noise[rows] = _of_rows(_amplified_noise(known, relative, variance), cells)
+        contrast[rows] = _of_rows(_contrast(f, s, known), cells)
+    data = replace(data, wavelength_slope=slope, band_correction=effect, stray_contrast=contrast)
+    if settings.rig.light.bandwidth_nm is None:
+        return data
+    noise = np.where(np.isfinite(effect), noise, 1.0)
+    estimate = data.estimate.scaled(np.exp(np.nan_to_num(effect)))
+    components = {name: each * noise if name in INDEPENDENT else each for name, each in estimate.components.items()}
+    return replace(data, estimate=replace(estimate, components=components))
+
+
+def _poses(rows: Sequence[Row]) -> Iterator[tuple[tuple[float, ...], Ints, Ints]]:
+    """The poses of several wavelengths, those with the same wavelengths together: these, the rows, and each row's cell.
+
+    Cells are numbered by pose, and within it by wavelength; repeats are in one cell.
+    """
+    places = round_deg(np.array([(row.wavelength_nm, *row.pose) for row in rows if row.pose is not None], dtype=float))
+    light = places[:, 0]
+    if (light == light[0]).all():
+        return
+    _, pose = np.unique(places[:, 1:], axis=0, return_inverse=True)
+    order = np.lexsort([light, pose.ravel()])
+    new_pose = np.diff(pose.ravel()[order], prepend=-1) != 0
+    cell = np.cumsum(new_pose | (np.diff(light[order], prepend=-1.0) != 0.0)) - 1
+    of_pose: dict[tuple[float, ...], list[Ints]] = defaultdict(list)
+    for part in np.split(np.arange(order.size), np.flatnonzero(new_pose)[1:]):
+        known = np.unique(light[order[part]])
+        if known.size > 1:
+            of_pose[tuple(known.tolist())].append(part)
+    for wavelengths, parts in of_pose.items():
+        cells = [cell[part] - cell[part[0]] + k * len(wavelengths) for k, part in enumerate(parts)]
+        yield wavelengths, order[np.concatenate(parts)], np.concatenate(cells)
+
+
+def _means(values: Floats, cells: Ints, wavelengths: int) -> Floats:
+    """Means (poses, wavelengths, n) of values (rows, n), by their cells."""
+    total, count = np.zeros((cells.max() + 1, values.shape[1])), np.bincount(cells)
+    np.add.at(total, cells, values)
+    return (total / count[:, None]).reshape(-1, wavelengths, values.shape[1])
+
+
+def _of_rows(cells_values: Floats, cells: Ints) -> Floats:
+    """The values (rows, n) of cells, from those (poses, wavelengths, n)."""
+    return cells_values.reshape(-1, cells_values.shape[2])[cells]
+
+
+def _derivatives(values: Floats, known: Stencil) -> tuple[Floats, Floats]:
+    """First and second derivative over wavelength of values (poses, wavelengths, n)."""
+    first, second = np.zeros(values.shape), np.zeros(values.shape)
+    for m in range(known.index.shape[1]):
+        used = values[:, known.index[:, m]]
+        first += known.first[:, m, None] * used
+        second += known.second[:, m, None] * used
+    return first, second
+
+
+def _amplified_noise(known: Stencil, relative: Floats, variance: float) -> Floats:
+    """The factor on the variance of independent noise, the same at all wavelengths: the correction is a sum of noisy values."""
+    first, second = known.own
+    own = variance * (0.5 * second[:, None] + first[:, None] * relative)
+    squares = [np.sum(a * b, axis=1)[:, None] for a, b in ((known.second, known.second), (known.first, known.second))]
+    of_first = np.sum(known.first**2, axis=1)[:, None]
+    total = 0.25 * squares[0] + squares[1] * relative + of_first * relative**2
+    return np.asarray(1.0 - 2.0 * own + variance**2 * total)
+
+
+def _contrast(f: Floats, s: Floats, known: Stencil) -> Floats:
+    """What a share of light of all wavelengths adds to values, less what it adds to the etalon's: 0 for grey samples."""
+    if known.others.size < FEWEST_OTHERS:
+        return np.full(f.shape, np.nan)
+    some_f, some_s = f[:, known.others], s[:, known.others]
+    both = np.isfinite(some_f) & np.isfinite(some_s)
+    weight = np.where(both, some_s, 0.0)
+    total = weight.sum(axis=1, keepdims=True)
+    mean = (weight * np.where(both, some_f, 0.0)).sum(axis=1, keepdims=True) / np.where(total > 0.0, total, np.nan)
+    return np.asarray(mean / f - 1.0)
+
+
+def wavelength_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
+    """The error of the monochromator's wavelength; 0 where the slope over wavelength is unknown."""
+    u = settings.rig.uncertainty.wavelength_nm
+    source = Input("wavelength", "nm", u, "normal", "all values", "the rig file", "wavelength_nm")
+    return _known_effects(points, source, points.wavelength_slope)
+
+
+def bandwidth_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
+    """The band: half of what was corrected, or all of the effect where the rig file states no band; 0 where it is unknown."""
+    stated = settings.rig.light.bandwidth_nm is not None
+    words = "the rig file" if stated else f"no band is stated; {ASSUMED_BAND_NM:g} nm are assumed"
+    source = Input("bandwidth", "1", KNOWN_HALF if stated else 1.0, "normal", "all values", words, "")
+    return _known_effects(points, source, points.band_correction)
+
+
+def stray_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
+    """The monochromator's light of other wavelengths; where these were not measured the sample may be twice as bright there."""
+    u = settings.rig.uncertainty.monochromator_stray
+    source = Input("monochromator_stray", "1", u, "normal", "all values", "the rig file", "monochromator_stray")
+    return _known_effects(points, source, np.where(np.isnan(points.stray_contrast), 1.0, points.stray_contrast))
+
+
+def _known_effects(points: BsdfPoints, source: Input, sensitivity: Floats) -> Effects | None:
+    if not source.u or np.isnan(sensitivity).all():
+        return None
+    return Effects(points.bsdf, {}, (), [Dense([source], np.nan_to_num(sensitivity)[:, None])])
