@@ -1,4 +1,4 @@
-"""Commands on measured data: `goniotwin export` and `copy`."""
+"""Commands on measured data: `goniotwin export`, `closure` and `copy`."""
 
 import os
 from pathlib import Path
@@ -62,6 +62,32 @@ def export(
     answer(as_json, result, lambda: print(text))
     if chain.damage:
         print_error(f"{journal}: exported without what differs from what was measured: {chain.damage}")
+
+
+@app.command()
+def closure(
+    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
+    without_damaged: Annotated[
+        bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of giving nothing.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare the etalon's scale with that of the open beam.
+
+    For each sigma and wavelength the etalon's radiance factor by its certificate and by the scan of the open beam: ratio,
+    combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam].
+    """
+    from goniotwin.app.campaign.journal.writing import Journal
+    from goniotwin.app.campaign.reduction.closure import closure_text, journal_closure
+    from goniotwin.app.campaign.reduction.reduction import Reduction
+
+    with Journal.open(journal) as opened:
+        reduction = Reduction(opened, without_damaged=without_damaged)
+        report = journal_closure(reduction)
+        result = {"journal": str(journal), "simulated": opened.simulated, **report.as_dict(), "chain": opened.chain.as_dict()}
+        mark = "SIMULATED, " if opened.simulated else ""
+    text = f"{mark}closure of {journal}\n{closure_text(report)}"
+    answer(as_json, result, lambda: print(text))
 
 
 @app.command()
