@@ -125,11 +125,15 @@ CERTIFICATE_INPUTS = ("certificate",)
 
 @dataclass(frozen=True)
 class ClosureReport:
-    """The closures of a journal, the scans that they come from, and `missing`: the reason for each scan or value without."""
+    """The closures of a journal, the scans that they come from, and the reasons why there are no others.
+
+    `not_planned` are those of the schedule, `missing` those of the measurement.
+    """
 
     closures: tuple[Closure, ...]
     beams: tuple[ScannedBeam, ...]
-    missing: tuple[str, ...]
+    not_planned: tuple[str, ...]
+    missing: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The results for JSON."""
@@ -167,9 +171,18 @@ class ClosureReport:
                 }
                 for each in self.beams
             ],
-            "missing": list(self.missing),
+            "missing": [*self.not_planned, *self.missing],
             "verdict": self.verdict,
         }
+
+    @property
+    def alarms(self) -> list[str]:
+        """What could not be compared, and the comparisons that do not agree, as warnings."""
+        apart = [each for each in self.closures if abs(each.z) > DIFFERS]
+        return [
+            *(f"no closure: {each}" for each in self.missing),
+            *(f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}" for each in apart),
+        ]
 
     @property
     def verdict(self) -> str:
@@ -188,13 +201,14 @@ def journal_closure(reduction: Reduction) -> ClosureReport:
     file, rig = reduction.schedule, reduction.rig.file
     if file.open_beam_scan is None:
         return ClosureReport((), (), ("the schedule has no scan of the open beam: add the table [open_beam] to it",))
-    missing = [
+    not_planned = [
         f"sigma {sigma:g} deg: below {LEAST_SIGMA_DEG:g} deg beta cannot scan the open beam"
         for sigma in grid_values(file.sigma_deg)
         if sigma < LEAST_SIGMA_DEG
     ]
     closures: list[Closure] = []
     beams: list[ScannedBeam] = []
+    missing: list[str] = []
     for scan in beam_scans(file, rig):
         readings = _Readings(reduction, scan)
         where = f"sigma {scan.sigma_deg:g} deg"
@@ -213,7 +227,7 @@ def journal_closure(reduction: Reduction) -> ClosureReport:
                 closures.append(found)
             else:
                 missing.append(f"{where}, {wavelength:g} nm: {found}")
-    return ClosureReport(tuple(closures), tuple(beams), tuple(missing))
+    return ClosureReport(tuple(closures), tuple(beams), tuple(not_planned), tuple(missing))
 
 
 def closure_text(report: ClosureReport) -> str:
@@ -240,7 +254,7 @@ def closure_text(report: ClosureReport) -> str:
             lines.append(f"    cross-talk and stray light, in volts over those of photodiode {beam.scan.photodiode}: {seen}")
     if report.closures:
         lines.append("  *: the wavelength of the scan; at the others its middle pose")
-    lines += [f"  none: {each}" for each in report.missing]
+    lines += [f"  none: {each}" for each in (*report.not_planned, *report.missing)]
     return "\n".join([*lines, report.verdict])
 
 
@@ -270,8 +284,7 @@ class _Readings:
     def beam(self) -> ScannedBeam:
         """The scan as a whole."""
         signal = _of_photodiode([self._open[key] for key in self._keys], self._scan.photodiode)
-        crosstalk = self._crosstalk(int(signal.gain[self._scan.middle]))
-        return scanned_beam(self._scan, self._wavelength_nm, signal, *crosstalk)
+        return scanned_beam(self._scan, self._wavelength_nm, signal, *self.crosstalk())
 
     def closure(self, beam: ScannedBeam, wavelength_nm: float, certificate: Certificate, rig: RigFile) -> Closure | str:
         """The closure at a wavelength, or the reason why there is none."""
@@ -304,23 +317,31 @@ class _Readings:
         scan = self._scan
         return wavelength_nm, scan.at_deg, scan.at_deg, scan.etalon_pose[2]
 
-    def _crosstalk(self, gain: int) -> tuple[Floats, Floats]:
-        """Cross-talk (photodiodes,) at a gain, and its uncertainty: volts against those of the photodiode in the beam."""
-        photodiode = self._scan.photodiode
-        _, without = self._reduction.references
-        volts = list(self._reduction.volts(without.numbers_at(self._keys), gain))
-        none = np.full(self._reduction.rig.file.photodiodes.count, np.nan)
-        if not volts:
-            return none, none
-        seen = np.array([each.value for each in volts])
-        beam = np.where(np.isfinite(seen[:, photodiode]), seen[:, photodiode], 0.0)[:, None]
-        square = float((beam**2).sum())
-        noise = np.array([each.components["noise"] for each in volts])
-        dark = np.array([each.variance - each.components["noise"] for each in volts])  # common to rows after one dark reading
-        ratio = np.asarray((beam * seen).sum(axis=0) / square)
-        u = np.sqrt((beam**2 * noise).sum(axis=0) + (np.abs(beam) * np.sqrt(dark)).sum(axis=0) ** 2) / square
-        ratio[photodiode] = u[photodiode] = np.nan
-        return ratio, np.asarray(u)
+    def crosstalk(self) -> tuple[Floats, Floats]:
+        """Cross-talk (photodiodes,) and its uncertainty: volts against those of the photodiode in the beam, at all gains.
+
+        The flanks of the beam are read at higher gains too, where the converter's steps count less.
+        """
+        photodiode, settings = self._scan.photodiode, self._reduction.rig.file.photodiodes
+        numbers = self._reduction.references[1].numbers_at(self._keys)
+        weights, weighted = np.zeros(settings.count), np.zeros(settings.count)
+        for gain in range(len(settings.gains_v_per_a)):
+            volts = list(self._reduction.volts(numbers, gain))
+            seen = np.array([each.value for each in volts]).reshape(-1, settings.count)
+            beam = np.where(np.isfinite(seen[:, photodiode]), seen[:, photodiode], 0.0)[:, None]
+            square = float((beam**2).sum())
+            if not square > 0.0:
+                continue
+            noise = np.array([each.components["noise"] for each in volts])
+            dark = np.array([each.variance - each.components["noise"] for each in volts])  # common to neighbouring rows
+            variance = ((beam**2 * noise).sum(axis=0) + (np.abs(beam) * np.sqrt(dark)).sum(axis=0) ** 2) / square**2
+            ratio = (beam * seen).sum(axis=0) / square
+            known = np.isfinite(ratio) & (variance > 0.0)
+            weights[known] += 1.0 / variance[known]
+            weighted[known] += ratio[known] / variance[known]
+        weights = np.where(weights > 0.0, weights, np.nan)
+        weights[photodiode] = np.nan
+        return weighted / weights, np.asarray(1.0 / np.sqrt(weights))
 
 
 def scanned_beam(

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
+from goniotwin.app.campaign.reduction.closure import ClosureReport, journal_closure
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
@@ -64,7 +65,8 @@ class UncertaintySpread:
 class Forecast:
     """`spread` and `tallies` by sample; `trouble` is the reason why there are none.
 
-    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover.
+    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover. `closure` is that of the open
+    beam, if the schedule has its scan.
     """
 
     spread: dict[str, dict[str, Any]]
@@ -72,6 +74,7 @@ class Forecast:
     trouble: str = ""
     tallies: dict[str, Tally] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    closure: ClosureReport | None = None
 
 
 def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = BLOCK_ROWS) -> Forecast:
@@ -94,6 +97,7 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
                 format_for(points, {Holds.COLUMNS}).write(points, stream)
             tallies = {name: each.tally for name, each in spreads.items()}
             unchecked = reduction.unchecked(tallies)
+            closure = None if reduction.schedule.open_beam_scan is None else journal_closure(reduction)
     except FormatError as error:
         raise UserError(str(error)) from None
     except UserError as error:
@@ -104,7 +108,7 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
     if points is not None and not spreads:
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
     spread = {name: each.as_dict() for name, each in spreads.items()}
-    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked)
+    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked, closure=closure)
 
 
 def relative_uncertainty(points: BsdfPoints) -> Floats:
