@@ -26,9 +26,7 @@ NARROW = RIG.read_text(encoding="utf-8").replace("lower_deg = -0.5\nupper_deg = 
 
 
 def planned(text: str, rig: str = "") -> NewPlan:
-    return make_plan(
-        parse_schedule(HEAD + text, "scan.toml"), parse_rig(rig, RIG.parent, "rig.toml") if rig else read_rig(RIG)
-    )
+    return make_plan(parse_schedule(HEAD + text, "scan.toml"), parse_rig(rig, RIG.parent, "rig.toml") if rig else read_rig(RIG))
 
 
 def refused(text: str, rig: str = "") -> str:

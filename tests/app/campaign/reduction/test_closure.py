@@ -220,7 +220,9 @@ class DrawnRig:
 @pytest.mark.long
 def test_both_scales_close_on_twenty_rigs_and_an_etalon_that_is_low_is_found() -> None:
     """Sigma 15, 40, 65 and 80. Without the errors of the signals the quotient scatters by 0.1 to 0.4 %, at 80 by 0.7 %."""
-    print("\n  sigma  uncorrected sd  corrected sd  u of pose and scan  u of the ratio   mean z  sd z  worst z  least z, 5 % low")
+    print(
+        "\n  sigma  uncorrected sd  corrected sd  u of pose and scan  u of the ratio   mean z  sd z  worst z  least z, 5 % low"
+    )
     worst_low = math.inf
     for scan, most in zip(scans_of("[15, 40, 65, 80]"), (0.004, 0.004, 0.005, 0.010), strict=True):
         plain, corrected, z, low, of_pose, u = [], [], [], [], 0.0, 0.0
