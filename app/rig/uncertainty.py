@@ -33,8 +33,8 @@ class UncertaintyTable:
     view, `wavelength_nm`, `linearity_per_decade` of the photodiodes' current, `crosstalk` of a channel's volts in its module's
     others, `etalon_age_per_year`, `etalon_edge` (light that a diffuser loses at the frames' edges), `monochromator_stray`
     (share of light of other wavelengths), `scan` of the open beam (of its sum, for steps of 0.2 deg), `beam_hole` (light of the
-    open beam that a hole of one frame cuts off), `uniformity` of the sample's surface, `repeatability` between repeats, and `mounting`
-    between mountings.
+    open beam that a hole of one frame cuts off), `uniformity` of the sample's surface, `repeatability` between repeats, and
+    `mounting` between mountings.
     """
 
     sample_tilt_deg: Tilt = 0.05

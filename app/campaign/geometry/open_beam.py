@@ -97,7 +97,8 @@ def beam_scans(file: ScheduleFile, rig: RigFile) -> list[BeamScan]:
     }
     if not sigmas:
         raise ValueError(
-            f"open_beam: no sigma_deg is {LEAST_SIGMA_DEG:g} deg or more, and below beta cannot scan the beam; remove [open_beam]"
+            f"open_beam: no sigma_deg is {LEAST_SIGMA_DEG:g} deg or more, and below beta cannot scan the beam; "
+            "remove [open_beam]"
         )
     gamma = grid_values(file.gamma_deg)[0]
     return [_scan(rig, table, sigma, etalon_sigma, gamma) for etalon_sigma, sigma in sigmas.items()]
@@ -139,8 +140,8 @@ def _scan(rig: RigFile, table: OpenBeamTable, sigma: float, etalon_sigma: float,
     low, high = _free_range(rig.axes.shift)
     if low + reach > high - reach + TOLERANCE_DEG:
         raise ValueError(
-            f"open_beam: a scan of {table.poses} poses {table.step_deg:g} deg apart needs {2.0 * reach:g} deg of the shift, and "
-            f"axes.shift has {high - low:g}; take fewer poses or a smaller step_deg"
+            f"open_beam: a scan of {table.poses} poses {table.step_deg:g} deg apart needs {2.0 * reach:g} deg of the shift, "
+            f"and axes.shift has {high - low:g}; take fewer poses or a smaller step_deg"
         )
     needed = np.subtract(incidence_deg(etalon_sigma), polar_deg(rig, arc))
     shifts = np.clip(needed, low + reach, high - reach)

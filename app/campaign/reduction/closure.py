@@ -28,7 +28,6 @@ from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG
 
 RIG_FILE = "[uncertainty] of the rig file"
 MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
@@ -48,8 +47,8 @@ class ScannedBeam:
     `total` is the sum of signal times solid angle. `centroid_deg` (2,) is where the beam is from where the angles of the axes
     put it, `moment_deg2` (2, 2) the second moment of the instrument function: of pupil, cone, disc and spot together. `share`
     (n,) is each pose's part of the total, `edge` the largest signal at the edge of the grid over the largest of all.
-    `crosstalk` (photodiodes,) is the signal in volts of each photodiode over that of the one in the beam, at the same gain, with
-    `u_crosstalk`: cross-talk and stray light together; NaN where it was not read.
+    `crosstalk` (photodiodes,) is the signal in volts of each photodiode over that of the one in the beam, at the same gain,
+    with `u_crosstalk`: cross-talk and stray light together; NaN where it was not read.
     """
 
     scan: BeamScan
@@ -77,8 +76,8 @@ class ScannedBeam:
 class Closure:
     """The etalon's radiance factor by its certificate and by the open beam, at one incidence and wavelength.
 
-    `absolute` is corrected for the centroid of the scan by the relative `correction`. `components` are relative, of the ratio of
-    the two; those in CERTIFICATE_INPUTS belong to the route by the etalon.
+    `absolute` is corrected for the centroid of the scan by the relative `correction`. `components` are relative, of the ratio
+    of the two; those in CERTIFICATE_INPUTS belong to the route by the etalon.
     """
 
     beam: ScannedBeam
@@ -238,15 +237,15 @@ def closure_text(report: ClosureReport) -> str:
     for each in report.closures:
         scan, star = each.beam.scan, "*" if each.wavelength_nm == each.beam.wavelength_nm else " "
         lines.append(
-            f"  {scan.at_deg:5.1f}  {scan.photodiode:10d}  {each.wavelength_nm:6.1f}{star} {each.certified:9.4f} {each.absolute:9.4f}  "
-            f"{each.ratio:6.4f}  {100.0 * each.u:5.2f}  {each.z:+5.1f}  {each.verdict}"
+            f"  {scan.at_deg:5.1f}  {scan.photodiode:10d}  {each.wavelength_nm:6.1f}{star} {each.certified:9.4f} "
+            f"{each.absolute:9.4f}  {each.ratio:6.4f}  {100.0 * each.u:5.2f}  {each.z:+5.1f}  {each.verdict}"
         )
     for beam in report.beams:
         along, across = beam.centroid_deg.tolist()
         width = np.sqrt(np.diag(beam.moment_deg2)).tolist()
         lines.append(
-            f"  scan at sigma {beam.scan.at_deg:g} deg, {beam.wavelength_nm:g} nm: the beam is {along:+.3f} deg along the arc and "
-            f"{across:+.3f} deg across it from where the axes put it; width (standard deviation) {width[0]:.3f} and "
+            f"  scan at sigma {beam.scan.at_deg:g} deg, {beam.wavelength_nm:g} nm: the beam is {along:+.3f} deg along the arc "
+            f"and {across:+.3f} deg across it from where the axes put it; width (standard deviation) {width[0]:.3f} and "
             f"{width[1]:.3f} deg"
         )
         if beam.neighbours:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
@@ -26,7 +27,6 @@ from goniotwin.app.campaign.reduction.signals import (
     middle_s,
     subtract_dark,
 )
-from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.campaign.row import CommittedRow
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.errors import UserError

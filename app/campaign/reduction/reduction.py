@@ -120,7 +120,7 @@ class Reduction:
         return self._etalon, self._signature
 
     def volts(self, numbers: Iterable[int], gain: int) -> Iterator[Estimate]:
-        """Voltages of all photodiodes above their dark reading in those of some rows that were read at a gain of this number."""
+        """Voltages of all photodiodes above their dark reading, in those of some rows that were read at this gain."""
         yield from self._measurements.volts(numbers, self.rig.file.photodiodes.gains_v_per_a[gain])
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:

@@ -90,8 +90,10 @@ def test_the_etalon_is_measured_on_the_same_photodiode_at_every_wavelength() -> 
 def test_transmitted_light_and_the_back_are_scanned_on_the_arc_that_is_scaled() -> None:
     head = "sigma_deg = [32]\n[open_beam]\nposes = 9\nstep_deg = 0.3\n"
     for text, arc, etalon, beam in (
-        ("", "upper", 32.0, 148.0), ('light = "transmitted"\n', "lower", 148.0, 32.0), ('side = "back"\n', "lower", 148.0, 32.0),
-    ):  # fmt: skip
+        ("", "upper", 32.0, 148.0),
+        ('light = "transmitted"\n', "lower", 148.0, 32.0),
+        ('side = "back"\n', "lower", 148.0, 32.0),
+    ):
         plan = planned(text + head)
         (scan,) = beam_scans(plan.schedule.file, plan.rig.file)
         assert (scan.arc, scan.etalon_pose[1], set(scan.poses[:, 1])) == (arc, etalon, {beam})

@@ -97,7 +97,7 @@ def plain_ratio(scan: BeamScan, beam: ScannedBeam, etalon: Signal) -> float:
 def test_the_sum_over_an_ideal_beam_is_its_flux_in_closed_form(sigma_deg: float) -> None:
     """Discs so wide that the cone alone limits: each ray is then seen over the solid angle of the cone, wherever it is.
 
-    The flux of the beam over the pupil's radiance: area of the hole, times its cosine, times the projected solid angle of a disc
+    The flux of the beam over the pupil's radiance: area of the hole, its cosine, the projected solid angle of a disc
     in the direction of its axis, pi R^2 / (R^2 + D^2), times three mirrors.
     """
     instrument = Instrument(detector_diameter_mm=20.0, field_deg=1.0, obstruction=False)
@@ -109,9 +109,12 @@ def test_the_sum_over_an_ideal_beam_is_its_flux_in_closed_form(sigma_deg: float)
     flux = 1e-6 * etendue_mm2sr * instrument.mirror_reflectance**3  # type: ignore[operator]
     assert beam.total == pytest.approx(flux * cone_sr, rel=1e-3)
     assert beam.edge == 0.0
-    # Two discs in one: the second moment of a uniform disc of radius r is r^2 / 4 along each axis.
-    expected = (math.degrees(math.atan(pupil / away)) ** 2 + 0.5**2) / 4.0
-    assert np.diag(beam.moment_deg2) == pytest.approx([expected, expected], rel=0.05)
+    # Of a uniform disc of radius r the second moment is r^2 / 4 along each axis: pupil and cone. Of a square of side a, seen from
+    # the pupil, a^2 / 12, foreshortened along the arc.
+    discs = (math.degrees(math.atan(pupil / away)) ** 2 + 0.5**2) / 4.0
+    square = math.degrees(hole / away) ** 2 / 12.0
+    along = discs + square * math.cos(math.radians(sigma_deg)) ** 2
+    assert np.diag(beam.moment_deg2) == pytest.approx([along, discs + square], rel=3e-3)
 
 
 def test_the_width_of_the_instrument_function_is_that_of_the_design() -> None:
@@ -119,7 +122,7 @@ def test_the_width_of_the_instrument_function_is_that_of_the_design() -> None:
     (scan,) = scans_of("[41]")
     for field_deg, expected in ((0.5, 0.237), (1.5, 0.397)):
         beam = scanned_beam(scan, 550.0, beam_signal(scan, Instrument(field_deg=field_deg)))
-        assert math.sqrt(beam.moment_deg2[0, 0]) == pytest.approx(expected, abs=2e-3)
+        assert math.sqrt(beam.moment_deg2[0, 0]) == pytest.approx(expected, abs=3e-3)
         assert beam.centroid_deg == pytest.approx([0.0, 0.0], abs=2e-3)
 
 
@@ -278,8 +281,9 @@ def test_a_campaign_closes_at_the_scans_wavelength_and_at_the_other(closed: tupl
         parts = {part.name: part for part in each.components}
         assert parts["certificate"].u == pytest.approx(0.002)
         assert [parts["beam_hole@upper"].u, parts["beam_hole@lower"].u] == [0.004, 0.004]
-        # The beam is read at 1e6, the etalon at 1e10: two ratios; the decades between the two currents.
-        assert parts["gain_ratio[4,0]"].u == parts["gain_ratio[4,1]"].u == pytest.approx(1e-3, rel=0.1)
+        # The etalon is read at 1e10, the beam at 1e6 and its flanks at 1e8: two ratios, one of them for a part of the beam.
+        assert parts["gain_ratio[4,1]"].u == pytest.approx(1e-3, rel=0.01)
+        assert 6e-4 < parts["gain_ratio[4,0]"].u < 9e-4
         assert 3.5 < abs(parts["linearity"].sensitivity) < 5.0
         assert all(part.input is None or part.u == abs(part.sensitivity) * part.input.u for part in each.components)
     (beam,) = report.beams
