@@ -78,12 +78,11 @@ def closure(
     combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam].
     """
     from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.reduction.closure import closure_text, journal_closure
+    from goniotwin.app.campaign.reduction.closure import closure_text
     from goniotwin.app.campaign.reduction.reduction import Reduction
 
     with Journal.open(journal) as opened:
-        reduction = Reduction(opened, without_damaged=without_damaged)
-        report = journal_closure(reduction)
+        report = Reduction(opened, without_damaged=without_damaged).closure()
         result = {"journal": str(journal), "simulated": opened.simulated, **report.as_dict(), "chain": opened.chain.as_dict()}
         mark = "SIMULATED, " if opened.simulated else ""
     text = f"{mark}closure of {journal}\n{closure_text(report)}"

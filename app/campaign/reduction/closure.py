@@ -19,10 +19,9 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.open_beam import LEAST_SIGMA_DEG, BeamScan, beam_scans, scan_wavelength_nm
 from goniotwin.app.campaign.reduction.components import Signal, total_variance
-from goniotwin.app.campaign.reduction.etalon import RowSignal, pose_key
-from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
+from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.campaign.uncertainty.inputs import Input
@@ -195,9 +194,14 @@ class ClosureReport:
         return f"{worst.verdict} ({where})"
 
 
-def journal_closure(reduction: Reduction) -> ClosureReport:
-    """The closures of a journal, by scan and wavelength. Raises UserError where it cannot be reduced."""
-    file, rig = reduction.schedule, reduction.rig.file
+def journal_closure(
+    settings: ReductionSettings, measurements: Measurements, etalon: ReferenceMeasurements, empty: ReferenceMeasurements
+) -> ClosureReport:
+    """The closures of a journal, by scan and wavelength; `empty` was measured without a sample.
+
+    Raises UserError where a row cannot be reduced.
+    """
+    file, rig = settings.schedule, settings.rig
     if file.open_beam_scan is None:
         return ClosureReport((), (), ("the schedule has no scan of the open beam: add the table [open_beam] to it",))
     not_planned = [
@@ -209,7 +213,7 @@ def journal_closure(reduction: Reduction) -> ClosureReport:
     beams: list[ScannedBeam] = []
     missing: list[str] = []
     for scan in beam_scans(file, rig):
-        readings = _Readings(reduction, scan)
+        readings = _Readings(scan, settings, measurements, etalon, empty)
         where = f"sigma {scan.sigma_deg:g} deg"
         if reason := readings.trouble:
             missing.append(f"{where}: {reason}")
@@ -221,7 +225,7 @@ def journal_closure(reduction: Reduction) -> ClosureReport:
             missing.append(f"{where}: at the edge of the scan the signal is still {share} of the largest: take more poses")
             continue
         for wavelength in grid_values(file.wavelength_nm):
-            found = readings.closure(beam, wavelength, reduction.settings.certificate, rig)
+            found = readings.closure(beam, wavelength)
             if isinstance(found, Closure):
                 closures.append(found)
             else:
@@ -260,16 +264,18 @@ def closure_text(report: ClosureReport) -> str:
 class _Readings:
     """The signals of one scan's photodiode in a journal: of the open beam, of the etalon, and without a sample."""
 
-    def __init__(self, reduction: Reduction, scan: BeamScan) -> None:
-        self._reduction, self._scan = reduction, scan
-        self._wavelength_nm = scan_wavelength_nm(reduction.schedule)
-        wavelengths = grid_values(reduction.schedule.wavelength_nm)
-        etalon, without = reduction.references
+    def __init__(
+        self, scan: BeamScan, settings: ReductionSettings, measurements: Measurements, etalon: ReferenceMeasurements,
+        empty: ReferenceMeasurements,
+    ) -> None:  # fmt: skip
+        self._scan, self._settings, self._measurements, self._empty = scan, settings, measurements, empty
+        self._wavelength_nm = scan_wavelength_nm(settings.schedule)
+        wavelengths = grid_values(settings.schedule.wavelength_nm)
         middle = _angles(scan, scan.middle)
         self._keys = [pose_key(_row(self._wavelength_nm), _angles(scan, k)) for k in range(len(scan.poses))]
         self._middle = {each: pose_key(_row(each), middle) for each in wavelengths}
         self._at_etalon = {each: pose_key(_row(each), scan.etalon_pose) for each in wavelengths}
-        self._open = without.at([*self._keys, *self._middle.values(), *self._at_etalon.values()])
+        self._open = empty.at([*self._keys, *self._middle.values(), *self._at_etalon.values()])
         self._etalon = etalon.at(self._at_etalon.values())
 
     @property
@@ -285,9 +291,9 @@ class _Readings:
         signal = _of_photodiode([self._open[key] for key in self._keys], self._scan.photodiode)
         return scanned_beam(self._scan, self._wavelength_nm, signal, *self.crosstalk())
 
-    def closure(self, beam: ScannedBeam, wavelength_nm: float, certificate: Certificate, rig: RigFile) -> Closure | str:
+    def closure(self, beam: ScannedBeam, wavelength_nm: float) -> Closure | str:
         """The closure at a wavelength, or the reason why there is none."""
-        scan = self._scan
+        scan, certificate, rig = self._scan, self._settings.certificate, self._settings.rig
         etalon_key, middle_key = self._at_etalon[wavelength_nm], self._middle[wavelength_nm]
         if etalon_key not in self._etalon:
             return "the etalon has not been measured in the pose of the scan"
@@ -301,7 +307,7 @@ class _Readings:
             return f"the certificate does not cover it: it is valid for {certificate}"
         scanned = _of_photodiode([self._open[key] for key in self._keys], scan.photodiode)
         etalon = _of_photodiode([self._etalon[etalon_key]], scan.photodiode)
-        if (signature := self._open.get(etalon_key)) is not None and self._reduction.schedule.signature:
+        if (signature := self._open.get(etalon_key)) is not None and self._settings.schedule.signature:
             own = _of_photodiode([signature], scan.photodiode)
             u_signature = rig.sample_unit.signature_uncertainty * own.value
             etalon = Signal(etalon.value - own.value, etalon.components, etalon.gain)
@@ -321,11 +327,11 @@ class _Readings:
 
         The flanks of the beam are read at higher gains too, where the converter's steps count less.
         """
-        photodiode, settings = self._scan.photodiode, self._reduction.rig.file.photodiodes
-        numbers = self._reduction.references[1].numbers_at(self._keys)
+        photodiode, settings = self._scan.photodiode, self._settings.rig.photodiodes
+        numbers = self._empty.numbers_at(self._keys)
         weights, weighted = np.zeros(settings.count), np.zeros(settings.count)
-        for gain in range(len(settings.gains_v_per_a)):
-            volts = list(self._reduction.volts(numbers, gain))
+        for gain_v_per_a in settings.gains_v_per_a:
+            volts = list(self._measurements.volts(numbers, gain_v_per_a))
             seen = np.array([each.value for each in volts]).reshape(-1, settings.count)
             beam = np.where(np.isfinite(seen[:, photodiode]), seen[:, photodiode], 0.0)[:, None]
             square = float((beam**2).sum())

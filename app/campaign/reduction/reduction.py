@@ -12,7 +12,7 @@ from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
-from goniotwin.app.campaign.reduction.components import Estimate
+from goniotwin.app.campaign.reduction.closure import ClosureReport, journal_closure
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
     ArcGeometry,
@@ -114,14 +114,9 @@ class Reduction:
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = ReferenceMeasurements(self._measurements, NO_SAMPLE)
 
-    @property
-    def references(self) -> tuple[ReferenceMeasurements, ReferenceMeasurements]:
-        """The measurements of the etalon, and those without a sample."""
-        return self._etalon, self._signature
-
-    def volts(self, numbers: Iterable[int], gain: int) -> Iterator[Estimate]:
-        """Voltages of all photodiodes above their dark reading, in those of some rows that were read at this gain."""
-        yield from self._measurements.volts(numbers, self.rig.file.photodiodes.gains_v_per_a[gain])
+    def closure(self) -> ClosureReport:
+        """The closure of the etalon's scale with that of the open beam. Raises UserError."""
+        return journal_closure(self.settings, self._measurements, self._etalon, self._signature)
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of wavelength, sigma, gamma, half planes and time; not finished yet.

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
-from goniotwin.app.campaign.reduction.closure import ClosureReport, journal_closure
+from goniotwin.app.campaign.reduction.closure import ClosureReport
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
@@ -97,7 +97,7 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
                 format_for(points, {Holds.COLUMNS}).write(points, stream)
             tallies = {name: each.tally for name, each in spreads.items()}
             unchecked = reduction.unchecked(tallies)
-            closure = None if reduction.schedule.open_beam_scan is None else journal_closure(reduction)
+            closure = None if reduction.schedule.open_beam_scan is None else reduction.closure()
     except FormatError as error:
         raise UserError(str(error)) from None
     except UserError as error:
