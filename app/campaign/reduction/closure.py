@@ -27,6 +27,7 @@ from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 RIG_FILE = "[uncertainty] of the rig file"
 MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
@@ -132,6 +133,17 @@ class ClosureReport:
     beams: tuple[ScannedBeam, ...]
     not_planned: tuple[str, ...]
     missing: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> dict[tuple[float, float, bool], tuple[float, float]]:
+        """The scale of the open beam, as `ReductionSettings.absolute` has it."""
+        return {
+            (*round_deg([each.wavelength_nm, each.beam.scan.sigma_deg]).tolist(), each.beam.scan.arc == "lower"): (
+                each.ratio,
+                each.u_absolute,
+            )
+            for each in self.closures
+        }
 
     def as_dict(self) -> dict[str, Any]:
         """The results for JSON."""

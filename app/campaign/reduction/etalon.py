@@ -8,7 +8,7 @@ from transmitted light: without a sample it is the direct beam.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -61,13 +61,18 @@ class ArcGeometry:
 
 @dataclass(frozen=True)
 class ReductionSettings:
-    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any."""
+    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
+
+    `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
+    the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
+    """
 
     rig: RigFile
     geometry: ArcGeometry
     schedule: ScheduleFile
     certificate: Certificate
     calibration: CalibrationFactors | None = None
+    absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
 
     @property
     def calibrates(self) -> bool:
@@ -276,8 +281,23 @@ def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
     bsdf = data.estimate.scaled(factor / math.pi)
-    bsdf = bsdf.with_component("certificate", (u_factor * bsdf.value) ** 2)
+    ratio, u_absolute = _absolute_scale(data, settings)
+    scaled = np.isfinite(ratio)
+    bsdf = bsdf.with_component("certificate", np.where(scaled, 0.0, u_factor * bsdf.value) ** 2)
+    if scaled.any():
+        bsdf = bsdf.scaled(np.where(scaled, ratio, 1.0))
+        bsdf = bsdf.with_component("open_beam", (np.where(scaled, u_absolute, 0.0) * bsdf.value) ** 2)
     return replace(data, estimate=bsdf).flagged({"uncertified": np.isnan(factor)})
+
+
+def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> tuple[Floats, Floats]:
+    """Ratio of the open beam's scale to the certificate's (rows, 1), NaN where the certificate holds, and its uncertainty."""
+    known = np.full((len(data.rows), 2), np.nan)
+    for k, (row, view) in enumerate(zip(data.rows, data.views, strict=True) if settings.absolute else ()):
+        if view.transmitted:
+            wavelength, sigma = round_deg([row.wavelength_nm or 0.0, data.incidence_deg[k, 0]]).tolist()
+            known[k] = settings.absolute.get((wavelength, sigma, not view.back), (np.nan, np.nan))
+    return known[:, :1], known[:, 1:]
 
 
 def flag_values(data: ArcRows, settings: ReductionSettings) -> ArcRows:

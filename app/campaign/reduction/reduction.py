@@ -113,6 +113,9 @@ class Reduction:
         if not len(self._etalon):
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = ReferenceMeasurements(self._measurements, NO_SAMPLE)
+        scan = self.schedule.open_beam_scan
+        if scan is not None and scan.scale == "open beam":
+            self.settings = replace(self.settings, absolute=self.closure().scale)
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""
@@ -174,6 +177,11 @@ class Reduction:
         notes += signature_notes(reflected=subtracted, scale=scale, u_signature=u_signature)
         if transmitted:
             notes.append("transmitted light is scaled by the same photodiode's signal of the etalon, lit from its own side")
+            notes += [
+                f"the etalon's scale for it at {nm:g} nm, sigma {sigma:g} deg is that of the open beam, {ratio:.4f} of the "
+                f"certificate's (u {100.0 * u:.2f} %), for photodiodes of the {'lower' if lower else 'upper'} arc"
+                for (nm, sigma, lower), (ratio, u) in self.settings.absolute.items()
+            ]
         certificate = self.schedule.certificate
         if certificate is not None and certificate.accept_expired_by is not None:
             person = certificate.accept_expired_by

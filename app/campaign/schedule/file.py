@@ -88,12 +88,13 @@ class OpenBeamTable(TomlTable):
 
     At each sigma of 10 deg or more, without a sample, the photodiode in the specular direction scans the beam at `poses` by
     `poses` poses, `step_deg` apart along the arc and across it, at `wavelength_nm` (without it the middle one). At all other
-    wavelengths it is read in the middle pose.
+    wavelengths it is read in the middle pose. `scale` is that of transmitted light.
     """
 
     poses: Annotated[int, Field(ge=5, le=51)] = 13
     step_deg: Annotated[float, Field(ge=0.02, le=1.0)] = 0.2
     wavelength_nm: PositiveFloat | None = None
+    scale: Literal["etalon", "open beam"] = "etalon"
 
     @field_validator("poses")
     @classmethod

@@ -23,6 +23,7 @@ from goniotwin.app.campaign.reduction.closure import (
     scanned_beam,
 )
 from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.effects import Component
@@ -372,3 +373,34 @@ def test_noise_of_the_scan_adds_up_and_dark_readings_are_common() -> None:
     drawn = [float(weight @ (sd * rng.standard_normal(weight.size))) / beam.total for _ in range(2000)]
     assert found["noise"] == pytest.approx(np.std(drawn), rel=0.06)
     assert found["dark"] == pytest.approx(float(weight.sum()) * sd / beam.total, rel=1e-9)
+
+
+@pytest.mark.long
+def test_transmitted_light_can_be_scaled_by_the_open_beam_and_the_export_states_it(tmp_path: Path) -> None:
+    """The same journal with either scale: the values differ by the ratio of the closure, and the component is another."""
+    text = HEAD.replace("gaussian-5", "opal").replace('"etalon"', '"white-tile"') + 'light = "transmitted"\n' + SMALL_SCAN
+    path = tmp_path / "a.journal"
+    run_plan(make_plan(parse_schedule(text + 'scale = "open beam"\n', "closure.toml"), read_rig(RIG)), path)
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal)
+        own = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
+        closures = {(each.wavelength_nm, each.beam.scan.sigma_deg): each for each in reduction.closure().closures}
+        notes = reduction.notes({"opal": tally_of(own)})
+        reduction.settings = replace(reduction.settings, absolute={})
+        by_etalon = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
+    assert sorted(closures) == [(450.0, 22.0), (550.0, 22.0)]
+    assert sum("is that of the open beam" in each for each in notes) == 2
+    for (wavelength, sigma), closure in closures.items():
+        at = own.transmitted & own.good & (own.wavelength_nm == wavelength) & (own.sigma_deg == sigma)
+        assert at.any()
+        assert own.bsdf[at] == pytest.approx(by_etalon.bsdf[at] * closure.ratio, rel=1e-12)
+        assert own.budget["open_beam"][at] == pytest.approx(closure.u_absolute * own.bsdf[at], rel=1e-12)
+        assert not own.budget["certificate"][at].any()
+    low = own.sigma_deg == 5.0
+    assert own.bsdf[low] == pytest.approx(by_etalon.bsdf[low], rel=1e-15, nan_ok=True)
+
+
+def tally_of(points: BsdfPoints) -> Tally:
+    tally = Tally()
+    tally.add(points)
+    return tally
