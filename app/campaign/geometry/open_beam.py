@@ -16,7 +16,7 @@ from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.schedule.file import OpenBeamTable, ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import AxisDescription
 from goniotwin.drivers.motion import within_limits
 from goniotwin.twin.optics.geometry.coordinates import (
@@ -73,7 +73,7 @@ class BeamScan:
         return np.stack([along, across], axis=1)
 
     @property
-    def edge(self) -> Floats:
+    def edge(self) -> Ints:
         """Indices of the poses on the edge of the grid."""
         side = np.sqrt(len(self.poses)).astype(int)
         rows = np.divmod(np.arange(len(self.poses)), side)
