@@ -31,6 +31,8 @@ LEAST_SIGMA_DEG = 10.0
 """Below this incidence a turn of beta moves a photodiode too little to scan the beam."""
 MOST_ASIDE_DEG = 2.0
 """How far from the schedule's sigma a scan may be, where the arc's shift does not reach further."""
+MAX_POSES = 1_000_000
+"""Limit of the poses of all scans: a campaign has no more rows."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,10 @@ def beam_scans(file: ScheduleFile, rig: RigFile) -> list[BeamScan]:
         raise ValueError(
             f"open_beam: no sigma_deg is {LEAST_SIGMA_DEG:g} deg or more, and below beta cannot scan the beam; "
             "remove [open_beam]"
+        )
+    if len(sigmas) * table.poses**2 > MAX_POSES:
+        raise ValueError(
+            f"open_beam: {len(sigmas)} scans x {table.poses} x {table.poses} poses are more than {MAX_POSES} rows; take fewer"
         )
     gamma = grid_values(file.gamma_deg)[0]
     return [_scan(rig, table, sigma, etalon_sigma, gamma) for etalon_sigma, sigma in sigmas.items()]

@@ -21,6 +21,7 @@ from goniotwin.app.campaign.geometry.open_beam import LEAST_SIGMA_DEG, BeamScan,
 from goniotwin.app.campaign.reduction.components import Signal, total_variance
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
 from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
+from goniotwin.app.campaign.reduction.signals import LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.uncertainty.effects import Component
@@ -36,6 +37,8 @@ STEP_DEG = 0.2
 """Step of the scan to which the uncertainty of its sum belongs."""
 EDGE_SHARE = 0.01
 """A signal at the edge of the scan above this share of the largest means that the beam is not all within."""
+SMALLEST_U = 1e-12
+"""A rig file may state that everything is exact."""
 AGREES, DIFFERS = 2.0, 4.0
 """Up to so many combined uncertainties two scales agree; beyond so many they certainly do not."""
 
@@ -106,7 +109,7 @@ class Closure:
     @property
     def z(self) -> float:
         """The difference of the two routes in combined uncertainties."""
-        return (self.ratio - 1.0) / self.u
+        return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
 
     @property
     def verdict(self) -> str:
@@ -296,7 +299,13 @@ class _Readings:
         measured = [self._open[key] for key in self._keys if key in self._open]
         if len(measured) < len(self._keys):
             return f"{len(measured)} of {len(self._keys)} poses of the scan have been measured"
-        return _trouble(measured, self._scan.photodiode)
+        if reason := _trouble(measured, self._scan.photodiode):
+            return reason
+        signal = _of_photodiode(measured, self._scan.photodiode)
+        brightest = int(np.argmax(signal.value))
+        if not signal.value[brightest] > LIGHT * math.sqrt(signal.variance[brightest]) or signal.value.sum() <= 0.0:
+            return f"photodiode {self._scan.photodiode} has no light in any pose of the scan: was the sample unit empty?"
+        return ""
 
     def beam(self) -> ScannedBeam:
         """The scan as a whole."""

@@ -119,7 +119,10 @@ class Reduction:
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""
-        return journal_closure(self.settings, self._measurements, self._etalon, self._signature)
+        try:
+            return journal_closure(self.settings, self._measurements, self._etalon, self._signature)
+        except ValueError as error:  # the schedule and the rig file in the journal were not planned together
+            raise UserError(f"{self.journal.path} (schedule): {error}") from None
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of wavelength, sigma, gamma, half planes and time; not finished yet.

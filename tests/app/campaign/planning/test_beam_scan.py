@@ -137,6 +137,11 @@ def test_the_limits_of_an_axis_and_a_gap_between_photodiodes_are_refused() -> No
     assert "open_beam: should be" in refused('sigma_deg = [40]\nopen_beam = "yes"\n')
 
 
+def test_more_poses_than_a_campaign_may_have_are_refused_before_they_are_built() -> None:
+    many = "sigma_deg = { start = 20, stop = 60, step = 0.01 }\n[open_beam]\nposes = 17\n"
+    assert "open_beam: 4001 scans x 17 x 17 poses are more than 1000000 rows" in refused(many)
+
+
 def test_one_pose_as_before_stays_one_pose() -> None:
     """`open_beam = true` looks with the far arc, at sigma itself, at all wavelengths."""
     rows = rows_of(planned("sigma_deg = [32]\nopen_beam = true\n"), NO_SAMPLE)
