@@ -83,8 +83,9 @@ class BeamScan:
 
 
 def beam_scans(file: ScheduleFile, rig: RigFile) -> list[BeamScan]:
-    """The scans of a schedule, one for each pose of the etalon that scales something; none without `[open_beam]`.
+    """The scans of a schedule, one for each sigma and arc that the etalon scales; none without `[open_beam]`.
 
+    Two sigmas that the limits of the shift bring to one scan have it once, for the nearer one.
     Raises ValueError, with the key, where the rig cannot scan the beam of a sigma.
     """
     table = file.open_beam_scan
@@ -107,21 +108,30 @@ def beam_scans(file: ScheduleFile, rig: RigFile) -> list[BeamScan]:
             f"open_beam: {len(sigmas)} scans x {table.poses} x {table.poses} poses are more than {MAX_POSES} rows; take fewer"
         )
     gamma = grid_values(file.gamma_deg)[0]
-    return [_scan(rig, table, sigma, etalon_sigma, gamma) for etalon_sigma, sigma in sigmas.items()]
+    scans = [_scan(rig, table, sigma, etalon_sigma, gamma) for etalon_sigma, sigma in sigmas.items()]
+    nearest: dict[PoseAngles, BeamScan] = {}
+    for each in sorted(scans, key=lambda scan: abs(scan.at_deg - scan.sigma_deg)):
+        nearest.setdefault(each.etalon_pose, each)
+    return [each for each in scans if nearest[each.etalon_pose] is each]
 
 
 def scan_notes(file: ScheduleFile, rig: RigFile) -> Iterator[str]:
     """What a person should know of the scans: sigmas without one, and those that are scanned beside their sigma."""
     if file.open_beam_scan is None:
         return
-    low = [sigma for sigma in grid_values(file.sigma_deg) if sigma < LEAST_SIGMA_DEG]
+    sigmas, scans = grid_values(file.sigma_deg), beam_scans(file, rig)
+    low = [sigma for sigma in sigmas if sigma < LEAST_SIGMA_DEG]
     if low:
         listed = ", ".join(f"{sigma:g}" for sigma in low)
         yield (
             f"the open beam is not scanned at sigma {listed} deg: below {LEAST_SIGMA_DEG:g} deg beta cannot scan it, so that "
             "there is no closure"
         )
-    aside = {each.sigma_deg: each.at_deg for each in beam_scans(file, rig) if abs(each.at_deg - each.sigma_deg) > TOLERANCE_DEG}
+    scanned = {each.sigma_deg for each in scans}
+    if shared := [sigma for sigma in sigmas if sigma >= LEAST_SIGMA_DEG and sigma not in scanned]:
+        listed = ", ".join(f"{sigma:g}" for sigma in shared)
+        yield f"sigma {listed} deg has no scan of the open beam of its own: the limits of the arc's shift leave it that of another"
+    aside = {each.sigma_deg: each.at_deg for each in scans if abs(each.at_deg - each.sigma_deg) > TOLERANCE_DEG}
     if aside:
         listed = ", ".join(f"{at:g} in place of {sigma:g}" for sigma, at in aside.items())
         yield (

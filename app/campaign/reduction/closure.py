@@ -224,10 +224,17 @@ def journal_closure(
         for sigma in grid_values(file.sigma_deg)
         if sigma < LEAST_SIGMA_DEG
     ]
+    scans = beam_scans(file, rig)
+    scanned = {each.sigma_deg for each in scans}
+    not_planned += [
+        f"sigma {sigma:g} deg: has no scan of its own, because the limits of the arc's shift leave it that of another sigma"
+        for sigma in grid_values(file.sigma_deg)
+        if sigma >= LEAST_SIGMA_DEG and sigma not in scanned
+    ]
     closures: list[Closure] = []
     beams: list[ScannedBeam] = []
     missing: list[str] = []
-    for scan in beam_scans(file, rig):
+    for scan in scans:
         readings = _Readings(scan, settings, measurements, etalon, empty)
         where = f"sigma {scan.sigma_deg:g} deg"
         if reason := readings.trouble:

@@ -137,6 +137,18 @@ def test_the_limits_of_an_axis_and_a_gap_between_photodiodes_are_refused() -> No
     assert "open_beam: should be" in refused('sigma_deg = [40]\nopen_beam = "yes"\n')
 
 
+def test_two_sigmas_that_the_shift_brings_to_one_scan_have_it_once() -> None:
+    """40 and 40.5 would both be scanned at 40.7: an identity of a row is there once."""
+    plan = planned("sigma_deg = [40, 40.5, 41]\n[open_beam]\n")
+    assert [(each.sigma_deg, each.at_deg) for each in beam_scans(plan.schedule.file, plan.rig.file)] == [
+        (40.5, 40.7),
+        (41.0, 41.0),
+    ]
+    identities = [row.identity for row in plan.rows]
+    assert len(set(identities)) == len(identities)
+    assert any("sigma 40 deg has no scan of the open beam of its own" in each for each in check_plan(plan)["warnings"])
+
+
 def test_more_poses_than_a_campaign_may_have_are_refused_before_they_are_built() -> None:
     many = "sigma_deg = { start = 20, stop = 60, step = 0.01 }\n[open_beam]\nposes = 17\n"
     assert "open_beam: 4001 scans x 17 x 17 poses are more than 1000000 rows" in refused(many)
