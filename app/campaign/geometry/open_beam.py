@@ -131,8 +131,8 @@ def scan_notes(file: ScheduleFile, rig: RigFile) -> Iterator[str]:
     if shared := [sigma for sigma in sigmas if sigma >= LEAST_SIGMA_DEG and sigma not in scanned]:
         listed = ", ".join(f"{sigma:g}" for sigma in shared)
         yield (
-            f"sigma {listed} deg has no scan of the open beam of its own: the limits of the arc's shift leave it that of another "
-            "sigma"
+            f"sigma {listed} deg has no scan of the open beam of its own: the limits of the arc's shift leave it that of "
+            "another sigma"
         )
     aside = {each.sigma_deg: each.at_deg for each in scans if abs(each.at_deg - each.sigma_deg) > TOLERANCE_DEG}
     if aside:
