@@ -1,4 +1,4 @@
-"""Commands on measured data: `goniotwin export`, `budget`, `verify` and `copy`."""
+"""Commands on measured data: `goniotwin export`, `budget`, `verify`, `closure` and `copy`."""
 
 import os
 from pathlib import Path
@@ -162,6 +162,31 @@ def verify(
     answer(as_json, result, show)
     if not holds:
         raise typer.Exit(1)
+
+
+@app.command()
+def closure(
+    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
+    without_damaged: Annotated[
+        bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of giving nothing.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare the etalon's scale with that of the open beam.
+
+    For each sigma and wavelength the etalon's radiance factor by its certificate and by the scan of the open beam: ratio,
+    combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam].
+    """
+    from goniotwin.app.campaign.journal.writing import Journal
+    from goniotwin.app.campaign.reduction.closure import closure_text
+    from goniotwin.app.campaign.reduction.reduction import Reduction
+
+    with Journal.open(journal) as opened:
+        report = Reduction(opened, without_damaged=without_damaged).closure()
+        result = {"journal": str(journal), "simulated": opened.simulated, **report.as_dict(), "chain": opened.chain.as_dict()}
+        mark = "SIMULATED, " if opened.simulated else ""
+    text = f"{mark}closure of {journal}\n{closure_text(report)}"
+    answer(as_json, result, lambda: print(text))
 
 
 @app.command()

@@ -33,8 +33,9 @@ class UncertaintyTable:
     Standard uncertainties, relative where no unit is named: `field_of_view` of the variance of the directions in the field of
     view, `wavelength_nm`, `linearity_per_decade` of the photodiodes' current, `crosstalk` of a channel's volts in its module's
     others, `etalon_age_per_year`, `etalon_edge` (light that a diffuser loses at the frames' edges), `monochromator_stray`
-    (share of light of other wavelengths), `uniformity` of the sample's surface, `repeatability` between repeats, and `mounting`
-    between mountings.
+    (share of light of other wavelengths), `scan` of the open beam (of its sum, for steps of 0.2 deg), `beam_hole` (light of the
+    open beam that a hole of one frame cuts off), `uniformity` of the sample's surface, `repeatability` between repeats, and
+    `mounting` between mountings.
     """
 
     sample_tilt_deg: Tilt = 0.05
@@ -62,6 +63,8 @@ class UncertaintyTable:
     etalon_age_per_year: Fraction = field(default=1e-3, metadata=NORMAL)
     etalon_edge: Fraction = field(default=2e-3, metadata=NORMAL)
     monochromator_stray: Fraction = field(default=1e-4, metadata=NORMAL)
+    scan: Fraction = field(default=1e-3, metadata=NORMAL)
+    beam_hole: Fraction = field(default=4e-3, metadata=NORMAL)
     uniformity: Fraction = field(default=0.0, metadata=NORMAL)
     repeatability: Fraction = field(default=0.0, metadata=NORMAL)
     mounting: Fraction = field(default=0.0, metadata=NORMAL)

@@ -37,6 +37,7 @@ TRACED = (
 )
 PLANS = {
     "anisotropic": ("virtual",),
+    "closure": ("virtual",),
     "dense-lobe-spectral": ("virtual", "filters"),
     "diffuse-spectral": ("virtual", "filters"),
     "paper-order": ("virtual",),

@@ -5,13 +5,14 @@ from functools import cached_property
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.open_beam import beam_scans, scan_wavelength_nm
 from goniotwin.app.campaign.planning.poses import Poses, etalon_poses, open_beam_poses, sample_poses
 from goniotwin.app.campaign.planning.scan_grid import ScanGrid
 from goniotwin.app.campaign.row import MIRRORED_MARK, NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     """The passes of each mounting: the etalon first, the empty sample unit last. Raises ValueError with the key."""
     wavelengths = np.array(grid_values(file.wavelength_nm))
     of_samples = sample_poses(file, rig)
-    of_etalon = etalon_poses(file, of_samples)
+    scans = beam_scans(file, rig)
+    of_etalon = etalon_poses(file, of_samples, [each.etalon_pose for each in scans])
     filters = rig.monochromator.wheel.numbers(wavelengths)
     grid = ScanGrid(of_samples.angles, wavelengths, filters)
     etalon_grid = grid if of_etalon is of_samples else ScanGrid(of_etalon.angles, wavelengths, filters)
@@ -57,10 +59,17 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     mounted += [[Pass(sample, of_samples, grid, suffix=suffix) for suffix in suffixes] for sample in file.samples]
     # The poses of the etalon include those of reflected light; in transmitted light a photodiode would see the beam itself.
     empty = [Pass(NO_SAMPLE, of_etalon, etalon_grid, suffix=suffix) for suffix in suffixes] if file.signature else []
-    if file.open_beam:
-        beam = open_beam_poses(file, rig)
-        poses = Poses(beam, np.zeros(len(beam), dtype=bool), 0)
-        empty.append(Pass(NO_SAMPLE, poses, ScanGrid(beam, wavelengths, filters), purpose="/open beam"))
+    beams: list[tuple[Floats, Flags]] = []
+    if scans:
+        scanned = wavelengths == scan_wavelength_nm(file)
+        beams.append((np.concatenate([each.poses for each in scans]), scanned))
+        beams.append((np.stack([each.poses[each.middle] for each in scans]), ~scanned))
+    elif file.open_beam:
+        beams.append((open_beam_poses(file, rig), np.ones(len(wavelengths), dtype=bool)))
+    for angles, at in beams:
+        if at.any():
+            poses = Poses(angles, np.zeros(len(angles), dtype=bool), 0)
+            empty.append(Pass(NO_SAMPLE, poses, ScanGrid(angles, wavelengths[at], filters[at]), purpose="/open beam"))
     return [*mounted, empty] if empty else mounted
 
 

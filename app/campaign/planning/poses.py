@@ -4,6 +4,7 @@ Beside the grids there are finer poses near the specular direction or the direct
 overlap, mirror images that check the symmetry, and poses of the open beam.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg, far_arc, lit_sides, observing_arcs, polar_deg
 from goniotwin.app.campaign.geometry.collision import reachable_poses
-from goniotwin.app.campaign.geometry.directions import LitSide, rig_sigma_deg
+from goniotwin.app.campaign.geometry.directions import LitSide, PoseAngles, rig_sigma_deg
 from goniotwin.app.campaign.geometry.symmetry import mirror_images, unique_pose_mask
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import WHOLE, evenly_spaced, grid_values
@@ -50,8 +51,21 @@ def sample_poses(file: ScheduleFile, rig: RigFile) -> Poses:
     return Poses(np.concatenate([angles, checks]), mirrored, sum(left_out for _, left_out in sides))
 
 
-def etalon_poses(file: ScheduleFile, of_samples: Poses) -> Poses:
-    """The poses of the etalon: each photodiode as at the samples, with the light on the side that the photodiode sees."""
+def etalon_poses(file: ScheduleFile, of_samples: Poses, further: Sequence[PoseAngles] = ()) -> Poses:
+    """The poses of the etalon: each photodiode as at the samples, with the light on the side that the photodiode sees.
+
+    `further` are those that the scan of the open beam is compared with; some of them are poses of the samples.
+    """
+    poses = _poses_as_at_samples(file, of_samples)
+    known = {tuple(each) for each in round_deg(poses.angles).tolist()}
+    added = [each for each in further if tuple(round_deg(each).tolist()) not in known]
+    if not added:
+        return poses
+    angles = np.concatenate([poses.angles, np.array(added)])
+    return Poses(angles, np.concatenate([poses.mirrored, np.zeros(len(added), dtype=bool)]), 0)
+
+
+def _poses_as_at_samples(file: ScheduleFile, of_samples: Poses) -> Poses:
     if file.light == "reflected":
         return of_samples
     blocks, mirrored = [], []

@@ -11,6 +11,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import ArcDirections, arc_channels, arc_view, etalon_sigma_deg, far_arc, lit_side
 from goniotwin.app.campaign.geometry.directions import Arc
+from goniotwin.app.campaign.geometry.open_beam import scan_notes
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.planning.durations import Timing, shortest_warm_up_s
 from goniotwin.app.campaign.planning.exposure import SAMPLED_ROWS
@@ -42,6 +43,7 @@ def plan_warnings(plan: NewPlan, arcs: list[ArcDirections]) -> list[str]:
         *_no_overlap(plan, arcs),
         *_old_dark_reading(plan),
         *_saturated_open_beam(plan),
+        *scan_notes(plan.schedule.file, plan.rig.file),
         *_second_order(plan),
         *_uncertain_duration(plan),
     ]

@@ -8,7 +8,7 @@ from transmitted light: without a sample it is the direct beam.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -102,6 +102,8 @@ class ReductionSettings:
     `history`, of a journal, has the mountings, moves and dark readings before each row.
     `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration; `repeatability` the relative
     standard uncertainty that the repeats of the campaign show, None where there are too few of them.
+    `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
+    the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
     """
 
     rig: RigFile
@@ -113,6 +115,7 @@ class ReductionSettings:
     sample: str = ""
     etalon_years: float = 1.0
     repeatability: float | None = None
+    absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
 
     @property
     def calibrates(self) -> bool:
@@ -342,7 +345,22 @@ def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
     bsdf = data.estimate.scaled(factor / math.pi)
+    ratio, u_absolute = _absolute_scale(data, settings)
+    scaled = np.isfinite(ratio)
+    if scaled.any():
+        bsdf = bsdf.scaled(np.where(scaled, ratio, 1.0))
+        bsdf = bsdf.with_component("open_beam", (np.where(scaled, u_absolute, 0.0) * bsdf.value) ** 2)
     return replace(data, estimate=bsdf).flagged({"uncertified": np.isnan(factor)})
+
+
+def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> tuple[Floats, Floats]:
+    """Ratio of the open beam's scale to the certificate's (rows, 1), NaN where the certificate holds, and its uncertainty."""
+    known = np.full((len(data.rows), 2), np.nan)
+    for k, (row, view) in enumerate(zip(data.rows, data.views, strict=True) if settings.absolute else ()):
+        if view.transmitted:
+            wavelength, sigma = round_deg([row.wavelength_nm or 0.0, data.incidence_deg[k, 0]]).tolist()
+            known[k] = settings.absolute.get((wavelength, sigma, not view.back), (np.nan, np.nan))
+    return known[:, :1], known[:, 1:]
 
 
 def flag_values(data: ArcRows, settings: ReductionSettings) -> ArcRows:

@@ -10,20 +10,27 @@ import copy
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
-from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.readout import saturation
+from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
 from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvidence, SignalEvidence, stated
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.points import PLACE
-from goniotwin.app.campaign.reduction.signals import dark_current_loss_s, dark_readings_by_gain, middle_s
+from goniotwin.app.campaign.reduction.signals import (
+    check_reading,
+    dark_current_loss_s,
+    dark_readings_by_gain,
+    middle_s,
+    subtract_dark,
+)
 from goniotwin.app.campaign.row import CommittedRow
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.errors import UserError
@@ -75,6 +82,15 @@ class DarkHistory:
     def signal(self, row: CommittedRow) -> Signal:
         """The signal of a row with readings. Raises UserError where it cannot be reduced."""
         return reduce_readings(row.data, self._dark, self._settings, self._rig, self.evidence)
+
+    def volts(self, row: CommittedRow, gain_v_per_a: float) -> Estimate | None:
+        """Voltages (photodiodes,) of a row above the dark reading at one gain, NaN where saturated; None if not read there."""
+        for reading in row.data.readings:
+            if reading.gain_v_per_a == gain_v_per_a and gain_v_per_a in self._dark:
+                check_reading(reading, self._settings)
+                volts = subtract_dark(reading, self._dark[gain_v_per_a], self._settings)
+                return replace(volts, value=np.where(saturation(reading.counts, self._settings.range), np.nan, volts.value))
+        return None
 
     def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
         """The signal of a row, with its flags: see `RowSignal`."""
@@ -131,6 +147,14 @@ class Measurements:
         self._kept.update({each.row.number: each for each in found})
         return found
 
+    def volts(self, numbers: Iterable[int], gain_v_per_a: float) -> Iterator[Estimate]:
+        """Voltages of the rows that were read at a gain, by the rows' numbers."""
+        for each in self._journal.rows_of(numbers):
+            with self._path_in_errors():
+                found = self._dark.volts(each, gain_v_per_a)
+            if found is not None:
+                yield found
+
     @contextlib.contextmanager
     def _path_in_errors(self) -> Iterator[None]:
         try:
@@ -160,16 +184,25 @@ class ReferenceMeasurements:
 
     def at(self, keys: Iterable[PoseKey]) -> dict[PoseKey, RowSignal]:
         """The signals at those keys that were measured."""
+        signals = {}
+        for key, numbers in self._rows_at(keys):
+            if numbers:
+                signals[key] = mean_row(list(self._measurements.row_signals(numbers)))
+        return signals
+
+    def numbers_at(self, keys: Iterable[PoseKey]) -> list[int]:
+        """The numbers of the rows at those keys that were measured."""
+        return [number for _, numbers in self._rows_at(keys) for number in numbers]
+
+    def _rows_at(self, keys: Iterable[PoseKey]) -> Iterator[tuple[PoseKey, list[int]]]:
+        """Each of the keys once, with the numbers of its rows."""
         wanted = list(dict.fromkeys(keys))
         if not wanted or not len(self):
-            return {}
+            return
         codes = self._codes(np.array([(wavelength, *pose) for wavelength, pose in wanted]))
         first, last = (np.searchsorted(self._sorted, codes, side=side) for side in ("left", "right"))
-        signals = {}
         for key, begin, end in zip(wanted, first.tolist(), last.tolist(), strict=True):
-            if end > begin:
-                signals[key] = mean_row(list(self._measurements.row_signals(self._numbers[begin:end].tolist())))
-        return signals
+            yield key, self._numbers[begin:end].tolist()
 
     def measured(self, places: Floats) -> Flags:
         """Which of the places (n, 5) were measured."""

@@ -14,6 +14,7 @@ from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
+from goniotwin.app.campaign.reduction.closure import ClosureReport, journal_closure
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, unchecked_note, unchecked_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
     ArcGeometry,
@@ -133,6 +134,16 @@ class Reduction:
         stated = self.rig.file.uncertainty.repeatability
         if self._repeats is not None and self._repeats.excess > stated:
             self.settings = replace(self.settings, repeatability=self._repeats.excess)
+        scan = self.schedule.open_beam_scan
+        if scan is not None and scan.scale == "open beam":
+            self.settings = replace(self.settings, absolute=self.closure().scale)
+
+    def closure(self) -> ClosureReport:
+        """The closure of the etalon's scale with that of the open beam. Raises UserError."""
+        try:
+            return journal_closure(self.settings, self._measurements, self._etalon, self._signature)
+        except ValueError as error:  # the schedule and the rig file in the journal were not planned together
+            raise UserError(f"{self.journal.path} (schedule): {error}") from None
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of sigma, gamma, wavelength, half planes and time; not finished yet.
@@ -210,6 +221,11 @@ class Reduction:
         notes += signature_notes(reflected=subtracted, scale=scale, u_signature=u_signature)
         if transmitted:
             notes.append("transmitted light is scaled by the same photodiode's signal of the etalon, lit from its own side")
+            notes += [
+                f"the etalon's scale for it at {nm:g} nm, sigma {sigma:g} deg is that of the open beam, {ratio:.4f} of the "
+                f"certificate's (u {100.0 * u:.2f} %), for photodiodes of the {'lower' if lower else 'upper'} arc"
+                for (nm, sigma, lower), (ratio, u) in self.settings.absolute.items()
+            ]
         certificate = self.schedule.certificate
         if certificate is not None and certificate.accept_expired_by is not None:
             person = certificate.accept_expired_by

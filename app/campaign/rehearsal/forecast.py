@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
+from goniotwin.app.campaign.reduction.closure import ClosureReport
 from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, true_bsdf
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
@@ -77,7 +78,8 @@ class UncertaintySpread:
 class Forecast:
     """`spread` and `tallies` by sample; `trouble` is the reason why there are none.
 
-    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover.
+    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover. `closure` is that of the open
+    beam, if the schedule has its scan.
     """
 
     spread: dict[str, dict[str, Any]]
@@ -85,6 +87,7 @@ class Forecast:
     trouble: str = ""
     tallies: dict[str, Tally] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    closure: ClosureReport | None = None
 
 
 def forecast(
@@ -114,6 +117,7 @@ def forecast(
                 format_for(points, {Holds.COLUMNS}).write(points, stream)
             tallies = {name: each.tally for name, each in spreads.items()}
             unchecked = reduction.unchecked(tallies)
+            closure = None if reduction.schedule.open_beam_scan is None else reduction.closure()
     except FormatError as error:
         raise UserError(str(error)) from None
     except UserError as error:
@@ -124,7 +128,7 @@ def forecast(
     if points is not None and not spreads:
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
     spread = {name: each.as_dict() for name, each in spreads.items()}
-    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked)
+    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked, closure=closure)
 
 
 def relative_uncertainty(points: BsdfPoints) -> Floats:

@@ -83,6 +83,33 @@ class DriftTable(TomlTable):
     on_excess: Literal["flag", "stop"] = "flag"
 
 
+class OpenBeamTable(TomlTable):
+    """`[open_beam]`: the scan of the open beam: the absolute scale that `goniotwin closure` compares with the etalon.
+
+    At each sigma of 10 deg or more, without a sample, the photodiode in the specular direction scans the beam at `poses` by
+    `poses` poses, `step_deg` apart along the arc and across it, at `wavelength_nm` (without it the middle one). At all other
+    wavelengths it is read in the middle pose. `scale` is that of transmitted light.
+    """
+
+    poses: Annotated[int, Field(ge=5, le=51)] = 13
+    step_deg: Annotated[float, Field(ge=0.02, le=1.0)] = 0.2
+    wavelength_nm: PositiveFloat | None = None
+    scale: Literal["etalon", "open beam"] = "etalon"
+
+    @field_validator("poses")
+    @classmethod
+    def _check_middle(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError(f"{value} is even, so that there is no middle pose; write {value + 1}")
+        return value
+
+
+OpenBeamSetting = Annotated[
+    Annotated[bool, Tag("bool")] | Annotated[OpenBeamTable, Tag("table")],
+    Discriminator(lambda value: "bool" if isinstance(value, bool) else "table"),
+]
+
+
 class StopTable(TomlTable):
     """`[stop]`: conditions that end a run in good order before its last row; it can be resumed.
 
@@ -123,7 +150,7 @@ class ScheduleFile(TomlTable):
     (incidence), `gamma_deg` (rotation of the sample), `beta_deg` (rotation of the arc), `shift_deg` (polar shift of the arc)
     and `wavelength_nm`. `near_specular` adds finer poses, `symmetry_check` mirrored ones, `overlap` those at which photodiodes
     look where their neighbours look. With `signature` the etalon's poses are measured with no sample as well, with `open_beam`
-    the beam itself. `repeats` is the number of scans within a mounting.
+    the beam itself: in one pose with `true`, scanned with a table. `repeats` is the number of scans within a mounting.
 
     `order` is the order of the loops, and with `back_and_forth` a loop may turn round at its end. `gains_v_per_a` are the gains
     of each row, or "automatic". `readings` is their number at each gain, `dark_readings` that of a dark reading, which is no
@@ -148,7 +175,7 @@ class ScheduleFile(TomlTable):
     symmetry_check: SymmetryCheckTable | None = None
     overlap: OverlapTable | None = None
     signature: bool = False
-    open_beam: bool = False
+    open_beam: OpenBeamSetting = False
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     order: OrderSetting = "fastest"
     back_and_forth: bool = True
@@ -186,6 +213,19 @@ class ScheduleFile(TomlTable):
         if NO_SAMPLE in (self.etalon, *self.samples):
             raise ValueError(f"{NO_SAMPLE!r} is the name of the empty sample unit; give the sample another name")
         return self
+
+    @model_validator(mode="after")
+    def _check_open_beam(self) -> "ScheduleFile":
+        scan = self.open_beam_scan
+        wavelengths = grid_values(self.wavelength_nm)
+        if scan is not None and scan.wavelength_nm not in (None, *wavelengths):
+            raise ValueError(f"open_beam.wavelength_nm: {scan.wavelength_nm:g} is not in wavelength_nm; choose one of these")
+        return self
+
+    @property
+    def open_beam_scan(self) -> OpenBeamTable | None:
+        """The table of the scan of the open beam, if there is one."""
+        return self.open_beam if isinstance(self.open_beam, OpenBeamTable) else None
 
     @field_validator("order", "gains_v_per_a", mode="before")
     @classmethod

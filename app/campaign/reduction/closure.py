@@ -1,0 +1,583 @@
+"""The absolute scale of the open beam, and its closure: radiance factors of the etalon by it against those of the certificate.
+
+    rho_absolute = pi S_etalon / (cos(theta_r) sum of S_open dOmega)
+
+Both signals are of one photodiode: the etalon at polar = sigma, and the open beam that this photodiode has scanned with the
+mirror unit at 180 deg - sigma. Its responsivity, disc, cone and distance are common to both. The sum over the scan has to know
+the angles: S_etalon goes as cos(theta_i) cos(theta_r), the beam through the hole as cos(theta_b), and dOmega as sin(theta). A
+mirror's tilt d in the plane of incidence turns the light by +d at sigma and by -d at 180 deg - sigma, so that it counts twice.
+The scan sees some of this itself: its centroid is the sum of the tilts of light and arc. It is an observation of the inputs, by
+which the value is corrected and their uncertainty reduced (the conditional expectation of normal inputs).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from goniotwin.app.campaign.geometry.open_beam import LEAST_SIGMA_DEG, BeamScan, beam_scans, scan_wavelength_nm
+from goniotwin.app.campaign.reduction.components import Signal, total_variance
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
+from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
+from goniotwin.app.campaign.reduction.signals import LIGHT
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.campaign.uncertainty.effects import Component
+from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics.geometry.coordinates import round_deg
+
+RIG_FILE = "[uncertainty] of the rig file"
+MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
+"""Turn of the light in the plane of incidence for a tilt of each mirror: 1.414 times its share of the path to the sample."""
+STEP_DEG = 0.2
+"""Step of the scan to which the uncertainty of its sum belongs."""
+EDGE_SHARE = 0.01
+"""A signal at the edge of the scan above this share of the largest means that the beam is not all within."""
+SMALLEST_U = 1e-12
+"""A rig file may state that everything is exact."""
+AGREES, DIFFERS = 2.0, 4.0
+"""Up to so many combined uncertainties two scales agree; beyond so many they certainly do not."""
+
+
+@dataclass(frozen=True)
+class ScannedBeam:
+    """What a scan shows of the instrument, at its wavelength. Angles along the arc and across it, in degrees.
+
+    `total` is the sum of signal times solid angle. `centroid_deg` (2,) is where the beam is from where the angles of the axes
+    put it, `moment_deg2` (2, 2) the second moment of the instrument function: of pupil, cone, disc and spot together. `share`
+    (n,) is each pose's part of the total, `edge` the largest signal at the edge of the grid over the largest of all.
+    `crosstalk` (photodiodes,) is the signal in volts of each photodiode over that of the one in the beam, at the same gain,
+    with `u_crosstalk`: cross-talk and stray light together; NaN where it was not read.
+    """
+
+    scan: BeamScan
+    wavelength_nm: float
+    total: float
+    share: Floats
+    centroid_deg: Floats
+    moment_deg2: Floats
+    edge: float
+    crosstalk: Floats
+    u_crosstalk: Floats
+
+    @property
+    def neighbours(self) -> dict[int, tuple[float, float]]:
+        """Cross-talk and its uncertainty of the photodiodes next to the one in the beam, by number."""
+        beside = [self.scan.photodiode - 1, self.scan.photodiode + 1]
+        return {
+            k: (float(self.crosstalk[k]), float(self.u_crosstalk[k]))
+            for k in beside
+            if 0 <= k < self.crosstalk.size and np.isfinite(self.crosstalk[k])
+        }
+
+
+@dataclass(frozen=True)
+class Closure:
+    """The etalon's radiance factor by its certificate and by the open beam, at one incidence and wavelength.
+
+    `absolute` is corrected for the centroid of the scan by the relative `correction`. `components` are relative, of the ratio
+    of the two; those in CERTIFICATE_INPUTS belong to the route by the etalon.
+    """
+
+    beam: ScannedBeam
+    wavelength_nm: float
+    certified: float
+    absolute: float
+    correction: float
+    components: tuple[Component, ...]
+
+    @property
+    def ratio(self) -> float:
+        """The absolute route over the route by the etalon."""
+        return self.absolute / self.certified
+
+    @property
+    def u(self) -> float:
+        """Combined relative standard uncertainty of the ratio."""
+        return math.sqrt(math.fsum(each.u**2 for each in self.components))
+
+    @property
+    def u_absolute(self) -> float:
+        """Relative standard uncertainty of the absolute route alone."""
+        own = (each.u**2 for each in self.components if each.name not in CERTIFICATE_INPUTS)
+        return math.sqrt(math.fsum(own))
+
+    @property
+    def z(self) -> float:
+        """The difference of the two routes in combined uncertainties."""
+        return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
+
+    @property
+    def verdict(self) -> str:
+        """The comparison in words."""
+        size = abs(self.z)
+        if size <= AGREES:
+            return "the two scales agree"
+        side = "above" if self.ratio > 1.0 else "below"
+        difference = f"the open beam gives {100.0 * abs(self.ratio - 1.0):.2f} % {side} the certificate, {size:.1f} u"
+        return f"{difference}: they do NOT agree" if size > DIFFERS else f"{difference}: more than expected"
+
+
+CERTIFICATE_INPUTS = ("certificate",)
+
+
+@dataclass(frozen=True)
+class ClosureReport:
+    """The closures of a journal, the scans that they come from, and the reasons why there are no others.
+
+    `not_planned` are those of the schedule, `missing` those of the measurement.
+    """
+
+    closures: tuple[Closure, ...]
+    beams: tuple[ScannedBeam, ...]
+    not_planned: tuple[str, ...]
+    missing: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> dict[tuple[float, float, bool], tuple[float, float]]:
+        """The scale of the open beam, as `ReductionSettings.absolute` has it."""
+        return {
+            (*round_deg([each.wavelength_nm, each.beam.scan.sigma_deg]).tolist(), each.beam.scan.arc == "lower"): (
+                each.ratio,
+                each.u_absolute,
+            )
+            for each in self.closures
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """The results for JSON."""
+        return {
+            "closures": [
+                {
+                    "sigma_deg": each.beam.scan.sigma_deg,
+                    "at_deg": each.beam.scan.at_deg,
+                    "photodiode": each.beam.scan.photodiode,
+                    "wavelength_nm": each.wavelength_nm,
+                    "scanned": each.wavelength_nm == each.beam.wavelength_nm,
+                    "certified": each.certified,
+                    "absolute": each.absolute,
+                    "centroid_correction": each.correction,
+                    "ratio": each.ratio,
+                    "u": each.u,
+                    "u_absolute": each.u_absolute,
+                    "z": each.z,
+                    "verdict": each.verdict,
+                    "components": {part.name: part.u for part in each.components},
+                }
+                for each in self.closures
+            ],
+            "scans": [
+                {
+                    "sigma_deg": each.scan.sigma_deg,
+                    "at_deg": each.scan.at_deg,
+                    "photodiode": each.scan.photodiode,
+                    "wavelength_nm": each.wavelength_nm,
+                    "poses": len(each.scan.poses),
+                    "centroid_deg": each.centroid_deg.tolist(),
+                    "moment_deg2": each.moment_deg2.tolist(),
+                    "edge": each.edge,
+                    "neighbours": {str(k): {"crosstalk": x, "u": u} for k, (x, u) in each.neighbours.items()},
+                }
+                for each in self.beams
+            ],
+            "missing": [*self.not_planned, *self.missing],
+            "verdict": self.verdict,
+        }
+
+    @property
+    def alarms(self) -> list[str]:
+        """What could not be compared, and the comparisons that do not agree, as warnings."""
+        apart = [each for each in self.closures if abs(each.z) > DIFFERS]
+        return [
+            *(f"no closure: {each}" for each in self.missing),
+            *(f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}" for each in apart),
+        ]
+
+    @property
+    def verdict(self) -> str:
+        """The comparison as a whole, in words."""
+        if not self.closures:
+            return "there is no closure"
+        worst = max(self.closures, key=lambda each: abs(each.z))
+        where = f"sigma {worst.beam.scan.at_deg:g} deg, {worst.wavelength_nm:g} nm"
+        if abs(worst.z) <= AGREES:
+            return f"the two scales agree in all {len(self.closures)} comparisons; the largest difference is {worst.z:+.1f} u"
+        return f"{worst.verdict} ({where})"
+
+
+def journal_closure(
+    settings: ReductionSettings, measurements: Measurements, etalon: ReferenceMeasurements, empty: ReferenceMeasurements
+) -> ClosureReport:
+    """The closures of a journal, by scan and wavelength; `empty` was measured without a sample.
+
+    Raises UserError where a row cannot be reduced.
+    """
+    file, rig = settings.schedule, settings.rig
+    if file.open_beam_scan is None:
+        return ClosureReport((), (), ("the schedule has no scan of the open beam: add the table [open_beam] to it",))
+    not_planned = [
+        f"sigma {sigma:g} deg: below {LEAST_SIGMA_DEG:g} deg beta cannot scan the open beam"
+        for sigma in grid_values(file.sigma_deg)
+        if sigma < LEAST_SIGMA_DEG
+    ]
+    scans = beam_scans(file, rig)
+    scanned = {each.sigma_deg for each in scans}
+    not_planned += [
+        f"sigma {sigma:g} deg: has no scan of its own, because the limits of the arc's shift leave it that of another sigma"
+        for sigma in grid_values(file.sigma_deg)
+        if sigma >= LEAST_SIGMA_DEG and sigma not in scanned
+    ]
+    closures: list[Closure] = []
+    beams: list[ScannedBeam] = []
+    missing: list[str] = []
+    for scan in scans:
+        readings = _Readings(scan, settings, measurements, etalon, empty)
+        where = f"sigma {scan.sigma_deg:g} deg"
+        if reason := readings.trouble:
+            missing.append(f"{where}: {reason}")
+            continue
+        beam = readings.beam()
+        beams.append(beam)
+        if beam.edge > EDGE_SHARE:
+            share = f"{100.0 * beam.edge:.0f} %"
+            missing.append(f"{where}: at the edge of the scan the signal is still {share} of the largest: take more poses")
+            continue
+        for wavelength in grid_values(file.wavelength_nm):
+            found = readings.closure(beam, wavelength)
+            if isinstance(found, Closure):
+                closures.append(found)
+            else:
+                missing.append(f"{where}, {wavelength:g} nm: {found}")
+    return ClosureReport(tuple(closures), tuple(beams), tuple(not_planned), tuple(missing))
+
+
+def closure_text(report: ClosureReport) -> str:
+    """A report as lines of text: a table of the comparisons, what each scan shows, what is missing, the verdict."""
+    lines = []
+    if report.closures:
+        lines.append("  sigma  photodiode      nm  certified  absolute   ratio    u %      z  verdict")
+    for each in report.closures:
+        scan, star = each.beam.scan, "*" if each.wavelength_nm == each.beam.wavelength_nm else " "
+        lines.append(
+            f"  {scan.at_deg:5.1f}  {scan.photodiode:10d}  {each.wavelength_nm:6.1f}{star} {each.certified:9.4f} "
+            f"{each.absolute:9.4f}  {each.ratio:6.4f}  {100.0 * each.u:5.2f}  {each.z:+5.1f}  {each.verdict}"
+        )
+    for beam in report.beams:
+        along, across = beam.centroid_deg.tolist()
+        width = np.sqrt(np.diag(beam.moment_deg2)).tolist()
+        lines.append(
+            f"  scan at sigma {beam.scan.at_deg:g} deg, {beam.wavelength_nm:g} nm: the beam is {along:+.3f} deg along the arc "
+            f"and {across:+.3f} deg across it from where the axes put it; width (standard deviation) {width[0]:.3f} and "
+            f"{width[1]:.3f} deg"
+        )
+        if beam.neighbours:
+            seen = ", ".join(f"{k}: {x:.1e} (u {u:.0e})" for k, (x, u) in beam.neighbours.items())
+            lines.append(f"    cross-talk and stray light, in volts over those of photodiode {beam.scan.photodiode}: {seen}")
+    if report.closures:
+        lines.append("  *: the wavelength of the scan; at the others its middle pose")
+    lines += [f"  none: {each}" for each in (*report.not_planned, *report.missing)]
+    return "\n".join([*lines, report.verdict])
+
+
+class _Readings:
+    """The signals of one scan's photodiode in a journal: of the open beam, of the etalon, and without a sample."""
+
+    def __init__(
+        self, scan: BeamScan, settings: ReductionSettings, measurements: Measurements, etalon: ReferenceMeasurements,
+        empty: ReferenceMeasurements,
+    ) -> None:  # fmt: skip
+        self._scan, self._settings, self._measurements, self._empty = scan, settings, measurements, empty
+        self._wavelength_nm = scan_wavelength_nm(settings.schedule)
+        wavelengths = grid_values(settings.schedule.wavelength_nm)
+        middle = _angles(scan, scan.middle)
+        self._keys = [pose_key(_row(self._wavelength_nm), _angles(scan, k)) for k in range(len(scan.poses))]
+        self._middle = {each: pose_key(_row(each), middle) for each in wavelengths}
+        self._at_etalon = {each: pose_key(_row(each), scan.etalon_pose) for each in wavelengths}
+        self._open = empty.at([*self._keys, *self._middle.values(), *self._at_etalon.values()])
+        self._etalon = etalon.at(self._at_etalon.values())
+
+    @property
+    def trouble(self) -> str:
+        """The reason why the scan has no sum; empty where it has."""
+        measured = [self._open[key] for key in self._keys if key in self._open]
+        if len(measured) < len(self._keys):
+            return f"{len(measured)} of {len(self._keys)} poses of the scan have been measured"
+        if reason := _trouble(measured, self._scan.photodiode):
+            return reason
+        signal = _of_photodiode(measured, self._scan.photodiode)
+        brightest = int(np.argmax(signal.value))
+        if not signal.value[brightest] > LIGHT * math.sqrt(signal.variance[brightest]) or signal.value.sum() <= 0.0:
+            return f"photodiode {self._scan.photodiode} has no light in any pose of the scan: was the sample unit empty?"
+        return ""
+
+    def beam(self) -> ScannedBeam:
+        """The scan as a whole."""
+        signal = _of_photodiode([self._open[key] for key in self._keys], self._scan.photodiode)
+        return scanned_beam(self._scan, self._wavelength_nm, signal, *self.crosstalk())
+
+    def closure(self, beam: ScannedBeam, wavelength_nm: float) -> Closure | str:
+        """The closure at a wavelength, or the reason why there is none."""
+        scan, certificate, rig = self._scan, self._settings.certificate, self._settings.rig
+        etalon_key, middle_key = self._at_etalon[wavelength_nm], self._middle[wavelength_nm]
+        if etalon_key not in self._etalon:
+            return "the etalon has not been measured in the pose of the scan"
+        if middle_key not in self._open:
+            return "the open beam has not been measured"
+        needed = [self._etalon[etalon_key], self._open[middle_key]]
+        if reason := _trouble(needed, scan.photodiode):
+            return reason
+        factor, u_factor = certificate.interpolate(*(np.array([each]) for each in self._direction(wavelength_nm)))
+        if not np.isfinite(factor[0]):
+            return f"the certificate does not cover it: it is valid for {certificate}"
+        scanned = _of_photodiode([self._open[key] for key in self._keys], scan.photodiode)
+        etalon = _of_photodiode([self._etalon[etalon_key]], scan.photodiode)
+        if (signature := self._open.get(etalon_key)) is not None and self._settings.schedule.signature:
+            own = _of_photodiode([signature], scan.photodiode)
+            u_signature = rig.sample_unit.signature_uncertainty * own.value
+            etalon = Signal(etalon.value - own.value, etalon.components, etalon.gain)
+            etalon = etalon.with_component("signature", own.variance + u_signature**2)
+        middle = None
+        if wavelength_nm != self._wavelength_nm:
+            middle = _of_photodiode([self._open[middle_key]], scan.photodiode)
+        certified = Component("certificate", float(u_factor[0]), 1.0, None)
+        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig)
+
+    def _direction(self, wavelength_nm: float) -> tuple[float, float, float, float]:
+        scan = self._scan
+        return wavelength_nm, scan.at_deg, scan.at_deg, scan.etalon_pose[2]
+
+    def crosstalk(self) -> tuple[Floats, Floats]:
+        """Cross-talk (photodiodes,) and its uncertainty: volts against those of the photodiode in the beam, at all gains.
+
+        The flanks of the beam are read at higher gains too, where the converter's steps count less.
+        """
+        photodiode, settings = self._scan.photodiode, self._settings.rig.photodiodes
+        numbers = self._empty.numbers_at(self._keys)
+        weights, weighted = np.zeros(settings.count), np.zeros(settings.count)
+        for gain_v_per_a in settings.gains_v_per_a:
+            volts = list(self._measurements.volts(numbers, gain_v_per_a))
+            seen = np.array([each.value for each in volts]).reshape(-1, settings.count)
+            beam = np.where(np.isfinite(seen[:, photodiode]), seen[:, photodiode], 0.0)[:, None]
+            square = float((beam**2).sum())
+            if not square > 0.0:
+                continue
+            noise = np.array([each.components["noise"] for each in volts])
+            dark = np.array([each.variance - each.components["noise"] for each in volts])  # common to neighbouring rows
+            variance = ((beam**2 * noise).sum(axis=0) + (np.abs(beam) * np.sqrt(dark)).sum(axis=0) ** 2) / square**2
+            ratio = (beam * seen).sum(axis=0) / square
+            known = np.isfinite(ratio) & (variance > 0.0)
+            weights[known] += 1.0 / variance[known]
+            weighted[known] += ratio[known] / variance[known]
+        weights = np.where(weights > 0.0, weights, np.nan)
+        weights[photodiode] = np.nan
+        return weighted / weights, np.asarray(1.0 / np.sqrt(weights))
+
+
+def scanned_beam(
+    scan: BeamScan, wavelength_nm: float, signal: Signal, crosstalk: Floats | None = None, u_crosstalk: Floats | None = None
+) -> ScannedBeam:
+    """The sum and the moments of a scan; `signal` (n,) is that of its photodiode."""
+    parts = signal.value * scan.solid_angle_sr
+    total = float(parts.sum())
+    share = parts / total
+    offset = scan.offset_deg
+    centroid = share @ offset
+    moment = (offset - centroid).T @ ((offset - centroid) * share[:, None])
+    edge = float(np.max(signal.value[scan.edge]) / np.max(signal.value))
+    none = np.zeros(0)
+    return ScannedBeam(
+        scan, wavelength_nm, total, share, centroid, moment, edge, none if crosstalk is None else crosstalk,
+        none if u_crosstalk is None else u_crosstalk,
+    )  # fmt: skip
+
+
+def compare(
+    beam: ScannedBeam, wavelength_nm: float, scanned: Signal, middle: Signal | None, etalon: Signal, certified: float,
+    certificate: Component, rig: RigFile,
+) -> Closure:  # fmt: skip
+    """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal.
+
+    `middle` (1,) is the open beam at the wavelength in the middle pose; None at the wavelength of the scan itself.
+    """
+    scan = beam.scan
+    at = scan.middle
+    spectral = 1.0 if middle is None else float(middle.value[0] / scanned.value[at])
+    seen = float(etalon.value[0])
+    plain = math.pi * seen / (math.cos(math.radians(scan.at_deg)) * beam.total * spectral)
+    inputs, correction = pose_effects(scan, rig, float(beam.centroid_deg[0]))
+    mean_beam = float(beam.share @ scanned.value) * spectral
+    components = [
+        *inputs,
+        *_gain_effects(beam, scanned, middle, etalon, rig),
+        *_noise(beam, scanned, middle, etalon, rig),
+        _relative("linearity", math.log10(mean_beam / seen), rig, "linearity_per_decade", "all values"),
+        _relative("etalon_edge", 1.0, rig, "etalon_edge", "all readings of the etalon"),
+        *(_relative(f"beam_hole@{side}", 1.0, rig, "beam_hole", "all scans") for side in ("upper", "lower")),
+        # The sharper edges of the beam, foreshortened by the spot at grazing incidence, are sampled less well.
+        _relative("scan", math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.polar_step_deg / STEP_DEG) ** 2,
+                  rig, "scan", "this scan"),
+        certificate,
+    ]  # fmt: skip
+    found = tuple(sorted(components, key=lambda each: -each.u))
+    return Closure(beam, wavelength_nm, certified, plain * math.exp(correction), correction, found)
+
+
+@dataclass(frozen=True)
+class PoseInput:
+    """An input of the pose: the change of ln rho and of the scan's centroid along the arc for one degree of it."""
+
+    input: Input
+    of_value: float
+    of_centroid: float
+
+
+def pose_inputs(scan: BeamScan, rig: RigFile) -> list[PoseInput]:
+    """The inputs of the pose in the plane of incidence; out of it all have no effect to first order.
+
+    A tilt towards growing sigma, or towards growing polar angle of the arc, is positive.
+    """
+    sigma = math.radians(scan.at_deg)
+    per_deg = math.radians(1.0)
+    tangent, cotangent = math.tan(sigma) * per_deg, per_deg / math.tan(sigma)
+    side = 1.0 if scan.arc == "upper" else -1.0  # the unit and the arc turn the other way about the lower arc's pole
+    light = [(f"mirror_{k}_tilt", lever, "mirror_tilt_deg") for k, lever in enumerate(MIRROR_LEVERS, 1)]
+    light.append(("sigma_zero", 1.0, "sigma_zero_deg"))
+    found = [
+        PoseInput(_degrees(name, key, "all rows", rig), -2.0 * side * lever * tangent, -side * lever)
+        for name, lever, key in light
+    ]
+    found.append(PoseInput(_degrees("arc_tilt_y", "arc_tilt_deg", "all rows", rig), -side * tangent, -side))
+    for name, key, shared in (
+        ("shift_zero", "shift_zero_deg", "all rows"),
+        (f"photodiode_angle[{scan.photodiode}]", "photodiode_angle_deg", "all rows of a photodiode"),
+        ("sensor_tilt", "sensor_tilt_deg", "all rows"),
+    ):
+        found.append(PoseInput(_degrees(name, key, shared, rig), cotangent - tangent, -1.0))
+    # The empty holder's hole cuts the beam out, tilted as a sample is.
+    found.append(PoseInput(_degrees("sample_tilt_y@nothing", "sample_tilt_deg", "this mounting", rig), side * tangent, 0.0))
+    # sigma, and for the etalon the shift, arrive anew.
+    for name, of_value, of_centroid in (
+        ("position@etalon sigma", -side * tangent, 0.0),
+        ("position@etalon shift", -tangent, 0.0),
+        ("position@open beam sigma", -side * tangent, -side),
+    ):
+        found.append(PoseInput(_degrees(name, "position_deg", "one move", rig), of_value, of_centroid))
+    return found
+
+
+def pose_effects(scan: BeamScan, rig: RigFile, centroid_deg: float) -> tuple[list[Component], float]:
+    """What the pose adds to the uncertainty once the centroid of the scan is known, and the correction of ln rho by it.
+
+    The inputs are estimated from the centroid by their variances; what it does not determine is left as their uncertainty.
+    """
+    inputs = pose_inputs(scan, rig)
+    known = math.fsum((each.of_centroid * each.input.u) ** 2 for each in inputs)
+    common = math.fsum(each.of_value * each.of_centroid * each.input.u**2 for each in inputs)
+    per_deg = common / known if known else 0.0
+    components = []
+    for each in inputs:
+        left = each.of_value - per_deg * each.of_centroid
+        components.append(Component(each.input.name, abs(left) * each.input.u, left, each.input))
+    return components, -per_deg * centroid_deg
+
+
+def centroid_uncertainty_deg(scan: BeamScan, rig: RigFile) -> float:
+    """Standard uncertainty of where the beam is along the arc, from the inputs of the rig file."""
+    return math.sqrt(math.fsum((each.of_centroid * each.input.u) ** 2 for each in pose_inputs(scan, rig)))
+
+
+def _gain_effects(
+    beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
+) -> Iterator[Component]:
+    """The ratios of neighbouring gains between those of the open beam and that of the etalon."""
+    settings = rig.photodiodes
+    for step in range(len(settings.gains_v_per_a) - 1):
+        above = float(beam.share @ (scanned.gain > step)) - float(etalon.gain[0] > step)
+        if middle is not None:
+            above += float(middle.gain[0] > step) - float(scanned.gain[beam.scan.middle] > step)
+        if above:
+            ratio = Input(
+                f"gain_ratio[{beam.scan.photodiode},{step}]", "1", settings.gain_uncertainty, "normal",
+                "all rows of a photodiode", "[photodiodes] gain_uncertainty of the rig file", "electronics.gain_spread",
+            )  # fmt: skip
+            yield Component(ratio.name, abs(above) * ratio.u, above, ratio)
+
+
+def _noise(
+    beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
+) -> Iterator[Component]:  # fmt: skip
+    """The readings themselves: noise of the scan, dark readings (common to all of its poses), the etalon's reading, monitor."""
+    weight = beam.scan.solid_angle_sr / beam.total
+    independent, shared = np.zeros(1), 0.0
+    for name, variance in scanned.components.items():
+        if name == "noise":
+            independent = independent + np.sum(weight**2 * variance)
+        else:
+            shared += float(np.sum(weight * np.sqrt(variance))) ** 2
+    relative_monitor = 1.0 + float(np.sum(beam.share**2))
+    if middle is not None:
+        at = beam.scan.middle
+        independent = independent + middle.variance / middle.value**2 + scanned.variance[at] / scanned.value[at] ** 2
+        relative_monitor += 2.0
+    yield Component("noise", float(np.sqrt(independent[0])), 1.0, None)
+    yield Component("dark", math.sqrt(shared), 1.0, None)
+    signature = float(etalon.components.get("signature", np.zeros(1))[0])
+    reading = float(total_variance(etalon.components)[0]) - signature
+    seen = float(etalon.value[0])
+    yield Component("etalon_reading", math.sqrt(reading) / seen, 1.0, None)
+    if signature:
+        yield Component("signature", math.sqrt(signature) / seen, 1.0, None)
+    yield Component("monitor", rig.monitor.relative_uncertainty * math.sqrt(relative_monitor), 1.0, None)
+
+
+def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str) -> Component:
+    """A component of a relative input of the rig file."""
+    table = rig.uncertainty
+    given = Input(name, "1", table.standard(key), table.distribution(key), shared, f"{RIG_FILE}: {key}", key)
+    return Component(name, abs(sensitivity) * given.u, sensitivity, given)
+
+
+def _degrees(name: str, key: str, shared: str, rig: RigFile) -> Input:
+    table = rig.uncertainty
+    return Input(name, "deg", table.standard(key), table.distribution(key), shared, f"{RIG_FILE}: {key}", key)
+
+
+def _of_photodiode(rows: Sequence[RowSignal], photodiode: int) -> Signal:
+    """The signals (n,) of one photodiode in rows."""
+    names = dict.fromkeys(name for each in rows for name in each.signal.components)
+    none = np.zeros(photodiode + 1)
+    return Signal(
+        np.array([each.signal.value[photodiode] for each in rows]),
+        {name: np.array([each.signal.components.get(name, none)[photodiode] for each in rows]) for name in names},
+        np.array([each.signal.gain[photodiode] for each in rows]),
+    )
+
+
+def _trouble(rows: Sequence[RowSignal], photodiode: int) -> str:
+    """Why readings of a photodiode cannot be used; empty where they can."""
+    saturated = sum(int(each.signal.gain[photodiode] < 0) for each in rows)
+    if saturated:
+        return (
+            f"photodiode {photodiode} is saturated at every gain in {saturated} of {len(rows)} readings: add the rig's lowest "
+            "gain to gains_v_per_a, or less light"
+        )
+    if any(each.dead[photodiode] for each in rows):
+        return f"photodiode {photodiode} has lost its dark current"
+    if any(each.drifted[photodiode] for each in rows):
+        return f"photodiode {photodiode} is flagged for drift"
+    if not all(each.signal.value[photodiode] > 0.0 for each in rows) and len(rows) < 3:
+        return f"photodiode {photodiode} has no light"
+    return ""
+
+
+def _row(wavelength_nm: float) -> Row:
+    return Row(0, "", "measure", "", wavelength_nm=wavelength_nm)
+
+
+def _angles(scan: BeamScan, k: int) -> tuple[float, float, float, float]:
+    gamma, sigma, beta, shift = scan.poses[k].tolist()
+    return gamma, sigma, beta, shift

@@ -1,0 +1,406 @@
+"""Closure of the two scales: the scan of the open beam against the etalon, on rigs without wires and through them."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.geometry.open_beam import BeamScan, beam_scans
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reduction.closure import (
+    Closure,
+    ClosureReport,
+    ScannedBeam,
+    centroid_uncertainty_deg,
+    compare,
+    pose_effects,
+    pose_inputs,
+    scanned_beam,
+)
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.uncertainty.effects import Component
+from goniotwin.app.rig import RigFile, read_rig
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics import Deviation, Instrument, arc_direction, lambertian, regular, throughput
+from tests.app.campaign.campaign_bench import run_plan
+from tests.conftest import RIG, SMALL
+from tests.system.command import invoke
+
+OPEN, WHITE = regular(transmits=True, side="both"), lambertian(1.0, side="both")
+FILE = read_rig(RIG).file
+HEAD = """
+name = "closure"
+samples = ["gaussian-5"]
+etalon = "etalon"
+beta_deg = [180]
+readings = 2
+dark_readings = 4
+"""
+SMALL_SCAN = """
+sigma_deg = [5, 22]
+wavelength_nm = [450, 550]
+gains_v_per_a = [1e6, 1e8, 1e10]
+[open_beam]
+poses = 9
+step_deg = 0.25
+"""
+SATURATED = """
+sigma_deg = [22]
+wavelength_nm = [550]
+gains_v_per_a = [1e10]
+[open_beam]
+poses = 5
+step_deg = 0.4
+"""
+CERTIFICATE = Component("certificate", 0.002, 1.0, None)
+
+
+def scans_of(sigmas: str, table: str = "") -> list[BeamScan]:
+    text = f"{HEAD}sigma_deg = {sigmas}\nwavelength_nm = [550]\ngains_v_per_a = [1e6]\n[open_beam]\n{table}"
+    return beam_scans(parse_schedule(text, "x.toml").file, FILE)
+
+
+def beam_signal(
+    scan: BeamScan, instrument: Instrument, along_deg: float = 0.0, across_deg: float = 0.0, sigma_deg: float = 0.0
+) -> Signal:
+    """The open beam at all poses of a scan, without wires; the photodiode is off by two angles, the mirror unit by one."""
+    azimuth = scan.azimuth_deg + across_deg / math.sin(math.radians(scan.at_deg))
+    directions = arc_direction(scan.polar_deg + along_deg, azimuth, scan.arc == "lower")
+    seen = throughput(instrument, scan.poses[0, 1] + sigma_deg, directions, OPEN)
+    return Signal(seen, {"noise": np.zeros(seen.size)}, np.zeros(seen.size, dtype=np.int64))
+
+
+def etalon_signal(
+    scan: BeamScan, instrument: Instrument, along_deg: float = 0.0, across_deg: float = 0.0, sigma_deg: float = 0.0
+) -> Signal:
+    """The etalon (reflectance 1) in the pose that belongs to a scan."""
+    azimuth = 180.0 + across_deg / math.sin(math.radians(scan.at_deg))
+    directions = arc_direction(np.array([scan.at_deg + along_deg]), azimuth, scan.arc == "lower")
+    seen = throughput(instrument, scan.etalon_pose[1] + sigma_deg, directions, WHITE)
+    return Signal(seen, {"noise": np.zeros(1)}, np.full(1, 3))
+
+
+def plain_ratio(scan: BeamScan, beam: ScannedBeam, etalon: Signal) -> float:
+    """ln of the absolute radiance factor without any correction."""
+    return math.log(math.pi * float(etalon.value[0]) / (math.cos(math.radians(scan.at_deg)) * beam.total))
+
+
+@pytest.mark.parametrize("sigma_deg", [22.0, 62.0])
+def test_the_sum_over_an_ideal_beam_is_its_flux_in_closed_form(sigma_deg: float) -> None:
+    """Discs so wide that the cone alone limits: each ray is then seen over the solid angle of the cone, wherever it is.
+
+    The flux of the beam over the pupil's radiance: area of the hole, its cosine, the projected solid angle of a disc
+    in the direction of its axis, pi R^2 / (R^2 + D^2), times three mirrors.
+    """
+    instrument = Instrument(detector_diameter_mm=20.0, field_deg=1.0, obstruction=False)
+    (scan,) = scans_of(f"[{sigma_deg}]", "poses = 13\nstep_deg = 0.2\n")
+    beam = scanned_beam(scan, 550.0, beam_signal(scan, instrument))
+    pupil, away, hole = 5.0, 800.0, 5.0
+    etendue_mm2sr = hole**2 * math.cos(math.radians(sigma_deg)) * math.pi * pupil**2 / (pupil**2 + away**2)
+    cone_sr = 2.0 * math.pi * (1.0 - math.cos(math.radians(0.5)))
+    flux = 1e-6 * etendue_mm2sr * instrument.mirror_reflectance**3  # type: ignore[operator]
+    assert beam.total == pytest.approx(flux * cone_sr, rel=1e-3)
+    assert beam.edge == 0.0
+    # Of a uniform disc of radius r the second moment is r^2 / 4 along each axis: pupil and cone. Of the hole of side a, seen
+    # from the pupil, a^2 / 12, foreshortened along the arc.
+    discs = (math.degrees(math.atan(pupil / away)) ** 2 + 0.5**2) / 4.0
+    square = math.degrees(hole / away) ** 2 / 12.0
+    along = discs + square * math.cos(math.radians(sigma_deg)) ** 2
+    assert np.diag(beam.moment_deg2) == pytest.approx([along, discs + square], rel=3e-3)
+
+
+def test_the_width_of_the_instrument_function_is_that_of_the_design() -> None:
+    """Prototype: 0.237 deg for a field of 0.5 deg, 0.397 deg for 1.5 deg, along the arc at 40 deg."""
+    (scan,) = scans_of("[41]")
+    for field_deg, expected in ((0.5, 0.237), (1.5, 0.397)):
+        beam = scanned_beam(scan, 550.0, beam_signal(scan, Instrument(field_deg=field_deg)))
+        assert math.sqrt(beam.moment_deg2[0, 0]) == pytest.approx(expected, abs=3e-3)
+        assert beam.centroid_deg == pytest.approx([0.0, 0.0], abs=2e-3)
+
+
+@pytest.mark.parametrize("sigma_deg", [22.0, 62.0])
+def test_the_effects_of_the_pose_are_those_of_the_twin(sigma_deg: float) -> None:
+    """Finite differences of the twin's own geometry, with a field so wide that the steps of the scan do not show."""
+    (scan,) = scans_of(f"[{sigma_deg}]")
+    known = {each.input.name: (each.of_value, each.of_centroid) for each in pose_inputs(scan, FILE)}
+    step = 0.1
+
+    def difference(deviations: dict[str, Deviation], mounted: bool = True, **off: float) -> tuple[float, float]:
+        found = []
+        for sign in (1.0, -1.0):
+            turned = {name: replace(each, ry_deg=sign * each.ry_deg) for name, each in deviations.items()}
+            instrument = Instrument(field_deg=1.5, deviations=turned)
+            angles = {name: sign * angle for name, angle in off.items()}
+            beam = scanned_beam(scan, 550.0, beam_signal(scan, instrument, **angles))
+            etalon = etalon_signal(scan, instrument if mounted else Instrument(field_deg=1.5), **angles)
+            found.append((plain_ratio(scan, beam, etalon), float(beam.centroid_deg[0])))
+        (one, of_one), (other, of_other) = found
+        return (one - other) / (2.0 * step), (of_one - of_other) / (2.0 * step)
+
+    turn = Deviation(ry_deg=step)
+    cases: dict[str, tuple[float, float]] = {
+        "mirror_1_tilt": difference({"mirror_1": turn}),
+        "mirror_3_tilt": difference({"mirror_3": turn}),
+        "sigma_zero": difference({}, sigma_deg=step),
+        "shift_zero": difference({}, along_deg=step),
+        "sample_tilt_y@nothing": difference({"sample": turn}, mounted=False),
+    }
+    arc = difference({"arc": turn})
+    cases["arc_tilt_y"] = (-arc[0], -arc[1])  # about y the arc turns towards smaller polar angles
+    # Of the largest: 2 tan(sigma) a radian, or cot(sigma).
+    scale = math.radians(2.0 * math.tan(math.radians(sigma_deg)) + 1.0 / math.tan(math.radians(sigma_deg)))
+    for name, (of_value, of_centroid) in cases.items():
+        assert known[name][1] == pytest.approx(of_centroid, abs=0.02), name
+        assert known[name][0] == pytest.approx(of_value, abs=0.06 * scale), name
+    assert difference({}, across_deg=step)[0] == pytest.approx(0.0, abs=0.02 * scale)
+
+
+def test_the_centroid_reduces_the_uncertainty_of_the_pose_as_far_as_it_can() -> None:
+    """The components after the correction are those of any other factor at least: it is the best linear one."""
+    for scan in scans_of("[17, 41, 67, 82]"):
+        inputs = pose_inputs(scan, FILE)
+        components, _ = pose_effects(scan, FILE, 0.0)
+        best = math.fsum(each.u**2 for each in components)
+        _, of_one = pose_effects(scan, FILE, 1.0)
+        for factor in (0.0, 0.5 * of_one, -0.9 * of_one, -1.1 * of_one):
+            left = math.fsum(((each.of_value - factor * each.of_centroid) * each.input.u) ** 2 for each in inputs)
+            assert best < left
+        assert centroid_uncertainty_deg(scan, FILE) == pytest.approx(0.075, abs=0.002)
+
+
+class DrawnRig:
+    """A rig within Table 2: all deviations, zeros and the photodiode's angles drawn from what the rig file states."""
+
+    def __init__(self, seed: int, file: RigFile = FILE) -> None:
+        self._rng, self._table = np.random.default_rng(seed), file.uncertainty
+        tilts = ("mirror_tilt_deg", "mirror_shift_mm")
+        common = {f"mirror_{k}": self._deviation(*tilts, "xy", "z") for k in (1, 2, 3)}
+        common["pupil"] = self._deviation("mirror_tilt_deg", "illumination_shift_mm", "", "xy")
+        common["arc"] = self._deviation("arc_tilt_deg", "arc_shift_mm", "xyz", "xyz")
+        common["sensor"] = self._deviation("sensor_tilt_deg", "sensor_shift_mm", "xy", "xyz")
+        etalon = self._deviation("etalon_tilt_deg", "etalon_height_mm", "xy", "z")
+        empty = self._deviation("sample_tilt_deg", "sample_height_mm", "xy", "z")
+        self.with_etalon = Instrument(deviations={**common, "sample": etalon})
+        self.empty = Instrument(deviations={**common, "sample": empty})
+        self.zeros = {name: self._draw(f"{name}_zero_deg") for name in ("sigma", "beta", "shift")}
+
+    def _draw(self, key: str) -> float:
+        return float(self._rng.uniform(-1.0, 1.0) * getattr(self._table, key))
+
+    def _deviation(self, tilt: str, shift: str, about: str, along: str) -> Deviation:
+        angles = {f"r{axis}_deg": self._draw(tilt) for axis in about}
+        return Deviation(**angles, **{f"{axis}_mm": self._draw(shift) for axis in along})
+
+    def closure(self, scan: BeamScan) -> tuple[Closure, float]:
+        """The closure of a scan, without errors of the signals, and ln of its value before the correction."""
+        along = self.zeros["shift"] + self._draw("photodiode_angle_deg")
+        across = self._draw("photodiode_across_deg") + self.zeros["beta"] * math.sin(math.radians(scan.at_deg))
+        sigma = self.zeros["sigma"]
+        signal = beam_signal(scan, self.empty, along, across, sigma + self._draw("position_deg"))
+        beam = scanned_beam(scan, 550.0, signal)
+        etalon = etalon_signal(
+            scan, self.with_etalon, along + self._draw("position_deg"), across, sigma + self._draw("position_deg")
+        )
+        found = compare(beam, 550.0, signal, None, etalon, 1.0, CERTIFICATE, FILE)
+        return found, plain_ratio(scan, beam, etalon)
+
+
+@pytest.mark.long
+def test_both_scales_close_on_twenty_rigs_and_an_etalon_that_is_low_is_found() -> None:
+    """Sigma 15, 40, 65 and 80, all angles drawn: within u; with the errors of the signals drawn as well: z has variance 1."""
+    rng = np.random.default_rng(11)
+    print(
+        "\n  sigma  uncorrected sd  corrected sd  u of pose, scan  u of the ratio  worst z  least z, 5 % low  sd z, all drawn"
+    )
+    for scan in scans_of("[15, 40, 65, 80]"):
+        found = [DrawnRig(seed).closure(scan) for seed in range(20)]
+        plain = np.array([value for _, value in found])
+        corrected = plain + [each.correction for each, _ in found]
+        u, parts = found[0][0].u, {each.name: each.u for each in found[0][0].components}
+        of_pose = math.hypot(parts["scan"], *(parts[each.input.name] for each in pose_inputs(scan, FILE)))
+        z = np.array([each.z for each, _ in found])
+        low = np.array([replace(each, certified=1.0 / 0.95).z for each, _ in found])
+        of_signals = math.sqrt(u**2 - of_pose**2)
+        drawn = (np.exp(corrected + of_signals * rng.standard_normal((200, 20))) - 1.0) / u
+        print(
+            f"  {scan.at_deg:5.1f}  {plain.std():14.4f}  {corrected.std():12.4f}  {of_pose:15.4f}  {u:14.4f}  "
+            f"{np.abs(z).max():7.2f}  {np.abs(low).min():16.1f}  {drawn.std():15.2f}"
+        )
+        assert u < (0.009 if scan.at_deg < 70.0 else 0.011)
+        assert np.abs(z).max() < (1.0 if scan.at_deg < 70.0 else 2.0)
+        assert np.abs(low).min() > (4.0 if scan.at_deg < 70.0 else 3.0)
+        assert corrected.std() < (0.004 if scan.at_deg < 70.0 else 0.009)
+        assert corrected.std() < 1.75 * of_pose
+        assert 0.85 < drawn.std() < 1.15
+
+
+# ---- through the wires ----
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ClosureReport]:
+    """The journal of a small campaign with noise, and its closures."""
+    return measured(SMALL_SCAN, tmp_path_factory.mktemp("closure"))
+
+
+def measured(table: str, folder: Path) -> tuple[Path, ClosureReport]:
+    path = folder / "a.journal"
+    run_plan(make_plan(parse_schedule(HEAD + table, "closure.toml"), read_rig(RIG)), path)
+    with Journal.open(path) as journal:
+        return path, Reduction(journal).closure()
+
+
+def test_a_campaign_closes_at_the_scans_wavelength_and_at_the_other(closed: tuple[Path, ClosureReport]) -> None:
+    _, report = closed
+    assert [(each.beam.scan.at_deg, each.wavelength_nm) for each in report.closures] == [(22.0, 450.0), (22.0, 550.0)]
+    assert report.not_planned == ("sigma 5 deg: below 10 deg beta cannot scan the open beam",)
+    assert (report.missing, report.alarms) == ((), [])
+    for each in report.closures:
+        assert each.ratio == pytest.approx(1.0, abs=0.004)  # the virtual rig has no errors of angles, holes or linearity
+        assert 0.006 < each.u < 0.01
+        assert each.u_absolute == pytest.approx(math.sqrt(each.u**2 - 0.002**2), rel=1e-9)
+        assert each.verdict == "the two scales agree"
+        parts = {part.name: part for part in each.components}
+        assert parts["certificate"].u == pytest.approx(0.002)
+        assert [parts["beam_hole@upper"].u, parts["beam_hole@lower"].u] == [0.004, 0.004]
+        # The etalon is read at 1e10, the beam at 1e6 and its flanks at 1e8: two ratios, one of them for a part of the beam.
+        assert parts["gain_ratio[4,1]"].u == pytest.approx(1e-3, rel=0.01)
+        assert 6e-4 < parts["gain_ratio[4,0]"].u < 9e-4
+        assert 3.5 < abs(parts["linearity"].sensitivity) < 5.0
+        assert all(part.input is None or part.u == abs(part.sensitivity) * part.input.u for part in each.components)
+    (beam,) = report.beams
+    assert beam.centroid_deg == pytest.approx([0.0, 0.0], abs=0.01)
+    assert sorted(beam.neighbours) == [3, 5]
+    for value, u in beam.neighbours.values():  # the virtual rig has no cross-talk
+        assert abs(value) < 4.0 * u < 4e-4
+
+
+def test_an_etalon_that_is_five_percent_low_is_found(closed: tuple[Path, ClosureReport]) -> None:
+    _, report = closed
+    low = replace(report, closures=tuple(replace(each, certified=each.certified / 0.95) for each in report.closures))
+    for each in low.closures:
+        assert each.z < -4.0
+        assert "% below the certificate" in each.verdict
+        assert "do NOT agree" in each.verdict
+    assert len(low.alarms) == 2
+    assert "do NOT agree" in low.verdict
+    slightly = replace(low.closures[0], certified=report.closures[0].absolute * (1.0 + 3.0 * low.closures[0].u))
+    assert "more than expected" in slightly.verdict
+
+
+def command(path: Path) -> dict[str, Any]:
+    done = invoke("closure", path, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_the_command_lists_ratio_u_z_and_verdict(closed: tuple[Path, ClosureReport]) -> None:
+    path, report = closed
+    result = command(path)
+    assert result["simulated"] is True
+    assert [each["z"] for each in result["closures"]] == pytest.approx([each.z for each in report.closures])
+    for each in result["closures"]:
+        assert each["u"] ** 2 == pytest.approx(math.fsum(u**2 for u in each["components"].values()), rel=1e-12)
+        assert each["ratio"] == pytest.approx(each["absolute"] / each["certified"])
+    assert result["missing"] == list(report.not_planned)
+    text = invoke("closure", path).stdout
+    assert text.startswith("SIMULATED, closure of ")
+    assert "none: sigma 5 deg: below 10 deg" in text
+    assert text.rstrip().endswith(report.verdict)
+
+
+def test_a_schedule_without_a_scan_has_no_closure(tmp_path: Path) -> None:
+    path = tmp_path / "plain.journal"
+    run_plan(make_plan(parse_schedule(SMALL, "small.toml"), read_rig(RIG)), path)
+    result = command(path)
+    assert (result["closures"], result["scans"], result["verdict"]) == ([], [], "there is no closure")
+    assert "the schedule has no scan of the open beam" in result["missing"][0]
+    assert "there is no closure" in invoke("closure", path).stdout
+
+
+def test_a_saturated_open_beam_has_no_scale_and_the_reason_is_given(tmp_path: Path) -> None:
+    _, report = measured(SATURATED, tmp_path)
+    assert report.closures == ()
+    (reason,) = report.missing
+    assert "photodiode 4 is saturated at every gain in" in reason
+    assert report.alarms == [f"no closure: {reason}"]
+
+
+def test_a_beam_that_is_not_all_within_the_scan_is_found() -> None:
+    (scan,) = scans_of("[22]", "poses = 5\nstep_deg = 0.2\n")
+    assert scanned_beam(scan, 550.0, beam_signal(scan, Instrument())).edge > 0.1
+
+
+def test_a_value_at_another_wavelength_follows_the_middle_pose() -> None:
+    """A lamp half as bright there, at etalon and beam alike: the same radiance factor; at the etalon alone: half."""
+    (scan,) = scans_of("[41]")
+    signal, etalon = beam_signal(scan, Instrument()), etalon_signal(scan, Instrument())
+    beam = scanned_beam(scan, 550.0, signal)
+
+    def absolute(of_beam: float, of_etalon: float) -> float:
+        middle = Signal(of_beam * signal.value[[scan.middle]], {"noise": np.zeros(1)}, np.zeros(1, dtype=np.int64))
+        return compare(beam, 450.0, signal, middle, etalon.scaled(of_etalon), 1.0, CERTIFICATE, FILE).absolute
+
+    at_scan = compare(beam, 550.0, signal, None, etalon, 1.0, CERTIFICATE, FILE).absolute
+    assert at_scan == pytest.approx(1.0, abs=3e-3)
+    assert absolute(0.5, 0.5) == pytest.approx(at_scan, rel=1e-12)
+    assert absolute(1.0, 0.5) == pytest.approx(0.5 * at_scan, rel=1e-12)
+
+
+def test_noise_of_the_scan_adds_up_and_dark_readings_are_common() -> None:
+    (scan,) = scans_of("[41]")
+    exact, etalon = beam_signal(scan, Instrument()), etalon_signal(scan, Instrument())
+    beam = scanned_beam(scan, 550.0, exact)
+    sd = 1e-3 * float(exact.value.max())
+    noise: Floats = np.full(exact.value.size, sd**2)
+    found = {
+        each.name: each.u
+        for each in compare(
+            beam, 550.0, replace(exact, components={"noise": noise, "dark": noise}), None, etalon, 1.0, CERTIFICATE, FILE
+        ).components
+    }
+    rng = np.random.default_rng(5)
+    weight = scan.solid_angle_sr
+    drawn = [float(weight @ (sd * rng.standard_normal(weight.size))) / beam.total for _ in range(2000)]
+    assert found["noise"] == pytest.approx(np.std(drawn), rel=0.06)
+    assert found["dark"] == pytest.approx(float(weight.sum()) * sd / beam.total, rel=1e-9)
+
+
+@pytest.mark.long
+def test_transmitted_light_can_be_scaled_by_the_open_beam_and_the_export_states_it(tmp_path: Path) -> None:
+    """The same journal with either scale: the values differ by the ratio of the closure, and the component is another."""
+    text = HEAD.replace("gaussian-5", "opal").replace('"etalon"', '"white-tile"') + 'light = "transmitted"\n' + SMALL_SCAN
+    path = tmp_path / "a.journal"
+    run_plan(make_plan(parse_schedule(text + 'scale = "open beam"\n', "closure.toml"), read_rig(RIG)), path)
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal)
+        own = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
+        closures = {(each.wavelength_nm, each.beam.scan.sigma_deg): each for each in reduction.closure().closures}
+        notes = reduction.notes({"opal": tally_of(own)})
+        reduction.settings = replace(reduction.settings, absolute={})
+        by_etalon = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
+    assert sorted(closures) == [(450.0, 22.0), (550.0, 22.0)]
+    assert sum("is that of the open beam" in each for each in notes) == 2
+    for (wavelength, sigma), closure in closures.items():
+        at = own.transmitted & own.good & (own.wavelength_nm == wavelength) & (own.sigma_deg == sigma)
+        assert at.any()
+        assert own.bsdf[at] == pytest.approx(by_etalon.bsdf[at] * closure.ratio, rel=1e-12)
+        assert own.budget["open_beam"][at] == pytest.approx(closure.u_absolute * own.bsdf[at], rel=1e-12)
+        assert not own.budget["certificate"][at].any()
+    low = own.sigma_deg == 5.0
+    assert own.bsdf[low] == pytest.approx(by_etalon.bsdf[low], rel=1e-15, nan_ok=True)
+
+
+def tally_of(points: BsdfPoints) -> Tally:
+    tally = Tally()
+    tally.add(points)
+    return tally
