@@ -166,8 +166,13 @@ def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Se
         about += [f"{np.sum(part * value) / total:.2%} of it is of {title}" for title, part in parts]
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(
-        f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1", tuple(components), tuple(about)
-    )  # fmt: skip
+        f"directional-hemispherical {kind} of {name}, {setting}",
+        total,
+        _root_sum(components),
+        "1",
+        tuple(components),
+        tuple(about),
+    )
 
 
 def finished_blocks(reduction: Reduction, sample: str) -> Iterator[BsdfPoints]:
@@ -222,7 +227,8 @@ def _distances_deg(points: BsdfPoints, first: float, second: float, specular: bo
 def _listed(points: BsdfPoints, order: np.ndarray) -> str:
     """The first directions of an order, in words."""
     kinds = dict.fromkeys(
-        f"zenith {points.zenith_deg[k]:g}, azimuth {points.azimuth_deg[k]:g} (theta {points.theta_deg[k]:.4g}, phi {points.phi_deg[k]:.4g})"
+        f"zenith {points.zenith_deg[k]:g}, azimuth {points.azimuth_deg[k]:g} "
+        f"(theta {points.theta_deg[k]:.4g}, phi {points.phi_deg[k]:.4g})"
         for k in order[: 4 * NEIGHBOURS].tolist()
     )
     return "; ".join(list(kinds)[:NEIGHBOURS]) or "none"

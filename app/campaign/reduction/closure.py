@@ -30,7 +30,6 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-RIG_FILE = "[uncertainty] of the rig file"
 MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
 """Turn of the light in the plane of incidence for a tilt of each mirror: 1.414 times its share of the path to the sample."""
 STEP_DEG = 0.2
@@ -122,7 +121,14 @@ class Closure:
         return f"{difference}: they do NOT agree" if size > DIFFERS else f"{difference}: more than expected"
 
 
-CERTIFICATE_INPUTS = ("certificate",)
+CERTIFICATE_INPUTS = ("certificate", "etalon_age", "etalon_edge")
+TROUBLES = {
+    "dead": "has lost its dark current",
+    "drift": "is flagged for drift",
+    "module": "is of a module that did not pass its tests: see the notes of the reduction",
+    "monitor": "was read with the monitor at the end of its range",
+}
+"""Flags of a row's signal with which it is not used."""
 
 
 @dataclass(frozen=True)
@@ -343,7 +349,8 @@ class _Readings:
         middle = None
         if wavelength_nm != self._wavelength_nm:
             middle = _of_photodiode([self._open[middle_key]], scan.photodiode)
-        certified = Component("certificate", float(u_factor[0]), 1.0, None)
+        age = _relative("etalon_age", self._settings.etalon_years, rig, "etalon_age_per_year", "all readings of the etalon")
+        certified = Component("certificate", float(u_factor[0]), 1.0, None), age
         return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig)
 
     def _direction(self, wavelength_nm: float) -> tuple[float, float, float, float]:
@@ -397,9 +404,9 @@ def scanned_beam(
 
 def compare(
     beam: ScannedBeam, wavelength_nm: float, scanned: Signal, middle: Signal | None, etalon: Signal, certified: float,
-    certificate: Component, rig: RigFile,
+    certificate: Sequence[Component], rig: RigFile,
 ) -> Closure:  # fmt: skip
-    """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal.
+    """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal, of a `certificate`.
 
     `middle` (1,) is the open beam at the wavelength in the middle pose; None at the wavelength of the scan itself.
     """
@@ -420,7 +427,7 @@ def compare(
         # The sharper edges of the beam, foreshortened by the spot at grazing incidence, are sampled less well.
         _relative("scan", math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.polar_step_deg / STEP_DEG) ** 2,
                   rig, "scan", "this scan"),
-        certificate,
+        *certificate,
     ]  # fmt: skip
     found = tuple(sorted(components, key=lambda each: -each.u))
     return Closure(beam, wavelength_nm, certified, plain * math.exp(correction), correction, found)
@@ -502,7 +509,7 @@ def _gain_effects(
         if above:
             ratio = Input(
                 f"gain_ratio[{beam.scan.photodiode},{step}]", "1", settings.gain_uncertainty, "normal",
-                "all rows of a photodiode", "[photodiodes] gain_uncertainty of the rig file", "electronics.gain_spread",
+                "all rows of a photodiode", "rig file, photodiodes.gain_uncertainty", "electronics.gain_spread",
             )  # fmt: skip
             yield Component(ratio.name, abs(above) * ratio.u, above, ratio)
 
@@ -537,13 +544,16 @@ def _noise(
 def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str) -> Component:
     """A component of a relative input of the rig file."""
     table = rig.uncertainty
-    given = Input(name, "1", table.standard(key), table.distribution(key), shared, f"{RIG_FILE}: {key}", key)
+    given = Input(
+        name, "1", table.standard(key), table.distribution(key), shared, f"rig file, uncertainty.{key}", f"disturbances.{key}"
+    )
     return Component(name, abs(sensitivity) * given.u, sensitivity, given)
 
 
 def _degrees(name: str, key: str, shared: str, rig: RigFile) -> Input:
     table = rig.uncertainty
-    return Input(name, "deg", table.standard(key), table.distribution(key), shared, f"{RIG_FILE}: {key}", key)
+    source, twin = f"rig file, uncertainty.{key}", f"disturbances.{key}"
+    return Input(name, "deg", table.standard(key), table.distribution(key), shared, source, twin)
 
 
 def _of_photodiode(rows: Sequence[RowSignal], photodiode: int) -> Signal:
@@ -565,10 +575,9 @@ def _trouble(rows: Sequence[RowSignal], photodiode: int) -> str:
             f"photodiode {photodiode} is saturated at every gain in {saturated} of {len(rows)} readings: add the rig's lowest "
             "gain to gains_v_per_a, or less light"
         )
-    if any(each.dead[photodiode] for each in rows):
-        return f"photodiode {photodiode} has lost its dark current"
-    if any(each.drifted[photodiode] for each in rows):
-        return f"photodiode {photodiode} is flagged for drift"
+    for flag, reason in TROUBLES.items():
+        if any(each.flags[flag][photodiode] for each in rows):
+            return f"photodiode {photodiode} {reason}"
     if not all(each.signal.value[photodiode] > 0.0 for each in rows) and len(rows) < 3:
         return f"photodiode {photodiode} has no light"
     return ""

@@ -2,24 +2,26 @@
 
 A component of a point (components.py) is a variance by the name of a family of inputs. `effects_of` divides it among the inputs
 of that family, from pose, slopes and kept columns, for some points at a time: budgets, covariances and integrals follow. The
-parts of a family sum to its variance. A component that is no family is one input that all values share, or, if it is in
-INDEPENDENT, none.
+parts of a family sum to its variance. FAMILIES and ALONE name every component once.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.components import INDEPENDENT
+from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
+from goniotwin.app.campaign.reduction.evidence import LEAST_CERTIFIED
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
+from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, incidence_deg, mounted
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.campaign.uncertainty.pose import (
     POSITIONS,
     Displacement,
-    PoseEffects,
     Views,
     mounting_inputs,
     photodiode_inputs,
@@ -33,6 +35,8 @@ from goniotwin.arrays import Floats, Ints
 
 ANGLES = tuple(PLACE.index(f"{axis}_deg") for axis in POSITIONS)
 JOURNAL = "the journal's readings"
+ALONE = frozenset({"noise", "resolution", "ray_tracing", "field_noise", "second_order", "slope_unresolved"})
+"""Components of which each value has an error of its own. In a table `second_order` and `slope_unresolved` count as shared."""
 
 
 def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
@@ -61,185 +65,161 @@ def slopes(points: BsdfPoints) -> tuple[Floats, Floats]:
 
 def effects_of(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The effects of all inputs on points with values; NaN for others. Memory: some hundred inputs a point."""
-    # A value of 0 has no relative uncertainty: it is scaled to 1.
-    value = np.where(points.bsdf == 0.0, 1.0, points.bsdf)
-    independent: dict[str, Floats] = {}
+    value = _scale(points)
+    independent = {name: np.maximum(each, 0.0) / value**2 for name, each in points.components.items() if name in ALONE}
     groups: list[Group] = []
     dense: list[Dense] = []
-    effects = _PointEffects(points, settings, points.bsdf / value)
-    for name, component in points.components.items():
-        relative = np.sqrt(np.maximum(component, 0.0)) / np.abs(value)
-        if name in FAMILIES:
-            for part in FAMILIES[name](effects, relative):
-                (dense if isinstance(part, Dense) else groups).append(part)
-        elif name in INDEPENDENT:
-            independent[name] = relative**2
-        else:
-            dense.append(_shared(name, relative))
+    families = [FAMILIES.get(name, _unknown(name)) for name in points.components if name not in ALONE]
+    for family in dict.fromkeys(families):  # one function may have several components
+        if (found := family(points, settings)) is not None:
+            # A relative change leaves a value of 0 as it is.
+            unit = (found.value / value)[:, None]
+            groups += [replace(each, sensitivity=each.sensitivity * unit) for each in found.groups]
+            dense += [replace(each, sensitivity=each.sensitivity * unit) for each in found.dense]
     return Effects(value, independent, groups, dense)
 
 
-def _shared(name: str, relative: Floats, shared_by: str = "all values") -> Dense:
-    """One input of all values; its sensitivity has the size of the component."""
-    return Dense([Input(name, "1", 1.0, "normal", shared_by, JOURNAL, "")], relative[:, None])
+def _scale(points: BsdfPoints) -> Floats:
+    """The values (n,); 1 in place of 0, which has no relative uncertainty."""
+    return np.where(points.bsdf == 0.0, 1.0, points.bsdf)
 
 
-class _PointEffects:
-    """The parts of each family; `relative` (n,) is the square root of its component's relative variance.
+# Families whose component is a variance of signals: their effects divide it. In them a value of 0 is scaled to 1.
 
-    `present` is 1, and 0 for a value of 0, which a relative change leaves as it is.
-    """
 
-    def __init__(self, points: BsdfPoints, settings: ReductionSettings, present: Floats) -> None:
-        self.points = points
-        self.settings = settings
-        self._present = present
-        self._table = settings.rig.uncertainty
-        self._along, self._across = slopes(points)
-        self._kept: PoseEffects | None = None
+def _relative(points: BsdfPoints, name: str) -> Floats:
+    """The relative standard uncertainty (n,) by a component."""
+    return np.sqrt(np.maximum(points.components[name], 0.0)) / np.abs(_scale(points))
 
-    def pose(self, relative: Floats) -> Iterator[Dense]:
-        """All inputs that the rig or a mounting has once."""
-        del relative
-        effects = self._pose
-        yield Dense(rig_inputs(self._table), self._relative(effects.common))
-        for kind, rows, part in (
-            ("sample", self.points.row, effects.sample),
-            ("etalon", self.points.etalon_row, effects.etalon),
-        ):
-            names = self._mountings(kind, rows)
-            sensitivity = self._relative(part)
-            for name in dict.fromkeys(names):
-                here = np.array([each == name for each in names])
-                yield Dense(mounting_inputs(self._table, kind, name), np.where(here[:, None], sensitivity, 0.0))
 
-    def position(self, relative: Floats) -> Iterator[Group]:
-        """The axes' positions at the row and at the etalon's row, each common to all rows until the axis' next move."""
-        del relative
-        points, effects = self.points, self._pose
-        moves = np.concatenate([self._moves(points.row), self._moves(points.etalon_row)], axis=1)
-        axis = np.tile(np.arange(len(POSITIONS)), 2)
-        numbers = moves * len(POSITIONS) + axis
-        inputs = {
-            number: position_input(self._table, POSITIONS[number % len(POSITIONS)], number // len(POSITIONS))
-            for number in np.unique(numbers).tolist()
-        }
-        sensitivity = np.concatenate([self._relative(effects.position), self._relative(effects.etalon_position)], axis=1)
-        yield Group("position", inputs, numbers, sensitivity)
+def _signed(points: BsdfPoints, name: str) -> Floats:
+    """The same of what is added to a value whatever its sign."""
+    return np.where(points.bsdf < 0.0, -1.0, 1.0) * _relative(points, name)
 
-    def photodiode_angle(self, relative: Floats) -> Iterator[Group]:
-        """Each photodiode's own angles."""
-        del relative
-        photodiode = self.points.photodiode.astype(np.int64)
-        inputs = {
-            2 * c + k: each for c in np.unique(photodiode).tolist() for k, each in enumerate(photodiode_inputs(self._table, c))
-        }
-        numbers = 2 * photodiode[:, None] + np.arange(2)
-        yield Group("photodiode_angle", inputs, numbers, self._relative(self._pose.photodiode))
 
-    def etalon_reading(self, relative: Floats) -> Iterator[Group]:
-        """The etalon's reading: common to all values that were divided by it."""
-        points = self.points
-        keys = np.stack([points.etalon_row, points.photodiode], axis=1)
-        shared = "all values that divide by it"
-        yield _grouped("etalon_reading", keys, relative, lambda key: f"[{key[1]}]@row {key[0]}", shared, sign=-1.0)
+def _unknown(name: str) -> EffectsOf:
+    """A component that no list has: one input that all values share, so that u of a sum is at most too large."""
 
-    def dark(self, relative: Floats) -> Iterator[Group]:
-        """The dark readings of a photodiode and a gain before and after a row."""
-        points = self.points
-        history = self.settings.history
-        interval = points.row if history is None else history.darks(points.row)
-        keys = np.stack([points.photodiode, points.gain, interval], axis=1)
-        # Its volts are one share of a bright value and another of a dark one.
-        yield _grouped(
-            "dark", keys, self._signed(relative), lambda key: f"[{key[0]}, {self._gain(key[1])}]@dark {key[2]}",
-            "rows of this photodiode and gain until the next dark reading", sign=-1.0, scaled=True,
-        )  # fmt: skip
+    def effects(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+        del settings
+        return _of_one(points, Input(name, "1", 1.0, "normal", "all values", JOURNAL, ""), _relative(points, name))
 
-    def monitor(self, relative: Floats) -> Iterator[Group]:
-        """The monitor's reading at the row, and at the etalon's row."""
-        u = self.settings.rig.monitor.relative_uncertainty
-        numbers = np.stack([self.points.row, self.points.etalon_row], axis=1)
-        each = {
-            number: Input(
-                f"monitor@row {number}", "1", u, "normal", "all photodiodes of the row", "rig file, monitor", "monitor.noise"
-            )
-            for number in np.unique(numbers).tolist()
-        }
-        yield Group("monitor", each, numbers, _pair(relative, u))
+    return effects
 
-    def gain(self, relative: Floats) -> Iterator[Group]:
-        """The gains of a photodiode at the row and at the etalon's row: one and the same gain cancels."""
-        u, points = self.settings.rig.photodiodes.gain_uncertainty, self.points
-        count = len(self.settings.rig.photodiodes.gains_v_per_a) + 1
-        gains = np.stack([points.gain, points.etalon_gain], axis=1) % count  # none, -1, is the last one
-        numbers = points.photodiode[:, None] * count + gains
-        inputs = {
-            number: Input(
-                f"gain_ratio[{number // count}, {self._gain(number % count)}]", "1", u, "normal",
-                "all values of this photodiode at this gain", "rig file, photodiodes.gain_uncertainty", "",
-            )
-            for number in np.unique(numbers).tolist()
-        }  # fmt: skip
-        yield Group("gain", inputs, numbers, _pair(relative, u))
 
-    def calibration(self, relative: Floats) -> Iterator[Group]:
-        """The factors of the photodiodes from their overlaps."""
-        keys = self.points.photodiode[:, None]
-        yield _grouped("calibration", keys, relative, lambda key: f"[{key[0]}]", "all values of this photodiode")
+def _of_one(points: BsdfPoints, source: Input, sensitivity: Floats) -> Effects:
+    return Effects(_scale(points), {}, (), [Dense([source], sensitivity[:, None])])
 
-    def certificate(self, relative: Floats) -> Iterator[Dense]:
-        """The certificate: what all of it has in common, and what its entries have beyond that, taken as common too."""
-        common = float(self.settings.certificate.relative_uncertainty.min())
-        level = np.minimum(common, relative)
-        source = "the etalon's certificate"
-        rest = np.sqrt(np.maximum((relative - level) * (relative + level), 0.0))
-        inputs = [Input(f"certificate[{name}]", "1", 1.0, "normal", "all values", source, "") for name in ("level", "entries")]
-        yield Dense(inputs, np.stack([level, rest], axis=1))
 
-    def signature(self, relative: Floats) -> Iterator[Dense]:
-        """The instrument signature, which was subtracted."""
-        yield _shared("signature", -self._signed(relative))
+def _of_group(points: BsdfPoints, group: Group) -> Effects:
+    return Effects(_scale(points), {}, [group], ())
 
-    def field(self, relative: Floats) -> Iterator[Dense]:
-        """The variance of the directions in the field of view, by what its correction has added."""
-        yield _shared("field", np.where(self.points.field_correction < 0.0, -1.0, 1.0) * relative)
 
-    @property
-    def _pose(self) -> PoseEffects:
-        if self._kept is None:
-            points = self.points
-            lower = points.transmitted != points.back
-            views = Views(
-                sigma_deg=points.sigma_deg,
-                gamma_deg=points.gamma_deg,
-                polar=np.radians(np.where(lower, 180.0 - points.zenith_deg, points.zenith_deg)),
-                azimuth=np.radians(points.azimuth_deg),
-                lower=lower,
-                transmitted=points.transmitted,
-                reverse=np.cos(np.radians(points.azimuth_deg - points.beta_deg)) < 0.0,
-            )
-            self._kept = pose_effects(nominal_instrument(self.settings.rig), views)
-        return self._kept
+def dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The dark readings of a photodiode and a gain before and after a row."""
+    history = settings.history
+    interval = points.row if history is None else history.darks(points.row)
+    keys = np.stack([points.photodiode, points.gain, interval], axis=1)
+    # Its volts are one share of a bright value and another of a dark one.
+    group = _grouped(
+        "dark", keys, -_signed(points, "dark"), lambda key: f"[{key[0]}, {_gain(key[1], settings)}]@dark {key[2]}",
+        "rows of this photodiode and gain until the next dark reading", scaled=True,
+    )  # fmt: skip
+    return _of_group(points, group)
 
-    def _relative(self, part: Displacement) -> Floats:
-        return part.relative(self._along, self._across) * self._present[:, None]
 
-    def _signed(self, relative: Floats) -> Floats:
-        """What is added to a value whatever its sign, over the value."""
-        return np.where(self.points.bsdf < 0.0, -relative, relative)
+def etalon_reading(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The etalon's reading: common to all values that were divided by it."""
+    del settings
+    keys = np.stack([points.etalon_row, points.photodiode], axis=1)
+    shared, relative = "all values that divide by it", _relative(points, "etalon_reading")
+    return _of_group(points, _grouped("etalon_reading", keys, -relative, lambda key: f"[{key[1]}]@row {key[0]}", shared))
 
-    def _mountings(self, kind: str, rows: Ints) -> list[str]:
-        history = self.settings.history
-        return [f"{kind}#1"] * rows.size if history is None else history.mountings(rows)
 
-    def _moves(self, rows: Ints) -> Ints:
-        history = self.settings.history
-        return np.repeat(rows[:, None], len(POSITIONS), axis=1) if history is None else history.moves(rows)
+def lamp(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """What all photodiodes of a row have in common, at the row and at the etalon's row; taken as equal parts."""
+    del settings
+    return _of_rows(points, "lamp", 1.0, JOURNAL, "light.flicker")
 
-    def _gain(self, index: int) -> str:
-        gains = self.settings.rig.photodiodes.gains_v_per_a
-        return f"{gains[index]:g} V/A" if 0 <= index < len(gains) else "no gain"
+
+def monitor(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The monitor's reading at the row, and at the etalon's row."""
+    return _of_rows(points, "monitor", settings.rig.monitor.relative_uncertainty, "rig file, monitor", "monitor.noise")
+
+
+def _of_rows(points: BsdfPoints, name: str, u: float, source: str, twin: str) -> Effects:
+    numbers = np.stack([points.row, points.etalon_row], axis=1)
+    inputs = {
+        number: Input(f"{name}@row {number}", "1", u, "normal", "all photodiodes of the row", source, twin)
+        for number in np.unique(numbers).tolist()
+    }
+    return _of_group(points, Group(name, inputs, numbers, _pair(_relative(points, name), u)))
+
+
+def gain(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The gains of a photodiode at the row and at the etalon's row: one and the same gain cancels."""
+    u = max(settings.rig.photodiodes.gain_uncertainty, LEAST_CERTIFIED)
+    count = len(settings.rig.photodiodes.gains_v_per_a) + 1
+    gains = np.stack([points.gain, points.etalon_gain], axis=1) % count  # none, -1, is the last one
+    numbers = points.photodiode[:, None] * count + gains
+    inputs = {
+        number: Input(
+            f"gain_ratio[{number // count}, {_gain(number % count, settings)}]", "1", u, "normal",
+            "all values of this photodiode at this gain", "rig file, photodiodes.gain_uncertainty, and rows at two gains",
+            "electronics.gain_spread",
+        )
+        for number in np.unique(numbers).tolist()
+    }  # fmt: skip
+    return _of_group(points, Group("gain", inputs, numbers, _pair(_relative(points, "gain"), u)))
+
+
+def linearity(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The photodiodes' linearity, by the decades from the etalon's current to the sample's."""
+    polar = polar_from_zenith(points.zenith_deg)
+    factor, _ = settings.certificate.interpolate(points.wavelength_nm, incidence_deg(points), polar, points.azimuth_deg)
+    brighter = math.pi * points.bsdf * np.exp(-points.field_correction) > factor
+    source = _of_table("linearity", "linearity_per_decade", settings)
+    size = _relative(points, "linearity") / (source.u or 1.0)
+    return _of_one(points, source, np.where(brighter, size, -size))
+
+
+def crosstalk(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The share of a module's other channels, at the sample; that at the etalon is in its reading."""
+    source = _of_table("crosstalk", "crosstalk", settings)
+    return _of_one(points, source, _signed(points, "crosstalk") / (source.u or 1.0))
+
+
+def signature(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The instrument signature, which was subtracted."""
+    of_rig = "rig file, sample_unit.signature_uncertainty, and the journal's readings"
+    source = Input("signature", "1", 1.0, "normal", "all values", of_rig, "")
+    del settings
+    return _of_one(points, source, -_signed(points, "signature"))
+
+
+def calibration(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The factors of the photodiodes from their overlaps."""
+    del settings
+    shared, relative = "all values of this photodiode", _relative(points, "calibration")
+    return _of_group(points, _grouped("calibration", points.photodiode[:, None], relative, lambda key: f"[{key[0]}]", shared))
+
+
+def field(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The logarithm of the variance of the directions in the field of view: with more of it more had to be corrected."""
+    source = _of_table("field", "field_of_view", settings)
+    return Effects(points.bsdf, {}, (), [Dense([source], -points.field_correction[:, None])])
+
+
+def _of_table(name: str, key: str, settings: ReductionSettings) -> Input:
+    """A relative input of all values, of the rig file's `[uncertainty]`."""
+    table = settings.rig.uncertainty
+    source, twin = f"rig file, uncertainty.{key}", f"disturbances.{key}"
+    return Input(name, "1", table.standard(key), table.distribution(key), "all values", source, twin)
+
+
+def _gain(index: int, settings: ReductionSettings) -> str:
+    gains = settings.rig.photodiodes.gains_v_per_a
+    return f"{gains[index]:g} V/A" if 0 <= index < len(gains) else "no gain"
 
 
 def _pair(relative: Floats, u: float) -> Floats:
@@ -249,29 +229,92 @@ def _pair(relative: Floats, u: float) -> Floats:
 
 
 def _grouped(
-    name: str, keys: Ints, relative: Floats, label: Callable[[Sequence[int]], str], shared_by: str,
-    *, sign: float = 1.0, scaled: bool = False,
-) -> Group:  # fmt: skip
+    name: str, keys: Ints, signed: Floats, label: Callable[[Sequence[int]], str], shared_by: str, *, scaled: bool = False
+) -> Group:
     """A group with one input for each of `keys` (n, k); with `scaled` its uncertainty is 1, else that of its largest value."""
     distinct, which = np.unique(keys, axis=0, return_inverse=True)
     which = which.ravel()
     u = np.ones(len(distinct))
     if not scaled:
         u = np.zeros(len(distinct))
-        np.maximum.at(u, which, np.abs(np.nan_to_num(relative)))
+        np.maximum.at(u, which, np.abs(np.nan_to_num(signed)))
     inputs = {
         k: Input(f"{name}{label(key)}", "1", float(u[k]), "normal", shared_by, JOURNAL, "")
         for k, key in enumerate(distinct.tolist())
     }
-    sensitivity = sign * relative / np.where(u > 0.0, u, 1.0)[which]
+    sensitivity = signed / np.where(u > 0.0, u, 1.0)[which]
     return Group(name, inputs, which[:, None], sensitivity[:, None])
 
 
-FAMILIES: Mapping[str, Callable[[_PointEffects, Floats], Iterator[Group | Dense]]] = {
-    name: getattr(_PointEffects, name)
-    for name in (
-        "pose", "position", "photodiode_angle", "etalon_reading", "dark", "monitor", "gain", "calibration", "certificate",
-        "signature", "field",
+# Angles.
+
+
+def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The components `pose`, `position` and `photodiode_angle`: rig and mountings, the axes' positions, each photodiode."""
+    table = settings.rig.uncertainty
+    lower = points.transmitted != points.back
+    views = Views(
+        sigma_deg=points.sigma_deg,
+        gamma_deg=points.gamma_deg,
+        polar=np.radians(np.where(lower, 180.0 - points.zenith_deg, points.zenith_deg)),
+        azimuth=np.radians(points.azimuth_deg),
+        lower=lower,
+        transmitted=points.transmitted,
+        reverse=np.cos(np.radians(points.azimuth_deg - points.beta_deg)) < 0.0,
     )
-}  # fmt: skip
-"""The families of inputs by the names of their components."""
+    effects = pose_effects(nominal_instrument(settings.rig), views)
+    along, across = slopes(points)
+
+    def relative(part: Displacement) -> Floats:
+        return part.relative(along, across)
+
+    dense = [Dense(rig_inputs(table), relative(effects.common))]
+    kinds: Sequence[tuple[Literal["sample", "etalon"], Ints, Displacement]] = (
+        ("sample", points.row, effects.sample), ("etalon", points.etalon_row, effects.etalon),
+    )  # fmt: skip
+    for kind, rows, part in kinds:
+        names, which = mounted(kind, rows, settings)
+        sensitivity = relative(part)
+        for k, name in enumerate(names):
+            here = (which == k)[:, None]
+            dense.append(Dense(mounting_inputs(table, kind, name), np.where(here, sensitivity, 0.0)))
+    photodiode = points.photodiode.astype(np.int64)
+    own = {2 * c + k: each for c in np.unique(photodiode).tolist() for k, each in enumerate(photodiode_inputs(table, c))}
+    groups = [
+        _positions(points, settings, np.concatenate([relative(effects.position), relative(effects.etalon_position)], axis=1)),
+        Group("photodiode_angle", own, 2 * photodiode[:, None] + np.arange(2), relative(effects.photodiode)),
+    ]
+    return Effects(points.bsdf, {}, groups, dense)
+
+
+def _positions(points: BsdfPoints, settings: ReductionSettings, sensitivity: Floats) -> Group:
+    """The axes' positions at the row and at the etalon's row, each common to all rows until the axis' next move."""
+    count = len(POSITIONS)
+    both = points.row, points.etalon_row
+    history = settings.history
+    moves = [np.repeat(rows[:, None], count, axis=1) if history is None else history.moves(rows) for rows in both]
+    numbers = np.concatenate(moves, axis=1) * count + np.tile(np.arange(count), 2)
+    inputs = {
+        number: position_input(settings.rig.uncertainty, POSITIONS[number % count], number // count)
+        for number in np.unique(numbers).tolist()
+    }
+    return Group("position", inputs, numbers, sensitivity)
+
+
+FAMILIES: Mapping[str, EffectsOf] = {
+    "dark": dark,
+    "etalon_reading": etalon_reading,
+    "lamp": lamp,
+    "monitor": monitor,
+    "gain": gain,
+    "linearity": linearity,
+    "crosstalk": crosstalk,
+    "signature": signature,
+    "calibration": calibration,
+    "field": field,
+    "pose": angles,
+    "position": angles,
+    "photodiode_angle": angles,
+    **SHARED,
+}
+"""The families of inputs by the names of their components: each gives the effects of its inputs on points."""

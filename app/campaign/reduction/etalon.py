@@ -177,9 +177,9 @@ class ArcRows:
     `estimate` is the value so far: the signal of the sample, its quotient by that of the etalon, the BSDF in 1/sr. `flags` are
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
     was not measured. `common_signature`: both signatures are one measurement, and their error is common to sample and etalon.
-    `etalon_rows` are the numbers of the etalon's rows, of several of one pose the first one. `share` is the signature's share of
-    the sample's signal, NaN where it was not measured. `wavelength_slope`, `band_correction` and `stray_contrast` are those of
-    BsdfPoints, NaN where they are unknown.
+    `etalon_rows` are the numbers of the etalon's rows, of several of one pose the first one. `share` is the signature's share
+    of the sample's signal, NaN where it was not measured. `wavelength_slope`, `band_correction` and `stray_contrast` are those
+    of BsdfPoints, NaN where they are unknown.
     """
 
     rows: tuple[Row, ...]
@@ -345,22 +345,17 @@ def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
     bsdf = data.estimate.scaled(factor / math.pi)
-    ratio, u_absolute = _absolute_scale(data, settings)
-    scaled = np.isfinite(ratio)
-    if scaled.any():
-        bsdf = bsdf.scaled(np.where(scaled, ratio, 1.0))
-        bsdf = bsdf.with_component("open_beam", (np.where(scaled, u_absolute, 0.0) * bsdf.value) ** 2)
-    return replace(data, estimate=bsdf).flagged({"uncertified": np.isnan(factor)})
+    return replace(data, estimate=bsdf.scaled(_absolute_scale(data, settings))).flagged({"uncertified": np.isnan(factor)})
 
 
-def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> tuple[Floats, Floats]:
-    """Ratio of the open beam's scale to the certificate's (rows, 1), NaN where the certificate holds, and its uncertainty."""
-    known = np.full((len(data.rows), 2), np.nan)
+def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
+    """Ratio of the open beam's scale to the certificate's (rows, 1); 1 where the certificate holds."""
+    ratio = np.ones((len(data.rows), 1))
     for k, (row, view) in enumerate(zip(data.rows, data.views, strict=True) if settings.absolute else ()):
         if view.transmitted:
             wavelength, sigma = round_deg([row.wavelength_nm or 0.0, data.incidence_deg[k, 0]]).tolist()
-            known[k] = settings.absolute.get((wavelength, sigma, not view.back), (np.nan, np.nan))
-    return known[:, :1], known[:, 1:]
+            ratio[k], _ = settings.absolute.get((wavelength, sigma, not view.back), (1.0, 0.0))
+    return ratio
 
 
 def flag_values(data: ArcRows, settings: ReductionSettings) -> ArcRows:

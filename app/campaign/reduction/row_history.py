@@ -20,10 +20,11 @@ class RowHistory:
     def __init__(self, journal: JournalReader) -> None:
         self._journal = journal
 
-    def mountings(self, rows: Ints) -> list[str]:
-        """The mounting (n,) that each row was measured in: `paint#2` is the second one of the sample paint."""
+    def mounted(self, rows: Ints) -> tuple[list[str], Ints]:
+        """The mountings in which rows were measured, and for each row (n,) which of these: `paint#2` is the sample's second."""
         names, table = self._read
-        return [names[k] for k in table[self._places(rows), 1].tolist()]
+        some, which = np.unique(table[self._places(rows), 1], return_inverse=True)
+        return [names[k] for k in some.tolist()], which.ravel()
 
     def moves(self, rows: Ints) -> Ints:
         """For each row (n, 4) the number of moves of each axis so far: rows with one number have one position in common."""

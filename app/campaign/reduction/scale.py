@@ -8,6 +8,7 @@ error of the etalon is how much more light it gives than the certificate states:
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
 
@@ -20,16 +21,17 @@ from goniotwin.app.campaign.schedule.certificate import Certificate, known_angle
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.arrays import Floats, Ints
-from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
 
 EffectsOf = Callable[[BsdfPoints, ReductionSettings], Effects | None]
-ALL, FILE, RIG = "all values", "the certificate's file", "the rig file"
+ALL, FILE = "all values", "the certificate's file"
 
 
 def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The certificate's modes, what its geometry leaves unknown, and what they leave, by entry."""
     certificate = settings.certificate
-    incidence, polar = _incidence_deg(points), polar_from_zenith(points.zenith_deg)
+    incidence, polar = incidence_deg(points), polar_from_zenith(points.zenith_deg)
+    scaled = _by_certificate(points, settings)
     shared = {
         "level": (certificate.level, np.ones(points.size)),
         "wavelength": (certificate.wavelength, certificate.slope("wavelength_nm", points.wavelength_nm)),
@@ -37,11 +39,11 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
         "geometry": (certificate.shape, shape_of(certificate.geometry, incidence, polar)),
     }
     dense = [
-        _shared(f"certificate[{mode}]", u, -sensitivity, ALL, FILE, "certificate_level" if mode == "level" else "")
+        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, FILE, "certificate_level" if mode == "level" else "")
         for mode, (u, sensitivity) in shared.items()
         if u
     ]
-    entries = _entries(points, certificate, incidence, polar)
+    entries = _entries(points, certificate, incidence, polar, scaled)
     if not dense and entries is None:
         return None
     return Effects(points.bsdf, {}, () if entries is None else (entries,), dense)
@@ -64,7 +66,9 @@ def _deviation(angle_deg: Floats) -> Floats:
     return np.asarray(3.0 * np.cos(np.radians(angle_deg)) - 2.0)
 
 
-def _entries(points: BsdfPoints, certificate: Certificate, incidence: Floats, polar: Floats) -> Group | None:
+def _entries(
+    points: BsdfPoints, certificate: Certificate, incidence: Floats, polar: Floats, scaled: Floats
+) -> Group | None:  # fmt: skip
     """What the modes leave of the uncertainty at each value, shared by all values that are nearest to one entry."""
     if np.all(certificate.relative_uncertainty <= certificate.level):
         return None
@@ -77,18 +81,49 @@ def _entries(points: BsdfPoints, certificate: Certificate, incidence: Floats, po
         number: _input(f"certificate[{certificate.entry(number)}]", largest, "the values nearest to an entry", FILE)
         for number in np.unique(member).tolist()
     }
-    return Group("certificate", inputs, member[:, None], -(left / largest if largest else left)[:, None])
+    return Group("certificate", inputs, member[:, None], -(scaled * left / largest)[:, None])
 
 
 def etalon_age(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The etalon's drift since its calibration."""
     u = settings.rig.uncertainty.etalon_age_per_year * settings.etalon_years
-    return _of_all("etalon_age", u, points, "etalon_age_per_year")
+    return _of_scale("etalon_age", u, points, settings, "etalon_age_per_year")
 
 
 def etalon_edge(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """Light that a diffuser loses at the edges of the frames: the certificate was measured with another spot."""
-    return _of_all("etalon_edge", settings.rig.uncertainty.etalon_edge, points, "etalon_edge")
+    return _of_scale("etalon_edge", settings.rig.uncertainty.etalon_edge, points, settings, "etalon_edge")
+
+
+def open_beam(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
+    """The scale of the open beam, which takes the place of certificate, age and edge where it scales transmitted light."""
+    member = _beam_scale(points, settings)
+    if not np.any(member >= 0):
+        return None
+    scales = list(settings.absolute.items())
+    inputs = {
+        k: _input(
+            f"open_beam[{nm:g} nm, sigma {sigma:g}]{'@lower' if lower else ''}", u, "all values that it scales", "the scan"
+        )
+        for k, ((nm, sigma, lower), (_, u)) in enumerate(scales)
+    }
+    return Effects(points.bsdf, {}, [Group("open_beam", inputs, member[:, None], np.ones((points.size, 1)))], ())
+
+
+def _beam_scale(points: BsdfPoints, settings: ReductionSettings) -> Ints:
+    """Which of the open beam's scales holds for each point (n,), by its place in `settings.absolute`; -1 for none."""
+    member = np.full(points.size, -1, dtype=np.int64)
+    if settings.absolute and points.transmitted.any():
+        keys = round_deg(np.stack([points.wavelength_nm, incidence_deg(points)], axis=1))
+        for k, (nm, sigma, lower) in enumerate(settings.absolute):
+            at = (keys[:, 0] == nm) & (keys[:, 1] == sigma)
+            member[at & points.transmitted & (points.back != lower)] = k
+    return member
+
+
+def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:
+    """1 (n,) where the etalon's certificate scales a point, 0 where the open beam does."""
+    return (_beam_scale(points, settings) < 0).astype(float)
 
 
 def mounting(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -106,66 +141,69 @@ def repeatability(points: BsdfPoints, settings: ReductionSettings) -> Effects | 
     u = settings.rig.uncertainty.repeatability if settings.repeatability is None else settings.repeatability
     if not u:
         return None
-    source = RIG if settings.repeatability is None else "the repeats of this campaign"
-    _, pose = np.unique(points.places, axis=0, return_inverse=True)
-    words = [", ".join(f"{value:g}" for value in place) for place in points.places.tolist()]
-    again = _occurrences(pose.ravel())
-    at_sample = {k: f"{settings.sample} {words[k]}#{again[k]}" for k in range(len(words))}
-    at_etalon = {number: f"{settings.schedule.etalon} {words[k]}" for k, number in enumerate(pose.ravel().tolist())}
-    members = points.place.astype(np.int64), pose.ravel()[points.place]
-    groups = [
-        Group(
-            "repeatability",
-            {number: _input(f"repeatability@{name}", u, "a row", source, "repeatability") for number, name in names.items()},
-            member[:, None],
-            np.full((points.size, 1), sign),
-        )
-        for names, member, sign in zip((at_sample, at_etalon), members, (1.0, -1.0), strict=True)
-    ]
-    return Effects(points.bsdf, {}, groups, ())
-
-
-def _occurrences(values: Ints) -> Ints:
-    """How often each value has been there before it, from 1."""
-    order = np.argsort(values, kind="stable")
-    first = np.flatnonzero(np.diff(values[order], prepend=-1))
-    result = np.empty(values.size, dtype=np.int64)
-    result[order] = 1 + np.arange(values.size) - np.repeat(first, np.diff(first, append=values.size))
-    return result
+    source = "" if settings.repeatability is None else "the repeats of this campaign"
+    number = np.stack([points.row, points.etalon_row], axis=1)
+    inputs = {
+        row: _input(f"repeatability@row {row}", u, "all photodiodes of the row", source, "repeatability")
+        for row in np.unique(number).tolist()
+    }
+    sensitivity = np.broadcast_to([1.0, -1.0], number.shape)
+    return Effects(points.bsdf, {}, [Group("repeatability", inputs, number, sensitivity)], ())
 
 
 def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """That the light is polarised, for a sample whose diattenuation the schedule states: without it this is not in u."""
-    diattenuation = settings.schedule.diattenuation.get(settings.sample, 0.0)
-    if not diattenuation:
-        return None
+    names, which = mounted("sample", points.row, settings)
+    of_mounting = [name.rpartition("#")[0] for name in names]
     q, _ = light_state(settings.rig.light, points.sigma_deg)
-    return Effects(points.bsdf, {}, (), [_shared("polarisation", diattenuation, q, "all values of the sample", "schedule", "")])
+    dense = []
+    for sample, u in settings.schedule.diattenuation.items():
+        here = np.isin(which, [k for k, each in enumerate(of_mounting) if each == sample])
+        if u and here.any():
+            source = "the schedule, diattenuation"
+            dense.append(_shared(f"polarisation@{sample}", u, np.where(here, q, 0.0), "all values of the sample", source))
+    return Effects(points.bsdf, {}, (), dense) if dense else None
 
 
-def _of_all(name: str, u: float, points: BsdfPoints, twin: str) -> Effects | None:
+def mounted(kind: Literal["sample", "etalon"], rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
+    """The mountings, as `paint#2`, in which rows (n,) of the sample or of the etalon were measured, and which of them each."""
+    if settings.history is not None:
+        return settings.history.mounted(rows)
+    name = settings.schedule.etalon if kind == "etalon" else settings.sample or kind
+    return [f"{name}#1"], np.zeros(rows.size, dtype=np.int64)
+
+
+def _of_scale(name: str, u: float, points: BsdfPoints, settings: ReductionSettings, twin: str) -> Effects | None:
     if not u:
         return None
-    return Effects(points.bsdf, {}, (), [_shared(name, u, np.full(points.size, -1.0), ALL, RIG, twin)])
+    return Effects(points.bsdf, {}, (), [_shared(name, u, -_by_certificate(points, settings), ALL, "", twin)])
 
 
 def _of_mountings(name: str, u: float, points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     if not u:
         return None
-    mounted = ((settings.sample, "all values of the sample", 1.0), (settings.schedule.etalon, ALL, -1.0))
-    dense = [_shared(f"{name}@{of}#1", u, np.full(points.size, sign), shared_by, RIG, name) for of, shared_by, sign in mounted]
+    dense = []
+    for kind, rows, shared_by, sign in (
+        ("sample", points.row, "all values of this mounting", 1.0),
+        ("etalon", points.etalon_row, "all values that divide by this mounting", -1.0),
+    ):
+        names, which = mounted(kind, rows, settings)
+        dense += [
+            _shared(f"{name}@{each}", u, np.where(which == k, sign, 0.0), shared_by, "", name) for k, each in enumerate(names)
+        ]
     return Effects(points.bsdf, {}, (), dense)
 
 
-def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: str, twin: str) -> Dense:
+def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: str, twin: str = "") -> Dense:
     return Dense([_input(name, u, shared_by, source, twin)], sensitivity[:, None])
 
 
 def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> Input:
-    return Input(name, "1", u, "normal", shared_by, source, twin)
+    """An input of the rig file's `[uncertainty]` key `twin`, or of another source."""
+    return Input(name, "1", u, "normal", shared_by, source or f"rig file, uncertainty.{twin}", twin and f"disturbances.{twin}")
 
 
-def _incidence_deg(points: BsdfPoints) -> Floats:
+def incidence_deg(points: BsdfPoints) -> Floats:
     """Incidence at the etalon that scales each point, from the normal of its lit side."""
     return np.minimum(points.sigma_deg, HALF_TURN_DEG - points.sigma_deg)
 
@@ -174,6 +212,7 @@ SHARED: Mapping[str, EffectsOf] = {
     "certificate": certificate_effects,
     "etalon_age": etalon_age,
     "etalon_edge": etalon_edge,
+    "open_beam": open_beam,
     "mounting": mounting,
     "uniformity": uniformity,
     "repeatability": repeatability,
@@ -182,4 +221,4 @@ SHARED: Mapping[str, EffectsOf] = {
     "monochromator_stray": stray_effects,
     "polarisation": polarisation,
 }
-"""Families of inputs that points share, each a component. None of them needs the points nearby."""
+"""Families of inputs that points share, each a component. None of them needs the points nearby, or a signal."""

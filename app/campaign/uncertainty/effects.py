@@ -139,8 +139,9 @@ class Effects:
 
 def _group_u_squared(group: Group) -> Floats:
     """The squared u (n, m) of the inputs that each value depends on; 0 for none."""
-    number = np.array([group.inputs[int(k)].u ** 2 if k >= 0 else 0.0 for k in group.member.ravel()])
-    return number.reshape(group.member.shape)
+    numbers, place = np.unique(group.member, return_inverse=True)
+    u_squared = np.array([group.inputs[k].u ** 2 if k >= 0 else 0.0 for k in numbers.tolist()])
+    return u_squared[place.reshape(group.member.shape)]
 
 
 def _component(each: Input, sensitivity: float) -> Component:
@@ -150,18 +151,20 @@ def _component(each: Input, sensitivity: float) -> Component:
 def group_variance(group: Group) -> Floats:
     """Relative variance (n,) of each value from a group: where it has one input twice, the sensitivities add first."""
     n, m = group.member.shape
-    numbers, place = np.unique(group.member, return_inverse=True)
-    u = np.array([group.inputs[k].u if k in group.inputs else 0.0 for k in numbers.tolist()])[place].reshape(n, m)
+    u_squared = _group_u_squared(group)
     total = np.zeros(n)
     for a in range(m):
         for b in range(m):
             same = group.member[:, a] == group.member[:, b]
-            total += np.where(same, group.sensitivity[:, a] * group.sensitivity[:, b] * u[:, a] ** 2, 0.0)
+            total += np.where(same, group.sensitivity[:, a] * group.sensitivity[:, b] * u_squared[:, a], 0.0)
     return total
 
 
 def merged(parts: Iterable[list[Component]]) -> list[Component]:
-    """Components of a sum over several parts of the values (blocks): what has one name in several is one input."""
+    """Components of a sum over several parts of the values (blocks): what has one name in several is one input.
+
+    A part may state an input in another unit: what adds up is the effect of one standard uncertainty.
+    """
     shared: dict[str, Component] = {}
     for part in parts:
         for each in part:
@@ -171,5 +174,9 @@ def merged(parts: Iterable[list[Component]]) -> list[Component]:
             elif each.input is None:
                 shared[each.name] = Component(each.name, float(np.hypot(before.u, each.u)), 1.0, None)
             else:
-                shared[each.name] = _component(each.input, before.sensitivity + each.sensitivity)
+                effect = (
+                    before.sensitivity * (0.0 if before.input is None else before.input.u) + each.sensitivity * each.input.u
+                )
+                of_unit = effect / each.input.u if each.input.u else before.sensitivity + each.sensitivity
+                shared[each.name] = Component(each.name, abs(effect), of_unit, each.input)
     return sorted(shared.values(), key=lambda each: -each.u)

@@ -209,7 +209,7 @@ class DrawnRig:
         etalon = etalon_signal(
             scan, self.with_etalon, along + self._draw("position_deg"), across, sigma + self._draw("position_deg")
         )
-        found = compare(beam, 550.0, signal, None, etalon, 1.0, CERTIFICATE, FILE)
+        found = compare(beam, 550.0, signal, None, etalon, 1.0, (CERTIFICATE,), FILE)
         return found, plain_ratio(scan, beam, etalon)
 
 
@@ -348,9 +348,9 @@ def test_a_value_at_another_wavelength_follows_the_middle_pose() -> None:
 
     def absolute(of_beam: float, of_etalon: float) -> float:
         middle = Signal(of_beam * signal.value[[scan.middle]], {"noise": np.zeros(1)}, np.zeros(1, dtype=np.int64))
-        return compare(beam, 450.0, signal, middle, etalon.scaled(of_etalon), 1.0, CERTIFICATE, FILE).absolute
+        return compare(beam, 450.0, signal, middle, etalon.scaled(of_etalon), 1.0, (CERTIFICATE,), FILE).absolute
 
-    at_scan = compare(beam, 550.0, signal, None, etalon, 1.0, CERTIFICATE, FILE).absolute
+    at_scan = compare(beam, 550.0, signal, None, etalon, 1.0, (CERTIFICATE,), FILE).absolute
     assert at_scan == pytest.approx(1.0, abs=3e-3)
     assert absolute(0.5, 0.5) == pytest.approx(at_scan, rel=1e-12)
     assert absolute(1.0, 0.5) == pytest.approx(0.5 * at_scan, rel=1e-12)
@@ -365,7 +365,7 @@ def test_noise_of_the_scan_adds_up_and_dark_readings_are_common() -> None:
     found = {
         each.name: each.u
         for each in compare(
-            beam, 550.0, replace(exact, components={"noise": noise, "dark": noise}), None, etalon, 1.0, CERTIFICATE, FILE
+            beam, 550.0, replace(exact, components={"noise": noise, "dark": noise}), None, etalon, 1.0, (CERTIFICATE,), FILE
         ).components
     }
     rng = np.random.default_rng(5)

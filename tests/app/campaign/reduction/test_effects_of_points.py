@@ -16,12 +16,14 @@ from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.campaign.journal.reading import ExecutedRow
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.components import INDEPENDENT
-from goniotwin.app.campaign.reduction.effects_of_points import FAMILIES, add_pose, effects_of
+from goniotwin.app.campaign.reduction.effects_of_points import ALONE, FAMILIES, add_pose, effects_of
+from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings
+from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal, reduction_settings
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, quadrature
 from goniotwin.app.campaign.reduction.row_history import history_of
+from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.effects import Effects
 from goniotwin.app.campaign.uncertainty.pose import POSITIONS, Views, pose_effects, position_u_deg, rig_inputs
@@ -37,10 +39,24 @@ LINES = (180.0, 150.0, 20.0)
 COUNT = POLAR.size * len(LINES)
 U_MONITOR, U_GAIN = FILE.monitor.relative_uncertainty, FILE.photodiodes.gain_uncertainty
 CERTIFICATE = float(SETTINGS.certificate.relative_uncertainty.min())
-POSE = ("pose", "position", "photodiode_angle")
+CORRECTION = 0.1 * np.cos(np.arange(COUNT))
+TABLE = replace(FILE.uncertainty, uniformity=0.002, repeatability=0.003, mounting=0.004)
+CERTIFIED = """level = 0.002
+wavelength_nm, radiance_factor, relative_uncertainty
+400, 1.0, 0.004
+700, 1.0, 0.003
+"""
+ALL_SETTINGS = replace(
+    SETTINGS, rig=replace(FILE, uncertainty=TABLE), geometry=ArcGeometry(replace(FILE, uncertainty=TABLE)),
+    certificate=parse_certificate(CERTIFIED, "c"), sample="paint",
+    schedule=SETTINGS.schedule.model_copy(update={"diattenuation": {"paint": 0.3}}),
+)  # fmt: skip
+"""With every component that a rig file, certificate and schedule can state."""
 
 
-def measured(bsdf: Floats, slope: Floats, relative: dict[str, Floats] | None = None) -> BsdfPoints:
+def measured(
+    bsdf: Floats, slope: Floats, relative: dict[str, Floats] | None = None, settings_of: ReductionSettings = SETTINGS
+) -> BsdfPoints:
     """Points (COUNT,) of three rows, with slopes (COUNT, 2); two of them divide by one reading of the etalon."""
     parts = []
     for k, azimuth in enumerate(LINES):
@@ -51,11 +67,13 @@ def measured(bsdf: Floats, slope: Floats, relative: dict[str, Floats] | None = N
     points = join_points(parts)
     gain = np.arange(COUNT) % 2
     components = {name: (each * bsdf) ** 2 for name, each in (relative or {}).items()}
+    components["field"] = (FILE.uncertainty.standard("field_of_view") * CORRECTION * bsdf) ** 2
     given = replace(
         points, components=components, slope_along=slope[:, 0], slope_across=slope[:, 1], gain=gain,
-        etalon_gain=np.zeros(COUNT, dtype=np.int64),
+        etalon_gain=np.zeros(COUNT, dtype=np.int64), field_correction=CORRECTION, wavelength_slope=0.01 * CORRECTION,
+        band_correction=0.02 * CORRECTION,
     )  # fmt: skip
-    return add_pose(given, SETTINGS)
+    return add_pose(add_shared(given, settings_of), settings_of)
 
 
 def relative_of(noise: Floats) -> dict[str, Floats]:
@@ -69,10 +87,15 @@ def relative_of(noise: Floats) -> dict[str, Floats]:
         "dark": 0.5 * noise,
         "monitor": np.sqrt(2.0) * U_MONITOR * one,
         "gain": np.sqrt(2.0) * U_GAIN * (np.arange(COUNT) % 2),
-        "certificate": CERTIFICATE * one,
         "etalon_reading": 1e-4 * (1.0 + photodiode + 20.0 * etalon),
         "calibration": 1e-4 * (1.0 + photodiode),
-        "field": 0.3 * noise,
+        "lamp": 0.4 * noise,
+        "linearity": 0.6 * noise,
+        "crosstalk": 0.7 * noise,
+        "second_order": 0.8 * noise,
+        "slope_unresolved": 0.9 * noise,
+        "field_noise": 0.3 * noise,
+        "ray_tracing": 0.2 * noise,
         "signature": 0.2 * noise,
         "something_new": 0.1 * noise,
     }
@@ -94,8 +117,9 @@ SLOPES = arrays(np.float64, (COUNT, 2), elements=st.one_of(st.floats(-5.0, 5.0),
 @given(values(-3.0, 3.0), SLOPES, values(0.0, 1.0))
 def test_the_parts_of_any_points_sum_to_their_uncertainty(bsdf: Floats, slope: Floats, noise: Floats) -> None:
     bsdf = np.where(np.abs(bsdf) < 1e-6, 0.0, bsdf)
-    points = measured(bsdf, slope, relative_of(noise))
-    effects = effects_of(points, SETTINGS)
+    points = measured(bsdf, slope, relative_of(noise), ALL_SETTINGS)
+    assert set(points.components) == (ALONE | set(FAMILIES) | {"something_new"}) - {"open_beam"}
+    effects = effects_of(points, ALL_SETTINGS)
     expected = points.u_bsdf**2
     assert np.abs(total(effects) - expected).max() <= 1e-12 * expected.max()
     assert np.all(np.abs(total(effects) - expected) <= 1e-12 * expected)
@@ -123,9 +147,10 @@ def test_a_point_without_a_slope_has_the_diffuse_part_alone() -> None:
 def test_the_pipeline_and_the_effects_agree_on_what_is_a_family() -> None:
     points = measured(np.ones(COUNT), np.ones((COUNT, 2)), relative_of(np.full(COUNT, 0.01)))
     effects = effects_of(points, SETTINGS)
-    assert set(effects.independent) == {"noise", "resolution"} == INDEPENDENT & set(points.components) - set(FAMILIES)
-    assert [group.name for group in effects.groups] == [
-        "dark", "monitor", "gain", "etalon_reading", "calibration", "position", "photodiode_angle",
+    assert set(effects.independent) == ALONE
+    assert not ALONE & set(FAMILIES)
+    assert sorted(group.name for group in effects.groups) == [
+        "calibration", "dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
     ]  # fmt: skip
     names = [each.name for part in effects.dense for each in part.inputs]
     assert {"certificate[level]", "field", "signature", "something_new", "sigma_zero", "sample_tilt_x@sample#1"} <= set(names)
@@ -169,7 +194,7 @@ def test_covariances_are_those_that_gtc_finds_from_the_formula_of_a_value() -> N
             assert each.u == pytest.approx(abs(GTC.component(mean, formula.inputs[each.name])), rel=1e-6), each.name
 
 
-GTC_NAMES = ("noise", "monitor", "gain", "certificate", "etalon_reading", "calibration", "dark")
+GTC_NAMES = ("noise", "monitor", "lamp", "gain", "crosstalk", "etalon_reading", "calibration", "dark")
 
 
 class Formula:
@@ -196,8 +221,27 @@ class Formula:
         reading = 1.0 + self._input(f"etalon_reading[{c}]@row {etalon_row}", self._relative["etalon_reading"][k])
         etalon = reading / self._gain(c, 0) / self._monitor(etalon_row)
         factor = 1.0 + self._input(f"calibration[{c}]", self._relative["calibration"][k])
-        certified = 1.0 + CERTIFICATE * self._input("certificate[level]", 1.0)
-        return float(points.bsdf[k]) * signal / etalon * factor * certified * GTC.exp(self._angles(k, c, row, etalon_row))
+        table = FILE.uncertainty
+        u_crosstalk = table.crosstalk
+        signal = signal * (1.0 + self._relative["crosstalk"][k] / u_crosstalk * self._input("crosstalk", u_crosstalk))
+        for number, sign in ((row, 1.0), (etalon_row, -1.0)):
+            signal = signal * (1.0 + sign * self._relative["lamp"][k] / np.sqrt(2.0) * self._input(f"lamp@row {number}", 1.0))
+        # More light of the etalon than certified, whatever the reason.
+        of_etalon = {
+            "certificate[level]": CERTIFICATE,
+            "etalon_age": table.etalon_age_per_year,
+            "etalon_edge": table.etalon_edge,
+        }
+        for name, u in of_etalon.items():
+            etalon = etalon * (1.0 + self._input(name, u))
+        light = (
+            float(points.wavelength_slope[k]) * self._input("wavelength", table.wavelength_nm)
+            + float(points.band_correction[k]) * self._input("bandwidth", 1.0)
+            + self._input("monochromator_stray", table.monochromator_stray)
+            - float(CORRECTION[k]) * self._input("field", table.field_of_view)
+        )
+        moved = self._angles(k, c, row, etalon_row)
+        return float(points.bsdf[k]) * signal / etalon * factor * GTC.exp(light + moved)
 
     def _angles(self, k: int, c: int, row: int, etalon_row: int) -> GTC.lib.UncertainReal:
         table, effects = FILE.uncertainty, self._effects
