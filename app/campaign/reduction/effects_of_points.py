@@ -78,8 +78,9 @@ def effects_of(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     for name, component in points.components.items():
         relative = np.sqrt(np.maximum(component, 0.0)) / np.abs(value)
         if name in FAMILIES:
-            for part in FAMILIES[name](effects, relative):
-                (dense if isinstance(part, Dense) else groups).append(part)
+            parts = list(FAMILIES[name](effects, relative))
+            groups += [part for part in parts if isinstance(part, Group)]
+            dense += [part for part in parts if isinstance(part, Dense)]
         elif name in INDEPENDENT:
             independent[name] = relative**2
         else:
@@ -156,7 +157,7 @@ class _PointEffects:
         """The dark readings of a photodiode and a gain before and after a row."""
         points = self.points
         history = self.settings.history
-        interval = points.row if history is None else history.darks(points.row)
+        interval = points.row if history is None else history.dark_readings(points.row)
         keys = np.stack([points.photodiode, points.gain, interval], axis=1)
         # Its volts are one share of a bright value and another of a dark one.
         yield _grouped(

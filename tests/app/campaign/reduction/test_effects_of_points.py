@@ -80,7 +80,7 @@ def relative_of(noise: Floats) -> dict[str, Floats]:
 
 def total(effects: Effects) -> Floats:
     """The sum of all variances (n,)."""
-    return np.sum(list(effects.variances().values()), axis=0)
+    return np.asarray(np.sum(list(effects.variances().values()), axis=0))
 
 
 def values(least: float, most: float) -> st.SearchStrategy[Floats]:
@@ -237,7 +237,7 @@ def executed(
     return ExecutedRow(number, kind, sample, session, pose)
 
 
-def test_the_history_counts_mountings_darks_and_moves() -> None:
+def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
     one, two = (0.0, 30.0, 0.0, 0.0), (0.0, 30.0, 45.0, 0.0)
     rows = [
         executed(0, "mount", "etalon"), executed(1, "dark", "etalon"), executed(2, "measure", "etalon", one),
