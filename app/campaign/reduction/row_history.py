@@ -1,4 +1,4 @@
-"""What was done before each row of a journal: mountings, moves of axes, dark readings. It says which rows share an error."""
+"""What was done before each row of a journal: mountings, moves of axes, dark readings. Rows share errors by it."""
 
 from collections import Counter
 from collections.abc import Iterable

@@ -255,7 +255,7 @@ def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
     assert [each[0] for each in table.tolist()] == sorted(by_row)
 
 
-def test_a_campaigns_points_sum_and_share_what_its_journal_says(tmp_path: Path) -> None:
+def test_a_campaigns_points_sum_and_share_what_its_journal_states(tmp_path: Path) -> None:
     path = tmp_path / "finished.journal"
     path.write_bytes((Path(__file__).parents[3] / "golden" / "data" / "finished.journal").read_bytes())
     with Journal.open(path) as journal:
