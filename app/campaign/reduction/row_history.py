@@ -31,7 +31,8 @@ class RowHistory:
 
     def dark_readings(self, rows: Ints) -> Ints:
         """For each row (n,) the number of dark readings before it."""
-        return self._read[1][self._places(rows), 2]
+        before: Ints = self._read[1][self._places(rows), 2]
+        return before
 
     def _places(self, rows: Ints) -> Ints:
         places: Ints = np.searchsorted(self._read[1][:, 0], rows)
