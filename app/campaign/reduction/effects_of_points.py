@@ -118,7 +118,7 @@ def _of_group(points: BsdfPoints, group: Group) -> Effects:
 def dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The dark readings of a photodiode and a gain before and after a row."""
     history = settings.history
-    interval = points.row if history is None else history.darks(points.row)
+    interval = points.row if history is None else history.dark_readings(points.row)
     keys = np.stack([points.photodiode, points.gain, interval], axis=1)
     # Its volts are one share of a bright value and another of a dark one.
     group = _grouped(

@@ -1,4 +1,4 @@
-"""What was done before each row of a journal: mountings, moves of axes, dark readings. It says which rows share an error."""
+"""What was done before each row of a journal: mountings, moves of axes, dark readings. Rows share errors by it."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -30,12 +30,14 @@ class RowHistory:
         """For each row (n, 4) the number of moves of each axis so far: rows with one number have one position in common."""
         return self._read[1][self._places(rows), 3 : 3 + AXES]
 
-    def darks(self, rows: Ints) -> Ints:
+    def dark_readings(self, rows: Ints) -> Ints:
         """For each row (n,) the number of dark readings before it."""
-        return self._read[1][self._places(rows), 2]
+        before: Ints = self._read[1][self._places(rows), 2]
+        return before
 
     def _places(self, rows: Ints) -> Ints:
-        return np.searchsorted(self._read[1][:, 0], rows)
+        places: Ints = np.searchsorted(self._read[1][:, 0], rows)
+        return places
 
     @cached_property
     def _read(self) -> tuple[list[str], Ints]:
@@ -48,7 +50,7 @@ def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints]:
     Rows are in order of time. Every axis counts as moved where a sample is mounted, by hand, and in a further session of a
     campaign, for it may have been referenced.
     """
-    names, mounted, darks, session = ["before any mounting"], Counter[str](), 0, -1
+    names, mounted, dark_readings, session = ["before any mounting"], Counter[str](), 0, -1
     moves, last = [0] * AXES, (np.nan,) * AXES
     table = []
     for row in rows:
@@ -56,13 +58,13 @@ def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints]:
             mounted[row.sample] += 1
             names.append(f"{row.sample}#{mounted[row.sample]}")
             last = (np.nan,) * AXES
-        darks += row.kind == "dark"
+        dark_readings += row.kind == "dark"
         if row.session != session:
             session, last = row.session, (np.nan,) * AXES
         if row.pose is not None:
             pose = tuple(round_deg(row.pose).tolist())
             moves = [count + (now != before) for count, now, before in zip(moves, pose, last, strict=True)]
             last = pose
-        table.append((row.number, len(names) - 1, darks, *moves))
+        table.append((row.number, len(names) - 1, dark_readings, *moves))
     found = np.array(table, dtype=np.int64).reshape(-1, 3 + AXES)
     return names, found[np.argsort(found[:, 0], kind="stable")]

@@ -132,8 +132,8 @@ class Effects:
                 if number >= 0
             ]
         for part in self.dense:
-            total = scale @ part.sensitivity[used]
-            found += [_component(each, at) for each, at in zip(part.inputs, total.tolist(), strict=True)]
+            sums = (scale @ part.sensitivity[used]).tolist()
+            found += [_component(each, at) for each, at in zip(part.inputs, sums, strict=True)]
         return sorted(found, key=lambda each: -each.u)
 
 

@@ -10,7 +10,7 @@ from goniotwin.app.rig.uncertainty import Distribution
 class Input:
     """One input: `name` as in a budget, its `unit` ("deg", "mm", "nm", "1" for a relative one), and standard uncertainty `u`.
 
-    `shared_by` says which values have it in common, `source` where u is from, and `twin` the key of the rig file with which
+    `shared_by` names the values that have it in common, `source` where u is from, and `twin` the key of the rig file with which
     the virtual rig has it as a disturbance; empty where it has none.
     """
 

@@ -509,7 +509,8 @@ def variance(sums: Floats, slope_along: Floats, slope_across: Floats) -> Floats:
     """Relative variance (n,) of values with these slopes, from `moments`."""
     a, c = slope_along, slope_across
     aa, cc, ss, ac, as_, cs = sums.T
-    return np.maximum(a * a * aa + c * c * cc + ss + 2.0 * (a * c * ac + a * as_ + c * cs), 0.0)
+    found: Floats = np.maximum(a * a * aa + c * c * cc + ss + 2.0 * (a * c * ac + a * as_ + c * cs), 0.0)
+    return found
 
 
 def pose_moments(rig: RigFile, views: Views) -> Floats:

@@ -103,7 +103,7 @@ def relative_of(noise: Floats) -> dict[str, Floats]:
 
 def total(effects: Effects) -> Floats:
     """The sum of all variances (n,)."""
-    return np.sum(list(effects.variances().values()), axis=0)
+    return np.asarray(np.sum(list(effects.variances().values()), axis=0))
 
 
 def values(least: float, most: float) -> st.SearchStrategy[Floats]:
@@ -281,7 +281,7 @@ def executed(
     return ExecutedRow(number, kind, sample, session, pose)
 
 
-def test_the_history_counts_mountings_darks_and_moves() -> None:
+def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
     one, two = (0.0, 30.0, 0.0, 0.0), (0.0, 30.0, 45.0, 0.0)
     rows = [
         executed(0, "mount", "etalon"), executed(1, "dark", "etalon"), executed(2, "measure", "etalon", one),
@@ -299,7 +299,7 @@ def test_the_history_counts_mountings_darks_and_moves() -> None:
     assert [each[0] for each in table.tolist()] == sorted(by_row)
 
 
-def test_a_campaigns_points_sum_and_share_what_its_journal_says(tmp_path: Path) -> None:
+def test_a_campaigns_points_sum_and_share_what_its_journal_states(tmp_path: Path) -> None:
     path = tmp_path / "finished.journal"
     path.write_bytes((Path(__file__).parents[3] / "golden" / "data" / "finished.journal").read_bytes())
     with Journal.open(path) as journal:

@@ -28,7 +28,16 @@ from goniotwin.app.campaign.uncertainty.pose import (
 )
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Deviation, Instrument, Scatterer, arc_direction, gaussian, lambertian, throughput
+from goniotwin.twin.optics import (
+    Deviation,
+    Instrument,
+    Scatterer,
+    arc_direction,
+    forward_throughput,
+    gaussian,
+    lambertian,
+    throughput,
+)
 
 INSTRUMENT = Instrument(obstruction=False)
 TABLE = UncertaintyTable()
@@ -270,6 +279,28 @@ THROUGH = gaussian(8.0, reflectance=0.5, transmits=True, side="both")
 )
 def test_sensitivities_at_the_peak_in_transmission_and_from_behind(sample: Scatterer, at: Views) -> None:
     compare(sample, at)
+
+
+@pytest.mark.long
+def test_three_sensitivities_are_those_of_traced_rays() -> None:
+    sample, at, step = gaussian(5.0, reflectance=0.5), views(30.0, [25.0, 34.0, 36.0], [180.0, 180.0, 180.0]), 0.2
+    twin, effects = Twin(sample, at), pose_effects(INSTRUMENT, at)
+    along, across = twin.slopes(step)
+    directions = arc_direction(np.degrees(at.polar), np.degrees(at.azimuth))
+    for part, names, name in (
+        (effects.sample, [f"sample_{each}" for each in MOUNTED], "sample_tilt_y"),
+        (effects.common, list(COMMON), "mirror_3_tilt_y"),
+        (effects.common, list(COMMON), "arc_tilt_y"),
+    ):
+        logarithms = []
+        for sign in (1.0, -1.0):
+            element, moved = deviation(name, sign * step)
+            instrument = replace(INSTRUMENT, deviations={element: moved})
+            traced = forward_throughput(instrument, 30.0, directions, sample, seed=7, relative_error=0.004)
+            of_etalon = throughput(INSTRUMENT if element == "sample" else instrument, 30.0, directions, DIFFUSER)
+            logarithms.append(np.log(traced.single_m2sr / of_etalon))
+        found = (logarithms[0] - logarithms[1]) / (2.0 * step)
+        assert part.relative(along, across)[:, names.index(name)] == pytest.approx(found, rel=0.05, abs=0.02), name
 
 
 def test_a_variance_from_moments_is_the_sum_over_the_inputs() -> None:
