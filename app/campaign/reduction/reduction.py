@@ -155,7 +155,9 @@ class Reduction:
         """The blocks of rows at several wavelengths: reduced pose by pose, and put in a file until all of them are known."""
         by_pose, poses = order_by_pose(table[places])
         parts = (
-            by_pose[k : k + MOST_ROWS] for begin, end in _together(poses, BLOCK_ROWS) for k in range(begin, end, MOST_ROWS)
+            by_pose[k : min(k + MOST_ROWS, end)]
+            for begin, end in _together(poses, BLOCK_ROWS)
+            for k in range(begin, end, MOST_ROWS)
         )
         with PointFile(Path(tempfile.gettempdir())) as file:
             for at, points in self._reduced(table, places, parts):
