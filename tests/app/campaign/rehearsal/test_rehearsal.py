@@ -104,9 +104,9 @@ def test_the_uncertainty_of_each_direction_is_predicted(write_rig: Writer, write
     columns = table.columns
     assert columns["bsdf_per_sr"].size == spread["directions"]
     peak = (columns["zenith_deg"] == 30.0) & (columns["azimuth_deg"] == 180.0)
-    # Noise is small at the peak. The components are the etalon's certificate, the monitor and the gains, together 0.0025, and
-    # the field's effect on the peak of a Gaussian of 5 deg, 2 * 0.0584 / 25.
-    assert columns["relative_uncertainty"][peak] == pytest.approx(math.hypot(0.0025, 0.00467), abs=0.0004)
+    # Noise is small at the peak. The components are the etalon's certificate, the monitor and the gains, together 0.0025, the
+    # etalon's age and its edges, 0.001 and 0.002, and the field's effect on the peak of a Gaussian of 5 deg, 2 * 0.0584 / 25.
+    assert columns["relative_uncertainty"][peak] == pytest.approx(math.hypot(0.0025, 0.00467, 0.001, 0.002), abs=0.0004)
 
 
 def test_the_result_is_json_and_marked_as_simulated(small: Rehearsal) -> None:
