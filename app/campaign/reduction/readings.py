@@ -28,7 +28,7 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-MOST_REPEATED = 20
+MOST_REPEATED = 12
 """Repeated poses of a sample that are read for the repeatability, before all others."""
 FEWEST_REPEATS, FEWEST_CLEAR = 10, 3
 """Degrees of freedom, and photodiodes with light in a row, from which repeats are evidence."""

@@ -260,7 +260,7 @@ class Reduction:
         etalon: dict[PoseKey, RowSignal] = {}
         signature: dict[PoseKey, RowSignal] = {}
         for here in parts:
-            if len(etalon) >= 2 * BLOCK_ROWS:  # repeats of a pose are near each other
+            if len(etalon) >= BLOCK_ROWS:  # repeats of a pose are near each other
                 etalon, signature = {}, {}
             rows = list(self._measurements.row_signals(table["number"][places[here]].tolist()))
             at_sample, at_etalon = reference_keys([each.row for each in rows], self.settings.geometry)

@@ -251,15 +251,15 @@ def drawn_measurements(scatter: float, noise: float, poses: int, seed: int = 2) 
 
 
 def test_repeats_show_what_noise_and_monitor_do_not_explain() -> None:
-    quiet = repeats(drawn_measurements(0.0, 0.002, 20), ["paint"], 0.0)
+    quiet = repeats(drawn_measurements(0.0, 0.002, 12), ["paint"], 0.0)
     assert quiet is not None
     assert quiet.scatter == pytest.approx(quiet.expected, rel=0.4)
     assert quiet.excess == 0.0
-    found = repeats(drawn_measurements(0.01, 0.002, 20), ["paint"], 0.0)
+    found = repeats(drawn_measurements(0.01, 0.002, 12), ["paint"], 0.0)
     assert found is not None
-    assert found.freedom == 20
+    assert found.freedom == 12
     assert found.excess == pytest.approx(0.01, rel=0.4)
-    assert repeats(drawn_measurements(0.01, 0.002, 20), ["paint"], 0.01**2).excess == 0.0  # type: ignore[union-attr]
+    assert repeats(drawn_measurements(0.01, 0.002, 12), ["paint"], 0.01**2).excess == 0.0  # type: ignore[union-attr]
     assert repeats(drawn_measurements(0.01, 0.002, 9), ["paint"], 0.0) is None
 
 
