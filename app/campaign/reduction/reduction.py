@@ -156,7 +156,7 @@ class Reduction:
         by_pose, poses = order_by_pose(table[places])
         parts = (
             by_pose[k : min(k + MOST_ROWS, end)]
-            for begin, end in _together(poses, BLOCK_ROWS)
+            for begin, end in _together(poses, BLOCK_ROWS // 2)
             for k in range(begin, end, MOST_ROWS)
         )
         with PointFile(Path(tempfile.gettempdir())) as file:
