@@ -173,7 +173,7 @@ def test_poses_are_apart_repeats_are_averaged_and_what_is_lost_in_noise_is_no_ev
 
 @pytest.mark.parametrize("step", [3.0, 6.0, 10.0])
 def test_the_noise_of_a_corrected_value_is_that_of_the_sum_that_it_is(step: float) -> None:
-    at: Floats = 500.0 + step * np.arange(9)
+    at = np.linspace(500.0, 500.0 + 8.0 * step, 9)
     signal = np.exp(0.01 * (at - at[0]))[:, None]
     flat = np.ones((at.size, 1))
     change = 1e-6
