@@ -70,7 +70,9 @@ class PointFile:
         except OSError as error:
             raise self._unwritable(error) from None
         self._end += records.nbytes
-        self._blocks.append(records.dtype)
+        # A type of so many columns takes kilobytes: blocks of one kind have one.
+        same = bool(self._blocks) and self._blocks[-1] == records.dtype
+        self._blocks.append(self._blocks[-1] if same else records.dtype)
         self._added.append(rows)
         self._sorted = None
 

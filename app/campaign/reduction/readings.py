@@ -42,7 +42,7 @@ EVIDENCE_ROWS = 256
 """Rows whose readings are in memory together for the evidence."""
 END_OF_RANGE = 0.98
 """From this share of its range on the monitor may not follow the light."""
-MOST_REPEATED = 20
+MOST_REPEATED = 12
 """Repeated poses of a sample that are read for the repeatability, before all others."""
 FEWEST_REPEATS, FEWEST_CLEAR = 10, 3
 """Degrees of freedom, and photodiodes with light in a row, from which repeats are evidence."""

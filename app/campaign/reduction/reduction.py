@@ -168,7 +168,9 @@ class Reduction:
         """The blocks of rows at several wavelengths: reduced pose by pose, and put in a file until all of them are known."""
         by_pose, poses = order_by_pose(table[places])
         parts = (
-            by_pose[k : k + MOST_ROWS] for begin, end in _together(poses, BLOCK_ROWS) for k in range(begin, end, MOST_ROWS)
+            by_pose[k : min(k + MOST_ROWS, end)]
+            for begin, end in _together(poses, BLOCK_ROWS // 2)
+            for k in range(begin, end, MOST_ROWS)
         )
         with PointFile(Path(tempfile.gettempdir())) as file:
             for at, points in self._reduced(table, places, parts):
@@ -283,7 +285,7 @@ class Reduction:
         etalon: dict[PoseKey, RowSignal] = {}
         signature: dict[PoseKey, RowSignal] = {}
         for here in parts:
-            if len(etalon) >= 2 * BLOCK_ROWS:  # repeats of a pose are near each other
+            if len(etalon) >= BLOCK_ROWS:  # repeats of a pose are near each other
                 etalon, signature = {}, {}
             rows = list(self._measurements.row_signals(table["number"][places[here]].tolist()))
             at_sample, at_etalon = reference_keys([each.row for each in rows], self.settings.geometry)

@@ -173,7 +173,7 @@ def test_poses_are_apart_repeats_are_averaged_and_what_is_lost_in_noise_is_no_ev
 
 @pytest.mark.parametrize("step", [3.0, 6.0, 10.0])
 def test_the_noise_of_a_corrected_value_is_that_of_the_sum_that_it_is(step: float) -> None:
-    at = 500.0 + step * np.arange(9)
+    at = np.linspace(500.0, 500.0 + 8.0 * step, 9)
     signal = np.exp(0.01 * (at - at[0]))[:, None]
     flat = np.ones((at.size, 1))
     change = 1e-6
@@ -224,7 +224,7 @@ def test_a_journal_of_many_wavelengths_has_the_same_values_for_any_size_of_a_blo
             blocks = list(reduction.blocks("gaussian-5", size))
             found[size] = join_points([reduction.finish(block.points, None) for block in blocks])
             ranks = np.concatenate([block.rank for block in blocks])
-            assert np.unique(ranks).size == 600
+            assert np.bincount(ranks).tolist() == [2] * 600  # two photodiodes on the lit side
             assert max(np.unique(block.rank).size for block in blocks) < 7 + 10 or size > 7
             assert bits(found[size].where(np.argsort(ranks, kind="stable"))) == bits(whole.samples["gaussian-5"])
         assert bits(found[7]) == bits(found[10**9])

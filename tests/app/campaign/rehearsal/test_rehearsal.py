@@ -104,11 +104,13 @@ def test_the_uncertainty_of_each_direction_is_predicted(write_rig: Writer, write
     columns = table.columns
     assert columns["bsdf_per_sr"].size == spread["directions"]
     peak = (columns["zenith_deg"] == 30.0) & (columns["azimuth_deg"] == 180.0)
-    # Noise is small at the peak. The components are the etalon's certificate, the monitor and the gains, together 0.0025; 12 %
-    # of the field's effect on the peak of a Gaussian of 5 deg, 2 * 0.0584 / 25; and the second order of an angle unknown to
-    # 0.094 deg on each of two axes.
+    # Noise is small at the peak. The components are the etalon's certificate, the monitor and the gains, together 0.0025; the
+    # etalon's age and its edges, 0.001 and 0.002; 0.001 for each decade from the etalon's light to the peak's; 12 % of the
+    # field's effect on the peak of a Gaussian of 5 deg, 2 * 0.0584 / 25; and the second order of an angle unknown to 0.094 deg
+    # on each of two axes.
     second_order = math.sqrt(2.0) * 0.094**2 * 2.0 / 25.0
-    expected = math.hypot(0.0025, 0.12 * 0.00467, second_order)
+    linearity = 0.001 * math.log10(math.pi * columns["bsdf_per_sr"][peak][0])
+    expected = math.hypot(0.0025, 0.001, 0.002, linearity, 0.12 * 0.00467, second_order)
     assert columns["relative_uncertainty"][peak] == pytest.approx(expected, abs=0.0004)
 
 
