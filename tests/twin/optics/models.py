@@ -77,8 +77,8 @@ COMBINED = [
     sum_samples(gaussian(3.0, reflectance=0.3), gaussian(30.0, reflectance=0.3), lambertian(0.2), name="three"),
     sum_samples(lambertian(0.5), regular(0.3), regular(0.1, transmits=True, side="both"), name="with regular"),
     sum_samples(
-        anisotropic_gaussian(8.0, 25.0, 110.0, "half_width", reflectance=0.4, transmits=True, side="both"),
         ward(0.4, 0.2, 20.0, 0.5, side="both"),
+        anisotropic_gaussian(8.0, 25.0, 110.0, "half_width", reflectance=0.4, transmits=True, side="both"),
         wide_tailed(6.0, reflectance=0.1, transmits=True, side="back"),
         name="two widths",
     ),
