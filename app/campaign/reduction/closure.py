@@ -333,9 +333,11 @@ class _Readings:
             return "the etalon has not been measured in the pose of the scan"
         if middle_key not in self._open:
             return "the open beam has not been measured"
-        needed = [self._etalon[etalon_key], self._open[middle_key]]
+        needed = [self._etalon[etalon_key], self._open[middle_key], self._open[self._keys[scan.middle]]]
         if reason := _trouble(needed, scan.photodiode):
             return reason
+        if not all(each.signal.value[scan.photodiode] > 0.0 for each in needed):
+            return f"photodiode {scan.photodiode} has no light"
         factor, u_factor = certificate.interpolate(*(np.array([each]) for each in self._direction(wavelength_nm)))
         if not np.isfinite(factor[0]):
             return f"the certificate does not cover it: it is valid for {certificate}"
@@ -346,6 +348,8 @@ class _Readings:
             u_signature = rig.sample_unit.signature_uncertainty * own.value
             etalon = Signal(etalon.value - own.value, etalon.components, etalon.gain)
             etalon = etalon.with_component("signature", own.variance + u_signature**2)
+            if not etalon.value[0] > 0.0:
+                return "the etalon is no brighter than the empty sample unit"
         middle = None
         if wavelength_nm != self._wavelength_nm:
             middle = _of_photodiode([self._open[middle_key]], scan.photodiode)
@@ -578,8 +582,6 @@ def _trouble(rows: Sequence[RowSignal], photodiode: int) -> str:
     for flag, reason in TROUBLES.items():
         if any(each.flags[flag][photodiode] for each in rows):
             return f"photodiode {photodiode} {reason}"
-    if not all(each.signal.value[photodiode] > 0.0 for each in rows) and len(rows) < 3:
-        return f"photodiode {photodiode} has no light"
     return ""
 
 

@@ -18,13 +18,16 @@ from goniotwin.app.campaign.reduction.closure import (
     ScannedBeam,
     centroid_uncertainty_deg,
     compare,
+    journal_closure,
     pose_effects,
     pose_inputs,
     scanned_beam,
 )
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
+from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
 from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.rig import RigFile, read_rig
@@ -333,6 +336,22 @@ def test_a_saturated_open_beam_has_no_scale_and_the_reason_is_given(tmp_path: Pa
     (reason,) = report.missing
     assert "photodiode 4 is saturated at every gain in" in reason
     assert report.alarms == [f"no closure: {reason}"]
+
+
+def test_a_scan_that_has_not_been_measured_is_listed(closed: tuple[Path, ClosureReport]) -> None:
+    with Journal.open(closed[0]) as journal:
+        reduction = Reduction(journal)
+        measurements = Measurements(journal, reduction.schedule, reduction.rig.file)
+        etalon, nothing = (ReferenceMeasurements(measurements, name) for name in ("etalon", "not mounted"))
+        without_scan = journal_closure(reduction.settings, measurements, etalon, nothing)
+        without_etalon = journal_closure(
+            reduction.settings, measurements, nothing, ReferenceMeasurements(measurements, NO_SAMPLE)
+        )
+    assert without_scan.missing == ("sigma 22 deg: 0 of 81 poses of the scan have been measured",)
+    assert [each.partition(": ")[2] for each in without_etalon.missing] == [
+        "the etalon has not been measured in the pose of the scan"
+    ] * 2
+    assert len(without_etalon.beams) == 1
 
 
 def test_a_beam_that_is_not_all_within_the_scan_is_found() -> None:
