@@ -121,7 +121,8 @@ def _print_budget(console: Console, budget: "Budget", simulated: bool) -> None:
         console.print(each, markup=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False)
     for name in ("component", f"u{unit and ','}{unit}", "u, %", "share", "shared by", "source"):
-        table.add_column(name, justify="right" if name.startswith(("u", "share")) and name != "shared by" else "left")
+        number = name == "share" or name.startswith("u")
+        table.add_column(name, justify="right" if number else "left", no_wrap=number or name == "component", overflow="fold")
     for each in result["components"]:
         percent = "" if each["relative_u"] is None else f"{100.0 * each['relative_u']:.3g}"
         texts = (each["name"], f"{each['u']:.3g}", percent, f"{each['share']:.1%}", each["shared_by"], each.get("source", ""))
