@@ -83,7 +83,7 @@ def budget(
         typer.Option(
             "--at",
             metavar="PLACE",
-            help="Where: sigma=30,zenith=35,azimuth=180, or theta and phi; also sample, wavelength, gamma, light and photodiode, "
+            help="Where: sigma=30,zenith=35,azimuth=180, or theta and phi; also sample, wavelength, gamma, light, photodiode, "
             "as far as the journal has several.",
             show_default=False,
         ),
@@ -137,8 +137,8 @@ def verify(
 ) -> None:
     """Check the values of a data file against physics.
 
-    And against each other: reciprocity, energy, symmetry, overlaps of photodiodes, gains, drift, instrument signature, obstructed directions: one
-    verdict each, with figures. "Nothing to judge" where the schedule measures nothing for it.
+    And against each other: reciprocity, energy, symmetry, overlaps of photodiodes, drift, instrument signature, obstructed
+    directions. There is one verdict each, with figures; "nothing to judge" where the schedule measures nothing for it.
 
     Exit status: 1 if a verdict is "fails".
     """

@@ -166,7 +166,8 @@ def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Se
         about += [f"{abs(np.sum(part * value) / total):.2%} of it is of {title}" for title, part in parts]
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(
-        f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1", tuple(components), tuple(about)
+        f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1",
+        tuple(components), tuple(about),
     )  # fmt: skip
 
 

@@ -116,8 +116,8 @@ class _Sample:
         z = difference / u
         k = int(np.argmax(np.abs(z)))
         at = (
-            f"{points.wavelength_nm[one[k]]:g} nm, sigma {points.sigma_deg[one[k]]:g}, zenith {points.zenith_deg[one[k]]:g}, azimuth "
-            f"{points.azimuth_deg[one[k]]:g} deg"
+            f"{points.wavelength_nm[one[k]]:g} nm, sigma {points.sigma_deg[one[k]]:g}, zenith {points.zenith_deg[one[k]]:g}, "
+            f"azimuth {points.azimuth_deg[one[k]]:g} deg"
         )
         worst, beyond = float(np.abs(z[k])), float(np.mean(np.abs(z) > MOST_U))
         # Errors that values share make differences of one sign: chi-square needs the covariance of the pairs.
@@ -126,8 +126,8 @@ class _Sample:
         chi_square = float(difference[some] @ np.linalg.solve(covariance, difference[some]))
         holds = plausible(z.size, 0.0, worst) and plausible(some.size, chi_square, 0.0)
         text = (
-            f"{z.size} pairs, {beyond:.1%} of them differ by more than 2 u, worst {worst:.1f} u at {at}; chi-square of {some.size} "
-            f"pairs with their covariance {chi_square:.1f}"
+            f"{z.size} pairs, {beyond:.1%} of them differ by more than 2 u, worst {worst:.1f} u at {at}; chi-square of "
+            f"{some.size} pairs with their covariance {chi_square:.1f}"
         )
         figures = {
             "pairs": int(z.size),
@@ -176,7 +176,7 @@ class _Sample:
             return Verdict(name, NOTHING, "no signal without a sample was measured")
         u = self._reduction.rig.file.sample_unit.signature_uncertainty
         median, largest = float(np.median(shares)), float(np.max(shares))
-        text = f"median {median:.2%}, at most {largest:.2%} of a signal above its noise; subtracted, and known to {u:.2g} of itself"
+        text = f"median {median:.2%}, at most {largest:.2%} of a signal above its noise; subtracted, with a u of {u:.2g}"
         return Verdict(name, "holds", text, {"median_share": median, "largest_share": largest})
 
     def _directions(self) -> Verdict:
