@@ -217,7 +217,7 @@ def _distances_deg(points: BsdfPoints, first: float, second: float, specular: bo
     """Angles (n,) between the points' directions and one, which is given in specular or in rig coordinates."""
     here = (points.theta_deg, points.phi_deg) if specular else (points.zenith_deg, points.azimuth_deg)
     chord = np.linalg.norm(arc_direction(*here) - arc_direction(first, second), axis=1)
-    return np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))))
 
 
 def _listed(points: BsdfPoints, order: np.ndarray) -> str:

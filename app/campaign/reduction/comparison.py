@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
-from goniotwin.app.campaign.reduction.components import COVERAGE, LOGARITHMIC, total_variance
+from goniotwin.app.campaign.reduction.components import LOGARITHMIC, total_variance
 from goniotwin.app.campaign.reduction.export import heading
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset

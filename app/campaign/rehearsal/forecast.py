@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
-from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.comparison import deviations_in_u, true_bsdf
+from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
