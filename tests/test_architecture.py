@@ -13,7 +13,8 @@ ROOMS = (
     "mocks", "twin.doors", "twin.devices", "twin.plant", "twin.optics", "drivers", "protocols",
 )  # fmt: skip
 CAMPAIGN = (
-    "campaign", "rehearsal", "running", "reduction", "journal", "planning", "geometry", "schedule", "readout", "row", "wording",
+    "campaign", "proof", "rehearsal", "running", "reduction", "journal", "planning", "geometry", "schedule", "readout", "row",
+    "wording",
 )  # fmt: skip
 
 Graph = dict[str, set[str]]

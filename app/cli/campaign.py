@@ -119,11 +119,11 @@ def prove(
 ) -> None:
     """Prove the stated uncertainties on many virtual rigs.
 
-    They are off by as much as the rig file states as uncertain. Each rig is drawn from [uncertainty] with a seed of its own,
-    measures the whole schedule on the virtual clock, and its values are compared with the truth: coverage of the 95 % interval
-    by decade of signal, zenith, sigma, wavelength and sample, with its standard error over rigs; what is left after a fit of
-    the shared inputs; reflectances. A key of [twin.disturbances] in the rig file is a fault of which the rest of the file
-    knows nothing.
+    They are off by as much as the rig file states as uncertain: each is drawn from [uncertainty] with a seed of its own,
+    measures the whole schedule on the virtual clock, and its values are compared with the truth. Given are the coverage of
+    the 95 % interval by decade of signal, zenith, sigma, wavelength and sample, with its standard error over rigs, what is
+    left after a fit of the shared inputs, and reflectances. A key of [twin.disturbances] in the rig file is a fault of which
+    the rest of the file knows nothing.
 
     A rig that is done is not run again: after Ctrl-C the same command continues.
 

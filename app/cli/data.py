@@ -83,8 +83,8 @@ def budget(
         typer.Option(
             "--at",
             metavar="PLACE",
-            help="Where: sigma=30,zenith=35,azimuth=180, or theta and phi; also sample, wavelength, gamma, light and "
-            "photodiode, as far as the journal has several.",
+            help="Where: sigma=30,zenith=35,azimuth=180, or theta and phi; also sample, wavelength, gamma, light, photodiode, "
+            "as far as the journal has several.",
             show_default=False,
         ),
     ],
@@ -121,7 +121,8 @@ def _print_budget(console: Console, budget: "Budget", simulated: bool) -> None:
         console.print(each, markup=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False)
     for name in ("component", f"u{unit and ','}{unit}", "u, %", "share", "shared by", "source"):
-        table.add_column(name, justify="right" if name.startswith(("u", "share")) and name != "shared by" else "left")
+        number = name == "share" or name.startswith("u")
+        table.add_column(name, justify="right" if number else "left", no_wrap=number or name == "component", overflow="fold")
     for each in result["components"]:
         percent = "" if each["relative_u"] is None else f"{100.0 * each['relative_u']:.3g}"
         texts = (each["name"], f"{each['u']:.3g}", percent, f"{each['share']:.1%}", each["shared_by"], each.get("source", ""))
@@ -136,8 +137,8 @@ def verify(
 ) -> None:
     """Check the values of a data file against physics.
 
-    And against each other: reciprocity, energy, symmetry, overlaps of photodiodes, gains, drift, instrument signature,
-    obstructed directions: one verdict each, with figures. "Nothing to judge" where the schedule measures nothing for it.
+    And against each other: reciprocity, energy, symmetry, overlaps of photodiodes, drift, instrument signature, obstructed
+    directions. There is one verdict each, with figures; "nothing to judge" where the schedule measures nothing for it.
 
     Exit status: 1 if a verdict is "fails".
     """

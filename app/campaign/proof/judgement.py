@@ -17,7 +17,8 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, noisy, true_bsdf, with_true_slopes
+from goniotwin.app.campaign.reduction.comparison import deviations_in_u, noisy, true_bsdf, with_true_slopes
+from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
@@ -235,7 +236,7 @@ def _add_cells(cells: Cells, tables: dict[str, Any], steep: Flags, z: Floats, ch
         for label in np.unique(labels).tolist():
             at = labels == label if table == "slope" else (labels == label) & ~steep
             if at.any():
-                inside = int(np.sum(np.abs(z[at]) <= K95))
+                inside = int(np.sum(np.abs(z[at]) <= COVERAGE))
                 sums = (
                     float(z[at].sum()),
                     int(np.sum(np.abs(z[at]) > FAR_U)),

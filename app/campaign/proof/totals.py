@@ -170,8 +170,8 @@ def _cell_total(label: str, cells: list[Cell]) -> CellTotal:
     coverage, mean = float(covered.sum()) / n, float(deviation.sum()) / n
     freedom = math.fsum(each.freedom for each in cells)
     return CellTotal(
-        label, int(values.sum()), coverage, _ratio_error(covered, values, coverage), mean,
-        _ratio_error(deviation, values, mean),
+        label, int(values.sum()), coverage, _ratio_error(covered, values, coverage),
+        mean, _ratio_error(deviation, values, mean),
         math.fsum(each.chi_square for each in cells) / freedom if freedom > 0.0 else math.nan, int(beyond.sum()),
     )  # fmt: skip
 

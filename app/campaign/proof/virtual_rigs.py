@@ -161,7 +161,7 @@ class _Readout:
         return dict(self._pose)
 
     def _drive(self, name: str, t: float, target_deg: float) -> None:
-        """One move of an axis: its counter says the target, and its true angle is that of its mechanics."""
+        """One move of an axis: its counter is at the target then, and its true angle is that of its mechanics."""
         shaft = self._plant.shafts[name]
         drive = shaft.drive(t)
         here = drive.counter(t)

@@ -98,8 +98,8 @@ def _number(key: str, value: str) -> float:
 def budget_of_value(reduction: Reduction, place: Mapping[str, str | float]) -> Budget:
     """The budget of the value measured at a place (see `parse_place`). Raises UserError where none was measured there."""
     pair = ("theta", "phi") if "theta" in place or "phi" in place else ("zenith", "azimuth")
-    if missing := [key for key in pair if key not in place]:
-        raise UserError(f"--at: {' and '.join(missing)} is missing; give zenith and azimuth, or theta and phi")
+    if any(key not in place for key in pair):
+        raise UserError("--at: a direction is missing; give zenith and azimuth, or theta and phi")
     if both := [key for key in ANGLES if key in place and key not in pair]:
         raise UserError(f"--at {both[0]}: give either theta and phi, or zenith and azimuth")
     name, points = _points_at(reduction, place)
@@ -162,17 +162,13 @@ def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Se
         [] if rule.hemisphere else ["the measured directions do not cover the half sphere: this is an integral, no reflectance"]
     )
     if total:
-        parts = (("obstructed directions", rule.obstructed), ("beyond the outermost ring", rule.extrapolated))
-        about += [f"{np.sum(part * value) / total:.2%} of it is of {title}" for title, part in parts]
+        parts = (("obstructed directions", rule.obstructed), ("directions beyond the outermost ring", rule.extrapolated))
+        about += [f"{abs(np.sum(part * value) / total):.2%} of it is of {title}" for title, part in parts]
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(
-        f"directional-hemispherical {kind} of {name}, {setting}",
-        total,
-        _root_sum(components),
-        "1",
-        tuple(components),
-        tuple(about),
-    )
+        f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1",
+        tuple(components), tuple(about),
+    )  # fmt: skip
 
 
 def finished_blocks(reduction: Reduction, sample: str) -> Iterator[BsdfPoints]:
@@ -221,17 +217,15 @@ def _distances_deg(points: BsdfPoints, first: float, second: float, specular: bo
     """Angles (n,) between the points' directions and one, which is given in specular or in rig coordinates."""
     here = (points.theta_deg, points.phi_deg) if specular else (points.zenith_deg, points.azimuth_deg)
     chord = np.linalg.norm(arc_direction(*here) - arc_direction(first, second), axis=1)
-    return np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))))
 
 
 def _listed(points: BsdfPoints, order: np.ndarray) -> str:
     """The first directions of an order, in words."""
-    kinds = dict.fromkeys(
-        f"zenith {points.zenith_deg[k]:g}, azimuth {points.azimuth_deg[k]:g} "
-        f"(theta {points.theta_deg[k]:.4g}, phi {points.phi_deg[k]:.4g})"
-        for k in order[: 4 * NEIGHBOURS].tolist()
-    )
-    return "; ".join(list(kinds)[:NEIGHBOURS]) or "none"
+    columns = (points.zenith_deg, points.azimuth_deg, points.theta_deg, points.phi_deg)
+    rows = np.stack(columns, axis=1)[order[: 4 * NEIGHBOURS]].tolist()
+    found = dict.fromkeys(f"zenith {z:g}, azimuth {a:g} (theta {theta:.4g}, phi {phi:.4g})" for z, a, theta, phi in rows)
+    return "; ".join(list(found)[:NEIGHBOURS]) or "none"
 
 
 def _root_sum(components: Sequence[Component]) -> float:

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
-from goniotwin.app.campaign.reduction.components import total_variance
+from goniotwin.app.campaign.reduction.components import LOGARITHMIC, total_variance
 from goniotwin.app.campaign.reduction.export import heading
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
@@ -34,10 +34,6 @@ from goniotwin.twin.optics.geometry.coordinates import (
 
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
-K95 = 1.96
-"""Half width of a 95 % interval in u."""
-LOGARITHMIC = 0.15
-"""Relative u above which an interval is one of the logarithm."""
 SLOPE_STEP_DEG = 0.01
 ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark"})
 """Components that do not grow with the value."""
@@ -95,7 +91,7 @@ def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
 
 
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
-    """Deviations (n,) of values from the truth in their u: a value is within its 95 % interval where they are within K95.
+    """Deviations (n,) of values from the truth in their u: a value is within its 95 % interval where they are within COVERAGE.
 
     Above a relative u of LOGARITHMIC the interval is one of the logarithm, unless that u is for the most part noise, which is
     added to a value whatever its size.

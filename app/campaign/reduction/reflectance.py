@@ -151,13 +151,13 @@ def _ring_weights(rings_deg: Floats) -> tuple[Floats, Floats]:
 def _azimuth_shares(azimuth_deg: Floats, good: Flags, folded: bool) -> tuple[Floats, Floats, float]:
     """Shares (n,) in rad of the values of a ring, whose sum is 2 pi: their own, and those of directions without a value.
 
-    Values of one direction share its part. Third: the widest gap between directions with a value, deg.
+    Values of one direction share its part. Third: the widest gap between measured directions, deg.
     """
     nodes, node = np.unique(azimuth_deg, return_inverse=True)
     having = np.zeros(nodes.size, dtype=bool)
     having[node[good]] = True
-    of_all, _ = _arcs(nodes, folded)
-    of_good, gap = _arcs(nodes[having], folded)
+    of_all, gap = _arcs(nodes, folded)
+    of_good, _ = _arcs(nodes[having], folded)
     counts = np.bincount(node[good], minlength=nodes.size)
     own, filled = np.zeros(nodes.size), np.zeros(nodes.size)
     own[having] = np.minimum(of_all[having], of_good)

@@ -71,7 +71,7 @@ class _Sample:
         self._reciprocal: list[BsdfPoints] = []
         self._energies: list[Budget] = []
         self._shares: list[Floats] = []
-        self._obstructed: list[tuple[float, float, float]] = []
+        self._parts: list[list[float]] = []
         sigmas = grid_values(reduction.schedule.sigma_deg)
         incidences = round_deg([incidence_deg(sigma) for sigma in sigmas])
         overlaps = reduction.overlaps(name)
@@ -99,11 +99,9 @@ class _Sample:
             here = points.where(setting.index)
             rule = quadrature(here, self._reduction.schedule.symmetry)
             value = np.where(rule.weight != 0.0, here.bsdf, 0.0)
-            total = float(np.sum(rule.weight * value))
-            self._obstructed.append(
-                (total, float(np.sum(rule.obstructed * value)), float(np.sum(rule.extrapolated * value)))
-            )  # fmt: skip
             if rule.hemisphere:
+                parts = (rule.weight, rule.obstructed, rule.extrapolated)
+                self._parts.append([float(np.sum(part * value)) for part in parts])
                 self._energies.append(reflectance(self._reduction, self._name, points, setting))
 
     def _reciprocity(self) -> Verdict:
@@ -178,22 +176,22 @@ class _Sample:
             return Verdict(name, NOTHING, "no signal without a sample was measured")
         u = self._reduction.rig.file.sample_unit.signature_uncertainty
         median, largest = float(np.median(shares)), float(np.max(shares))
-        known = f"subtracted, and known to {u:.2g} of itself"
-        text = f"median {median:.2%}, at most {largest:.2%} of a signal above its noise; {known}"
+        text = f"median {median:.2%}, at most {largest:.2%} of a signal above its noise; subtracted, with a u of {u:.2g}"
         return Verdict(name, "holds", text, {"median_share": median, "largest_share": largest})
 
     def _directions(self) -> Verdict:
-        blocked, all_of = self.tally.flagged["shadowed"], self.tally.directions
-        total, obstructed, extrapolated = np.sum(self._obstructed, axis=0) if self._obstructed else np.zeros(3)
-        name = f"obstructed directions of {self._name}"
-        if not total > 0.0:
-            return Verdict(name, NOTHING, f"{blocked} of {all_of} directions are blocked, and no integral is above zero")
-        shares = {"obstructed_energy": float(obstructed / total), "extrapolated_energy": float(extrapolated / total)}
-        text = (
-            f"{blocked} of {all_of} directions are blocked by the mirror unit; {shares['obstructed_energy']:.2%} of the energy "
-            f"is interpolated there, {shares['extrapolated_energy']:.2%} is beyond the last directions"
-        )
-        return Verdict(name, "holds", text, {"blocked": blocked, "directions": all_of, **shares})
+        blocked, measured = self.tally.flagged["shadowed"], self.tally.directions
+        figures: dict[str, Any] = {"blocked": blocked, "directions": measured}
+        text = f"{blocked} of {measured} directions are blocked by the mirror unit"
+        if self._parts:
+            total, obstructed, extrapolated = np.sum(self._parts, axis=0).tolist()
+            if total > 0.0:
+                figures |= {"obstructed_energy": obstructed / total, "extrapolated_energy": extrapolated / total}
+                text += (
+                    f"; {abs(obstructed / total):.2%} of the energy is interpolated there, {abs(extrapolated / total):.2%} is "
+                    "beyond the last directions"
+                )
+        return Verdict(f"obstructed directions of {self._name}", "holds", text, figures)
 
 
 def reciprocal_pairs(points: BsdfPoints, symmetry: StatedSymmetry) -> tuple[Ints, Ints]:
@@ -245,7 +243,7 @@ def _differences(points: BsdfPoints, one: Ints, other: Ints, reduction: Reductio
         effects = effects_of(points.where(used), reduction.settings)
         own = [effects.paired_covariance(each, each) for each in (a, b)]
         variances.append(own[0] + own[1] - 2.0 * effects.paired_covariance(a, b))
-        differences.append(effects.value[a] - effects.value[b])
+        differences.append(points.bsdf[used[a]] - points.bsdf[used[b]])
     return np.concatenate(differences), np.sqrt(np.maximum(np.concatenate(variances), np.finfo(float).tiny))
 
 

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
 from goniotwin.app.campaign.reduction.closure import ClosureReport
-from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, true_bsdf
+from goniotwin.app.campaign.reduction.comparison import deviations_in_u, true_bsdf
+from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
@@ -69,7 +70,7 @@ class UncertaintySpread:
             "trusted": self.tally.good,
             "above_zero": int(known.size),
             "to_a_tenth": int(np.sum(known <= WELL_KNOWN)),
-            "coverage": float(np.mean(z <= K95)) if z.size else None,
+            "coverage": float(np.mean(z <= COVERAGE)) if z.size else None,
             "worst_u": float(np.max(z)) if z.size else None,
         }
 

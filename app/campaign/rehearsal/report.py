@@ -52,8 +52,7 @@ def _distance(spread: dict[str, Any]) -> str:
     """How far the values were from the model of the sample."""
     if spread["coverage"] is None:
         return ""
-    within = f"{spread['coverage']:.1%} of the values within their 95 % interval of the truth"
-    return f"; {within}, the worst {spread['worst_u']:.1f} u off"
+    return f"; {spread['coverage']:.1%} within their 95 % interval of the truth, the worst {spread['worst_u']:.1f} u off"
 
 
 def _size(size: float) -> str:

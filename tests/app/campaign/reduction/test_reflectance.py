@@ -28,7 +28,7 @@ def test_a_constant_is_integrated_exactly_whatever_is_missing(rings: list[float]
     bad = np.random.default_rng(seed).random(zenith.size) < 0.3
     bad[0] = False
     for symmetry in ("isotropic", "anisotropic"):
-        result = quadrature(_points(zenith, azimuth, np.full(zenith.size, 0.2), bad), symmetry)  # type: ignore[arg-type]
+        result = quadrature(_points(zenith, azimuth, np.full(zenith.size, 0.2), bad), symmetry)
         assert result.weight.sum() == pytest.approx(np.pi, rel=1e-9)
         assert result.coarse.sum() == pytest.approx(np.pi, rel=1e-9)
         assert np.all(result.weight >= 0.0)

@@ -83,6 +83,13 @@ def test_the_blocks_add_up_to_the_whole_campaign(small: Rehearsal) -> None:
     assert small.result["lamp_hours"] == pytest.approx(small.result["duration_s"] / 3600.0)
 
 
+def test_the_values_are_compared_with_the_truth_of_the_samples(small: Rehearsal) -> None:
+    spread = small.result["relative_uncertainty"]["gaussian-5"]
+    assert 0.85 <= spread["coverage"] <= 1.0
+    assert 0.0 < spread["worst_u"] < 5.0
+    assert "within their 95 % interval of the truth, the worst" in report_text(small)
+
+
 def test_the_ranges_of_axes_and_counts_are_reported(small: Rehearsal) -> None:
     axes = small.result["axes_deg"]
     assert axes["sigma"] == pytest.approx([30.0, 30.0], abs=0.01)

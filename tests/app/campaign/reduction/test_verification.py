@@ -1,0 +1,146 @@
+"""Budgets of values and reflectances, and verdicts on a journal: on small campaigns of a virtual rig without wires."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
+from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value, parse_place
+from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.reduction.verification import Verdict, reciprocal_pairs, verify_journal
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli.main import app
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from tests.app.campaign.reduction.made_points import made_points
+from tests.conftest import Change, Writer
+
+PAIRS = (("sigma_deg = [30]", "sigma_deg = [30, 35]"), ("beta_deg = [180]", "beta_deg = [0, 180]"))
+HALF_SPHERE = (
+    ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 45 }"), ("shift_deg = [0, 1]", "shift_deg = [0]"),
+    ('samples = ["gaussian-5"]', 'samples = ["paint"]'),
+)  # fmt: skip
+PAINT = ("[twin.samples.etalon]", '[twin.samples.paint]\nmodel = "lambertian"\nreflectance = 0.6\n\n[twin.samples.etalon]')
+
+TURNED = ("sigma = { motor = 4, gear = 36.0 }", "sigma = { motor = 4, gear = 36.0, zero_deg = 1.0 }")
+
+
+@pytest.fixture
+def measure(write_rig: Writer, write_schedule: Writer, tmp_path: Path):  # type: ignore[no-untyped-def]
+    def run(schedule: tuple[Change, ...], *rig: Change) -> Path:
+        path = tmp_path / "a.journal"
+        run_without_wires(make_plan(read_schedule(write_schedule(*schedule)), read_rig(write_rig(*rig))), path)
+        return path
+
+    return run
+
+
+def verdicts(path: Path) -> dict[str, Verdict]:
+    with Journal.open(path) as journal:
+        return {each.name.partition(" of ")[0]: each for each in verify_journal(Reduction(journal))}
+
+
+def test_the_components_of_a_value_add_up_to_its_uncertainty(measure, capsys) -> None:  # type: ignore[no-untyped-def]
+    path = measure(PAIRS)
+    with Journal.open(path) as journal:
+        points = reduce_journal(journal).samples["gaussian-5"]
+        found = budget_of_value(Reduction(journal), parse_place("sigma=30, zenith=36, azimuth=180"))
+    (k,) = np.flatnonzero((points.sigma_deg == 30.0) & (points.zenith_deg == 36.0) & (points.azimuth_deg == 180.0))[:1]
+    assert found.value == points.bsdf[k]
+    assert found.u == pytest.approx(points.u_bsdf[k], rel=1e-12)
+    assert math.fsum(each.u**2 for each in found.components) == pytest.approx(found.u**2, rel=1e-12)
+    sizes = [each.u for each in found.components]
+    assert sizes == sorted(sizes, reverse=True)
+    assert found.components[0].name == "sample_tilt_y@gaussian-5#1"  # on the flank of a lobe of 5 deg
+    result = found.as_dict()
+    assert sum(each["share"] for each in result["components"]) == pytest.approx(1.0, rel=1e-12)
+    assert result["components"][0]["shared_by"]
+    app(["budget", str(path), "--at", "sigma=30,theta=6,phi=180"], standalone_mode=False)
+    text = capsys.readouterr().out
+    assert "SIMULATED, gaussian-5, 550 nm, sigma 30" in text
+    assert "sample_tilt_y@gaussian-5#1" in text
+
+
+@pytest.mark.parametrize(
+    ("at", "words"),
+    [
+        ("sigma=30,zenith=36", "--at: a direction is missing; give zenith and azimuth, or theta and phi"),
+        ("zenith=36,azimuth=180", "--at: sigma is missing; gaussian-5 was measured at 30, 35 deg"),
+        ("sigma=31,zenith=36,azimuth=180", "--at sigma=31: gaussian-5 was not measured there, but at 30, 35 deg"),
+        ("sigma=30,zenith=36.4,azimuth=180", r"no direction within 0.05 deg .* the nearest are zenith 36, azimuth 180"),
+        ("sigma=30,zenith=36,theta=6,phi=180", "--at zenith: give either theta and phi, or zenith and azimuth"),
+        ("sample=paint,sigma=30,zenith=36,azimuth=180", "--at sample=paint: choose one of the journal's samples: gaussian-5"),
+    ],
+)  # fmt: skip
+def test_a_place_without_a_value_is_refused_with_its_neighbours(at: str, words: str, measure) -> None:  # type: ignore[no-untyped-def]
+    with Journal.open(measure(PAIRS)) as journal, pytest.raises(UserError, match=words):
+        budget_of_value(Reduction(journal), parse_place(at))
+
+
+@pytest.mark.parametrize("at", ["sigma", "sigma=x", "sigma=nan", "colour=1", "sigma=1,sigma=2", "light=green"])
+def test_a_place_that_is_none_is_one_line(at: str) -> None:
+    with pytest.raises(UserError, match=r"^--at "):
+        parse_place(at)
+
+
+def test_a_half_sphere_has_a_reflectance_with_its_budget(measure) -> None:  # type: ignore[no-untyped-def]
+    path = measure(HALF_SPHERE, PAINT)
+    with Journal.open(path) as journal:
+        found = budget_of_reflectance(Reduction(journal), parse_place("sigma=30"))
+    assert abs(found.value - 0.6) < 3.0 * found.u < 0.1
+    assert math.fsum(each.u**2 for each in found.components) == pytest.approx(found.u**2, rel=1e-12)
+    energy = verdicts(path)["energy"]
+    assert energy.verdict == "holds"
+    assert energy.figures["reflectances"][0]["value"] == found.value
+
+
+def test_more_light_than_arrives_fails(measure, capsys) -> None:  # type: ignore[no-untyped-def]
+    """The certificate states half as much again as the etalon has."""
+    path = measure(
+        HALF_SPHERE, (PAINT[0], PAINT[1].replace("0.6", "0.95")), ("radiance_factor = 0.99", "radiance_factor = 1.4")
+    )
+    assert verdicts(path)["energy"].verdict == "fails"
+    assert "more light than arrives" in verdicts(path)["energy"].text
+    status = app(["verify", str(path)], standalone_mode=False)
+    assert status == 1
+    assert "energy of paint: fails" in capsys.readouterr().out
+
+
+def test_reciprocity_holds_and_a_wrong_zero_of_sigma_breaks_it(measure) -> None:  # type: ignore[no-untyped-def]
+    """A degree, twenty times as much as the rig file states: light and view are not the other way round any more."""
+    found = verdicts(path := measure(PAIRS))
+    assert found["reciprocity"].verdict == "holds"
+    assert found["reciprocity"].figures["pairs"] >= 1
+    assert {found[name].verdict for name in ("energy", "symmetry", "overlaps", "drift")} == {"nothing to judge"}
+    path.unlink()
+    assert verdicts(measure(PAIRS, TURNED))["reciprocity"].verdict == "fails"
+
+
+def test_pairs_have_light_and_view_exchanged() -> None:
+    """At sigma 30, zenith 50, azimuth 70 the partner is sigma 50, zenith 30; -70, with gamma turned by -70, if anisotropic."""
+    one = made_points(30.0, np.array([50.0]), np.array([70.0]), np.ones(1), 0.1)
+    other = made_points(50.0, np.array([30.0]), np.array([290.0]), np.ones(1), 0.1)
+
+    def pairs(gamma: float, symmetry: str) -> int:
+        turned = other.places.copy()
+        turned[:, 1] = gamma
+        columns = {
+            name: np.concatenate([getattr(one, name), getattr(other, name)])
+            for name in vars(one)
+            if name not in ("places", "place", "components")
+        }
+        both = replace(
+            one, places=np.concatenate([one.places, turned]), place=np.array([0, 1], dtype=np.int32),
+            components={"noise": np.zeros(2)}, **columns,
+        )  # fmt: skip
+        return int(reciprocal_pairs(both, symmetry)[0].size)  # type: ignore[arg-type]
+
+    assert pairs(0.0, "isotropic") == 1
+    assert pairs(0.0, "anisotropic") == 0
+    assert pairs(290.0, "anisotropic") == 1
+    assert pairs(290.0, "plane-symmetric") == 1
