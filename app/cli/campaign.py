@@ -1,4 +1,4 @@
-"""Commands on campaigns: `goniotwin check`, `rehearse`, `run` and `runs`."""
+"""Commands on campaigns: `goniotwin check`, `rehearse`, `prove`, `run` and `runs`."""
 
 import os
 import sys
@@ -14,6 +14,7 @@ from goniotwin.app.cli.output import (
     CommandWithFormats,
     Json,
     RigOption,
+    RigProgress,
     RowProgress,
     TranscriptOption,
     answer,
@@ -30,6 +31,8 @@ if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not ne
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
+
+MOST_PROCESSES = 1024
 
 app = typer.Typer()
 
@@ -95,6 +98,57 @@ def rehearse(
         print_error(fault)
     if not rehearsal.done:
         raise typer.Exit(3 if rehearsal.result["state"] == "stopped" else 1)
+
+
+@app.command()
+def prove(
+    schedule: Schedule,
+    rig: RigOption,
+    rigs: Annotated[int, typer.Option("--rigs", metavar="N", help="Number of virtual rigs.")] = 20,
+    without_wires: Annotated[
+        bool, typer.Option("--without-wires", help="Without devices: the light of the fast estimator into the same reduction.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for the results; default SCHEDULE.proof.", show_default=False),
+    ] = None,
+    processes: Annotated[
+        int | None, typer.Option("--processes", metavar="P", help="Rigs at once; default all cores.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Prove the stated uncertainties on virtual rigs that are off by as much as the rig file states.
+
+    Each rig is drawn from [uncertainty] with a seed of its own, measures the whole schedule on the virtual clock, and its
+    values are compared with the truth: coverage of the 95 % interval by decade of signal, zenith, sigma, wavelength and
+    sample, with its standard error over rigs; what is left after a fit of the shared inputs; reflectances. A key of
+    [twin.disturbances] in the rig file is a fault of which the rest of the file knows nothing.
+
+    A rig that is done is not run again: after Ctrl-C the same command continues.
+
+    Exit status: 0 if all rigs are done, 1 if a campaign came to no end, 130 after Ctrl-C.
+    """
+    from goniotwin.app.campaign.proof.proof import Proof
+    from goniotwin.app.campaign.proof.proof import prove as prove_rigs
+    from goniotwin.app.campaign.proof.report import proof_text
+    from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.rig import read_rig
+
+    if processes is not None and not 1 <= processes <= MOST_PROCESSES:
+        raise UserError(f"--processes: {processes} is not possible; give 1 to {MOST_PROCESSES}")
+    folder = out if out is not None else Path(f"{schedule.stem}.proof")
+    proof = Proof(read_schedule(schedule), read_rig(rig), rigs, folder, wires=not without_wires)
+    try:
+        with RigProgress(errors, f"{proof.schedule.file.name} (proof)", rigs) as progress:
+            totals = prove_rigs(proof, processes, progress)
+    except KeyboardInterrupt:
+        errors.print(f"to continue: the same command; finished rigs are in {folder}", markup=False)
+        raise
+    answer(as_json, totals.as_dict(), lambda: print(proof_text(proof, totals)))
+    for seed, reason in totals.failed.items():
+        print_error(f"seed {seed}: {reason}")
+    if totals.failed:
+        raise typer.Exit(1)
 
 
 @app.command()

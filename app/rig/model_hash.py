@@ -25,7 +25,8 @@ VERSION = 2
 
 def model_hash(model: TwinModel) -> str:
     """The hash of a model, with the tables of its samples, but without the seed and the names of the samples."""
-    parts = {entry.name: getattr(model, entry.name) for entry in fields(model) if entry.name not in ("seed", "devices")}
+    known = [each for each in fields(model) if each.name not in ("seed", "devices") and not _is_later_default(each, model)]
+    parts = {entry.name: getattr(model, entry.name) for entry in known}
     if model.devices:  # a later field: a model without further devices keeps its hash
         parts["devices"] = model.devices
     parts["samples"] = {

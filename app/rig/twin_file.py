@@ -19,6 +19,7 @@ from goniotwin.twin.plant import (
     AxisController,
     ControllerModel,
     DeviceModel,
+    Drawn,
     Estimator,
     Mechanics,
     MonochromatorDrive,
@@ -86,7 +87,8 @@ class TwinTable(Parts):
                 f"sensor: {self.sensor.departure}, so it is not a disc with an acceptance cone, and the fast estimator "
                 'computes only such discs; set optics.estimator = "forward", or correct the sensor'
             )
-        self.instrument()
+        Drawn(self.disturbances, 0, 0).instrument(self.instrument())
+        self._check_etalon()
         refuse_repeated_positions([each.position for each in self.filters])
         for each in self.filters:
             if each.position > self.monochromator.filters:
@@ -100,6 +102,16 @@ class TwinTable(Parts):
     def further_devices(self) -> dict[str, DeviceModel]:
         """The devices at addresses of their own, or in place of the usual ones, by address."""
         return {**self.controllers, **self.devices}
+
+    def _check_etalon(self) -> None:
+        """Raise ValueError where the etalon has disturbances and no sample is called as it is."""
+        table = self.disturbances
+        of_etalon = [each for each in vars(table) if each.startswith(("etalon_", "certificate_")) and getattr(table, each)]
+        if of_etalon and table.etalon not in self.samples:
+            raise ValueError(
+                f"disturbances.{of_etalon[0]}: of the etalon, and there is no sample {table.etalon!r}; set disturbances.etalon "
+                f"to its name ({', '.join(sorted(self.samples)) or 'none is given'})"
+            )
 
     def _check_controllers(self) -> None:
         """Raise ValueError for a name of another device, and axes with several controllers or a motor that is not there."""

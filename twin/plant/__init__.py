@@ -1,5 +1,6 @@
 """State of the instrument at a given time: mechanics, light, electronics; without threads and without ticks."""
 
+from goniotwin.twin.plant.disturbances import Disturbances, Drawn
 from goniotwin.twin.plant.model import (
     AxisController,
     ControllerModel,
@@ -24,6 +25,8 @@ __all__ = [
     "AxisController",
     "ControllerModel",
     "DeviceModel",
+    "Disturbances",
+    "Drawn",
     "Electronics",
     "Estimator",
     "LightSource",

@@ -4,6 +4,7 @@ The values are independent of the operator's configuration. The defaults are one
 gives no value, it is a setting.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, Protocol
@@ -27,9 +28,16 @@ from goniotwin.keys import (
 from goniotwin.protocols import adam
 from goniotwin.twin.optics import Instrument, SampleFrames, Scatterer
 from goniotwin.twin.optics.geometry.coordinates import TURN_DEG
+from goniotwin.twin.plant.disturbances import Disturbances
 
 SHORTEST_NM = 355.0
 """The lamp's bulb is opaque up to this wavelength, so that there is no second order up to 710 nm."""
+LINE = ((0.0, 1.0),)
+ROOT_6 = math.sqrt(6.0)
+TRIANGLE = tuple(
+    (sign * (4.0 - each * ROOT_6) / 10.0, (9.0 + each * ROOT_6) / 36.0) for sign in (-1.0, 1.0) for each in (1.0, -1.0)
+)
+"""Gauss' rule on each side of a triangle of half base 1: exact for cubics, with a kink in the middle too."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +76,14 @@ class Mechanics:
 class LightSource:
     """Light from the arc to the sample: `radiance` (W m^-2 sr^-1 nm^-1) in `band_nm`; `throughput` of it reaches the sample.
 
-    `spectrum` has pairs (wavelength in nm, relative radiance). `drift_per_hour`, `flicker` and `wander`, relative, belong to
-    the lamp: all detectors and the monitor see the same.
+    With the `band` "triangle" it has all wavelengths of a triangular band, which is `band_nm` wide at half its height; with
+    "line" it has the one that is set. `spectrum` has pairs (wavelength in nm, relative radiance). `drift_per_hour`, `flicker`
+    and `wander`, relative, belong to the lamp: all detectors and the monitor see the same.
     """
 
     radiance: Positive = 2.0e3
-    band_nm: float = field(default=5.0, metadata=NO_KEY)
+    band_nm: Annotated[float, Gt(0.0), Le(100.0)] = 5.0
+    band: Literal["line", "triangle"] = field(default="line", metadata=LATER)
     throughput: Share = 0.18
     spectrum: tuple[tuple[float, float], ...] = field(
         default=((380.0, 0.75), (450.0, 0.95), (550.0, 1.0), (650.0, 0.95), (780.0, 0.9)), metadata=NO_KEY
@@ -83,6 +93,11 @@ class LightSource:
     flicker_period_s: float = field(default=0.01, metadata=NO_KEY)
     wander: Fraction = 2.0e-3
     wander_period_s: float = field(default=30.0, metadata=NO_KEY)
+
+    @property
+    def nodes(self) -> tuple[tuple[float, float], ...]:
+        """Pairs of an offset from the set wavelength in nm and a share of the light, 1 in all, which represent the band."""
+        return tuple((self.band_nm * place, share) for place, share in TRIANGLE) if self.band == "triangle" else LINE
 
 
 @dataclass(frozen=True)
@@ -147,17 +162,34 @@ class Electronics:
 
 @dataclass(frozen=True)
 class MonitorPhotodiode:
-    """Photodiode behind the beam splitter: current at a lamp level of 1 and 550 nm, dark current, noise.
+    """Photodiode behind the beam splitter: `current_a` at a lamp level of 1 and 550 nm, dark current `dark_a`, noise.
 
-    `noise` is relative, per reading.
+    `noise` is relative, per reading. The responsivity changes by `drift_per_hour`, and by `linearity_per_decade` for each
+    decade of the current above `current_a`. At a current of `saturation_a` it has fallen to one half; 0: it does not fall.
     """
 
-    current_a: float = 1.4e-7
-    dark_a: float = 1.0e-11
-    noise: float = 1.0e-4
-    samples_per_s: float = 3000.0
-    serial_number: str = "TWIN0001"
-    latency_s: float = 5.0e-4
+    current_a: Positive = 1.4e-7
+    dark_a: NonNegative = 1.0e-11
+    noise: Fraction = 1.0e-4
+    samples_per_s: float = field(default=3000.0, metadata=NO_KEY)
+    serial_number: str = field(default="TWIN0001", metadata=NO_KEY)
+    latency_s: float = field(default=5.0e-4, metadata=NO_KEY)
+    drift_per_hour: float = field(default=0.0, metadata=LATER)
+    linearity_per_decade: Annotated[float, Gt(-1.0), Lt(1.0)] = field(default=0.0, metadata=LATER)
+    saturation_a: NonNegative = field(default=0.0, metadata=LATER)
+
+    def measured_a(self, current_a: float, t: float) -> float:
+        """The current that it gives at the time `t` for the light of `current_a`."""
+        if current_a <= 0.0:
+            return current_a
+        result = current_a
+        if self.drift_per_hour != 0.0:
+            result *= 1.0 + self.drift_per_hour * t / 3600.0
+        if self.linearity_per_decade != 0.0:
+            result *= 1.0 + self.linearity_per_decade * math.log10(current_a / self.current_a)
+        if self.saturation_a > 0.0:
+            result /= 1.0 + result / self.saturation_a
+        return result
 
 
 @dataclass(frozen=True)
@@ -228,16 +260,17 @@ class OrderSorting(SecondOrder):
 
     filters: tuple[WheelFilter, ...] = ()
 
+    def transmittance(self, wavelength_nm: float, position: int) -> float:
+        """Share of the light of a wavelength that passes the wheel."""
+        return math.prod(each.passes(wavelength_nm) for each in self.filters if each.position == position)
+
     def passing(self, wavelength_nm: float, position: int) -> list[tuple[float, float]]:
         """Wavelengths in nm and, for each, the share of its light that passes, at a set wavelength and wheel position."""
         orders = [(wavelength_nm, 1.0)]
         half = 0.5 * wavelength_nm
         if self.second_order > 0.0 and half > SHORTEST_NM:
             orders.append((half, self.second_order))
-        for each in self.filters:
-            if each.position == position:
-                orders = [(nm, share * each.passes(nm)) for nm, share in orders]
-        return orders
+        return [(nm, share * self.transmittance(nm, position)) for nm, share in orders]
 
 
 ModuleKind = Literal["tmcm-6214", "tmcm-1240"]
@@ -299,7 +332,8 @@ class Estimator:
 class Parts:
     """Parts of a virtual rig that need no other part; with `noise` off there are no random processes, but quantisation.
 
-    They are the `frames` of the samples, the `light`, the `photodiodes` and their `electronics`, and the motion `controller`.
+    They are the `frames` of the samples, the `light`, the `photodiodes` and their `electronics`, the `monitor`, the motion
+    `controller`, and what all of it is off by, the `disturbances`.
     """
 
     frames: SampleFrames = field(default_factory=SampleFrames)
@@ -307,6 +341,8 @@ class Parts:
     photodiodes: Photodiodes = field(default_factory=Photodiodes)
     electronics: Electronics = field(default_factory=Electronics)
     controller: AxisController = field(default_factory=AxisController)
+    monitor: MonitorPhotodiode = field(default_factory=MonitorPhotodiode)
+    disturbances: Disturbances = field(default=Disturbances(), metadata=LATER)
     noise: bool = True
 
 
@@ -321,7 +357,6 @@ class TwinModel(Parts):
     axes: dict[str, Mechanics]
     samples: dict[str, Scatterer]
     instrument: Instrument = field(default_factory=Instrument)
-    monitor: MonitorPhotodiode = field(default_factory=MonitorPhotodiode)
     monochromator: MonochromatorDrive = field(default_factory=MonochromatorDrive)
     estimator: Estimator = field(default_factory=Estimator)
     order_sorting: OrderSorting = field(default_factory=OrderSorting)

@@ -1,6 +1,7 @@
 """The instrument at a time t: angles of the axes, light, photocurrents of the photodiodes, readings of the converters."""
 
 import math
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
 from goniotwin.twin.plant.converter import conversions, convert_channels, noise_v
+from goniotwin.twin.plant.disturbances import Drawn
 from goniotwin.twin.plant.history import ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel
@@ -20,22 +22,36 @@ ONE_BY_ONE = tuple((channel, channel + 1) for channel in range(MODULE_CHANNELS))
 MONITOR_PIECES = 16
 """Number of parts of the monitor's averaging interval, if shutter, wavelength or filter change during it."""
 
+WHITE_NODES = 9
+"""Wavelengths, evenly over the lamp's spectrum, that stand for white light."""
+LINEAR_A, FAINTEST_A = 1e-9, 1e-18
+"""Current at which a photodiode that is not linear has its stated responsivity; below the faintest one it does not change."""
+SUPPLY_V = 12.0
+"""An amplifier gives no more, so that no more is seen by the other channels of its module."""
+
 
 class Plant:
     """One virtual instrument. Devices drive and read it; `mount` belongs to simulation control and has no wire."""
 
     def __init__(self, model: TwinModel) -> None:
         self.model = model
-        self.shafts = {name: Shaft(mechanics) for name, mechanics in model.axes.items()}
+        self.drawn = Drawn(model.disturbances, model.seed, model.photodiodes.count)
+        play = model.disturbances.backlash_deg
+        self.shafts = {
+            name: Shaft(replace(each, backlash_deg=each.backlash_deg + play) if play else each)
+            for name, each in model.axes.items()
+        }
         self.wavelength_nm = SlewHistory(model.monochromator.start_nm)
         self.wheel = SlewHistory(1.0)
         self.shutter_open: History[bool] = History(False)
         self.sample: History[str | None] = History(None)
+        self.mounting: History[int] = History(0)
+        self._mountings: Counter[str] = Counter()
         self.tilt_deg: History[float] = History(0.0)
         diodes = model.photodiodes
         self.modules = math.ceil(diodes.count / MODULE_CHANNELS)
         self.gain: list[History[int]] = [History(0) for _ in range(self.modules)]
-        self.view = View(model)
+        self.view = View(model, self.drawn)
         self._lamp = lamp_constants(model.light, model.seed, model.noise)
         self._make_light()
         self._make_electronics()
@@ -46,8 +62,9 @@ class Plant:
         mirrors = nominal_reflectance(self.model.instrument.mirror_reflectance) ** 3
         self._radiance = light.radiance * light.band_nm * light.throughput / mirrors
         self._lamp_spectrum = np.transpose(light.spectrum)
+        self._white_nm = np.linspace(self._lamp_spectrum[0, 0], self._lamp_spectrum[0, -1], WHITE_NODES).tolist()
         self._responsivity = np.transpose(self.model.photodiodes.responsivity)
-        light_path = (self.wavelength_nm, self.wheel, self.shutter_open, self.sample, self.tilt_deg)
+        light_path = (self.wavelength_nm, self.wheel, self.shutter_open, self.sample, self.mounting, self.tilt_deg)
         self._light_path: tuple[ChangingQuantity, ...] = (*light_path, *self.shafts.values())
         # Photocurrents of the last settled state. A change of the light without a history (`fade`) has to reset them.
         self._settled_currents: tuple[tuple[object, ...], Floats] = ((), np.zeros(0))
@@ -89,10 +106,18 @@ class Plant:
         )
 
     def mount(self, sample: str | None, t: float) -> None:
-        """Mount a sample of the model in the sample unit, or remove it (None). Raises KeyError for an unknown sample."""
+        """Mount a sample of the model in the sample unit, or remove it (None). Raises KeyError for an unknown sample.
+
+        Each mounting of a sample has a number, from 1. To mount the one that is mounted changes nothing.
+        """
         if sample is not None and sample not in self.model.samples:
             known = ", ".join(sorted(self.model.samples)) or "none"
             raise KeyError(f"the virtual rig has no sample {sample!r}; it has: {known}")
+        if sample is None:
+            self.mounting.set(t, 0)
+        elif sample != self.sample.at(t):
+            self._mountings[sample] += 1
+            self.mounting.set(t, self._mountings[sample])
         self.sample.set(t, sample)
 
     def set_lamp(self, t: float, *, drift_per_hour: float | None = None, level: float | None = None) -> None:
@@ -117,9 +142,12 @@ class Plant:
         self._settled_currents = ((), np.zeros(0))
 
     def angle_deg(self, axis: str, t: float) -> float:
-        """True angle of an axis at `t`; 0 for an axis that this rig does not have."""
+        """True angle of an axis at `t`, with its zero and position as drawn; 0 for an axis that this rig does not have."""
         shaft = self.shafts.get(axis)
-        return shaft.angle_deg(t) if shaft is not None else 0.0
+        if shaft is None:
+            return 0.0
+        error = self.drawn.axis_error_deg(axis, shaft.drive(t).moves)
+        return shaft.angle_deg(t) + error if error else shaft.angle_deg(t)
 
     def filter_position(self, t: float) -> int:
         """Position of the filter wheel in the beam at `t`; the nearest one while the wheel turns."""
@@ -131,8 +159,9 @@ class Plant:
         At the wavelength that is set then, or at another one.
         """
         axes = (self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
-        wavelength = self.wavelength_nm.at(t) if wavelength_nm is None else wavelength_nm
-        return self.view.throughputs_m2sr(Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, *axes))
+        wavelength = self._true_nm(self.wavelength_nm.at(t)) if wavelength_nm is None else wavelength_nm
+        aspect = Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, *axes, self.mounting.at(t))
+        return self.view.throughputs_m2sr(aspect)
 
     def warm_up(self) -> None:
         """Compute everything once: kernels compile at their first use, and a device must not wait for that.
@@ -153,23 +182,34 @@ class Plant:
         """Photocurrents of all channels at a lamp level of 1, without dark current, at the pose and wavelength of `t`."""
         currents = np.zeros(self.modules * MODULE_CHANNELS)
         for wavelength, light in self._light(t) if self.shutter_open.at(t) else ():
-            if light > 0.0:
+            if light != 0.0:
                 responsivity = float(np.interp(wavelength, *self._responsivity))
                 seen = self.throughputs_m2sr(t, wavelength)
                 currents[: self.model.photodiodes.count] += responsivity * (self._radiance * light) * seen
-        return currents * self._sensitivity
+        moves = sum(shaft.drive(t).moves for shaft in self.shafts.values())
+        return self._disturbed(currents, self.sample.at(t), self.mounting.at(t), moves) * self._sensitivity
 
-    def steady_photocurrents_a(self, aspect: Aspect, filter_position: int = 1) -> Floats:
-        """Photocurrents of the photodiodes in an aspect, with the filter wheel at some position.
+    def steady_photocurrents_a(self, aspect: Aspect, filter_position: int = 1, moves: int = 0) -> Floats:
+        """Photocurrents of the photodiodes in an aspect, with the filter wheel at some position, at a set wavelength.
 
-        At a lamp level of 1, with the shutter open, without dark current.
+        At a lamp level of 1, with the shutter open, without dark current. `moves` is the number of all axes' moves before.
         """
         currents = np.zeros(self.model.photodiodes.count)
-        for wavelength, share in self.model.order_sorting.passing(aspect.wavelength_nm, filter_position):
-            light = self._radiance * (share * float(np.interp(wavelength, *self._lamp_spectrum)))
-            if light > 0.0:
+        for wavelength, share in self._passing(aspect.wavelength_nm, filter_position):
+            light = self._radiance * share
+            if light != 0.0:
                 responsivity = float(np.interp(wavelength, *self._responsivity))
                 currents += responsivity * light * self.view.throughputs_m2sr(replace(aspect, wavelength_nm=wavelength))
+        return self._disturbed(currents, aspect.sample, aspect.mounting, moves)
+
+    def _disturbed(self, currents: Floats, sample: str | None, mounting: int, moves: int) -> Floats:
+        """Photocurrents with what sample and photodiodes are off by."""
+        factor, per_decade = self.drawn.signal_factor(sample, mounting, moves), self.drawn["linearity"]
+        if factor != 1.0:
+            currents = factor * currents
+        if per_decade != 0.0:
+            decades = np.log10(np.maximum(currents, FAINTEST_A) / LINEAR_A)
+            currents = currents * (1.0 + per_decade * decades)
         return currents
 
     def drawn_volts(self, signal_a: Floats, gain: int, drawn: Floats) -> Floats:
@@ -181,7 +221,19 @@ class Plant:
         noisy, electronics, gain_v_per_a = float(self.model.noise), self.model.electronics, self._gains[gain]
         current = signal_a * (1.0 + noisy * self.model.light.flicker * drawn[:, :1]) + self.model.photodiodes.dark_a
         spread = noise_v(current, gain_v_per_a, *self._constants[:3])
-        return np.asarray(current * gain_v_per_a + noisy * spread * drawn[:, 1:] + electronics.offset_v)
+        return self.with_crosstalk(np.asarray(current * gain_v_per_a + noisy * spread * drawn[:, 1:] + electronics.offset_v))
+
+    def with_crosstalk(self, volts: Floats) -> Floats:
+        """Input voltages (..., channels), V, each with its share of those of its module's other channels."""
+        share = self.drawn["crosstalk"]
+        if share == 0.0:
+            return volts
+        result = volts.copy()
+        for first in range(0, volts.shape[-1], MODULE_CHANNELS):
+            module = slice(first, first + MODULE_CHANNELS)
+            held = np.clip(volts[..., module], -SUPPLY_V, SUPPLY_V)
+            result[..., module] += share * (held.sum(axis=-1, keepdims=True) - held)
+        return result
 
     def volts(self, module: int, t: float) -> Floats:
         """Input voltages of the last finished conversion of each channel of a module, V (8,). Constant until the next one."""
@@ -201,7 +253,7 @@ class Plant:
                 self._deviation, gain.at(at), before, gain.held_since(at), self._constants, *self._lamp, self._dark_keys,
                 self._noise_keys,
             )  # fmt: skip
-        return volts
+        return self.with_crosstalk(volts)
 
     def monitor_a(self, start: float, end: float) -> float:
         """Mean current of the monitor photodiode over [start, end], A."""
@@ -214,7 +266,8 @@ class Plant:
             middle = 0.5 * (first + last)
             if self.shutter_open.at(middle):
                 level = lamp_mean(first, last, *self._lamp)
-                current += monitor.current_a * sum(light for _, light in self._light(middle)) * level / pieces
+                light_a = monitor.current_a * sum(light for _, light in self._light(middle)) * level
+                current += monitor.measured_a(light_a, middle) / pieces
         if self.model.noise:
             key = process_key(self.model.seed, "monitor")
             current *= 1.0 + monitor.noise * normal(key, np.int64(math.floor(end * monitor.samples_per_s)))
@@ -222,8 +275,24 @@ class Plant:
 
     def _light(self, t: float) -> list[tuple[float, float]]:
         """Wavelengths in nm that pass the monochromator at `t`, each with the lamp's relative radiance that passes."""
-        passing = self.model.order_sorting.passing(self.wavelength_nm.at(t), self.filter_position(t))
-        return [(nm, share * float(np.interp(nm, *self._lamp_spectrum))) for nm, share in passing]
+        return self._passing(self.wavelength_nm.at(t), self.filter_position(t))
+
+    def _passing(self, set_nm: float, position: int) -> list[tuple[float, float]]:
+        """`_light` for a set wavelength and a position of the filter wheel."""
+        sorting, true_nm, result = self.model.order_sorting, self._true_nm(set_nm), []
+        for offset_nm, part in self.model.light.nodes:
+            for nm, share in sorting.passing(true_nm + offset_nm, position):
+                result.append((nm, part * share * float(np.interp(nm, *self._lamp_spectrum))))
+        if (stray := self.drawn["monochromator_stray"]) != 0.0:
+            stray *= sum(light for _, light in result)
+            white = [(nm, float(np.interp(nm, *self._lamp_spectrum))) for nm in self._white_nm]
+            total = sum(light for _, light in white)
+            result += [(nm, stray * light / total * sorting.transmittance(nm, position)) for nm, light in white]
+        return result
+
+    def _true_nm(self, set_nm: float) -> float:
+        """The wavelength that passes the monochromator where it is set to another."""
+        return set_nm + self.drawn["wavelength"]
 
     def _settled(self, t: float) -> tuple[object, ...] | None:
         """Newest state of everything that determines the photocurrents; None where any of it has changed after `t`."""

@@ -25,7 +25,7 @@ class Drive:
     """Trajectory in microsteps from `since` on, and the relation of its counter to the shaft.
 
     Full steps of the motor = origin + microsteps / per_full. `per_full` is negative where the shaft is reversed. The axis was
-    at `start_deg` at `since`, and stays there while it is jammed.
+    at `start_deg` at `since`, and stays there while it is jammed. `moves` is the number of its moves so far, this one included.
     """
 
     mechanics: Mechanics
@@ -37,6 +37,7 @@ class Drive:
     jammed: bool = False
     deceleration: float = math.inf
     heartbeat: Heartbeat = field(default_factory=Heartbeat)
+    moves: int = 0
 
     def angle_deg(self, t: float) -> float:
         """Angle of the axis at `t`."""
@@ -131,7 +132,9 @@ class Shaft:
         self, t: float, trajectory: Trajectory, deceleration: float = math.inf, heartbeat: Heartbeat | None = None
     ) -> None:
         """Let the motor's counter follow `trajectory` from `t` on; an expired `heartbeat` ends it with a ramp."""
-        self._drives.set(t, self.drive_along(t, trajectory, deceleration, heartbeat))
+        drive, last = self.drive_along(t, trajectory, deceleration, heartbeat), trajectory.pieces[-1]
+        moves = last.velocity != 0.0 or last.position != trajectory.position(t)
+        self._drives.set(t, replace(drive, moves=drive.moves + 1) if moves else drive)
 
     def recount(self, t: float, position: float, per_full: int) -> Trajectory:
         """Set the counter to `position`, in microsteps of `per_full` per full step. Nothing moves.

@@ -3,7 +3,7 @@
 import math
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import TypeVar
 
@@ -11,6 +11,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
+    Deviation,
+    Instrument,
     Scatterer,
     StrayMap,
     arc_direction,
@@ -20,6 +22,8 @@ from goniotwin.twin.optics import (
     stray_throughput,
     throughput,
 )
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION
+from goniotwin.twin.plant.disturbances import Drawn, add_deviations
 from goniotwin.twin.plant.model import TwinModel
 
 Cached = TypeVar("Cached")
@@ -33,8 +37,8 @@ OPEN_BEAM = regular(transmits=True, side="both")
 class Aspect:
     """Everything that determines the light on the photodiodes except the lamp.
 
-    The sample's name (None: no sample), the angle by which it is tilted, the wavelength in nm, and the axes' true angles in
-    degrees.
+    The sample's name (None: no sample), the angle by which it is tilted, the wavelength in nm, the axes' true angles in
+    degrees, and the number of the sample's mounting (0: without the deviation that each mounting has).
     """
 
     sample: str | None
@@ -44,13 +48,17 @@ class Aspect:
     gamma_deg: float
     beta_deg: float
     shift_deg: float
+    mounting: int = 0
 
 
 class View:
     """Throughputs of a rig's photodiodes. Recent results are stored; the result does not depend on earlier calls."""
 
-    def __init__(self, model: TwinModel) -> None:
+    def __init__(self, model: TwinModel, drawn: Drawn | None = None) -> None:
         self._model = model
+        self._drawn = drawn or Drawn(model.disturbances, model.seed, model.photodiodes.count)
+        self._instrument = self._drawn.instrument(model.instrument)
+        self._along_deg, self._across_deg = self._drawn.photodiode_angles_deg()
         self.polar_deg = np.array(model.photodiodes.upper_deg + model.photodiodes.lower_deg)
         self._lower = np.repeat([False, True], [len(model.photodiodes.upper_deg), len(model.photodiodes.lower_deg)])
         self._throughputs: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
@@ -59,20 +67,35 @@ class View:
     def throughputs_m2sr(self, aspect: Aspect) -> Floats:
         """Throughput of each photodiode, m^2 sr: its flux over the radiance of the exit pupil. Shape (photodiodes,)."""
         sample = OPEN_BEAM if aspect.sample is None else self._model.samples[aspect.sample]
-        grey = sample.spectrum is None and self._model.instrument.grey
+        grey = sample.spectrum is None and self._instrument.grey
         wavelength = None if grey else aspect.wavelength_nm
-        light = (aspect.sample, aspect.tilt_deg, wavelength, aspect.sigma_deg, aspect.gamma_deg)
+        mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
+        light = (aspect.sample, aspect.tilt_deg, wavelength, aspect.sigma_deg, aspect.gamma_deg, mounted)
         return _cached(
             self._throughputs,
             (*light, aspect.beta_deg, aspect.shift_deg),
             POSES_KEPT,
-            lambda: self._compute(sample, light, wavelength, aspect),
+            lambda: self._compute(sample, light, wavelength, mounted, aspect),
         )
 
-    def _compute(self, sample: Scatterer, light: tuple[object, ...], wavelength: float | None, aspect: Aspect) -> Floats:
-        model, sigma = self._model, aspect.sigma_deg
-        beta = np.full(self.polar_deg.size, aspect.beta_deg)
-        directions = arc_direction(self.polar_deg + aspect.shift_deg, beta, self._lower)
+    def directions(self, beta_deg: float, shift_deg: float) -> Floats:
+        """Directions (photodiodes, 3) of the photodiodes in the rig's frame, each with its own angles."""
+        beta = np.full(self.polar_deg.size, beta_deg)
+        directions = arc_direction(self.polar_deg + self._along_deg + shift_deg, beta, self._lower)
+        if self._across_deg.any():
+            aside, across = np.radians(beta_deg), np.radians(self._across_deg)[:, None]
+            level = np.array([-math.sin(aside), math.cos(aside), 0.0])
+            directions = np.cos(across) * directions + np.sin(across) * level
+        return directions
+
+    def _compute(
+        self, sample: Scatterer, light: tuple[object, ...], wavelength: float | None, mounted: Deviation, aspect: Aspect
+    ) -> Floats:
+        model, sigma, instrument = self._model, aspect.sigma_deg, self._instrument
+        if mounted != NO_DEVIATION:
+            own = add_deviations(instrument.deviation("sample"), mounted)
+            instrument = replace(instrument, deviations={**instrument.deviations, "sample": own})
+        directions = self.directions(aspect.beta_deg, aspect.shift_deg)
         if aspect.tilt_deg:
             # A sample tilted about y is equivalent to a rig turned about y by the opposite angle.
             c, s = math.cos(math.radians(aspect.tilt_deg)), math.sin(math.radians(aspect.tilt_deg))
@@ -80,9 +103,9 @@ class View:
             directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
             sigma -= aspect.tilt_deg
         if model.estimator.kind == "forward":
-            return self._trace(sample, sigma, directions, wavelength, aspect)
+            return self._trace(instrument, sample, sigma, directions, wavelength, mounted, aspect)
         direct = throughput(
-            model.instrument, sigma, directions, sample, rays=model.estimator.rays, gamma_deg=aspect.gamma_deg,
+            instrument, sigma, directions, sample, rays=model.estimator.rays, gamma_deg=aspect.gamma_deg,
             wavelength_nm=wavelength,
         )  # fmt: skip
         if not model.estimator.stray:
@@ -90,20 +113,22 @@ class View:
 
         def compute_map() -> StrayMap:
             return stray_map(
-                model.instrument, sigma, sample, seed=model.seed, gamma_deg=aspect.gamma_deg, wavelength_nm=wavelength,
+                instrument, sigma, sample, seed=model.seed, gamma_deg=aspect.gamma_deg, wavelength_nm=wavelength,
                 sample_frames=model.frames,
             )  # fmt: skip
 
         stray = _cached(self._maps, light, MAPS_KEPT, compute_map)
-        return direct + stray_throughput(stray, directions, model.instrument)
+        return direct + stray_throughput(stray, directions, instrument)
 
     def _trace(
-        self, sample: Scatterer, sigma: float, directions: Floats, wavelength: float | None, aspect: Aspect
+        self, instrument: Instrument, sample: Scatterer, sigma: float, directions: Floats, wavelength: float | None,
+        mounted: Deviation, aspect: Aspect,
     ) -> Floats:  # fmt: skip
         # Each pose has its own random numbers: with the same ones the errors of all rows would be correlated.
-        seed = blake2b(_seed_text(self._model.seed, aspect).encode(), digest_size=8).digest()
+        text = _seed_text(self._model.seed, aspect) + (f" {aspect.mounting}" if mounted != NO_DEVIATION else "")
+        seed = blake2b(text.encode(), digest_size=8).digest()
         estimate = forward_throughput(
-            self._model.instrument, sigma, directions, sample, seed=int.from_bytes(seed, "big"), gamma_deg=aspect.gamma_deg,
+            instrument, sigma, directions, sample, seed=int.from_bytes(seed, "big"), gamma_deg=aspect.gamma_deg,
             wavelength_nm=wavelength, relative_error=self._model.estimator.relative_error, sample_frames=self._model.frames,
         )  # fmt: skip
         return estimate.throughput_m2sr if self._model.estimator.stray else estimate.single_m2sr

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,16 @@ MOST_ORDERS = 20
 OUTCOMES = ("done", "stopped", "failed", None)
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
+
+
+class ExecutedRow(NamedTuple):
+    """A row that was executed: its last attempt. `pose` has the angles gamma, sigma, beta, shift in degrees."""
+
+    number: int
+    kind: str
+    sample: str
+    session: int
+    pose: tuple[float, float, float, float] | None
 
 
 class DamagedJournal(UserError):
@@ -251,6 +261,15 @@ class JournalReader:
             )
             rows = ((number, names.setdefault(sample, len(names)), *rest) for number, sample, *rest in found)
             return np.fromiter(rows, dtype=ROW_INDEX), list(names)
+
+    def executed_rows(self) -> Iterator[ExecutedRow]:
+        """All rows that were executed, damaged ones too, in order of their start."""
+        with self._reading():
+            for number, kind, sample, session, *pose in self._db.execute(
+                "SELECT p.number, kind, sample, a.session, gamma_deg, sigma_deg, beta_deg, shift_deg"
+                f" FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT} ORDER BY started_s, p.number"
+            ):
+                yield ExecutedRow(number, kind, sample, session, None if None in pose else tuple(pose))
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:

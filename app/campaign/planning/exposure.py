@@ -5,6 +5,7 @@ rules of auto-range and averaging (app.campaign.readout) are applied to counts w
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -17,7 +18,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.described_twin import NoDescription, described_twin
 from goniotwin.arrays import Counts, Flags, Floats, Ints
-from goniotwin.twin.plant import Plant, TwinModel
+from goniotwin.twin.plant import Disturbances, Plant, TwinModel
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.view import Aspect
 
@@ -34,7 +35,8 @@ DRAW_OFFSET = 37
 def exposure_twin(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel | None:
     """The twin of a virtual rig, or the one that a real rig's file describes.
 
-    None where the file describes none, or its signal takes long to calculate.
+    It has no disturbances: a plan knows nothing of them. None where the file describes none, or its signal takes long to
+    calculate.
     """
     try:
         model = described_twin(rig, etalon, samples, {}).rig.model()
@@ -42,7 +44,7 @@ def exposure_twin(rig: RigDescription, etalon: str, samples: list[str]) -> TwinM
         return None
     if model is None or model.estimator.kind != "fast" or model.estimator.stray:
         return None
-    return model
+    return replace(model, disturbances=Disturbances())
 
 
 def expected_reading_s(rig: RigDescription, model: TwinModel, passes: list[Pass], row: Row, timing: Timing) -> float:

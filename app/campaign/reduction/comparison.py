@@ -32,6 +32,11 @@ from goniotwin.twin.optics.geometry.coordinates import (
 
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
+K95 = 1.96
+"""Half width of a 95 % interval in u."""
+LOGARITHMIC = 0.15
+"""Relative u above which an interval is one of the logarithm."""
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -49,9 +54,32 @@ class Comparison:
 
 def theoretical_bsdf(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
     """BSDF (n,) in 1/sr of a virtual rig's sample at the points' directions. Raises UserError for a real rig."""
-    scatterer = _scatterer(rig, sample)
-    lights = np.array([light_direction(float(sigma)) for sigma in points.sigma_deg]).reshape(-1, 3)
-    return evaluate(scatterer, lights, arc_direction(points.zenith_deg, points.azimuth_deg))
+    return true_bsdf(_scatterer(rig, sample), points)
+
+
+def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
+    """BSDF (n,) in 1/sr of a model at the nominal wavelengths, incidences and directions of points."""
+    result = np.empty(points.size)
+    places, which = np.unique(np.stack([points.wavelength_nm, points.gamma_deg], axis=1), axis=0, return_inverse=True)
+    lights = np.array([light_direction(sigma) for sigma in points.sigma_deg.tolist()]).reshape(-1, 3)
+    directions = arc_direction(points.zenith_deg, points.azimuth_deg)
+    for k, (wavelength_nm, gamma_deg) in enumerate(places.tolist()):
+        at = which.ravel() == k
+        result[at] = evaluate(scatterer, lights[at], directions[at], wavelength_nm, gamma_deg)
+    return result
+
+
+def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
+    """Deviations (n,) of values from the truth in their u: a value is within its 95 % interval where they are within K95.
+
+    Above a relative u of LOGARITHMIC the interval of a value above the detection limit is one of its logarithm.
+    """
+    u = np.maximum(points.u_bsdf, np.finfo(float).tiny)
+    plain = (points.bsdf - truth) / u
+    chosen = (points.bsdf > 0.0) & (truth > 0.0) & ~points.flag("under-range")
+    chosen &= u > LOGARITHMIC * np.abs(points.bsdf)
+    ratio = np.where(chosen, points.bsdf, 1.0) / np.where(chosen, truth, 1.0)
+    return np.where(chosen, np.log(ratio) * points.bsdf / u, plain)
 
 
 def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:

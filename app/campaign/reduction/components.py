@@ -19,7 +19,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 Components = Mapping[str, Floats]
 DETECTED = 3.0
 """A value below so many of its standard uncertainties is lost in its noise: below the detection limit."""
-INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading"})
+INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading", "field_noise"})
 """Components whose errors differ between neighbouring directions: each has readings of its own at the sample and at the etalon.
 
 All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average

@@ -18,10 +18,12 @@ from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.reduction.components import Estimate, Signal, total_variance
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points, pack_flags
+from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.signals import mean_signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.uncertainty.pose import Views, pose_moments
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import incidence_deg, round_deg
@@ -43,6 +45,7 @@ class ArcGeometry:
     def __init__(self, rig: RigFile) -> None:
         self._rig = rig
         self._kept: dict[PoseAngles, list[tuple[ArcView, Flags]]] = {}
+        self._sums: dict[PoseAngles, Floats] = {}
 
     def views(self, pose: PoseAngles) -> list[tuple[ArcView, Flags]]:
         """The views of the arcs, with the photodiodes whose light the mirror unit blocks at the sample or at the etalon."""
@@ -52,6 +55,23 @@ class ArcGeometry:
             self._kept[pose] = [(view, self._blocked(view, pose)) for view in arc_views(self._rig, pose)]
         return self._kept[pose]
 
+    def pose_sums(self, poses: Sequence[PoseAngles]) -> Floats:
+        """What the variances by the errors of angles need at poses, whatever the slopes: (poses, photodiodes, 2, 6).
+
+        Of the dense inputs, and of the axes' positions: see `moments`. NaN for photodiodes without an arc.
+        """
+        missing = [pose for pose in dict.fromkeys(poses) if pose not in self._sums]
+        if len(self._sums) + len(missing) > MOST_POSES:
+            self._sums.clear()
+            missing = list(dict.fromkeys(poses))
+        if missing:
+            views = [(k, pose, view) for k, pose in enumerate(missing) for view, _ in self.views(pose)]
+            sums = np.full((len(missing), self._rig.photodiodes.count, 2, 6), np.nan)
+            at = np.concatenate([np.full(view.channels.size, k) for k, _, view in views])
+            sums[at, np.concatenate([view.channels for _, _, view in views])] = pose_moments(self._rig, views_of_arcs(views))
+            self._sums.update(zip(missing, sums, strict=True))
+        return np.stack([self._sums[pose] for pose in poses])
+
     def _blocked(self, view: ArcView, pose: PoseAngles) -> Flags:
         # For transmitted light the mirror unit has another position at the etalon, and blocks other directions there.
         sigmas = {pose[1], view.etalon_pose(pose)[1]}
@@ -59,15 +79,35 @@ class ArcGeometry:
         return np.asarray(np.any(blocked, axis=0))
 
 
+def views_of_arcs(views: Sequence[tuple[int, PoseAngles, ArcView]]) -> Views:
+    """The directions of all photodiodes of views, one after the other."""
+    each = [view.channels.size for _, _, view in views]
+    beta = np.repeat([pose[2] for _, pose, _ in views], each)
+    azimuth = np.concatenate([view.azimuth for _, _, view in views])
+    return Views(
+        sigma_deg=np.repeat([pose[1] for _, pose, _ in views], each),
+        gamma_deg=np.repeat([pose[0] for _, pose, _ in views], each),
+        polar=np.radians(np.concatenate([view.polar for _, _, view in views])),
+        azimuth=np.radians(azimuth),
+        lower=np.repeat([view.transmitted != view.back for _, _, view in views], each),
+        transmitted=np.repeat([view.transmitted for _, _, view in views], each),
+        reverse=np.cos(np.radians(azimuth - beta)) < 0.0,
+    )
+
+
 @dataclass(frozen=True)
 class ReductionSettings:
-    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any."""
+    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
+
+    `history`, of a journal, has the mountings, moves and dark readings before each row.
+    """
 
     rig: RigFile
     geometry: ArcGeometry
     schedule: ScheduleFile
     certificate: Certificate
     calibration: CalibrationFactors | None = None
+    history: RowHistory | None = None
 
     @property
     def calibrates(self) -> bool:
@@ -129,10 +169,12 @@ class ArcRows:
     `estimate` is the value so far: the signal of the sample, its quotient by that of the etalon, the BSDF in 1/sr. `flags` are
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
     was not measured. `common_signature`: both signatures are one measurement, and their error is common to sample and etalon.
+    `etalon_rows` are the numbers of the etalon's rows, of several of one pose the first one.
     `share` is the signature's share of the sample's signal, NaN where it was not measured.
     """
 
     rows: tuple[Row, ...]
+    etalon_rows: tuple[int, ...]
     views: tuple[ArcView, ...]
     incidence_deg: Floats
     blocked: Flags
@@ -200,6 +242,7 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
     }
     return ArcRows(
         rows=tuple(each.sample.row for each in arc),
+        etalon_rows=tuple(each.etalon.row.number for each in arc),
         views=tuple(each.view for each in arc),
         incidence_deg=np.array([[incidence_deg(each.etalon.row.pose[1])] for each in arc if each.etalon.row.pose is not None]),
         blocked=np.stack([each.blocked for each in arc]),
@@ -357,6 +400,13 @@ def _points(data: ArcRows) -> BsdfPoints:
         components={name: each.ravel() for name, each in data.estimate.components.items()},
         marks=pack_flags({name: flag.ravel() for name, flag in data.flags.items()}, size),
         signature=data.share.ravel(),
+        slope_along=np.full(size, np.nan),
+        slope_across=np.full(size, np.nan),
+        field_correction=np.zeros(size),
+        row=np.repeat([row.number for row in data.rows], n),
+        etalon_row=np.repeat(data.etalon_rows, n),
+        gain=data.sample.gain.ravel(),
+        etalon_gain=data.etalon.gain.ravel(),
     )
 
 

@@ -8,6 +8,7 @@ Journal, live plot and rehearsal have no other reduction.
 from collections.abc import Callable, Mapping, Sequence
 
 from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.effects_of_points import add_pose
 from goniotwin.app.campaign.reduction.etalon import (
     ArcRows,
     ReductionSettings,
@@ -78,6 +79,7 @@ ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (
 SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] = (
     calibrate_photodiodes,
     correct_field_of_view,  # after the calibration: the field has the same effect on all photodiodes that look in a direction
+    add_pose,  # after the slopes
 )
 """Steps on all points of a set of wavelength, sigma and gamma, and of a sample's calibration: they need the points nearby."""
 

@@ -69,7 +69,9 @@ FLAGS: dict[str, Flag] = {
                     "set a wider range of the monitor in the rig file"),
     # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
     "under-range": Flag("lost in its noise", False),
-    "field": Flag("the effect of the field of view cannot be estimated, and is not in u_bsdf", False),
+    "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf", False),
+    # A good value with a warning: a slope is what turns an error of an angle into one of the value.
+    "steep": Flag("the directions nearby are too far apart for the slope here: u_bsdf may be too small", False),
 }  # fmt: skip
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
@@ -168,12 +170,27 @@ class BsdfPoints(MeasuredDirections):
     `bsdf` is in 1/sr, NaN where there is no value; `components` are those of its uncertainty (see components.py) by name, and
     `marks` its flags in bits. `signature` is the instrument signature's share of the sample's signal, already subtracted; NaN
     where it was not measured.
+
+    `slope_along` and `slope_across` are the derivatives of ln bsdf per degree, without the field of view; NaN where unknown.
+    Along: towards growing polar angle, from the pole of the direction's own arc, in the half plane of its azimuth. Across:
+    towards direction x along, which on the upper arc is growing azimuth, on the lower arc falling azimuth. `field_correction`
+    is what the correction of the field of view has added to ln bsdf; 0 where nothing was corrected.
+
+    `row` is the number of the row in the journal, and `etalon_row` of that of the etalon's reading, of several the first one.
+    `gain` and `etalon_gain` are the indices of the gains of these readings, -1 where they are saturated.
     """
 
     bsdf: Floats
     components: Components
     marks: Marks
     signature: Floats
+    slope_along: Floats
+    slope_across: Floats
+    field_correction: Floats
+    row: Ints
+    etalon_row: Ints
+    gain: Ints
+    etalon_gain: Ints
 
     def where(self, chosen: Flags | Ints) -> "BsdfPoints":
         """A selection of the points, or all in another order."""
@@ -212,9 +229,10 @@ class BsdfPoints(MeasuredDirections):
 
     @property
     def u_field(self) -> Floats:
-        """The field's component of `u_bsdf`, 1/sr; NaN where it cannot be estimated."""
+        """The field's components of `u_bsdf`, 1/sr; NaN where they cannot be estimated."""
         known = self.good & ~self.flag("field")
-        return np.where(known, np.sqrt(self.components.get("field", np.full(self.bsdf.size, np.nan))), np.nan)
+        none = np.full(self.bsdf.size, np.nan)
+        return np.where(known, np.sqrt(self.components.get("field", none) + self.components.get("field_noise", 0.0)), np.nan)
 
     @property
     def flags(self) -> dict[str, Flags]:

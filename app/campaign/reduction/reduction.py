@@ -12,7 +12,7 @@ from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
-from goniotwin.app.campaign.reduction.drift_checks import unchecked_note, unchecked_photodiodes
+from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, unchecked_note, unchecked_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
     ArcGeometry,
     PoseKey,
@@ -32,6 +32,7 @@ from goniotwin.app.campaign.reduction.readings import (
     order_by_setting,
     row_places,
 )
+from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
 from goniotwin.app.campaign.row import NO_SAMPLE
@@ -106,7 +107,8 @@ class Reduction:
         self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
         text = None if self.schedule.certificate is None else journal.value("certificate")
-        self.settings = reduction_settings(self.rig.file, self.schedule, text, f"{journal.path} (certificate)")
+        settings = reduction_settings(self.rig.file, self.schedule, text, f"{journal.path} (certificate)")
+        self.settings = replace(settings, history=RowHistory(journal))
         self._measurements = Measurements(journal, self.schedule, self.rig.file)
         self._etalon = ReferenceMeasurements(self._measurements, self.schedule.etalon)
         if not len(self._etalon):
@@ -163,7 +165,7 @@ class Reduction:
         notes = list(missing_notes(self.journal, without_etalon))
         notes += self._measurements.evidence.notes
         notes += [verdict.text for verdict in self._measurements.evidence.verdicts]
-        notes += [str(interval) for interval in self._measurements.drift_intervals]
+        notes += [str(interval) for interval in self.drift_intervals]
         transmitted = any(tally.transmitted for tally in tallies.values())
         subtracted = any(tally.signature_subtracted for tally in tallies.values())
         u_signature = self.rig.file.sample_unit.signature_uncertainty
@@ -180,6 +182,11 @@ class Reduction:
                 f"the light was traced by the forward estimator; median relative error {error:.2g}, included in the uncertainty"
             )
         return notes + [unchecked_note(name, photodiodes) for name, photodiodes in self.unchecked(tallies).items()]
+
+    @property
+    def drift_intervals(self) -> list[DriftInterval]:
+        """The times between drift checks of which one is beyond the limit."""
+        return self._measurements.drift_intervals
 
     def unchecked(self, tallies: Mapping[str, Tally]) -> dict[str, tuple[int, ...]]:
         """By the mounted sample, the photodiodes that its drift checks do not cover, from the tallies of all blocks."""

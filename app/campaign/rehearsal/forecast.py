@@ -4,7 +4,7 @@ The points are processed in blocks, which are not kept in memory.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,14 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
+from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, true_bsdf
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, PointStream
 from goniotwin.app.formats.registry import Holds, format_for
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics import Scatterer
 
 PERCENTILES = (5, 50, 95)
 WELL_KNOWN = 0.1
@@ -36,20 +38,29 @@ COMMENTS = (
 
 @dataclass
 class UncertaintySpread:
-    """Relative uncertainties of one sample: `known` are those of the trusted directions with a value above zero."""
+    """Relative uncertainties of one sample: `known` are those of the trusted directions with a value above zero.
 
+    `truth` is the sample's model, where there is one; `deviations` of the trusted values from it are in their u.
+    """
+
+    truth: Scatterer | None = None
     tally: Tally = field(default_factory=Tally)
     known: list[Floats] = field(default_factory=list)
+    deviations: list[Floats] = field(default_factory=list)
 
     def add(self, points: BsdfPoints) -> None:
         """Take more points."""
         self.tally.add(points)
         values = relative_uncertainty(points)[points.good]
         self.known.append(values[np.isfinite(values)])
+        if self.truth is not None:
+            good = points.where(points.good)
+            self.deviations.append(deviations_in_u(good, true_bsdf(self.truth, good)))
 
     def as_dict(self) -> dict[str, Any]:
         """Percentiles, and the number of directions known to a tenth of their value."""
         known = np.concatenate(self.known)
+        z = np.abs(np.concatenate(self.deviations)) if self.deviations else np.zeros(0)
         percentiles = np.percentile(known, PERCENTILES).tolist() if known.size else [None] * len(PERCENTILES)
         return {
             **{f"p{each:02d}": value for each, value in zip(PERCENTILES, percentiles, strict=True)},
@@ -57,6 +68,8 @@ class UncertaintySpread:
             "trusted": self.tally.good,
             "above_zero": int(known.size),
             "to_a_tenth": int(np.sum(known <= WELL_KNOWN)),
+            "coverage": float(np.mean(z <= K95)) if z.size else None,
+            "worst_u": float(np.max(z)) if z.size else None,
         }
 
 
@@ -74,9 +87,16 @@ class Forecast:
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
 
-def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), rows_at_once: int = BLOCK_ROWS) -> Forecast:
+def forecast(
+    path: Path,
+    points: Path | None = None,
+    about: Sequence[str] = (),
+    rows_at_once: int = BLOCK_ROWS,
+    truth: Mapping[str, Scatterer] | None = None,
+) -> Forecast:
     """The forecast from the journal `path`; each direction is written to the CSV `points`, with the comments `about`.
 
+    `truth` are the models of the samples by name: the values are then compared with them.
     Raises UserError where the CSV cannot be written, or there are no points for it.
     """
     spreads: dict[str, UncertaintySpread] = {}
@@ -84,7 +104,7 @@ def forecast(path: Path, points: Path | None = None, about: Sequence[str] = (), 
         with Journal.open(path) as journal:
             reduction = Reduction(journal)
             check_results = CheckResults({}, {}, calibrated=reduction.calibrates)
-            parts = _parts(reduction, spreads, check_results, rows_at_once)
+            parts = _parts(reduction, spreads, check_results, rows_at_once, truth or {})
             first = next(parts, None)
             if points is None or first is None:
                 for _ in parts:
@@ -115,7 +135,11 @@ def relative_uncertainty(points: BsdfPoints) -> Floats:
 
 
 def _parts(
-    reduction: Reduction, spreads: dict[str, UncertaintySpread], check_results: CheckResults, rows_at_once: int
+    reduction: Reduction,
+    spreads: dict[str, UncertaintySpread],
+    check_results: CheckResults,
+    rows_at_once: int,
+    truth: Mapping[str, Scatterer],
 ) -> Iterator[dict[str, npt.NDArray[Any]]]:
     """The columns of a CSV, block by block; fills `spreads` and `check_results`."""
     for name in reduction.schedule.samples:
@@ -123,7 +147,7 @@ def _parts(
         for block in reduction.blocks(name, rows_at_once):
             checks.add(block.points)
             points = reduction.finish(block.points, overlaps)
-            spreads.setdefault(name, UncertaintySpread()).add(points)
+            spreads.setdefault(name, UncertaintySpread(truth.get(name))).add(points)
             columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(points.bsdf.size, name)}
             columns |= {column: getattr(points, column) for column in POINT_COLUMNS}
             columns |= {"bsdf_per_sr": points.bsdf, "relative_uncertainty": relative_uncertainty(points)}

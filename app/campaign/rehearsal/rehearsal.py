@@ -94,7 +94,10 @@ def rehearse(
         run = run_on_twin(plan, path, statistics, listeners or [])
         warnings = [*check_plan(plan)["warnings"], *rehearsal_warnings(plan, statistics)]
         heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
-        predicted = forecast(path, points, [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))])
+        about = [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))]
+        model = plan.rig.model()
+        assert model is not None
+        predicted = forecast(path, points, about, truth=model.samples)
         if predicted.trouble:
             warnings.append(f"the uncertainty cannot be predicted: {predicted.trouble}")
         if run.state is State.IDLE:

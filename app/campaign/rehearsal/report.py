@@ -43,8 +43,15 @@ def _spread(spread: dict[str, Any]) -> str:
     return (
         f"median {spread['p50']:.2%}, 5th to 95th percentile {spread['p05']:.2%} to {spread['p95']:.2%}; "
         f"{spread['to_a_tenth']} of {spread['above_zero']} directions better than 10 % ({spread['directions']} measured, "
-        f"{spread['trusted']} trusted)"
+        f"{spread['trusted']} trusted){_distance(spread)}"
     )
+
+
+def _distance(spread: dict[str, Any]) -> str:
+    """How far the values were from the model of the sample."""
+    if spread["coverage"] is None:
+        return ""
+    return f"; {spread['coverage']:.1%} of the values within their 95 % interval of the truth, the worst {spread['worst_u']:.1f} u off"
 
 
 def _size(size: float) -> str:

@@ -84,8 +84,7 @@ class Effects:
         for variance in self.independent.values():
             relative += np.where(same, variance[one][:, None], 0.0)
         for group in self.groups:
-            number = np.array([group.inputs[int(k)].u ** 2 if k >= 0 else 0.0 for k in group.member.ravel()])
-            u_squared = number.reshape(group.member.shape)
+            u_squared = _group_u_squared(group)
             for a in range(group.member.shape[1]):
                 for b in range(group.member.shape[1]):
                     together = group.member[one, a][:, None] == group.member[other, b][None, :]
@@ -95,6 +94,22 @@ class Effects:
             weighted = part.sensitivity * np.array([each.u for each in part.inputs])
             relative += weighted[one] @ weighted[other].T
         return relative * self.value[one][:, None] * self.value[other][None, :]
+
+    def paired_covariance(self, one: Ints, other: Ints) -> Floats:
+        """Covariance (m,) of the value `one[k]` with the value `other[k]`, in the unit squared; for many pairs."""
+        relative = np.zeros(one.size)
+        for variance in self.independent.values():
+            relative += np.where(one == other, variance[one], 0.0)
+        for group in self.groups:
+            u_squared = _group_u_squared(group)
+            for a in range(group.member.shape[1]):
+                for b in range(group.member.shape[1]):
+                    product = group.sensitivity[one, a] * u_squared[one, a] * group.sensitivity[other, b]
+                    relative += np.where(group.member[one, a] == group.member[other, b], product, 0.0)
+        for part in self.dense:
+            weighted = part.sensitivity * np.array([each.u for each in part.inputs])
+            relative += np.sum(weighted[one] * weighted[other], axis=1)
+        return relative * self.value[one] * self.value[other]
 
     def of_sum(self, weight: Floats) -> list[Component]:
         """Components of sum(weight * value), the largest first: of a mean, of a reflectance, of one value.
@@ -120,6 +135,12 @@ class Effects:
             total = scale @ part.sensitivity[used]
             found += [_component(each, at) for each, at in zip(part.inputs, total.tolist(), strict=True)]
         return sorted(found, key=lambda each: -each.u)
+
+
+def _group_u_squared(group: Group) -> Floats:
+    """The squared u (n, m) of the inputs that each value depends on; 0 for none."""
+    number = np.array([group.inputs[int(k)].u ** 2 if k >= 0 else 0.0 for k in group.member.ravel()])
+    return number.reshape(group.member.shape)
 
 
 def _component(each: Input, sensitivity: float) -> Component:

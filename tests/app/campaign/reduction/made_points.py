@@ -28,4 +28,11 @@ def made_points(
         components={"noise": zeros + u**2},
         marks=pack_flags(flags or {}, zenith.size),
         signature=zeros + np.nan,
+        slope_along=zeros + np.nan,
+        slope_across=zeros + np.nan,
+        field_correction=zeros,
+        row=np.arange(zenith.size),
+        etalon_row=np.arange(zenith.size),
+        gain=np.zeros(zenith.size, dtype=np.int64),
+        etalon_gain=np.zeros(zenith.size, dtype=np.int64),
     )

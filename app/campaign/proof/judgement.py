@@ -1,0 +1,248 @@
+"""One rig against the truth: deviations in u by cell, what is left after a fit of the shared inputs, and reflectances.
+
+The result is small, whatever the campaign: sums by cell. Nothing of the truth is used to make the values or their u.
+"""
+
+import itertools
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from goniotwin.app.campaign.geometry.directions import polar_from_zenith
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reduction.budget import finished_blocks
+from goniotwin.app.campaign.reduction.comparison import K95, deviations_in_u, true_bsdf
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.app.campaign.uncertainty.effects import Effects
+from goniotwin.app.campaign.uncertainty.fit import Fit, fit_inputs
+from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.plant import Drawn
+
+FAR_U = 5.0
+"""A deviation beyond so many u fell out."""
+MOST_LISTED = 20
+"""Points beyond FAR_U whose places are listed, of one rig."""
+MOST_FITTED = 4000
+"""Values in one fit: of more, each wavelength is fitted by itself, then each sigma. The law holds for each."""
+DECADES = 6
+ZENITHS_DEG = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
+STEEP, SLOPE, NO_SLOPE = "steep", "with a slope", "without a slope"
+INDEX = re.compile(r"[\[@].*")
+"""What follows the kind of an input in its name: its element, row or mounting."""
+
+
+@dataclass
+class Cell:
+    """Sums over values: their number, those within their 95 % interval, their deviations in u, those beyond 5 u.
+
+    `chi_square` of what is left after the fit, with its expectation `freedom`.
+    """
+
+    values: int = 0
+    covered: int = 0
+    deviation: float = 0.0
+    beyond: int = 0
+    chi_square: float = 0.0
+    freedom: float = 0.0
+
+    def add(self, other: "Cell") -> None:
+        """Add the sums of another cell."""
+        for name, each in vars(other).items():
+            setattr(self, name, getattr(self, name) + each)
+
+
+Cells = dict[str, dict[str, Cell]]
+"""Cells by table and label."""
+
+
+@dataclass
+class RigResult:
+    """A rig by its `seed`: its cells; by kind of input the sums of (fitted / u)^2 and of their expectations.
+
+    `angles` by sample: the error in deg of the angle between lobe and photodiode in the plane of incidence, as drawn and as
+    fitted. `reflectances` are by sample and setting: the relative deviation and u. `far` are the points beyond 5 u. `failed` is
+    the reason why the rig has no result, or empty.
+    """
+
+    seed: int
+    cells: Cells = field(default_factory=dict)
+    inputs: dict[str, tuple[float, float]] = field(default_factory=dict)
+    angles: dict[str, tuple[float, float]] = field(default_factory=dict)
+    reflectances: dict[str, tuple[float, float]] = field(default_factory=dict)
+    far: list[dict[str, Any]] = field(default_factory=list)
+    failed: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result for its file."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> "RigResult":
+        """The result of a file. Raises TypeError, KeyError or AttributeError for another content."""
+        cells = {
+            table: {label: Cell(**cell) for label, cell in labels.items()} for table, labels in content.pop("cells").items()
+        }
+        pairs = {
+            name: {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
+            for name in ("inputs", "angles", "reflectances")
+        }
+        return cls(cells=cells, **pairs, **content)
+
+
+def judge(journal: Path, plan: Plan) -> RigResult:
+    """Compare the values of a rig's journal with the truth. Raises UserError."""
+    model = plan.rig.model()
+    assert model is not None
+    assert plan.rig.seed is not None
+    result = RigResult(plan.rig.seed)
+    drawn = Drawn(model.disturbances, model.seed, model.photodiodes.count)
+    with Journal.open(journal) as opened:
+        reduction = Reduction(opened)
+        for name in reduction.schedule.samples:
+            blocks = list(finished_blocks(reduction, name))
+            if blocks:
+                points = join_points(blocks)
+                _add_sample(result, reduction, name, points, true_bsdf(model.samples[name], points), drawn)
+    return result
+
+
+def _add_sample(
+    result: RigResult, reduction: Reduction, name: str, points: BsdfPoints, truth: Floats, drawn: Drawn
+) -> None:  # fmt: skip
+    chosen = points.good & np.isfinite(truth)
+    points_of, truth_of = points.where(chosen), truth[chosen]
+    if not points_of.size:
+        return
+    z = deviations_in_u(points_of, truth_of)
+    tables = cell_labels(name, points_of, truth_of)
+    steep = tables["slope"] == STEEP
+    chi_square, freedom = np.zeros(z.size), np.zeros(z.size)
+    known = np.flatnonzero(~steep)
+    for part in _parts(points_of.where(known)):
+        at = known[part]
+        effects = effects_of(points_of.where(at), reduction.settings)
+        fit = fit_inputs(effects, relative_residuals(points_of.where(at), truth_of[at]))
+        chi_square[at], freedom[at] = fit.chi_square, fit.expected
+        _add_inputs(result, fit)
+        if name not in result.angles and (angles := _in_plane_angles(points_of.where(at), effects, fit, drawn)) is not None:
+            result.angles[name] = angles
+    _add_cells(result.cells, tables, steep, z, chi_square, freedom)
+    for k in np.flatnonzero((np.abs(z) > FAR_U) & ~steep)[:MOST_LISTED].tolist():
+        place = {key: float(getattr(points_of, key)[k]) for key in ("wavelength_nm", "sigma_deg", "zenith_deg", "azimuth_deg")}
+        result.far.append({"sample": name, **place, "deviation_u": float(z[k])})
+    for setting in integration_settings(points):
+        here = points.where(setting.index)
+        weight = quadrature(here, reduction.schedule.symmetry).weight
+        used = np.flatnonzero(weight != 0.0)
+        total = float(np.sum(weight[used] * truth[setting.index][used]))
+        components = effects_of(here.where(used), reduction.settings).of_sum(weight[used])
+        u = math.sqrt(math.fsum(each.u**2 for each in components))
+        if total > 0.0:
+            deviation = float(np.sum(weight[used] * here.bsdf[used])) - total
+            result.reflectances[f"{name}, {setting}"] = (deviation / total, u / total)
+
+
+def _parts(points: BsdfPoints) -> Iterator[Any]:
+    """Indices of the values that are fitted together."""
+    whole = np.arange(points.size)
+    parts = [whole] if points.size else []
+    for column in (points.wavelength_nm, points.sigma_deg):
+        parts = [
+            split
+            for part in parts
+            for split in (
+                [part] if part.size <= MOST_FITTED else [part[column[part] == each] for each in np.unique(column[part])]
+            )
+        ]
+    return iter(parts)
+
+
+def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:
+    """Relative deviations (n,) from the truth: of the logarithm, where a value is above the detection limit."""
+    value = np.where(points.bsdf == 0.0, np.finfo(float).tiny, points.bsdf)
+    clear = (value > 0.0) & (truth > 0.0) & ~points.flag("under-range")
+    ratio = np.where(clear, value, 1.0) / np.where(clear, truth, 1.0)
+    return np.where(clear, np.log(ratio), (value - truth) / value)
+
+
+def cell_labels(name: str, points: BsdfPoints, truth: Floats) -> dict[str, Any]:
+    """The label (n,) of each point's cell in each table."""
+    light = np.stack([points.wavelength_nm, points.sigma_deg, points.gamma_deg, points.transmitted], axis=1)
+    _, which = np.unique(light, axis=0, return_inverse=True)
+    peak = np.zeros(int(which.max(initial=-1)) + 1)
+    np.maximum.at(peak, which.ravel(), truth)
+    share = truth / np.maximum(peak[which.ravel()], np.finfo(float).tiny)
+    decade = np.clip(np.floor(-np.log10(np.maximum(share, 10.0**-DECADES))), 0, DECADES - 1).astype(int)
+    names = np.array([f"1e{-k:+d} to 1e{-k - 1:+d}" for k in range(DECADES - 1)] + [f"below 1e{1 - DECADES}"])
+    edges = np.array([0.0, *ZENITHS_DEG])
+    ring = np.clip(np.searchsorted(edges, polar_from_zenith(points.zenith_deg), side="right") - 1, 0, len(ZENITHS_DEG) - 1)
+    rings = np.array([f"{low:g} to {high:g} deg" for low, high in itertools.pairwise(edges)])
+    clear = np.isfinite(points.slope_along)
+    steep = points.flag("steep")
+    in_decade = np.array([f"{name}, {each}" for each in names])
+    return {
+        "decade": names[decade],
+        "zenith": rings[ring],
+        "sigma": np.array([f"{each:g} deg" for each in points.sigma_deg.tolist()]),
+        "wavelength": np.array([f"{each:g} nm" for each in points.wavelength_nm.tolist()]),
+        "sample": np.full(points.size, name),
+        "sample and decade": in_decade[decade],
+        "slope": np.where(steep, STEEP, np.where(clear, SLOPE, NO_SLOPE)),
+    }
+
+
+def _add_cells(cells: Cells, tables: dict[str, Any], steep: Flags, z: Floats, chi_square: Floats, freedom: Floats) -> None:
+    """Add the sums of values; the steep ones count in the table of slopes alone."""
+    for table, labels in [*tables.items(), ("all", np.full(z.size, "all"))]:
+        for label in np.unique(labels).tolist():
+            at = labels == label if table == "slope" else (labels == label) & ~steep
+            if at.any():
+                inside = int(np.sum(np.abs(z[at]) <= K95))
+                sums = (
+                    float(z[at].sum()),
+                    int(np.sum(np.abs(z[at]) > FAR_U)),
+                    float(chi_square[at].sum()),
+                    float(freedom[at].sum()),
+                )
+                cells.setdefault(table, {}).setdefault(label, Cell()).add(Cell(int(at.sum()), inside, *sums))
+
+
+def _add_inputs(result: RigResult, fit: Fit) -> None:
+    for each, estimate, expected in zip(fit.inputs, fit.estimate.tolist(), fit.expected_variance.tolist(), strict=True):
+        kind = INDEX.sub("", each.name)
+        square, share = result.inputs.get(kind, (0.0, 0.0))
+        result.inputs[kind] = (square + (estimate / each.u) ** 2, share + expected / each.u**2)
+
+
+def _in_plane_angles(points: BsdfPoints, effects: Effects, fit: Fit, drawn: Drawn) -> tuple[float, float] | None:
+    """The error of the angle in the plane of incidence, deg, as drawn and as fitted; None without a slope there.
+
+    Both from the inputs of pose at the steepest value of that plane: what they change there over its slope.
+    """
+    slope = np.where(points.in_plane & np.isfinite(points.slope_along), np.abs(points.slope_along), 0.0)
+    k = int(np.argmax(slope))
+    if not slope[k] > 0.0:
+        return None
+    pairs = [(each, float(part.sensitivity[k, i])) for part in effects.dense for i, each in enumerate(part.inputs)]
+    for group in effects.groups:
+        of_point = zip(group.member[k].tolist(), group.sensitivity[k].tolist(), strict=True)
+        pairs += [(group.inputs[number], sensitivity) for number, sensitivity in of_point if number >= 0]
+    errors = [0.0, 0.0]
+    for each, sensitivity in pairs:
+        if each.unit in ("deg", "mm"):
+            try:
+                value = drawn[each.name]
+            except KeyError:
+                continue
+            errors[0] += sensitivity * value
+            errors[1] += sensitivity * fit.of(each.name)
+    return errors[0] / float(points.slope_along[k]), errors[1] / float(points.slope_along[k])

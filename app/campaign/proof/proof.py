@@ -1,0 +1,220 @@
+"""A proof: rig after rig on all cores, each result in a small file of its own, so that a proof that was stopped continues."""
+
+import contextlib
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from multiprocessing.connection import wait as wait_for
+from pathlib import Path
+from types import FrameType
+
+from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
+from goniotwin.app.campaign.proof.judgement import RigResult, judge
+from goniotwin.app.campaign.proof.totals import Totals
+from goniotwin.app.campaign.proof.virtual_rigs import drawn_rig, run_with_wires, run_without_wires, seeds_of, with_rig
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
+from goniotwin.app.errors import UserError, room_on_disk
+from goniotwin.app.formats import FormatError
+from goniotwin.app.formats.file import write_file
+from goniotwin.app.rig import RigDescription, parse_rig
+from goniotwin.app.rig.described_twin import described_twin
+
+ABOUT = "proof.json"
+RESULTS = 1
+"""Version of the results: files of another one are not counted together."""
+MOST_RIGS = 100_000
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What a proof runs: a schedule on virtual rigs of a rig file, with or without wires, with its results in a folder."""
+
+    schedule: ScheduleDescription
+    rig: RigDescription
+    rigs: int
+    folder: Path
+    wires: bool
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.rigs <= MOST_RIGS:
+            raise UserError(f"--rigs: {self.rigs} is not possible; give 1 to {MOST_RIGS}")
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds of the rigs."""
+        return list(seeds_of(self.rig, self.rigs))
+
+    def plan(self) -> NewPlan:
+        """The plan of all rigs. Raises UserError for what the rig cannot do, and for one without a twin."""
+        return make_plan(self.schedule, self._drawn(self.seeds[0]))
+
+    def result(self, plan: NewPlan, seed: int) -> RigResult:
+        """The result of one rig: a whole campaign, its reduction, and the comparison with the truth."""
+        try:
+            own = with_rig(plan, self._drawn(seed))
+            with tempfile.TemporaryDirectory(prefix="rig-", dir=self.folder) as folder:
+                path = Path(folder) / "rig.journal"
+                (run_with_wires if self.wires else run_without_wires)(own, path)
+                return judge(path, own)
+        except UserError as error:
+            return RigResult(seed, failed=str(error))
+
+    def _drawn(self, seed: int) -> RigDescription:
+        file = self.schedule.file
+        described = described_twin(self.rig, file.etalon, file.samples, {}).rig
+        return drawn_rig(described, file.etalon, seed, certified=file.certificate is not None)
+
+    def prepare(self) -> None:
+        """Make the folder, or check that it is of this proof. Raises UserError."""
+        about = {"results": RESULTS, "wires": self.wires, "of": self._digest()}
+        path = self.folder / ABOUT
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not path.exists():
+                if any(self.folder.iterdir()):
+                    raise UserError(f"{self.folder}: is not empty, and no folder of a proof; choose another one with --out")
+                write_file(path, json.dumps(about).encode())
+            elif json.loads(path.read_bytes()) != about:
+                wrong = f"{self.folder}: has results of another schedule, rig file or kind of proof"
+                raise UserError(f"{wrong}; choose another folder with --out, or delete this one")
+        except (OSError, FormatError) as error:
+            remedy = room_on_disk(error) if isinstance(error, OSError) else ""
+            raise UserError(f"{self.folder}: cannot be used: {error}; {remedy or 'choose another folder with --out'}") from None
+        except ValueError:
+            raise UserError(f"{path}: is damaged; delete the folder, or choose another one with --out") from None
+
+    def _digest(self) -> str:
+        texts = (self.schedule.text, self.schedule.certificate or "", self.rig.text)
+        return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+
+    def file(self, seed: int) -> Path:
+        """The file of a rig's result."""
+        return self.folder / f"rig-{seed:06d}.json"
+
+    def read(self, seed: int) -> RigResult | None:
+        """The result of a rig that is done; None for one that is not, or whose file is not whole."""
+        try:
+            return RigResult.from_dict(json.loads(self.file(seed).read_bytes()))
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
+            return None
+
+    def keep(self, result: RigResult) -> None:
+        """Write a result: under another name first, so that a file under its own name is whole. Raises UserError."""
+        path = self.file(result.seed)
+        spare = path.with_suffix(".part")
+        try:
+            spare.write_text(json.dumps(result.as_dict()), encoding="utf-8")
+            spare.replace(path)
+        except OSError as error:
+            raise UserError(
+                f"{path}: cannot be written: {error.strerror}; {room_on_disk(error) or 'check the folder'}"
+            ) from None
+
+
+def prove(proof: Proof, processes: int | None = None, report: Callable[[int], None] = lambda _: None) -> Totals:
+    """Run all rigs that are not done yet, and give the totals; `report` receives the number of rigs that are done.
+
+    `processes`: how many at once, all cores by default; 1 is this process itself. Raises UserError, and KeyboardInterrupt after
+    a Ctrl-C, when no process is left and every finished rig is kept.
+    """
+    plan = proof.plan()
+    proof.prepare()
+    results = {seed: result for seed in proof.seeds if (result := proof.read(seed)) is not None}
+    left = [seed for seed in proof.seeds if seed not in results]
+    report(len(results))
+    count = min(processes or os.cpu_count() or 1, len(left))
+    found = _here(proof, plan, left) if count <= 1 else _in_processes(proof, left, count)
+    with contextlib.closing(found):
+        for result in found:
+            proof.keep(result)
+            results[result.seed] = result
+            report(len(results))
+    return Totals([results[seed] for seed in proof.seeds])
+
+
+def _here(proof: Proof, plan: NewPlan, seeds: list[int]) -> Iterator[RigResult]:
+    for seed in seeds:
+        yield proof.result(plan, seed)
+
+
+def _in_processes(proof: Proof, seeds: list[int], count: int) -> Iterator[RigResult]:
+    """The results as they are done. At the end, and at a Ctrl-C, the processes are ended: a rig takes some seconds."""
+    context = multiprocessing.get_context("spawn")  # a fork would copy the locks of other threads
+    schedule, rig = proof.schedule, proof.rig
+    texts = (schedule.text, schedule.name, schedule.certificate), (rig.text, rig.folder, rig.name)
+    arguments = (*texts, proof.rigs, proof.folder, proof.wires)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=arguments)
+    waiting, running = iter(seeds), set[Future[RigResult]]()
+    try:
+        while True:
+            for seed in waiting:
+                running.add(pool.submit(_result, seed))
+                if len(running) >= 2 * count:
+                    break
+            if not running:
+                return
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for each in done:
+                yield each.result()
+    except BrokenProcessPool:
+        raise UserError("a process of the proof was ended from outside, for want of memory perhaps; run it again") from None
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        if running:
+            for process in multiprocessing.active_children():
+                process.terminate()  # an interrupt there: see `_Worker`
+        pool.shutdown(wait=True)
+
+
+class _Worker:
+    """The proof of a process. An end signal stops the campaign that runs, in order, and all that would follow."""
+
+    proof: Proof
+    plan: NewPlan
+    stopped = False
+    busy = False
+
+    @classmethod
+    def stop(cls, _signal: int, _frame: FrameType | None) -> None:
+        """Handle the end signal: no exception in the midst of the pool's own work."""
+        cls.stopped = True
+        if cls.busy:
+            raise KeyboardInterrupt
+
+
+def _begin(schedule: tuple[str, str, str | None], rig: tuple[str, Path, str], rigs: int, folder: Path, wires: bool) -> None:
+    """Prepare a process: texts, because the classes of a rig's tables are made while the program runs.
+
+    A Ctrl-C is the parent's business; after its death the process ends at once.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _Worker.stop)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+    parsed = replace(parse_schedule(*schedule[:2]), certificate=schedule[2])
+    _Worker.proof = Proof(parsed, parse_rig(*rig), rigs, folder, wires)
+    _Worker.plan = _Worker.proof.plan()
+
+
+def _end_with(sentinel: int) -> None:
+    wait_for([sentinel])
+    os._exit(1)
+
+
+def _result(seed: int) -> RigResult:
+    _Worker.busy = True
+    try:
+        if _Worker.stopped:
+            raise KeyboardInterrupt
+        return _Worker.proof.result(_Worker.plan, seed)
+    finally:
+        _Worker.busy = False

@@ -1,0 +1,234 @@
+"""The uncertainty budget of one value or one reflectance of a journal: its components, with what shares each of them."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.reflectance import Setting, integration_settings, quadrature
+from goniotwin.app.campaign.uncertainty.effects import Component
+from goniotwin.app.errors import UserError
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics import arc_direction
+
+NEAR_DEG = 0.05
+"""A direction further than this from all measured ones is another direction: angles are typed with two decimals or one."""
+NEIGHBOURS = 3
+ANGLES = ("theta", "phi", "zenith", "azimuth")
+NUMBERS = ("wavelength", "sigma", "gamma", *ANGLES, "photodiode")
+KEYS = ("sample", *NUMBERS, "light")
+Unit = Literal["1/sr", "1"]
+INTERPOLATION, FILLED = "interpolation", "directions without a value"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """A value with its standard uncertainty `u`, both in `unit`, and the components of u, the largest first.
+
+    The squares of the components add up to the square of u. `about` are remarks on the value.
+    """
+
+    title: str
+    value: float
+    u: float
+    unit: Unit
+    components: tuple[Component, ...]
+    about: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The budget for JSON."""
+        return {
+            "of": self.title,
+            "value": self.value,
+            "u": self.u,
+            "relative_u": abs(self.u / self.value) if self.value else None,
+            "unit": self.unit,
+            "components": [self._component(each) for each in self.components],
+            "about": list(self.about),
+        }
+
+    def _component(self, each: Component) -> dict[str, Any]:
+        result: dict[str, Any] = {
+            "name": each.name,
+            "u": each.u,
+            "relative_u": abs(each.u / self.value) if self.value else None,
+            "share": each.u**2 / self.u**2 if self.u else 0.0,
+            "sensitivity": each.sensitivity,
+        }
+        if each.input is None:
+            return {**result, "shared_by": "no other value"}
+        freedom = each.input.degrees_of_freedom
+        return {
+            **result, "shared_by": each.input.shared_by, "input_u": each.input.u, "input_unit": each.input.unit,
+            "distribution": each.input.distribution, "degrees_of_freedom": freedom if math.isfinite(freedom) else None,
+            "source": each.input.source,
+        }  # fmt: skip
+
+
+def parse_place(text: str) -> dict[str, str | float]:
+    """The keys and values of `--at sigma=30,zenith=35,azimuth=180`. Raises UserError."""
+    place: dict[str, str | float] = {}
+    for part in text.split(","):
+        key, equals, value = (each.strip() for each in part.partition("="))
+        if not equals or key not in KEYS:
+            raise UserError(f"--at {part.strip()!r}: write KEY=VALUE, with one of the keys {', '.join(KEYS)}")
+        if key in place:
+            raise UserError(f"--at {key}: is given twice; remove one of them")
+        place[key] = _number(key, value) if key in NUMBERS else value
+    if place.get("light", "reflected") not in ("reflected", "transmitted"):
+        raise UserError(f"--at light={place['light']}: is not reflected or transmitted")
+    return place
+
+
+def _number(key: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise UserError(f"--at {key}={value}: is not a number")
+    return number
+
+
+def budget_of_value(reduction: Reduction, place: Mapping[str, str | float]) -> Budget:
+    """The budget of the value measured at a place (see `parse_place`). Raises UserError where none was measured there."""
+    pair = ("theta", "phi") if "theta" in place or "phi" in place else ("zenith", "azimuth")
+    if missing := [key for key in pair if key not in place]:
+        raise UserError(f"--at: {' and '.join(missing)} is missing; give zenith and azimuth, or theta and phi")
+    if both := [key for key in ANGLES if key in place and key not in pair]:
+        raise UserError(f"--at {both[0]}: give either theta and phi, or zenith and azimuth")
+    name, points = _points_at(reduction, place)
+    distance = _distances_deg(points, float(place[pair[0]]), float(place[pair[1]]), pair[0] == "theta")
+    order = np.argsort(distance, kind="stable")
+    if not order.size or distance[order[0]] > NEAR_DEG:
+        raise UserError(
+            f"--at: no direction within {NEAR_DEG:g} deg of it was measured; the nearest are {_listed(points, order)}"
+        )
+    near = points.where(order[distance[order] <= NEAR_DEG])
+    chosen = int(np.argmax(near.good))
+    point = near.where(np.array([chosen]))
+    if not math.isfinite(point.bsdf[0]):
+        flags = ", ".join(flag for flag, marked in point.flags.items() if marked[0]) or "none"
+        raise UserError(f"--at: this direction has no value; its flags are {flags}")
+    about = [] if point.good[0] else [f"the value is flagged: {', '.join(f for f, m in point.flags.items() if m[0])}"]
+    if near.size > 1:
+        by = ", ".join(str(each) for each in sorted(set(near.photodiode.tolist())))
+        about.append(f"{near.size} values are of this direction, by photodiodes {by}; this is the first with a trusted value")
+    effects = effects_of(point, reduction.settings)
+    components = tuple(effects.budget(0))
+    title = (
+        f"{name}, {point.wavelength_nm[0]:g} nm, sigma {point.sigma_deg[0]:g}, gamma {point.gamma_deg[0]:g}, "
+        f"zenith {point.zenith_deg[0]:g}, azimuth {point.azimuth_deg[0]:g} deg (theta {point.theta_deg[0]:.4g}, phi "
+        f"{point.phi_deg[0]:.4g}; photodiode {point.photodiode[0]})"
+    )
+    return Budget(title, float(point.bsdf[0]), _root_sum(components), "1/sr", components, tuple(about))
+
+
+def budget_of_reflectance(reduction: Reduction, place: Mapping[str, str | float]) -> Budget:
+    """The budget of the directional-hemispherical reflectance at a place without a direction. Raises UserError."""
+    if given := [key for key in (*ANGLES, "photodiode") if key in place]:
+        raise UserError(f"--at {given[0]}: a reflectance is of all directions; remove it")
+    name, points = _points_at(reduction, place)
+    settings = list(integration_settings(points))
+    if len(settings) > 1:
+        raise UserError(
+            f"--at: {'; '.join(map(str, settings[:NEIGHBOURS]))}: choose one of them by sigma, wavelength, gamma, light"
+        )
+    if not settings:
+        raise UserError("--at: no direction has a trusted value there")
+    return reflectance(reduction, name, points, settings[0])
+
+
+def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Setting) -> Budget:
+    """The reflectance (or transmittance) of one setting of a sample's points, with its budget."""
+    here = points.where(setting.index)
+    rule = quadrature(here, reduction.schedule.symmetry)
+    used = np.flatnonzero(rule.weight != 0.0)
+    value = here.bsdf[used]
+    effects = effects_of(here.where(used), reduction.settings)
+    of_filled = float(np.sum((rule.obstructed + rule.extrapolated)[used] * np.abs(value)))
+    components = [
+        *effects.of_sum(rule.weight[used]),
+        Component(INTERPOLATION, rule.interpolation_error(here.bsdf), 1.0, None),
+        # What stands for a direction without a value is between nothing and twice as much: rectangular.
+        Component(FILLED, of_filled / math.sqrt(3.0), 1.0, None),
+    ]
+    components.sort(key=lambda each: -each.u)
+    total = float(np.sum(rule.weight[used] * value))
+    about = (
+        [] if rule.hemisphere else ["the measured directions do not cover the half sphere: this is an integral, no reflectance"]
+    )
+    if total:
+        parts = (("obstructed directions", rule.obstructed), ("beyond the outermost ring", rule.extrapolated))
+        about += [f"{np.sum(part[used] * value) / total:.2%} of it is of {title}" for title, part in parts]
+    kind = "transmittance" if setting.transmitted else "reflectance"
+    return Budget(
+        f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1", tuple(components), tuple(about)
+    )  # fmt: skip
+
+
+def finished_blocks(reduction: Reduction, sample: str) -> Iterator[BsdfPoints]:
+    """The points of a sample, finished, block by block: each block has whole settings."""
+    overlaps = reduction.overlaps(sample)
+    for block in reduction.blocks(sample):
+        yield reduction.finish(block.points, overlaps)
+
+
+def _points_at(reduction: Reduction, place: Mapping[str, str | float]) -> tuple[str, BsdfPoints]:
+    """The sample's name and its points at the wavelength, sigma and gamma of a place, all lights if none is given."""
+    samples = reduction.schedule.samples
+    name = str(place.get("sample", samples[0]))
+    if name not in samples or ("sample" not in place and len(samples) > 1):
+        known = ", ".join(samples)
+        raise UserError(f"--at sample{'=' + name if 'sample' in place else ''}: choose one of the journal's samples: {known}")
+    known_at: dict[str, set[float]] = {"wavelength_nm": set(), "sigma_deg": set(), "gamma_deg": set()}
+    wanted = {column: float(place[key]) for column in known_at if (key := column.split("_")[0]) in place}
+    found: list[BsdfPoints] = []
+    for points in finished_blocks(reduction, name):
+        chosen = np.ones(points.size, dtype=bool)
+        for column, each in known_at.items():
+            values = getattr(points, column)
+            each.update(np.unique(values).tolist())
+            if column in wanted:
+                chosen &= np.abs(values - wanted[column]) <= NEAR_DEG
+        if "light" in place:
+            chosen &= points.transmitted == (place["light"] == "transmitted")
+        if "photodiode" in place:
+            chosen &= points.photodiode == place["photodiode"]
+        if chosen.any():
+            found.append(points.where(chosen))
+    for column, each in known_at.items():
+        key, unit = column.split("_")
+        listed = ", ".join(f"{value:g}" for value in sorted(each))
+        if column in wanted and not any(abs(value - wanted[column]) <= NEAR_DEG for value in each):
+            raise UserError(f"--at {key}={wanted[column]:g}: {name} was not measured there, but at {listed or 'none'} {unit}")
+        if column not in wanted and len(each) > 1:
+            raise UserError(f"--at: {key} is missing; {name} was measured at {listed} {unit}")
+    if not found:
+        raise UserError(f"--at: {name} has no values there")
+    return name, join_points(found)
+
+
+def _distances_deg(points: BsdfPoints, first: float, second: float, specular: bool) -> Floats:
+    """Angles (n,) between the points' directions and one, which is given in specular or in rig coordinates."""
+    here = (points.theta_deg, points.phi_deg) if specular else (points.zenith_deg, points.azimuth_deg)
+    chord = np.linalg.norm(arc_direction(*here) - arc_direction(first, second), axis=1)
+    return np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+
+
+def _listed(points: BsdfPoints, order: np.ndarray) -> str:
+    """The first directions of an order, in words."""
+    kinds = dict.fromkeys(
+        f"zenith {points.zenith_deg[k]:g}, azimuth {points.azimuth_deg[k]:g} (theta {points.theta_deg[k]:.4g}, phi {points.phi_deg[k]:.4g})"
+        for k in order[: 4 * NEIGHBOURS].tolist()
+    )
+    return "; ".join(list(kinds)[:NEIGHBOURS]) or "none"
+
+
+def _root_sum(components: Sequence[Component]) -> float:
+    return math.sqrt(math.fsum(each.u**2 for each in components))

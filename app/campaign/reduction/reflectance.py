@@ -1,0 +1,163 @@
+"""Directional-hemispherical reflectance (or transmittance) of measured values: a sum with weights, so that its u follows.
+
+The integral of f cos(theta) over the half sphere that an arc looks at. On rings of one polar angle f is interpolated linearly
+over the azimuth, between rings linearly over the polar angle; cos(theta) sin(theta) is integrated exactly, so that a constant f
+has no error. Directions without a value stand for their neighbours on the ring, and the outermost ring for all beyond it:
+what these add is stated apart.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniotwin.app.campaign.geometry.directions import polar_from_zenith, round_azimuth
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
+from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, round_deg
+
+WIDEST_AZIMUTH_DEG, WIDEST_POLAR_DEG, LEAST_POLAR_DEG = 60.0, 15.0, 60.0
+"""Measured directions further apart than these, or none beyond the last, are no half sphere."""
+RICHARDSON = 3.0
+"""A rule of second order with half of the nodes is off by four times as much: their difference is three errors."""
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """Weights (n,) in sr of the values of one setting: their sum with the values is the reflectance.
+
+    `obstructed` and `extrapolated` are the parts of the weights that stand for directions without a value, and beyond the
+    outermost ring; `coarse` are the weights of a rule with every second ring and azimuth. `hemisphere`: whether the measured
+    directions cover a half sphere closely enough.
+    """
+
+    weight: Floats
+    obstructed: Floats
+    extrapolated: Floats
+    coarse: Floats
+    hemisphere: bool
+
+    def interpolation_error(self, value: Floats) -> float:
+        """The estimated error of the interpolation, in the unit of the sum."""
+        used = self.weight != 0.0
+        return abs(float(np.sum((self.weight - self.coarse)[used] * value[used]))) / RICHARDSON
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What one reflectance is of: values `index` with one wavelength, sigma, gamma and light."""
+
+    wavelength_nm: float
+    sigma_deg: float
+    gamma_deg: float
+    transmitted: bool
+    index: Ints
+
+    def __str__(self) -> str:
+        gamma = f", gamma {self.gamma_deg:g}" if self.gamma_deg else ""
+        return f"{self.wavelength_nm:g} nm, sigma {self.sigma_deg:g}{gamma} deg{', transmitted' if self.transmitted else ''}"
+
+
+def integration_settings(points: BsdfPoints) -> Iterator[Setting]:
+    """The settings of points that have good values."""
+    keys = round_deg(np.stack([points.wavelength_nm, points.sigma_deg, points.gamma_deg, points.transmitted], axis=1))
+    places, which = np.unique(keys, axis=0, return_inverse=True)
+    good = points.good
+    for k, (wavelength, sigma, gamma, transmitted) in enumerate(places.tolist()):
+        index = np.flatnonzero(which.ravel() == k)
+        if good[index].any():
+            yield Setting(wavelength, sigma, gamma, bool(transmitted), index)
+
+
+def quadrature(points: BsdfPoints, symmetry: StatedSymmetry) -> Quadrature:
+    """The weights of points of one setting; an isotropic sample has the same values on both sides of the plane of incidence."""
+    polar = round_deg(polar_from_zenith(points.zenith_deg))
+    folded = symmetry == "isotropic"
+    azimuth = round_deg(fold_azimuth(points.azimuth_deg)) if folded else round_azimuth(points.azimuth_deg)
+    azimuth = np.where(polar == 0.0, 0.0, azimuth)
+    rings, ring = np.unique(polar, return_inverse=True)
+    good = points.good
+    with_value = np.array([bool(good[ring == k].any()) for k in range(rings.size)])
+    all_rings, _ = _ring_weights(rings)
+    inside, beyond = np.zeros(rings.size), np.zeros(rings.size)
+    inside[with_value], beyond[with_value] = _ring_weights(rings[with_value])
+    weight, obstructed, extrapolated = (np.zeros(points.size) for _ in range(3))
+    widest = 0.0
+    for k in np.flatnonzero(with_value).tolist():
+        here = np.flatnonzero(ring == k)
+        own, filled, gap = _azimuth_shares(azimuth[here], good[here], folded)
+        widest = max(widest, gap if rings[k] > 0.0 else 0.0)
+        weight[here] = (inside[k] + beyond[k]) * (own + filled)
+        extrapolated[here] = beyond[k] * (own + filled)
+        obstructed[here] = inside[k] * filled + max(inside[k] - all_rings[k], 0.0) * own
+    known = rings[with_value]
+    apart = float(np.diff(known).max(initial=0.0))
+    covered = known.size > 1 and known[-1] >= LEAST_POLAR_DEG and apart <= WIDEST_POLAR_DEG
+    return Quadrature(
+        weight, obstructed, extrapolated, _coarse(rings, ring, azimuth, good & with_value[ring], folded),
+        bool(covered and widest <= WIDEST_AZIMUTH_DEG),
+    )  # fmt: skip
+
+
+def _coarse(rings: Floats, ring: Ints, azimuth: Floats, good: Flags, folded: bool) -> Floats:
+    """The weights with every second ring, from the outermost one inwards, and every second azimuth of a ring."""
+    result = np.zeros(azimuth.size)
+    with_value = np.unique(ring[good])
+    chosen = with_value[::-1][::2][::-1]
+    inside, beyond = _ring_weights(rings[chosen])
+    for k, total in zip(chosen.tolist(), (inside + beyond).tolist(), strict=True):
+        here = np.flatnonzero((ring == k) & good)
+        kept = np.isin(azimuth[here], np.unique(azimuth[here])[::2])
+        own, filled, _ = _azimuth_shares(azimuth[here], kept, folded)
+        result[here] = total * (own + filled)
+    return result
+
+
+def _ring_weights(rings_deg: Floats) -> tuple[Floats, Floats]:
+    """Integrals of cos sin over the polar angle of the piecewise linear functions that are 1 on one ring and 0 on all others.
+
+    Second: what the innermost ring has inside of it and the outermost one beyond it, up to 90 deg.
+    """
+    at = np.radians(rings_deg)
+    weight, beyond = np.zeros(at.size), np.zeros(at.size)
+    if at.size:
+        plain = 0.5 * np.sin(at) ** 2  # integral of cos sin, and of the angle times cos sin
+        first = 0.125 * np.sin(2.0 * at) - 0.25 * at * np.cos(2.0 * at)
+        width = np.diff(at)
+        rising = (np.diff(first) - at[:-1] * np.diff(plain)) / np.where(width == 0.0, 1.0, width)
+        weight[1:] += rising
+        weight[:-1] += np.diff(plain) - rising
+        weight[0] += plain[0]
+        beyond[-1] = 0.5 - plain[-1]
+    return weight, beyond
+
+
+def _azimuth_shares(azimuth_deg: Floats, good: Flags, folded: bool) -> tuple[Floats, Floats, float]:
+    """Shares (n,) in rad of the values of a ring, whose sum is 2 pi: their own, and those of directions without a value.
+
+    Values of one direction share its part. Third: the widest gap between directions with a value, deg.
+    """
+    nodes, node = np.unique(azimuth_deg, return_inverse=True)
+    having = np.zeros(nodes.size, dtype=bool)
+    having[node[good]] = True
+    of_all, _ = _arcs(nodes, folded)
+    of_good, gap = _arcs(nodes[having], folded)
+    counts = np.bincount(node[good], minlength=nodes.size)
+    own, filled = np.zeros(nodes.size), np.zeros(nodes.size)
+    own[having] = np.minimum(of_all[having], of_good)
+    filled[having] = of_good - own[having]
+    each = np.where(good, 1.0 / np.maximum(counts[node], 1), 0.0)
+    return own[node] * each, filled[node] * each, gap
+
+
+def _arcs(nodes_deg: Floats, folded: bool) -> tuple[Floats, float]:
+    """Integrals in rad over the azimuth of piecewise linear functions that are 1 at one node; and the widest gap, deg."""
+    if nodes_deg.size == 0:
+        return np.zeros(0), 360.0
+    if folded:
+        edges = np.concatenate([[0.0], 0.5 * (nodes_deg[1:] + nodes_deg[:-1]), [180.0]])
+        gap = max(float(np.diff(nodes_deg).max(initial=0.0)), 2.0 * float(nodes_deg[0]), 2.0 * (180.0 - float(nodes_deg[-1])))
+        return 2.0 * np.radians(np.diff(edges)), gap
+    apart = np.diff(nodes_deg, append=nodes_deg[0] + 360.0)
+    return np.radians(0.5 * (apart + np.roll(apart, 1))), float(apart.max())

@@ -1,0 +1,67 @@
+"""What was done before each row of a journal: mountings, moves of axes, dark readings. It says which rows share an error."""
+
+from collections import Counter
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+
+from goniotwin.app.campaign.journal.reading import ExecutedRow, JournalReader
+from goniotwin.arrays import Ints
+from goniotwin.twin.optics.geometry.coordinates import round_deg
+
+AXES = 4
+"""Gamma, sigma, beta and shift, the angles of a pose in their order."""
+
+
+class RowHistory:
+    """The history of a journal's rows as far as it goes; read when it is first asked for. Rows are named by their numbers."""
+
+    def __init__(self, journal: JournalReader) -> None:
+        self._journal = journal
+
+    def mountings(self, rows: Ints) -> list[str]:
+        """The mounting (n,) that each row was measured in: `paint#2` is the second one of the sample paint."""
+        names, table = self._read
+        return [names[k] for k in table[self._places(rows), 1].tolist()]
+
+    def moves(self, rows: Ints) -> Ints:
+        """For each row (n, 4) the number of moves of each axis so far: rows with one number have one position in common."""
+        return self._read[1][self._places(rows), 3 : 3 + AXES]
+
+    def darks(self, rows: Ints) -> Ints:
+        """For each row (n,) the number of dark readings before it."""
+        return self._read[1][self._places(rows), 2]
+
+    def _places(self, rows: Ints) -> Ints:
+        return np.searchsorted(self._read[1][:, 0], rows)
+
+    @cached_property
+    def _read(self) -> tuple[list[str], Ints]:
+        return history_of(self._journal.executed_rows())
+
+
+def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints]:
+    """Names of the mountings, and a table (rows, 7) by row: number, mounting, dark readings before it, moves of each axis.
+
+    Rows are in order of time. Every axis counts as moved where a sample is mounted, by hand, and in a further session of a
+    campaign, for it may have been referenced.
+    """
+    names, mounted, darks, session = ["before any mounting"], Counter[str](), 0, -1
+    moves, last = [0] * AXES, (np.nan,) * AXES
+    table = []
+    for row in rows:
+        if row.kind == "mount":
+            mounted[row.sample] += 1
+            names.append(f"{row.sample}#{mounted[row.sample]}")
+            last = (np.nan,) * AXES
+        darks += row.kind == "dark"
+        if row.session != session:
+            session, last = row.session, (np.nan,) * AXES
+        if row.pose is not None:
+            pose = tuple(round_deg(row.pose).tolist())
+            moves = [count + (now != before) for count, now, before in zip(moves, pose, last, strict=True)]
+            last = pose
+        table.append((row.number, len(names) - 1, darks, *moves))
+    found = np.array(table, dtype=np.int64).reshape(-1, 3 + AXES)
+    return names, found[np.argsort(found[:, 0], kind="stable")]

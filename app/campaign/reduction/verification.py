@@ -1,0 +1,270 @@
+"""Verification of measured values: against physics (reciprocity, energy) and against each other, with their covariances.
+
+A verdict `holds` or `fails`, with figures; where the schedule measures nothing for it, there is nothing to judge. The checks of
+symmetry, overlaps and drift are those of the reduction.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, round_azimuth
+from goniotwin.app.campaign.reduction.budget import Budget, reflectance
+from goniotwin.app.campaign.reduction.checks import ConsistencyChecks
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally, join_points, plausible
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
+from goniotwin.app.campaign.wording import number_list
+from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, incidence_deg, round_deg
+
+NOTHING = "nothing to judge"
+Outcome = Literal["holds", "fails", "nothing to judge"]
+MOST_U = 2.0
+"""A reflectance above 1 by so many standard uncertainties is not possible."""
+MOST_TOGETHER = 500
+"""Pairs whose full covariance is used; of more, so many are taken evenly."""
+MOST_PAIRS_AT_ONCE = 5_000
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One check by `name`: its verdict, the reason in one line, and its figures."""
+
+    name: str
+    verdict: Outcome
+    text: str
+    figures: dict[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The verdict for JSON."""
+        return {"name": self.name, "verdict": self.verdict, "text": self.text, **self.figures}
+
+
+def verify_journal(reduction: Reduction) -> list[Verdict]:
+    """All verdicts on a journal, by sample and check. Raises UserError as the reduction does."""
+    verdicts: list[Verdict] = []
+    tallies: dict[str, Tally] = {}
+    for name in reduction.schedule.samples:
+        of_sample = _Sample(reduction, name)
+        if not of_sample.tally.directions:
+            verdicts.append(Verdict(name, NOTHING, "no value of it has been measured"))
+            continue
+        tallies[name] = of_sample.tally
+        verdicts += of_sample.verdicts()
+    return [*verdicts, _drift(reduction, tallies)]
+
+
+class _Sample:
+    """The points of one sample, read once: what each check keeps of them."""
+
+    def __init__(self, reduction: Reduction, name: str) -> None:
+        self._reduction, self._name = reduction, name
+        self._checks: ConsistencyChecks = reduction.checks(name)
+        self.tally = Tally()
+        self._reciprocal: list[BsdfPoints] = []
+        self._energies: list[Budget] = []
+        self._shares: list[Floats] = []
+        self._obstructed: list[tuple[float, float, float]] = []
+        sigmas = grid_values(reduction.schedule.sigma_deg)
+        incidences = round_deg([incidence_deg(sigma) for sigma in sigmas])
+        overlaps = reduction.overlaps(name)
+        for block in reduction.blocks(name):
+            self._checks.add(block.points)
+            points = reduction.finish(block.points, overlaps)
+            self.tally.add(points)
+            of_sigmas = points.good & np.isin(round_deg(polar_from_zenith(points.zenith_deg)), incidences)
+            self._reciprocal.append(points.where(of_sigmas))
+            self._add_energy(points)
+            above_noise = points.good & ~points.flag("under-range") & np.isfinite(points.signature)
+            self._shares.append(points.signature[above_noise])
+
+    def verdicts(self) -> Iterator[Verdict]:
+        """The verdicts on this sample."""
+        yield self._reciprocity()
+        yield self._energy()
+        yield self._symmetry()
+        yield self._overlaps()
+        yield self._signature()
+        yield self._directions()
+
+    def _add_energy(self, points: BsdfPoints) -> None:
+        for setting in integration_settings(points):
+            here = points.where(setting.index)
+            rule = quadrature(here, self._reduction.schedule.symmetry)
+            value = np.where(rule.weight != 0.0, here.bsdf, 0.0)
+            total = float(np.sum(rule.weight * value))
+            self._obstructed.append(
+                (total, float(np.sum(rule.obstructed * value)), float(np.sum(rule.extrapolated * value)))
+            )  # fmt: skip
+            if rule.hemisphere:
+                self._energies.append(reflectance(self._reduction, self._name, points, setting))
+
+    def _reciprocity(self) -> Verdict:
+        name = f"reciprocity of {self._name}"
+        points = join_points(self._reciprocal)
+        one, other = reciprocal_pairs(points, self._reduction.schedule.symmetry)
+        if not one.size:
+            return Verdict(
+                name, NOTHING, "no pair of values has light and view exchanged; measure at zenith angles that are sigmas"
+            )
+        difference, u = _differences(points, one, other, self._reduction)
+        z = difference / u
+        k = int(np.argmax(np.abs(z)))
+        at = (
+            f"{points.wavelength_nm[one[k]]:g} nm, sigma {points.sigma_deg[one[k]]:g}, zenith {points.zenith_deg[one[k]]:g}, azimuth "
+            f"{points.azimuth_deg[one[k]]:g} deg"
+        )
+        worst, beyond = float(np.abs(z[k])), float(np.mean(np.abs(z) > MOST_U))
+        # Errors that values share make differences of one sign: chi-square needs the covariance of the pairs.
+        some = np.unique(np.linspace(0, one.size - 1, min(one.size, MOST_TOGETHER)).astype(np.int64))
+        covariance = _covariance_of_differences(points, one[some], other[some], self._reduction)
+        chi_square = float(difference[some] @ np.linalg.solve(covariance, difference[some]))
+        holds = plausible(z.size, 0.0, worst) and plausible(some.size, chi_square, 0.0)
+        text = (
+            f"{z.size} pairs, {beyond:.1%} of them differ by more than 2 u, worst {worst:.1f} u at {at}; chi-square of {some.size} "
+            f"pairs with their covariance {chi_square:.1f}"
+        )
+        figures = {
+            "pairs": int(z.size),
+            "judged": int(some.size),
+            "chi_square": chi_square,
+            "worst_u": worst,
+            "beyond_2u": beyond,
+        }
+        return Verdict(name, "holds" if holds else "fails", text, figures)
+
+    def _energy(self) -> Verdict:
+        name = f"energy of {self._name}"
+        if not self._energies:
+            return Verdict(name, NOTHING, "no half sphere of directions has been measured, so there is no reflectance")
+        z = [(each.value - 1.0) / each.u if each.u else math.inf * (each.value - 1.0) for each in self._energies]
+        k = int(np.argmax(z))
+        largest = self._energies[k]
+        setting = largest.title.rsplit(f"{self._name}, ", 1)[-1]
+        text = f"{len(z)} reflectances, the largest against 1 is {largest.value:.4f} (u {largest.u:.4f}), at {setting}"
+        listed = [{"of": each.title, "value": each.value, "u": each.u} for each in self._energies]
+        fails = z[k] > MOST_U
+        if fails:
+            text += f": more light than arrives, by {z[k]:.1f} u"
+        return Verdict(name, "fails" if fails else "holds", text, {"reflectances": listed, "largest_z": float(z[k])})
+
+    def _symmetry(self) -> Verdict:
+        name = f"symmetry of {self._name}"
+        result = self._checks.symmetry()
+        if result is None or not result.pairs:
+            return Verdict(name, NOTHING, str(result) if result is not None else "the schedule has no [symmetry_check]")
+        return Verdict(name, "holds" if result.holds else "fails", str(result), result.as_dict())
+
+    def _overlaps(self) -> Verdict:
+        name = f"overlaps of {self._name}"
+        result = self._checks.overlaps()
+        if not result.pairs:
+            return Verdict(name, NOTHING, "no direction was measured by two photodiodes")
+        factors = "; ".join(self._reduction.calibration_notes(result))
+        text = f"{result}; {factors}" if factors else str(result)
+        return Verdict(name, "holds" if result.agree else "fails", text, result.as_dict())
+
+    def _signature(self) -> Verdict:
+        name = f"instrument signature at {self._name}"
+        shares = np.concatenate(self._shares)
+        if not shares.size:
+            return Verdict(name, NOTHING, "no signal without a sample was measured")
+        u = self._reduction.rig.file.sample_unit.signature_uncertainty
+        median, largest = float(np.median(shares)), float(np.max(shares))
+        text = f"median {median:.2%}, at most {largest:.2%} of a signal above its noise; subtracted, and known to {u:.2g} of itself"
+        return Verdict(name, "holds", text, {"median_share": median, "largest_share": largest})
+
+    def _directions(self) -> Verdict:
+        blocked, all_of = self.tally.flagged["shadowed"], self.tally.directions
+        total, obstructed, extrapolated = np.sum(self._obstructed, axis=0) if self._obstructed else np.zeros(3)
+        name = f"obstructed directions of {self._name}"
+        if not total > 0.0:
+            return Verdict(name, NOTHING, f"{blocked} of {all_of} directions are blocked, and no integral is above zero")
+        shares = {"obstructed_energy": float(obstructed / total), "extrapolated_energy": float(extrapolated / total)}
+        text = (
+            f"{blocked} of {all_of} directions are blocked by the mirror unit; {shares['obstructed_energy']:.2%} of the energy is "
+            f"interpolated there, {shares['extrapolated_energy']:.2%} is beyond the last directions"
+        )
+        return Verdict(name, "holds", text, {"blocked": blocked, "directions": all_of, **shares})
+
+
+def reciprocal_pairs(points: BsdfPoints, symmetry: StatedSymmetry) -> tuple[Ints, Ints]:
+    """Indices of the pairs of values with light and view exchanged, each pair once.
+
+    In the sample's frame the light comes from the azimuth -gamma, and the view is at the azimuth phi - gamma: exchanged, gamma
+    becomes gamma - phi and phi becomes -phi. What the stated symmetry makes alike counts as one.
+    """
+    lit, seen = points.back, is_lower(points.zenith_deg)
+    incidence = round_deg([incidence_deg(sigma) for sigma in points.sigma_deg.tolist()])
+    polar = round_deg(polar_from_zenith(points.zenith_deg))
+    azimuth = np.where((polar == 0.0) | (incidence == 0.0), 0.0, round_azimuth(points.azimuth_deg))
+    gamma = round_azimuth(points.gamma_deg)
+
+    def keys(light: Flags, i: Floats, view: Flags, r: Floats, turned: Floats, phi: Floats) -> Floats:
+        turned, phi = round_azimuth(turned), round_azimuth(phi)
+        if symmetry == "isotropic":
+            turned, phi = np.zeros(phi.size), round_deg(fold_azimuth(phi))
+        elif symmetry == "plane-symmetric":
+            other = round_azimuth(-turned), round_azimuth(-phi)
+            swap = (other[0] < turned) | ((other[0] == turned) & (other[1] < phi))
+            turned, phi = np.where(swap, other[0], turned), np.where(swap, other[1], phi)
+        return np.stack([round_deg(points.wavelength_nm), light, i, view, r, turned, phi], axis=1)
+
+    own = keys(lit, incidence, seen, polar, gamma, azimuth)
+    exchanged = keys(seen, polar, lit, incidence, gamma - azimuth, -azimuth)
+    _, number = np.unique(np.concatenate([own, exchanged]), axis=0, return_inverse=True)
+    number = number.ravel()
+    of_own, of_exchanged = number[: points.size], number[points.size :]
+    first: dict[int, int] = {}
+    for k, each in enumerate(of_own.tolist()):
+        first.setdefault(each, k)
+    found = [
+        (k, first[partner])
+        for k, (each, partner) in enumerate(zip(of_own.tolist(), of_exchanged.tolist(), strict=True))
+        if each < partner and partner in first
+    ]
+    pairs = np.array(found, dtype=np.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _differences(points: BsdfPoints, one: Ints, other: Ints, reduction: Reduction) -> tuple[Floats, Floats]:
+    """Differences (m,) of pairs of values, and their standard uncertainties with the covariance of the two."""
+    differences, variances = [], []
+    for begin in range(0, one.size, MOST_PAIRS_AT_ONCE):
+        a, b = one[begin : begin + MOST_PAIRS_AT_ONCE], other[begin : begin + MOST_PAIRS_AT_ONCE]
+        used, place = np.unique(np.concatenate([a, b]), return_inverse=True)
+        a, b = place.ravel()[: a.size], place.ravel()[a.size :]
+        effects = effects_of(points.where(used), reduction.settings)
+        own = [effects.paired_covariance(each, each) for each in (a, b)]
+        variances.append(own[0] + own[1] - 2.0 * effects.paired_covariance(a, b))
+        differences.append(effects.value[a] - effects.value[b])
+    return np.concatenate(differences), np.sqrt(np.maximum(np.concatenate(variances), np.finfo(float).tiny))
+
+
+def _covariance_of_differences(points: BsdfPoints, one: Ints, other: Ints, reduction: Reduction) -> Floats:
+    """Covariance matrix (m, m) of the differences of pairs of values."""
+    used, place = np.unique(np.concatenate([one, other]), return_inverse=True)
+    a, b = place.ravel()[: one.size], place.ravel()[one.size :]
+    effects = effects_of(points.where(used), reduction.settings)
+    crossed = effects.covariance(a, b)
+    return effects.covariance(a, a) + effects.covariance(b, b) - crossed - crossed.T
+
+
+def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:
+    if reduction.schedule.drift is None:
+        return Verdict("drift", NOTHING, "the schedule has no [drift]")
+    intervals = [str(each) for each in reduction.drift_intervals]
+    unchecked = {name: number_list(photodiodes) for name, photodiodes in reduction.unchecked(tallies).items()}
+    listed = "; ".join(f"photodiodes {photodiodes} of {name}" for name, photodiodes in unchecked.items())
+    text = "; ".join(intervals) or "every check is within the limit"
+    return Verdict(
+        "drift", "fails" if intervals else "holds", f"{text}; not covered: {listed}" if listed else text,
+        {"intervals": intervals, "unchecked": unchecked},
+    )  # fmt: skip

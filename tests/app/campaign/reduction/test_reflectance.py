@@ -1,0 +1,65 @@
+"""The reflectance of measured values: exact for a constant, right for a lobe, and what directions without a value add."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.optics import albedo, arc_direction, evaluate, gaussian, light_direction
+from tests.app.campaign.reduction.made_points import made_points
+
+
+def _grid(rings: Floats, azimuths: Floats) -> tuple[Floats, Floats]:
+    zenith, azimuth = (each.ravel() for each in np.meshgrid(rings, azimuths, indexing="ij"))
+    return zenith, azimuth
+
+
+def _points(zenith: Floats, azimuth: Floats, bsdf: Floats, shadowed: Flags | None = None) -> BsdfPoints:
+    return made_points(30.0, zenith, azimuth, bsdf, 0.01, {} if shadowed is None else {"shadowed": shadowed})
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(0.0, 89.0), min_size=1, max_size=9, unique=True), st.integers(1, 12), st.integers(0, 99))
+def test_a_constant_is_integrated_exactly_whatever_is_missing(rings: list[float], azimuths: int, seed: int) -> None:
+    zenith, azimuth = _grid(np.sort(rings), 360.0 * np.arange(azimuths) / azimuths)
+    bad = np.random.default_rng(seed).random(zenith.size) < 0.3
+    bad[0] = False
+    for symmetry in ("isotropic", "anisotropic"):
+        result = quadrature(_points(zenith, azimuth, np.full(zenith.size, 0.2), bad), symmetry)  # type: ignore[arg-type]
+        assert result.weight.sum() == pytest.approx(np.pi, rel=1e-9)
+        assert result.coarse.sum() == pytest.approx(np.pi, rel=1e-9)
+        assert np.all(result.weight >= 0.0)
+        assert np.all(result.weight[bad] == 0.0)
+        assert np.all(result.obstructed + result.extrapolated <= result.weight + 1e-12)
+
+
+@pytest.mark.parametrize("azimuths", [np.arange(0.0, 360.0, 5.0), np.arange(0.0, 181.0, 5.0)])
+def test_a_lobe_has_the_reflectance_of_its_model(azimuths: Floats) -> None:
+    sample = gaussian(15.0, reflectance=0.7)
+    zenith, azimuth = _grid(np.arange(0.0, 90.0, 2.5), azimuths)
+    value = evaluate(sample, light_direction(30.0), arc_direction(zenith, azimuth))
+    points = _points(zenith, azimuth, value)
+    symmetry = "isotropic" if azimuths[-1] == 180.0 else "anisotropic"
+    result = quadrature(points, symmetry)  # type: ignore[arg-type]
+    expected = albedo(sample, 30.0)
+    error = abs(float(np.sum(result.weight * value)) - expected)
+    assert result.hemisphere
+    assert error < 0.01 * expected
+    assert error < 3.0 * result.interpolation_error(value)
+    (setting,) = integration_settings(points)
+    assert str(setting) == "550 nm, sigma 30 deg"
+
+
+def test_blocked_directions_and_those_beyond_the_last_ring_are_stated() -> None:
+    zenith, azimuth = _grid(np.arange(0.0, 81.0, 5.0), np.arange(0.0, 360.0, 15.0))
+    blocked = (azimuth == 30.0) & (zenith > 20.0)
+    value = np.full(zenith.size, 1.0 / np.pi)
+    result = quadrature(_points(zenith, azimuth, value, blocked), "anisotropic")
+    one_azimuth = (np.sin(np.radians(80.0)) ** 2 - np.sin(np.radians(22.5)) ** 2) / 24.0
+    assert float(np.sum(result.obstructed * value)) == pytest.approx(one_azimuth, rel=0.02)
+    assert float(np.sum(result.extrapolated * value)) == pytest.approx(np.cos(np.radians(80.0)) ** 2, rel=1e-9)
+    in_plane = _points(*_grid(np.arange(0.0, 81.0, 5.0), np.array([0.0, 180.0])), np.full(34, 0.3))
+    assert not quadrature(in_plane, "isotropic").hemisphere
