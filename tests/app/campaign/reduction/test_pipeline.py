@@ -26,7 +26,7 @@ PER_DECADE = 0.02
 """Relative uncertainty for each decade between the signals of sample and etalon; made up."""
 NAMES = {
     "noise", "lamp", "dark", "resolution", "crosstalk", "etalon_reading", "monitor", "gain", "linearity", "certificate",
-    "field",
+    "field", "field_noise", "second_order", "slope_unresolved", "pose", "position", "photodiode_angle",
 }  # fmt: skip
 Measured = tuple[Plan, Path, list[Event]]
 
