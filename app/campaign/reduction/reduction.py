@@ -25,6 +25,7 @@ from goniotwin.app.campaign.reduction.etalon import (
     monitor_variance,
     reference_keys,
 )
+from goniotwin.app.campaign.reduction.evidence import SignalEvidence
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.point_file import PointFile
@@ -213,8 +214,7 @@ class Reduction:
         """Remarks on the reduction, for the reader of the values, from the tallies of all blocks, by sample."""
         without_etalon = {name: rows for name in self.schedule.samples if (rows := self._without_etalon(name))}
         notes = list(missing_notes(self.journal, without_etalon))
-        notes += self._measurements.evidence.notes
-        notes += [verdict.text for verdict in self._measurements.evidence.verdicts]
+        notes += [*self.evidence.notes, *(verdict.text for verdict in self.evidence.verdicts)]
         notes += [str(interval) for interval in self.drift_intervals]
         transmitted = any(tally.transmitted for tally in tallies.values())
         subtracted = any(tally.signature_subtracted for tally in tallies.values())
@@ -238,6 +238,11 @@ class Reduction:
                 f"the light was traced by the forward estimator; median relative error {error:.2g}, included in the uncertainty"
             )
         return notes + [unchecked_note(name, photodiodes) for name, photodiodes in self.unchecked(tallies).items()]
+
+    @property
+    def evidence(self) -> SignalEvidence:
+        """What the rows show of noise, gains and modules."""
+        return self._measurements.evidence
 
     @property
     def drift_intervals(self) -> list[DriftInterval]:

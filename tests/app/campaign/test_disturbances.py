@@ -69,6 +69,10 @@ LAMP, GAINS = (
     (("[twin.light]", "[twin.light]\nflicker = 0.02"),),
     (("[twin.light]", "[twin.electronics]\ngain_spread = 0.02\n\n[twin.light]"),),
 )
+NOT_LINEAR, CROSSTALK = (
+    (("[twin.light]", f"[twin.disturbances]\n{key}\n\n[twin.light]"),)
+    for key in ("linearity_per_decade = 1e-3", "crosstalk = 1e-5")
+)
 SLOW, VERY_SLOW = (
     (("[twin.light]", f"[twin.electronics]\nsettling_s = {settling_s}\n\n[twin.light]"),) for settling_s in (0.06, 0.3)
 )
@@ -122,6 +126,9 @@ CASES = (
     Case("amplifiers of 0.06 s", "flagged", rig=SLOW),
     Case("amplifiers of 0.3 s", "flagged", sample="gaussian-15", gains=WIDE, rig=VERY_SLOW),
     Case("amplifiers of 0.3 s", "flagged", rig=VERY_SLOW),
+    Case("photodiodes that are not linear", "corrected", rig=NOT_LINEAR),
+    Case("photodiodes that are not linear", "corrected", sample="gaussian-15", gains=WIDE, rig=NOT_LINEAR),
+    Case("cross-talk in a module", "corrected", sample="gaussian-5", gains=WIDE, rig=CROSSTALK),
     Case("saturation at the peak, one gain", "flagged", sample="gaussian-15", gains="[1e11]"),
     Case("saturation at the peak, auto-range", "corrected", sample="gaussian-15", gains='"automatic"'),
 )  # fmt: skip
@@ -213,7 +220,7 @@ def check_result(found: CaseResult) -> None:
 
 FIRST = [case for k, case in enumerate(CASES) if case.name not in [each.name for each in CASES[:k]]]
 """Each disturbance with one sample. The others, and more directions, are in the table."""
-LONG_CASES = [case for case in FIRST if case.rig in (FRAMES, LIFTED, GAINS, VERY_SLOW)]
+LONG_CASES = [case for case in FIRST if case.rig in (FRAMES, LIFTED, GAINS, VERY_SLOW, NOT_LINEAR, CROSSTALK)]
 """Stray light is traced, which takes longer than the run; of the faults of amplifiers one is enough."""
 
 

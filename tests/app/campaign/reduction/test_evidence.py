@@ -15,13 +15,18 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import compare_signals
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import linearity_variance
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
 from goniotwin.app.campaign.reduction.readings import DarkHistory, collect
+from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.row import CommittedRow, Reading, Row, RowData
+from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigFile, read_rig
 from goniotwin.arrays import Floats
+from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG
+from tests.conftest import SMALL as SCHEDULE
 
 RIG_FILE = read_rig(RIG).file
 LOW, HIGH = 1e8, 1e10
@@ -129,10 +134,10 @@ def deviations(drawn: Drawn, evidence: SignalEvidence) -> Floats:
 
 
 CASES = {
-    "its amplifiers' noise": Drawn(rows=50),
+    "its amplifiers' noise": Drawn(rows=150),
     "each photodiode's own": Drawn(rows=50, own=0.02),
     "the lamp": Drawn(rows=50, lamp=0.02),
-    "both": Drawn(rows=50, own=0.01, lamp=0.01),
+    "both": Drawn(rows=150, own=0.01, lamp=0.01),
 }
 
 
@@ -145,10 +150,10 @@ def test_intervals_hold_the_truth_whatever_makes_the_noise(name: str) -> None:
     evidence = drawn.evidence
     z = deviations(drawn, evidence)
     assert z.size > 1000
-    assert 0.9 < float(np.mean(z**2)) < 1.12
+    assert 0.87 < float(np.mean(z**2)) < 1.15
     assert float(np.mean(np.abs(z) < 1.96)) == pytest.approx(0.95, abs=0.02)
     if drawn.own or drawn.lamp:  # the dark readings do not know of it
-        assert float(np.mean(np.abs(deviations(drawn, plain(drawn))) < 1.96)) < 0.75
+        assert float(np.mean(np.abs(deviations(drawn, plain(drawn))) < 1.96)) < 0.88
     assert math.sqrt(evidence.own) == pytest.approx(drawn.own, rel=0.05, abs=2e-3)
     assert math.sqrt(evidence.lamp) == pytest.approx(drawn.lamp, rel=0.1, abs=2e-3)
     assert evidence.verdicts == evidence.notes == ()
@@ -340,6 +345,23 @@ def test_the_monitors_scale_does_not_matter(scale: float) -> None:
 
 
 # ---- cross-talk, linearity, monitor ----
+
+
+def test_lamp_linearity_and_cross_talk_are_divided_among_their_inputs() -> None:
+    """The lamp is one input a row, cross-talk one for all, linearity one for all with a sign: darker values fall."""
+    n = 12
+    points = made_points(30.0, np.linspace(0.0, 55.0, n), np.zeros(n), np.where(np.arange(n) < 6, 0.01, 2.0), 1e-3)
+    u = {"lamp": 0.004, "linearity": 0.002, "crosstalk": 0.001}
+    components = {**points.components, **{name: (each * points.bsdf) ** 2 for name, each in u.items()}}
+    points = replace(points, components=components, row=np.arange(n) // 2, etalon_row=100 + np.arange(n) // 2)
+    effects = effects_of(points, reduction_settings(RIG_FILE, parse_schedule(SCHEDULE, "small.toml").file, None, ""))
+    variances = effects.variances()
+    for name, each in u.items():
+        assert variances[name] == pytest.approx((each * points.bsdf) ** 2, rel=1e-12)
+    # Points 0 and 1 are of one row, 0 and 2 of two rows, 0 and 8 on two sides of the etalon's brightness.
+    relative = effects.covariance(np.array([0]), np.array([1, 2, 8]))[0] / (points.bsdf[0] * points.bsdf[[1, 2, 8]])
+    lamp, linearity, crosstalk = (each**2 for each in u.values())
+    assert relative == pytest.approx([lamp + linearity + crosstalk, linearity + crosstalk, crosstalk - linearity], rel=1e-9)
 
 
 def with_uncertainty(**keys: float) -> RigFile:
