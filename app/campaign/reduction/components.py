@@ -4,8 +4,9 @@ A component is the *variance* that one named contribution (`noise`, `monitor`, `
 the value's unit, in an array of the value's shape. Variances, because the contributions of a value are uncorrelated: they add,
 and a component of several inputs (the dark readings before and after) needs no more room than one. Absolute, because a value
 may be 0 or negative. What two quantities of one quotient share is removed where the quotient is made (the instrument signature
-of sample and etalon). Sensitivities to inputs that *values* share are not kept yet; a step that has them adds them here.
-Until then a component is wholly shared between neighbouring directions or, if it is in INDEPENDENT, not at all.
+of sample and etalon). Which inputs a component is made of, and which values share them, is recomputed where it is needed
+(effects_of_points.py). For tables a component is wholly shared between neighbouring directions or, if it is in INDEPENDENT, not
+at all.
 """
 
 from collections.abc import Mapping
@@ -47,8 +48,11 @@ def interval(value: Floats, u: Floats, coverage: float = COVERAGE) -> tuple[Floa
 
 
 COMMON = frozenset(
-    {"etalon_age", "etalon_edge", "mounting", "uniformity", "wavelength", "bandwidth", "monochromator_stray", "polarisation"}
-)
+    {
+        "etalon_age", "etalon_edge", "open_beam", "mounting", "uniformity", "wavelength", "bandwidth", "monochromator_stray",
+        "polarisation",
+    }
+)  # fmt: skip
 """Components whose errors are the same for two values of one direction, or of a direction and its mirror image."""
 
 

@@ -233,7 +233,8 @@ class BsdfPoints(MeasuredDirections):
         """
         others = {name: each for name, each in self.components.items() if name != "certificate" and name not in COMMON}
         certificate = self.components.get("certificate", np.zeros(self.bsdf.size)) - (common * self.bsdf) ** 2
-        return np.maximum(total_variance({**others, "certificate": certificate}), 0.0)
+        # Where the open beam is the scale, the certificate has no part in it.
+        return total_variance({**others, "certificate": np.maximum(certificate, 0.0)})
 
     @property
     def u_field(self) -> Floats:

@@ -153,6 +153,8 @@ def repeatability(points: BsdfPoints, settings: ReductionSettings) -> Effects | 
 
 def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """That the light is polarised, for a sample whose diattenuation the schedule states: without it this is not in u."""
+    if not any(settings.schedule.diattenuation.values()):
+        return None
     names, which = mounted("sample", points.row, settings)
     of_mounting = [name.rpartition("#")[0] for name in names]
     q, _ = light_state(settings.rig.light, points.sigma_deg)

@@ -24,6 +24,7 @@ from goniotwin.app.campaign.reduction.closure import (
     scanned_beam,
 )
 from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
 from goniotwin.app.campaign.reduction.reduction import Reduction
@@ -405,6 +406,7 @@ def test_transmitted_light_can_be_scaled_by_the_open_beam_and_the_export_states_
         own = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
         closures = {(each.wavelength_nm, each.beam.scan.sigma_deg): each for each in reduction.closure().closures}
         notes = reduction.notes({"opal": tally_of(own)})
+        variances = effects_of(own.where(own.good), reduction.settings).variances()
         reduction.settings = replace(reduction.settings, absolute={})
         by_etalon = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
     assert sorted(closures) == [(450.0, 22.0), (550.0, 22.0)]
@@ -414,7 +416,9 @@ def test_transmitted_light_can_be_scaled_by_the_open_beam_and_the_export_states_
         assert at.any()
         assert own.bsdf[at] == pytest.approx(by_etalon.bsdf[at] * closure.ratio, rel=1e-12)
         assert own.budget["open_beam"][at] == pytest.approx(closure.u_absolute * own.bsdf[at], rel=1e-12)
-        assert not own.budget["certificate"][at].any()
+        for name in ("certificate", "etalon_age", "etalon_edge"):
+            assert not own.budget[name][at].any()
+    assert np.sum(list(variances.values()), axis=0) == pytest.approx(own.u_bsdf[own.good] ** 2, rel=1e-12)
     low = own.sigma_deg == 5.0
     assert own.bsdf[low] == pytest.approx(by_etalon.bsdf[low], rel=1e-15, nan_ok=True)
 

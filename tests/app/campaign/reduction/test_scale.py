@@ -164,12 +164,27 @@ def test_a_mounting_is_common_to_a_sample_and_that_of_the_etalon_to_all_samples(
 
 def test_a_mean_of_repeats_has_half_the_variance_of_the_samples_rows_and_all_of_the_etalons() -> None:
     points = points_at([500.0, 500.0, 510.0], [0.0, 0.0, 0.0])
+    points = replace(points, row=np.array([10, 11, 12]), etalon_row=np.array([3, 3, 4]))
     effects = repeatability(points, settings(repeatability=0.01))
     assert effects is not None
     assert effects.variances()["repeatability"] == pytest.approx(np.full(3, 4.0 * 2e-4))
     assert effects.covariance(np.array([0, 0]), np.array([1, 2]))[0] == pytest.approx([4e-4, 0.0])
     mean = effects.of_sum(np.array([0.5, 0.5, 0.0]))
     assert sum(each.u**2 for each in mean) == pytest.approx(4.0 * 1.5e-4)
+
+
+def test_the_open_beam_takes_the_place_of_certificate_age_and_edge_where_it_is_the_scale() -> None:
+    """Transmitted light at one wavelength and sigma; the other points have the certificate."""
+    points = points_at([500.0, 500.0, 510.0], [120.0, 40.0, 120.0])
+    points = replace(points, transmitted=np.array([True, False, True]))
+    of = replace(settings(OLD), absolute={(500.0, 30.0, True): (1.01, 0.006), (500.0, 30.0, False): (1.02, 0.1)})
+    found = add_shared(points, of)
+    assert found.budget["open_beam"] == pytest.approx([2.0 * 0.006, 0.0, 0.0])
+    for name in ("certificate", "etalon_age", "etalon_edge"):
+        assert (found.budget[name] > 0.0).tolist() == [False, True, True]
+    back = add_shared(replace(points, back=np.ones(3, dtype=bool)), of)
+    assert back.budget["open_beam"] == pytest.approx([2.0 * 0.1, 0.0, 0.0])
+    assert np.all(found.own_variance(0.003) >= found.components["noise"])
 
 
 def test_what_is_zero_or_unknown_is_no_component() -> None:
