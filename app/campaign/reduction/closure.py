@@ -525,7 +525,7 @@ def _noise(
     weight = beam.scan.solid_angle_sr / beam.total
     independent, shared = np.zeros(1), 0.0
     for name, variance in scanned.components.items():
-        if name == "noise":
+        if name in ("noise", "lamp"):  # each pose is a row
             independent = independent + np.sum(weight**2 * variance)
         else:
             shared += float(np.sum(weight * np.sqrt(variance))) ** 2

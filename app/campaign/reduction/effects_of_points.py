@@ -8,7 +8,6 @@ parts of a family sum to its variance. FAMILIES and ALONE name every component o
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.evidence import LEAST_CERTIFIED
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
-from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, incidence_deg, mounted
+from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, incidence_deg, mounted
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.campaign.uncertainty.pose import (
@@ -269,7 +268,7 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
         return part.relative(along, across)
 
     dense = [Dense(rig_inputs(table), relative(effects.common))]
-    kinds: Sequence[tuple[Literal["sample", "etalon"], Ints, Displacement]] = (
+    kinds: Sequence[tuple[Kind, Ints, Displacement]] = (
         ("sample", points.row, effects.sample), ("etalon", points.etalon_row, effects.etalon),
     )  # fmt: skip
     for kind, rows, part in kinds:

@@ -7,7 +7,7 @@ error of the etalon is how much more light it gives than the certificate states:
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
 
+Kind = Literal["sample", "etalon"]
 EffectsOf = Callable[[BsdfPoints, ReductionSettings], Effects | None]
 ALL, FILE = "all values", "the certificate's file"
 
@@ -167,7 +168,7 @@ def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | N
     return Effects(points.bsdf, {}, (), dense) if dense else None
 
 
-def mounted(kind: Literal["sample", "etalon"], rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
+def mounted(kind: Kind, rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
     """The mountings, as `paint#2`, in which rows (n,) of the sample or of the etalon were measured, and which of them each."""
     if settings.history is not None:
         return settings.history.mounted(rows)
@@ -184,11 +185,12 @@ def _of_scale(name: str, u: float, points: BsdfPoints, settings: ReductionSettin
 def _of_mountings(name: str, u: float, points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     if not u:
         return None
-    dense = []
-    for kind, rows, shared_by, sign in (
+    dense: list[Dense] = []
+    kinds: Sequence[tuple[Kind, Ints, str, float]] = (
         ("sample", points.row, "all values of this mounting", 1.0),
         ("etalon", points.etalon_row, "all values that divide by this mounting", -1.0),
-    ):
+    )
+    for kind, rows, shared_by, sign in kinds:
         names, which = mounted(kind, rows, settings)
         dense += [
             _shared(f"{name}@{each}", u, np.where(which == k, sign, 0.0), shared_by, "", name) for k, each in enumerate(names)
