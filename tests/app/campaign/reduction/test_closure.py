@@ -270,7 +270,9 @@ def test_a_campaign_closes_at_the_scans_wavelength_and_at_the_other(closed: tupl
     for each in report.closures:
         assert each.ratio == pytest.approx(1.0, abs=0.004)  # the virtual rig has no errors of angles, holes or linearity
         assert 0.006 < each.u < 0.01
-        assert each.u_absolute == pytest.approx(math.sqrt(each.u**2 - 0.002**2), rel=1e-9)
+        assert each.u_absolute == pytest.approx(
+            math.sqrt(each.u**2 - 0.002**2 - 0.001**2 - 0.002**2), rel=1e-9
+        )  # certificate, age, edge
         assert each.verdict == "the two scales agree"
         parts = {part.name: part for part in each.components}
         assert parts["certificate"].u == pytest.approx(0.002)

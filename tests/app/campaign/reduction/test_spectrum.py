@@ -60,7 +60,8 @@ def arc_rows(values: Floats, etalon: Floats, at: Floats = AT, noise: float = 1e-
     signal = Signal(etalon, {"noise": np.zeros(values.shape)}, np.zeros(values.shape, dtype=np.int64))
     estimate = Estimate(values, {"noise": (noise * values) ** 2})
     return ArcRows(
-        tuple(rows), (), np.full((at.size, 1), 30.0), none, estimate, signal, signal, signal, signal, none[:, :1], none[:, :1],
+        tuple(rows), tuple(range(len(rows))), (), np.full((at.size, 1), 30.0), none,
+        estimate, signal, signal, signal, signal, none[:, :1], none[:, :1],
         unknown, unknown, unknown, unknown, {},
     )  # fmt: skip
 
