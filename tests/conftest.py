@@ -71,12 +71,25 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks whatever serves a rig as `endpoint`, and puts all those first."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, None, None]:
+    """Marks whatever serves a rig as `endpoint`, and puts all those first. What is `early` comes first among these.
+
+    The first worker has them: another one that steals tests takes the last ones, and has a lower priority. The last worker
+    begins with what else is `early`.
+    """
     for item in items:
         if {"serve", "forked_serve"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.endpoint)
-    items.sort(key=lambda item: item.get_closest_marker("endpoint") is None)
+    items.sort(key=lambda item: [item.get_closest_marker(name) is None for name in ("endpoint", "early")])
+    yield  # what is not selected is left out
+    names = [[marker.name for marker in item.iter_markers()] for item in items]
+    early = [item for item, has in zip(items, names, strict=True) if "early" in has and "endpoint" not in has]
+    others = [item for item in items if item not in early]
+    first = 0  # of the tests that pytest-xdist gives to the last worker
+    for left in range(int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")), 1, -1):
+        first += (len(items) - first) // left
+    items[:] = [*others[:first], *early, *others[first:]]
 
 
 @pytest.fixture
