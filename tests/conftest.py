@@ -82,7 +82,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, N
         if {"serve", "forked_serve"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.endpoint)
     items.sort(key=lambda item: [item.get_closest_marker(name) is None for name in ("endpoint", "early")])
-    yield  # what is not selected is left out
+    yield  # -m deselects tests
     names = [[marker.name for marker in item.iter_markers()] for item in items]
     early = [item for item, has in zip(items, names, strict=True) if "early" in has and "endpoint" not in has]
     others = [item for item in items if item not in early]
